@@ -1,4 +1,4 @@
-"""Core time of a run that has processes beside it."""
+"""Core time of a run with child processes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 def core_time() -> float:
-    """s that this process and those that it has started, and that still run, have computed."""
+    """Return the core time, s, of this process and its children that still run."""
     tick = os.sysconf("SC_CLK_TCK")
     total = time.process_time()
     for children in Path("/proc/self/task").glob("*/children"):

@@ -1,6 +1,8 @@
-"""`mjtactile bench design`: what `mjtactile design` predicts of the shipped sensors beside full
-simulation: a ball pressed at random places to random depths, felt from drawn images. Seeds that
-nothing was tuned on."""
+"""`mjtactile bench design`: predictions of `mjtactile design` against full simulation.
+
+A ball is pressed into the shipped sensors at random positions to random depths, and its force is
+estimated from rendered images. No parameter was tuned on these seeds.
+"""
 
 from __future__ import annotations
 
@@ -43,11 +45,11 @@ def table(result: Mapping[str, Any]) -> str:
         [
             "|  | " + " | ".join(row["sensor"] for row in rows) + " |",
             "|---" * (len(rows) + 1) + "|",
-            line("presses", lambda row: str(row["count"])),
+            line("contacts", lambda row: str(row["count"])),
             line("force, rms error, mN", lambda row: f"{1e3 * row['force_rms']:.1f}"),
-            line("over the predicted sd", lambda row: f"{row['force_ratio']:.2f}"),
-            line("over what the chain said then", lambda row: f"{row['reported_ratio']:.2f}"),
-            line("where it acts, rms error, mm", lambda row: f"{1e3 * row['place_rms']:.2f}"),
-            line("over the predicted sd", lambda row: f"{row['place_ratio']:.2f}"),
+            line("force error / predicted sd", lambda row: f"{row['force_ratio']:.2f}"),
+            line("force error / reported sd", lambda row: f"{row['reported_ratio']:.2f}"),
+            line("position, rms error, mm", lambda row: f"{1e3 * row['place_rms']:.2f}"),
+            line("position error / predicted sd", lambda row: f"{row['place_ratio']:.2f}"),
         ]
     )

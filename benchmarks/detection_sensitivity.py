@@ -1,10 +1,12 @@
-"""`mjtactile bench detection-sensitivity`: what half and twice of those tried numbers do that the
-images of `bench settings` do not come near: photographs, and what is said where markers fit no
-shape.
+"""`mjtactile bench detection-sensitivity`: effect of halving and doubling tuned detection
+parameters.
 
-A large ball under a small and under a large force, after which markers fit no shape, as of a sheet
-that tears; and pictures for `locate` as cameras make them, sharpened and compressed, flat and bent,
-some of them small.
+It covers parameters that the images of `bench settings` do not exercise: photographs, and the
+status reported where markers fit no shape.
+
+A large ball is pressed with a small and with a large force. Then the markers fit no shape, as for a
+torn membrane. The images for `locate` are those of real cameras: sharpened and compressed, flat and
+bent, some of them small.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import setting_sensitivity
-from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, PressHistory, feel
+from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, RecordedPress, feel
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.optics import Camera
@@ -31,16 +33,16 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 TORN = ("dense", "sphere:25", (1e-3, -1e-3))
-TORN_FORCES = (0.7, 1.4)  # N
-TORN_STEP = 3e-4  # m
-TORN_SD = 4e-4  # m, of markers that fit no shape
+TORN_FORCES = (0.7, 1.4)  # forces before the tear, N
+TORN_STEP = 3e-4  # depth step of the load, m
+TORN_SD = 4e-4  # scatter of markers that fit no shape, m
 TORN_IMAGES = 3
 SMALL = 0.5  # of a picture's size
 _NEAR = 3.0  # px, of the same circle
 _SIMILAR_CERTAINTY = 0.05  # of the probability that a pose is right
 
 
-def torn(force: float) -> PressHistory:
+def torn(force: float) -> RecordedPress:
     """A large ball that presses with `force` N; then markers that fit no shape."""
     design = load_sensor(TORN[0])
     world = PressWorld(design, Indenter.parse(TORN[1]), at=TORN[2])
@@ -60,12 +62,12 @@ def torn(force: float) -> PressHistory:
         places = p + rng.normal(0, TORN_SD, p.shape) * [1, 1, 0]
         pixels.append(view.renderer.render(places, n, 0.0).pixels)
     images = [Image(one, number * INTERVAL) for number, one in enumerate(pixels)]
-    return PressHistory(design, flat, rest, gauge, images)
+    return RecordedPress(design, flat, rest, gauge, images)
 
 
 def pictures(
-    presses: Sequence[PressHistory], bent: PressHistory
-) -> list[tuple[Image, PressHistory]]:
+    presses: Sequence[RecordedPress], bent: RecordedPress
+) -> list[tuple[Image, RecordedPress]]:
     """Those of `bench setting-sensitivity`, and more of `bent`: processed, and small."""
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
@@ -74,7 +76,7 @@ def pictures(
 
 
 def _processed(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Edges that a camera makes sharper, and what its compression leaves."""
+    """Return the image with the sharpening and compression of a real camera."""
     soft = cv2.GaussianBlur(pixels, (0, 0), 1.5)
     sharper = cv2.addWeighted(pixels, 1.8, soft, -0.8, 0)
     packed = cv2.imencode(".jpg", sharper, [cv2.IMWRITE_JPEG_QUALITY, 40])[1]
@@ -87,7 +89,7 @@ def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def locate(
-    images: Sequence[tuple[Image, PressHistory]], settings: Settings
+    images: Sequence[tuple[Image, RecordedPress]], settings: Settings
 ) -> list[DetectedCircles | None]:
     """Each picture's circles; None where it is refused."""
     found: list[DetectedCircles | None] = []
@@ -104,9 +106,12 @@ def locate(
 def change(
     before: Sequence[DetectedCircles | None], now: Sequence[DetectedCircles | None]
 ) -> dict[str, float]:
-    """How many circles come, go, or have another status; how many another probability of their
-    pose; how far depths go (rms, m); by how much error bars change (median ratio of the picture
-    where it is largest)."""
+    """Compare two sets of detections.
+
+    Count circles that appear, disappear or change status, and circles with another pose
+    probability. Compute the depth change (rms, m) and the change of standard deviations. The latter
+    is the median ratio of the image where it is largest.
+    """
     circles = poses = 0
     off: list[float] = []
     bars = [1.0]
@@ -141,7 +146,7 @@ def _pairs(old: DetectedCircles, new: DetectedCircles) -> list[tuple[int, int]]:
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Every number whose source says that it was tried here."""
+    """Vary every parameter whose source states that it was tuned here."""
     del out
     todo = setting_sensitivity.variants(SEEN)
     presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
@@ -162,7 +167,7 @@ def table(result: Mapping[str, Any]) -> str:
     """Half and twice of each number, as Markdown."""
     defaults = DEFAULTS.to_dict()
     lines = [
-        "| number | default | force, mN | images | circles | poses | depth, um | its bar, x |",
+        "| parameter | default | force, mN | images | circles | poses | depth, um | sd factor |",
         "|---|---|---|---|---|---|---|---|",
     ]
     rows = result["rows"]

@@ -1,11 +1,11 @@
-"""`mjtactile bench effects`: what each effect costs, and what leaving it out costs; and that
-all-off leaves nothing behind.
+"""`mjtactile bench effects`: cost of each effect, and the error from leaving it out.
 
-Each switch alone, against everything on: ms per simulated second of two sensors holding an egg,
-force and surface of a pressed sphere. Camera effects: ms an image; shadows: where there are some,
-and how differently force and marker places are felt then. "Nothing behind": a scene with no sensor
-stepped by `World` and by MuJoCo alone; and a membrane with every effect off against one that was
-never offered any.
+Each switch is turned off alone and compared with everything on. Measures: ms per simulated second
+of two sensors that hold an egg, force and surface of a pressed sphere. Camera effects: ms per
+image. Shadows: changes of estimated force and marker positions where shadows occur.
+
+"Nothing behind" checks that all-off leaves no cost. A scene without a sensor is stepped by `World`
+and by MuJoCo alone. A membrane with every effect off is compared with one built without effects.
 """
 
 from __future__ import annotations
@@ -40,14 +40,16 @@ from mjtactile.sim.sensor.effect_switches import (
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps at a time, as between two images
-_IMAGES = 20  # of a state, for means: the force felt scatters by 50 mN in the deepest
+_IMAGES = 20  # images of a state, for means: the estimated force scatters by 50 mN in the deepest
 _ALL = PHYSICS | CAMERA
 _REAL_GAS = {"polytropic_exponent": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what
-    `mjtactile effects` reads."""
+    """Measure every switch and write effects_table.json.
+
+    As models/fidelity/effects.json it is the table that `mjtactile effects` reads.
+    """
     say = Progress().message
     design = load_sensor(SENSOR)
     switched = [
@@ -74,7 +76,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
-    """Cost of the effect (ms per simulated s) and what changes without it (N, um)."""
+    """Return the cost of the effect (ms per simulated s) and the change without it (N, um)."""
     if name in (Effect.HEAT_EXCHANGE, Effect.VALVE_FLOW):
         design = replace(design, chamber=replace(design.chamber, **_REAL_GAS))
         base = _ALL | {Effect.HEAT_EXCHANGE, Effect.VALVE_FLOW}
@@ -94,7 +96,7 @@ def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
     with_it, without = in_turns([_held(design, on).step, _held(design, off).step], 20)
     pressed = [_press(design, effects) for effects in (on, off)]
     moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
-    if name == Effect.SERVO_DYNAMICS:  # a press has no jaw: nothing to compare
+    if name == Effect.SERVO_DYNAMICS:  # a load without jaws has nothing to compare
         moved = moved * np.nan
         pressed = [(np.nan, *pressed[0][1:])] * 2
     return {
@@ -105,10 +107,12 @@ def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
 
 
 def _shadows(design: SensorDesign) -> dict[str, float]:
-    """A small sphere beside the frame, 5 mm deep (39 degrees steep: the slopes are shaded) and 7.5
-    mm (59 degrees: they throw shadows), drawn with and without. Cost of two cameras' images of the
-    deeper; by how much the sensing chain's normal force and markers (rms) differ at the depth where
-    they do more."""
+    """Measure shadows of a small sphere next to the frame, rendered with and without them.
+
+    The depths are 5 mm (39 degrees steep: the slopes are shaded) and 7.5 mm (59 degrees: they cast
+    shadows). The cost is that of two cameras' images at the larger depth. The changes of normal
+    force and markers (rms) are those of the depth where they are larger.
+    """
     world = PressWorld(design, Indenter("sphere", 4e-3), at=(14e-3, 0.4e-3), timestep=_STEP)
     poses = []
     for gauge in (0.0, 1000.0):
@@ -132,9 +136,12 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
 def _felt(
     design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]], shadows: bool
 ) -> tuple[float, list[float], list[np.ndarray]]:
-    """ms an image of the last of `poses` (flat, at rest, then pressed deeper and deeper); of each
-    press the mean force felt, N, and marker places (N, 3) m, NaN where one was not seen in every
-    image."""
+    """Return the rendering time, ms per image, the mean forces, N, and the marker positions.
+
+    The time is that of the last of `poses` (flat, inflated, then increasing depths). Forces and
+    marker positions (N, 3), m, are given for each depth. A marker that is missing in any image is
+    NaN.
+    """
     renderer = Renderer(design, seed=1, shadows=shadows)
     perception = StatefulPipeline.of(design)
     perception.measure_flat_reference([renderer.render(*poses[0]) for _ in range(_IMAGES)])
@@ -153,7 +160,8 @@ def _felt(
 
 
 def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
-    """Holding an egg; what friction does not carry stays on the table: the hand stays too."""
+    """Return a world that holds an egg. Without friction the object and the hand stay at the
+    table."""
     world = GraspWorld(
         set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05
     )
@@ -177,8 +185,10 @@ def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.nda
 
 
 def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:
-    """How far markers would be misplaced if the pictured effect were not there but sensing believed
-    it: geometry only."""
+    """Return the marker error, um, if sensing models an optical effect that is absent.
+
+    Only geometry is used.
+    """
     from mjtactile.core import optics
 
     if not {Effect.DISTORTION, Effect.REFRACTION} & (on - off):
@@ -213,9 +223,11 @@ def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
 
 
 def _nothing_left(design: SensorDesign) -> dict[str, Any]:
-    """Bare MuJoCo against `World` without sensors, interleaved; the model's elements with all
-    effects off; a sensor that sleeps against one that is kept awake, and against the same scene
-    without it."""
+    """Measure the remaining costs with effects off.
+
+    Bare MuJoCo is compared with `World` without sensors, interleaved. The model's elements are
+    counted with all effects off. A sleeping sensor is compared with one that is kept awake.
+    """
     world = rigid_pads.hold(design, "egg", _STEP, HOLD_FORCE)
 
     def bare() -> None:
@@ -260,7 +272,7 @@ def _sleep(design: SensorDesign) -> dict[str, float]:
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
     lines = [
-        "| effect | costs, ms per simulated s | leaving it out costs, mN | um |",
+        "| effect | cost, ms per simulated s | force change without it, mN | surface change, um |",
         "|---|---|---|---|",
     ]
     for name, row in result["effects"].items():
@@ -275,11 +287,11 @@ def table(result: dict[str, Any]) -> str:
         lines.append(f"| {name} | {cells} |")
     bare = result["nothing_left"]
     return "\n".join(lines) + (
-        f"\n\nA scene without sensors: {bare['mujoco_us']:.1f} us a step by MuJoCo alone, "
-        f"{bare['world_us']:.1f} us by `World`, which also checks the state. With every effect "
-        f"off the model has {bare['gas_tendons']} gas tendons. A step with one inflated sensor "
-        f"that touches nothing takes {bare['awake_us']:.0f} us while it is awake, "
-        f"{bare['asleep_us']:.0f} us asleep.\n"
+        f"\n\nA step of a scene without sensors takes {bare['mujoco_us']:.1f} us in MuJoCo alone, "
+        f"{bare['world_us']:.1f} us in `World`, which also checks the state. With all effects "
+        f"off, the model has {bare['gas_tendons']} gas tendons. A step with one inflated sensor "
+        f"without contact takes {bare['awake_us']:.0f} us awake, {bare['asleep_us']:.0f} us "
+        "asleep.\n"
     )
 
 

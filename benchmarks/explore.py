@@ -1,8 +1,8 @@
-"""`mjtactile bench explore`: objects that are touched twelve times on a simulated stage, and how
-far the surface that was made of it is from the true one.
+"""`mjtactile bench explore`: error of surfaces fused from twelve touches on a simulated stage.
 
-The shipped egg, vial, block and strawberry, and random things (`random:SEED`), each lying in its
-holder as a seed says. Development used seeds of poses below FIRST_SEED, and no random thing.
+Objects are the shipped egg, vial, block and strawberry, and random objects (`random:SEED`). The
+seed sets the pose of each in its holder. Development used pose seeds below FIRST_SEED, and no
+random object.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SHIPPED = ("egg", "vial", "block", "strawberry")
 POSES = 2
 RANDOM = ("random:501", "random:502", "random:503", "random:504", "random:505", "random:506")
 TOUCHES = 12
-FORCE = 0.3  # N
+FORCE = 0.3  # contact force of a touch, N
 
 
 @dataclass(frozen=True)
@@ -125,17 +125,17 @@ def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rows = result["rows"]
     lines = [
-        "| object | pose | touches | body | surface error, rms (95 %), mm | size, worst of three, "
-        "% | sizes within 68 % (2 sd) | believed error, mm | within 1 (2) sd, % | "
-        "most force felt, N | processor, s |",
+        "| object | pose | contacts | shape model | surface error, rms (95 %), mm | size error, "
+        "largest of three, % | sizes within 68 % (2 sd) | estimated error, mm | "
+        "within 1 (2) sd, % | largest estimated force, N | processor time, s |",
         "|---" * 11 + "|",
-        "| asked | | 12 | | 0.7 (aim 0.3) | 3 (aim 1) | 2 of 3 (3) | | 68 (95) | | |",
+        "| required | | 12 | | 0.7 (target 0.3) | 3 (target 1) | 2 of 3 (3) | | 68 (95) | | |",
     ]
     lines += [_line(row) for row in rows]
     good = [row for row in rows if "failed" not in row]
     for label, chosen in (
-        ("shipped, median", [row for row in good if row["object"] in SHIPPED]),
-        ("random, median", [row for row in good if row["object"] not in SHIPPED]),
+        ("shipped objects", [row for row in good if row["object"] in SHIPPED]),
+        ("random objects", [row for row in good if row["object"] not in SHIPPED]),
     ):
         if chosen:
             error, size = (
@@ -156,7 +156,7 @@ def _median(label: str, rows: list[Mapping[str, Any]], error: float, size: float
         for name in ("within_1_sd_true", "within_2_sd_true")
     )
     return (
-        f"| **{label}; of what is within, all** | | | | {error:.2f} | {100 * size:.1f} | "
+        f'| **{label}: medians; columns "within": all** | | | | {error:.2f} | {100 * size:.1f} | '
         f"{within} of {3 * len(rows)} ({twice}) | | {places:.0f} ({places_twice:.0f}) | | |"
     )
 

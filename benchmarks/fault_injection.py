@@ -1,9 +1,9 @@
-"""`mjtactile bench fault-injection`: everything bad that the tests do to this project, counted by
-what must come of it.
+"""`mjtactile bench fault-injection`: fault injections of the test suite, counted by expected
+outcome.
 
-An attack is one case of a test: a file with one thing wrong, a byte changed on a wire, a signal
-while something is held. The tests judge it; here they are run again and counted, so that the table
-says what was tried and nothing that was not.
+An attack is one case of a test: a file with one error, a changed byte on a wire, a signal during a
+hold. The tests evaluate it. Here they run again and are counted, so that the table lists exactly
+the attacks that ran.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class Kind:
-    """Attacks of one kind: what is tried, what must come of it, and the tests that judge it (as
-    pytest names them). `quick` ones need no emulated rig."""
+    """Attacks of one kind: description, expected outcome, and the tests (pytest names).
+
+    `quick` kinds need no emulated rig.
+    """
 
     what: str
     wanted: str
@@ -39,8 +41,8 @@ class Kind:
 
 KINDS = (
     Kind(
-        "object, sensor, rig and controller files with one thing wrong; bad arguments",
-        "refused in one line, exit code 2, nothing left behind",
+        "object, sensor, rig and controller files with one error; invalid arguments",
+        "rejected in one line with exit code 2; no files left",
         (
             "tests/cli/test_bad_input.py",
             "tests/cli/test_calibration_files.py",
@@ -50,8 +52,9 @@ KINDS = (
         ),
     ),
     Kind(
-        "recordings cut off, damaged, foreign; full disks, no descriptors, removed folders",
-        "refused with line and column, or whole up to the damage",
+        "truncated, damaged or foreign recordings; full disks, no file descriptors, removed "
+        "folders",
+        "rejected with line and column, or complete up to the damage",
         (
             "tests/unit/recording/test_damaged.py",
             "tests/unit/recording/test_recording.py",
@@ -59,9 +62,9 @@ KINDS = (
         ),
     ),
     Kind(
-        "controllers that raise, hang, exit, make commands past their checks, ask for NaN, too "
-        "much or air that a rig has not, end with the hand up, do not import",
-        "the hand retreats, then one line that names the file",
+        "controllers that raise, hang, exit, bypass command checks, request NaN, excessive "
+        "values or air without a valve, end with a raised gripper, or cannot be imported",
+        "gripper retreats; one line names the file",
         (
             "tests/unit/runtime/test_safety.py",
             "tests/unit/runtime/test_failures.py",
@@ -72,35 +75,35 @@ KINDS = (
         ),
     ),
     Kind(
-        "notebooks with functions, objects, lists that contain themselves, 10^6 entries",
-        "not recorded, named once; the grasp goes on",
+        "controller state with functions, objects, recursive lists, 10^6 entries",
+        "not recorded, reported once; the grasp continues",
         ("tests/unit/core/test_controller_state.py",),
     ),
     Kind(
-        "each signal that ends a process, once, repeated, and after another",
-        "heard, raised where it does no harm; only a person's second one is at once",
+        "each termination signal: once, repeated, after another one",
+        "raised at a safe point; only the second signal of a user acts immediately",
         ("tests/unit/core/test_stop.py",),
     ),
     Kind(
-        "arrays of another size, settings drawn at random, meshes that are too coarse",
-        "refused by name; no kernel leaves its arrays",
+        "arrays of another size, random settings, too coarse meshes",
+        "rejected by name; no kernel accesses memory outside its arrays",
         ("tests/unit/kernels/test_boundary.py", "tests/unit/kernels/test_drawn.py"),
     ),
     Kind(
-        "images that are dark, glaring, blurred, with specks, holes and strange markers",
-        "unknown with its reason, or right within its error bar",
+        "dark, overexposed or blurred images; specks, holes and unusual markers",
+        "unknown with a reason, or correct within the reported uncertainty",
         (
             "tests/unit/sensing/test_model_error.py",
             "tests/unit/sensing/test_circles_from_images.py",
         ),
     ),
     Kind(
-        "scenes with bodies that go through, diverge, weigh on the frame, or are too fast",
-        "flagged, or stopped with the reason",
+        "objects that pass the membrane, diverge, load the frame, or are too fast",
+        "flagged, or stopped with a reason",
         ("tests/plugin/test_flags.py", "tests/physics/test_stability.py"),
     ),
     Kind(
-        "bytes lost, changed, late or babbled on servo buses and valve boards; cables pulled",
+        "bytes lost, changed, late or random on servo buses and valve boards; unplugged cables",
         "DeviceError, no wrong reading",
         (
             "tests/unit/devices/test_dynamixel_bus.py",
@@ -112,14 +115,14 @@ KINDS = (
         ),
     ),
     Kind(
-        "cameras that stop, freeze, lie about their settings or their clock",
-        "DeviceError, stale said",
+        "cameras that stop, freeze, or report wrong settings or times",
+        "DeviceError that names the stale image",
         ("tests/unit/devices/test_camera_driver.py",),
     ),
     Kind(
-        "signals, a host that is killed or stands still, a stopped terminal, a full disk, a "
-        "controller that eats the memory while something is held",
-        "set down, torque off, chambers vented, the recording can be read",
+        "while an object is held: signals, a killed or paused host, a stopped terminal, a full "
+        "disk, a controller that exhausts the memory",
+        "object set down, torque off, chambers vented, readable recording",
         (
             "tests/contract/test_signals.py",
             "tests/contract/test_red_button.py",
@@ -134,12 +137,12 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
     """Run the tests of each kind again.
 
     Args:
-        out: the folder for pytest's reports, and for the result after each kind.
-        quick: leave out what needs an emulated rig.
-        resume: keep the kinds that an interrupted run has counted.
+        out: Folder for pytest's reports, and for the result after each kind.
+        quick: Leave out kinds that need an emulated rig.
+        resume: Keep the kinds that an interrupted run has counted.
 
     Raises:
-        InputError: there is no pytest.
+        InputError: pytest is not installed.
     """
     say = Progress().message
     path = out / "attacks.json"
@@ -159,7 +162,7 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
 
 def _report(tests: Sequence[str], path: Path) -> ET.Element:
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--junitxml={path}"]
-    # an exit code of 1 says that tests failed: they are counted
+    # exit code 1: some tests failed; they are counted
     done = subprocess.run(
         [*command, *tests], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )
@@ -170,8 +173,10 @@ def _report(tests: Sequence[str], path: Path) -> ET.Element:
 
 
 def count(report: ET.Element) -> dict[str, Any]:
-    """Cases of a JUnit report: how many were `tried`, came out `as_wanted`, and which did not; what
-    was skipped was not tried."""
+    """Count the cases of a JUnit report: `tried`, `as_wanted`, and names of failures.
+
+    Skipped cases do not count.
+    """
     cases = [case for case in report.iter("testcase") if case.find("skipped") is None]
     wrong = [
         case.get("name", "")
@@ -183,12 +188,12 @@ def count(report: ET.Element) -> dict[str, Any]:
 
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
-    lines = ["| what was tried | cases | what must come of it | came of it |", "|---|---|---|---|"]
+    lines = ["| injected fault | cases | required reaction | result |", "|---|---|---|---|"]
     for row in result["kinds"]:
-        came = "that, each time"
+        came = "met in all cases"
         if row["wrong"]:
-            came = f"{row['as_wanted']} times; not: {', '.join(row['wrong'])}"
+            came = f"met in {row['as_wanted']} cases, not in: {', '.join(row['wrong'])}"
         lines.append(f"| {row['what']} | {row['tried']} | {row['wanted']} | {came} |")
     tried = sum(row["tried"] for row in result["kinds"])
     wanted = sum(row["as_wanted"] for row in result["kinds"])
-    return "\n".join(lines) + f"\n\n{wanted} of {tried} attacks came out as they must.\n"
+    return "\n".join(lines) + f"\n\n{wanted} of {tried} cases meet the requirement.\n"

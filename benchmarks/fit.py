@@ -1,9 +1,9 @@
-"""`mjtactile bench fit`: sensors that differ from their file, recorded on the simulated stage, and
-fitted; what is found against what they are.
+"""`mjtactile bench fit`: identified parameters of sensors that differ from their nominal file.
 
-Seeds below FIRST_SEED were used to make the fit and are not among them. What a specimen truly is
-enters here only: its recordings name the nominal file. One seed is recorded with a finer membrane
-than the fit has, so that not all of the error is kept out by the same mesh on both sides.
+The sensors are recorded on the simulated stage, fitted, and compared with ground truth. Seeds below
+FIRST_SEED were used to develop the fit and are excluded. The true parameters are used only here:
+the recordings name the nominal file. One seed is recorded with a finer membrane than that of the
+fit. Otherwise the same mesh on both sides would hide the discretization error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SEEDS = 3
 FINE_MESH = (17, 13)  # of the last specimen, which is the first one again
 DIFFERS = 0.3  # of each number, at most
 AIR = {"polytropic_exponent": 1.4, "thermal_time_constant_s": 1.0, "leak_mL_s_kPa": 0.01}
-"""What the nominal file of these specimens has besides that of `dense`."""
+"""Gas parameters of the nominal file in addition to those of `dense`."""
 FORCE_REQUESTED = 0.02
 FRACTION_REQUESTED = 0.05
 FRACTION_AIM = 0.02
@@ -50,7 +50,7 @@ HELD_OUT = ("other", "press", "sphere:12", 1500.0, 9.0)
 
 
 def nominal_text() -> str:
-    """The nominal sensor file: what the fit starts from."""
+    """Return the nominal sensor file, the start of the fit."""
     from mjtactile.core import resources
 
     text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
@@ -101,8 +101,10 @@ def specimen(nominal: SensorDesign, seed: int) -> SensorDesign:
 def run(
     out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """Record and fit the specimens; one row each. What was measured so far is kept in
-    `out`/fit.json."""
+    """Record and fit the sensors; return one row each.
+
+    Results so far are stored in `out`/fit.json.
+    """
     say = Progress().message if say is None else say
     cases: list[tuple[int, tuple[int, int] | None]] = [
         (seed, None) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)
@@ -183,9 +185,11 @@ def _record(
 
 
 def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list[dict[str, Any]]:
-    """Of each number: what it is, what was found, and the error as a share of what it is. Thickness
-    times modulus is one number, pre-stretch counts less 1, gas volume as all that is behind the
-    flat sheet."""
+    """Return true value, estimate and relative error of each parameter.
+
+    Thickness times modulus is one parameter. Pre-stretch counts less 1. Gas volume counts in full,
+    behind the flat membrane.
+    """
     found = result.design
     flat = nominal.chamber_volume_flat - nominal.chamber.extra_volume
     sheet = found.membrane
@@ -199,7 +203,7 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
             1e6 * sheet.thickness,
         ),
         (
-            "pre-stretch less 1",
+            "pre-stretch minus 1",
             "membrane.pre_stretch",
             true.membrane.pre_stretch - 1,
             sheet.pre_stretch - 1,
@@ -221,14 +225,14 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
             1.0,
         ),
         (
-            "heat ratio less 1",
+            "polytropic exponent minus 1",
             "chamber.polytropic_exponent",
             true.chamber.polytropic_exponent - 1,
             found.chamber.polytropic_exponent - 1,
             1.0,
         ),
         (
-            "heat exchange, s",
+            "thermal time constant, s",
             "chamber.thermal_time_constant_s",
             true.chamber.heat_exchange,
             found.chamber.heat_exchange,
@@ -262,7 +266,7 @@ def table(result: Mapping[str, Any]) -> str:
         for row in rows
     ]
     lines = [
-        f"| error, % (its 95 % interval) | at least | aim | {' | '.join(names)} |",
+        f"| error, % (95 % interval) | required | target | {' | '.join(names)} |",
         f"|---|---|---|{'---|' * len(rows)}",
     ]
     for i, number in enumerate(rows[0]["numbers"]):
@@ -277,17 +281,17 @@ def table(result: Mapping[str, Any]) -> str:
         for row in rows
     ]
     lines.append(
-        f"| worst predicted force of presses kept aside, mN | {1e3 * FORCE_REQUESTED:g} | | "
-        f"{' | '.join(worst)} |"
+        f"| largest error of the predicted force, held-out load, mN | {1e3 * FORCE_REQUESTED:g} | "
+        f"| {' | '.join(worst)} |"
     )
     times = [f"{row['seconds']:.0f} ({row['core_s']:.0f})" for row in rows]
-    lines.append(f"| time of the fit, s (of one core) | 600 | | {' | '.join(times)} |")
+    lines.append(f"| duration of the fit, s (core time) | 600 | | {' | '.join(times)} |")
     return "\n".join(lines) + "\n"
 
 
 def _cell(number: Mapping[str, Any]) -> str:
     if not number["is_fitted"]:
-        return "not known"
+        return "not fitted"
     return f"{100 * number['error']:+.1f} (±{196 * number['sd']:.1f})"
 
 
@@ -319,11 +323,9 @@ def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         )
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.axvspan(-100 * FRACTION_REQUESTED, 100 * FRACTION_REQUESTED, color="k", alpha=0.07)
-    left.set(xlabel="error, %, with its 95 % interval", xlim=(-12, 12))
+    left.set(xlabel="error, %, with 95 % interval", xlim=(-12, 12))
     right.axhspan(-1e3 * FORCE_REQUESTED, 1e3 * FORCE_REQUESTED, color="k", alpha=0.07)
-    right.set(
-        xlabel="force of a press that was kept aside, N", ylabel="predicted less load cell, mN"
-    )
+    right.set(xlabel="force in the held-out load, N", ylabel="predicted minus load cell, mN")
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(fontsize=7)

@@ -1,9 +1,9 @@
-"""`mjtactile bench gas-filter-sensitivity`: what the tried numbers of the gas's filter are worth:
-the same readings of a pressure gauge followed with each of them at half and at twice.
+"""`mjtactile bench gas-filter-sensitivity`: effect of halving and doubling the gas filter's tuned
+parameters.
 
-The chamber is a closed form: a dent while nothing else happens, a leak, a hole, warmth, and a valve
-that opens onto another pressure. The gauge has white noise; volumes are as images would show
-them.
+The same pressure readings are filtered with each value. The chamber follows a closed form: an
+indentation alone, or with a leak, a hole, warming, or a valve that opens to another pressure. The
+pressure sensor has white noise. Volumes are those that images would measure.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mjtactile.sensing.settings.tunable_parameter import GAUGED
 FACTORS = (0.5, 2.0)
 CASES = ("dent", "leak", "hole", "warmth", "valve")
 SEEDS = 6
-REST = 1000.0  # Pa
-NOISE = 3.0  # Pa, sd of a reading
+REST = 1000.0  # gauge pressure without contact, Pa
+NOISE = 3.0  # standard deviation of a reading, Pa
 RATE = 100.0  # Hz, of readings
 SECONDS = 6.0
 DENT = 0.005  # of the volume, within half a second from 1 s on
@@ -37,8 +37,11 @@ _ALIKE = 0.005
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """At `time` (n,) s: true `pressure` (n,) Pa above ambient, what a gauge `read`, `volume` (n,)
-    m^3, and whether the valve `is_open`."""
+    """Time series at `time` (n,), s.
+
+    True `pressure` (n,), Pa above ambient, the readings `read`, `volume` (n,), m^3, and `is_open`,
+    true while the valve is open.
+    """
 
     time: Array
     pressure: Array
@@ -48,7 +51,7 @@ class Readings:
 
 
 def readings(case: str, seed: int) -> Readings:
-    """Of one chamber of `dense`, by the gas law."""
+    """Simulate the readings of one chamber of `dense` by the gas law."""
     design = load_sensor("dense")
     chamber = design.chamber
     rng = np.random.default_rng(seed)
@@ -71,8 +74,10 @@ def readings(case: str, seed: int) -> Readings:
 
 
 def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, int]:
-    """Error and standard deviation, Pa, of the pressure at each image, and how many readings were
-    told to the images' fit."""
+    """Return error and standard deviation of the pressure at each image, Pa.
+
+    The third value counts the readings passed on to the fit of the images.
+    """
     design = load_sensor("dense")
     chamber = design.chamber
     gauge = GasFilter(chamber, settings)
@@ -95,7 +100,7 @@ def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, 
 
 
 def measure(settings: GasFilterSettings, seeds: int) -> dict[str, float]:
-    """Over all cases: rms error, Pa, median standard deviation, Pa, and readings told."""
+    """Return rms error, Pa, median standard deviation, Pa, and used readings, over all cases."""
     errors, sds, told = zip(
         *(follow(readings(case, seed), settings) for case in CASES for seed in range(seeds)),
         strict=True,
@@ -105,7 +110,7 @@ def measure(settings: GasFilterSettings, seeds: int) -> dict[str, float]:
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Every number whose source says that it was tried here."""
+    """Vary every parameter whose source states that it was tuned here."""
     seeds = 1 if quick else SEEDS
     default = DEFAULTS.gauge
     found = []
@@ -124,10 +129,10 @@ def table(result: Mapping[str, Any]) -> str:
     """Half and twice of each number, as Markdown."""
     usual = result["default"]
     lines = [
-        f"As they are: {usual['rms_Pa']:.2f} Pa rms error of the pressure, "
-        f"{usual['sd_Pa']:.2f} Pa its standard deviation (median), {usual['told']} readings told.",
+        f"Default parameters: pressure error {usual['rms_Pa']:.2f} Pa rms, median standard "
+        f"deviation {usual['sd_Pa']:.2f} Pa, {usual['told']} informative readings.",
         "",
-        "| number | default | error, x | its bar, x | readings told |",
+        "| parameter | default | error factor | sd factor | informative readings |",
         "|---|---|---|---|---|",
     ]
     for row in result["numbers"]:

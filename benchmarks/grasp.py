@@ -111,8 +111,9 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = [
-        "| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, N "
-        "(true) | slip, mm (true) | marker error, mm |",
+        "| object | held | crushed | grip force (ground truth), N | force error (estimate minus "
+        "ground truth), N: mean / worst | peak force (ground truth), N | slip (ground truth), mm "
+        "| marker error, mm |",
         "|---" * 8 + "|",
     ]
     for name, s in result["objects"].items():
@@ -129,7 +130,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 _PARTS = {
-    "rest": "waiting for physics, drawing, truth",
+    "rest": "waiting for physics, rendering, ground truth",
     "camera": "reading images",
     "perception": "perception",
     "controller": "controller",
@@ -137,13 +138,12 @@ _PARTS = {
 
 
 def _fraction_table(result: Mapping[str, Any]) -> str:
-    """Where the wall time of a control cycle goes, both fingers together, in percent.
+    """Return the fractions of a control cycle's wall time, both fingers together, in percent.
 
-    Shares and not times: how long a cycle takes is what `bench speed` measures, with nothing else
-    running.
+    Absolute times are left to `bench speed`, which runs without other load.
     """
     lines = [
-        f"| share of a control cycle | {' | '.join(_PARTS.values())} |",
+        f"| fraction of a control cycle | {' | '.join(_PARTS.values())} |",
         "|---" * (len(_PARTS) + 1) + "|",
     ]
     for name, s in result["objects"].items():
@@ -156,7 +156,7 @@ def _fraction_table(result: Mapping[str, Any]) -> str:
 
 
 def _plot(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
-    """Error of the felt hold force, every run."""
+    """Plot the error of the estimated hold force in every run."""
     if (figure := new_figure("grasp.png", (7.2, 4.4))) is None:
         return
     axes = figure.add_subplot()
@@ -172,7 +172,7 @@ def _plot(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
         )
     axes.set_xlabel("seed")
     axes.set_xticks(sorted({row["seed"] for row in rows}))
-    axes.set_ylabel("felt less true normal force [N]")
-    axes.set_title("error of the force on a finger, mean over the hold phase")
+    axes.set_ylabel("force error (estimate minus ground truth) [N]")
+    axes.set_title("normal force on a finger, mean over the hold phase")
     axes.legend(ncols=4, loc="upper center")
     figure.savefig(out / "grasp.png")

@@ -1,9 +1,8 @@
-"""`mjtactile bench material`: probe random bodies that nothing was tuned on, and compare the
-verdicts with the truth.
+"""`mjtactile bench material`: probe unseen random objects, and compare the results with ground
+truth.
 
-Bodies are drawn from seeds: sizes, stiffnesses, relaxation times, yield forces and where they
-stand. The shipped objects and the seeds below FIRST_SEED were used in tuning and are not among
-them.
+The seed sets sizes, stiffnesses, relaxation times, yield forces and positions. The shipped objects
+and the seeds below FIRST_SEED were used in tuning and are excluded.
 """
 
 from __future__ import annotations
@@ -80,7 +79,10 @@ def random_specimen(seed: int) -> Specimen:
 def run(
     out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Probe the bodies; one row each. What was measured so far is kept in `out`/material.json."""
+    """Probe the objects; return one row each.
+
+    Results so far are stored in `out`/material.json.
+    """
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
@@ -189,31 +191,31 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     rows = [
-        ("bodies (unseen in tuning)", result["bodies"], "", ""),
-        ("material class right", f"{100 * result['class_right']:.0f} %", "93 %", "98 %"),
-        ("named a wrong class / unknown", f"{result['wrong_class']} / {result['unknown']}", "", ""),
+        ("objects (not used for tuning)", result["bodies"], "", ""),
+        ("correct material class", f"{100 * result['class_right']:.0f} %", "93 %", "98 %"),
+        ("wrong class / unknown", f"{result['wrong_class']} / {result['unknown']}", "", ""),
         (
-            f"modulus within a factor 2 ({result['soft']} soft bodies)",
+            f"modulus within a factor of 2 ({result['soft']} soft objects)",
             f"{100 * result['modulus_within_2']:.0f} %",
             "85 %",
             "95 %",
         ),
-        ("modulus over true, median", f"{result['modulus_ratio_median']:.2f}", "", ""),
+        ("modulus, estimated/true, median", f"{result['modulus_ratio_median']:.2f}", "", ""),
         (
-            "true modulus inside the 68 % interval",
+            "true modulus within the 68 % interval",
             f"{100 * result['modulus_in_interval']:.0f} %",
             "",
             "",
         ),
-        ("stiffness over true, median", f"{result['stiffness_ratio_median']:.2f}", "", ""),
+        ("stiffness, estimated/true, median", f"{result['stiffness_ratio_median']:.2f}", "", ""),
         (
-            f"relaxation time over true, median ({result['relaxation_seen']} bodies)",
+            f"relaxation time, estimated/true, median ({result['relaxation_seen']} objects)",
             f"{result['relaxation_ratio_median']:.2f}",
             "",
             "",
         ),
     ]
-    lines = ["| what | measured | at least | aim |", "|---|---|---|---|"]
+    lines = ["| quantity | measured | required | target |", "|---|---|---|---|"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows)]) + "\n"
 
 

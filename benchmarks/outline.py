@@ -1,5 +1,7 @@
-"""`mjtactile bench outline`: sensors whose frames are no rectangles: how their inflated sheets
-compare with theory, and what is felt less true in presses that nothing was tuned on.
+"""`mjtactile bench outline`: sensors with non-rectangular frames.
+
+Their inflated membranes are compared with theory. Force errors are measured in loads that were not
+used for tuning.
 """
 
 from __future__ import annotations
@@ -19,17 +21,18 @@ from mjtactile.sim.scenes.indentation import Indenter
 
 SENSORS = ("round30", "ellipse")
 FINE = {"round30": (21, 21), "ellipse": (25, 17)}
-"""Vertices of a sheet that is fine enough to have the shape of rubber: beside those that there are
-as a rule, where faces are met too softly (docs/validation/limitations.md)."""
+"""Vertices of a membrane mesh that is fine enough to deform like rubber, in addition to the default
+mesh. On the default mesh, contact with faces is too soft (docs/validation/limitations.md)."""
 FIRST_SEED = 3100
 PRESSES = 12
 PRESSES_QUICK = 2
 PRESSURES = (100.0, 500.0, 1000.0, 2000.0)
 DEPTHS = (1e-3, 2e-3, 3e-3)
-ASKED = 0.02  # N, felt less true
-_REACH = 0.4  # of the half axes, from the middle: bodies of 5 mm stay clear of the rim
-_SIZES = (4e-3, 10e-3)  # m, width of a body's face, or of half of a ball
-_SHEAR = 1e-3  # m, of every other press
+ASKED = 0.02  # required force error, N
+# maximum distance from the center, in half axes: 5 mm indenters stay clear of the frame
+_REACH = 0.4
+_SIZES = (4e-3, 10e-3)  # range of the indenter width, m; for a ball the diameter
+_SHEAR = 1e-3  # shear displacement of every other load, m
 
 
 def run(
@@ -39,16 +42,16 @@ def run(
     resume: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Inflate and press each sensor, on two meshes; ten minutes of a processor.
+    """Inflate and load each sensor on two meshes; ten minutes of a processor.
 
     Args:
-        out: Folder; what was measured so far is kept in its outline.json.
-        quick: Two presses of each.
-        resume: Go on with what is there.
-        say: Told of every press.
+        out: Folder; results so far are stored in its outline.json.
+        quick: Two loads of each.
+        resume: Continue with the stored results.
+        say: Receiver of a message for every load.
 
     Returns:
-        "rows", one a sensor and mesh.
+        "rows", one per sensor and mesh.
     """
     kept = out / "outline.json"
     rows: list[dict[str, Any]] = read_json(kept)["rows"] if resume and kept.exists() else []
@@ -75,11 +78,11 @@ def run(
 
 
 def held_out(design: SensorDesign, seed: int) -> IndentationPlan:
-    """Body, place and way of a seed.
+    """Return the indenter, position and shear of a seed.
 
     Args:
-        design: Whose frame it stays within.
-        seed: Of what is drawn.
+        design: Sensor design whose frame limits the position.
+        seed: Random seed.
 
     Returns:
         The plan.
@@ -111,9 +114,9 @@ def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     pressures = ", ".join(f"{1e-3 * p:g}" for p in PRESSURES)
     lines = [
-        f"| sensor | simulated vertices | height at {pressures} kPa less theory, % | presses, "
-        "force | normal force felt less true, rms, worst, mN | each component, worst, mN | "
-        "places the simulation flags | the others, worst, mN |",
+        f"| sensor | simulated vertices | height at {pressures} kPa minus theory, % | contacts, "
+        "force | normal force error (estimate minus ground truth), rms, worst, mN | error of any "
+        "component, worst, mN | flagged positions | error without flag, worst, mN |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:
@@ -127,18 +130,18 @@ def table(result: Mapping[str, Any]) -> str:
         places = sum(bool(one["flags"]) for one in row["presses"])
         lines.append(
             f"| {row['sensor']} | {row['mesh'][0]} x {row['mesh'][1]} | {heights} | "
-            f"{len(steps)} of {len(row['presses'])} places, "
+            f"{len(steps)} at {len(row['presses'])} positions, "
             f"{-true[:, 2].max():.2f} to {-true[:, 2].min():.2f} N | "
             f"{np.sqrt(np.nanmean(normal**2)):.1f}, {np.nanmax(np.abs(normal)):.0f} | "
             f"{np.nanmax(np.abs(off)):.0f} | {places} | "
-            f"{f'{np.nanmax(unflagged):.0f}' if len(unflagged) else 'there are none'} |"
+            f"{f'{np.nanmax(unflagged):.0f}' if len(unflagged) else 'none'} |"
         )
     last = FIRST_SEED + max(len(row["presses"]) for row in result["rows"]) - 1
     statuses = [s["status"] for row in result["rows"] for p in row["presses"] for s in p["steps"]]
     note = (
-        f"Balls, discs and boxes 4 to 10 mm wide at random places, seeds {FIRST_SEED} to {last}, "
-        f"every other one dragged by 1 mm; {1e3 * ASKED:g} mN at most are wanted. The chain doubts "
-        f"{len(statuses) - statuses.count('ok')} of {len(statuses)} touches. Theory is the sheet's "
-        "own (Eq. M8)."
+        f"Balls, discs and boxes, 4 to 10 mm wide, at random positions (seeds {FIRST_SEED} to "
+        f"{last}); every other one is dragged by 1 mm. Required: at most {1e3 * ASKED:g} mN. "
+        f"{len(statuses) - statuses.count('ok')} of {len(statuses)} estimates have a status other "
+        "than `ok`. Theory: Eq. M8."
     )
     return "\n".join(lines) + f"\n\n{note}\n"

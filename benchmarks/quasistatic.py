@@ -1,11 +1,11 @@
-"""`mjtactile bench quasistatic`: the film against an independent sheet, against itself, and the
-clock.
+"""`mjtactile bench quasistatic`: the quasi-static membrane against an independent solver and
+against itself, and its computing time.
 
-References (film_reference.json) are an independent solver's, in the same rubber and gas; no number
-of the film was chosen on them. That solver's faces are sets of its own nodes, 0.5 mm apart, and as
-large as those came to be, so that their edges lie on lines of nodes: within 0.6 % of the same on 41
-x 31 and 121 x 91 nodes. Its discs are sets of nodes as well, with steps of 0.5 mm along their rim:
-they are as large as their convex hull.
+References (film_reference.json) come from an independent solver, with the same rubber and gas. No
+parameter of the quasi-static membrane was chosen on them. That solver's square faces are sets of
+nodes, 0.5 mm apart, so that their edges lie on lines of nodes. Their forces agree within 0.6 % on
+41 x 31 and 121 x 91 nodes. Its discs are sets of nodes as well, with steps of 0.5 mm along their
+edge. Their size is that of their convex hull.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from mjtactile.runtime.progress import Progress
 
 GRIDS = ((21, 16), (41, 31))
 TIMED = (*GRIDS, (61, 46))
-PLACED = (*GRIDS, (81, 61))  # the last tells how much is the bulge's own, which is no plane
+PLACED = (*GRIDS, (81, 61))  # the last shows the part due to the curvature of the bulge
 USUAL = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}
 OTHER = "paper16"
 """It has the sheet, frame and gas of `dense`, so that the same references hold for its file."""
 PLACES, PLACES_QUICK = 12, 2
 _TIMES = {
-    "a step of 0.05 mm after another": "step_us",
-    "the same without what came before": "alone_us",
+    "step of 0.05 mm": "step_us",
+    "the same without the trend of earlier steps": "alone_us",
     "six derivatives": "derivatives_us",
-    "six derivatives by its pose": "by_pose_us",
+    "six derivatives with respect to the pose": "by_pose_us",
 }
 _MARKERS = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
@@ -75,7 +75,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
 
 
 def _is_usual(case: dict[str, Any]) -> bool:
-    """Whether a case has the sheet and the gas of the sensor files."""
+    """Return True if a case has the membrane and the gas of the sensor files."""
     return all(case[key] == value for key, value in USUAL.items())
 
 
@@ -101,7 +101,10 @@ def _made(
 
 
 def _body(film: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
-    """The reference's bodies meet the sheet's middle; the film's its outer face."""
+    """Return the obstacle of a case.
+
+    The reference's obstacles touch the membrane's midsurface; here they touch its outer face.
+    """
     off = film.design.membrane.thickness / 2
     at = [1e-3 * value for value in case["at_mm"]]
     size = [1e-3 * value for value in case["size_mm"]]
@@ -137,7 +140,7 @@ def _markers(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
 
 
 def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dict[str, float]]:
-    """How much stiffer than an independent sheet's a patch is held along x and y."""
+    """Yield the relative stiffness error of a sticking patch along x and y."""
     film = QuasistaticMembrane("dense", grid, 1000.0)
     for case in references["sticking"]:
         radius = 1e-3 * case["radius_mm"] - film.design.membrane.thickness / 2
@@ -151,8 +154,11 @@ def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dic
 
 
 def _bodies(film: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
-    """What has no reference: its force must not hang on where the nodes are, but for as much as the
-    sheet is another there."""
+    """Yield obstacles without a reference solution.
+
+    Their force must not depend on the node positions, except for local differences of the
+    membrane.
+    """
     lying = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     x, y = at
     yield "blade 0.4 x 12 mm", [film.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102))]
@@ -196,8 +202,11 @@ def _summary(forces: Array) -> dict[str, float]:
 
 
 def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
-    """Above, the film from above and what touches; below, its cut beside the full membrane's and
-    the body; without matplotlib say so on stderr."""
+    """Plot the membrane from above with its contact, and below a section.
+
+    The section shows it next to the full membrane and the obstacle. A missing matplotlib is
+    reported on stderr.
+    """
     if (figure := new_figure(path.name, (12, 7.5), dpi=80)) is None:
         return
     axes = figure.subplots(2, 3, height_ratios=(1.1, 1))
@@ -210,17 +219,21 @@ def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
         above.plot(1e3 * film.x[i], 1e3 * film.y[j], ".", color="black", markersize=3)
         above.set_aspect("equal")
         above.set_title(case["name"])
-        figure.colorbar(shown, ax=above, label="film's height, mm", orientation="horizontal")
+        figure.colorbar(shown, ax=above, label="membrane height, mm", orientation="horizontal")
         x = np.linspace(-0.02, 0.02, 801)
         body = 1e3 * film.obstacle_heights(_body(film, case), np.column_stack([x, 0 * x]))
         top = 3.3
-        cut.fill_between(1e3 * x, body, top, where=body < top, color="0.85", label="body")
+        cut.fill_between(1e3 * x, body, top, where=body < top, color="0.85", label="object")
         full = 1e-3 * np.array(case["profile_um"])
         cut.plot(full[:, 0], full[:, 1], color="tab:orange", linewidth=5, label="full membrane")
         row = len(film.y) // 2
         moved, _, z = (1e3 * field[:, row] for field in state.displacements)
-        cut.plot(1e3 * film.x + moved, z, ".-", color="black", linewidth=1, label="film, 41 x 31")
-        cut.set_title(f"film {state.force_normal:.3f} N, full membrane {case['force_N']:.3f} N")
+        cut.plot(
+            1e3 * film.x + moved, z, ".-", color="black", linewidth=1, label="quasi-static, 41 x 31"
+        )
+        cut.set_title(
+            f"quasi-static {state.force_normal:.3f} N, full membrane {case['force_N']:.3f} N"
+        )
         cut.set_xlabel("x, mm")
         cut.set_ylabel("height, mm")
         cut.set_ylim(-0.2, top)
@@ -246,7 +259,7 @@ def _row(values: Iterable[float], form: str) -> str:
 
 
 def _cell(place: dict[str, float]) -> str:
-    lost = f" ({place['lost']} without rest)" if place["lost"] else ""
+    lost = f" ({place['lost']} not converged)" if place["lost"] else ""
     return f"{place['force_N']:.3f}, {100 * place['spread']:.1f} %{lost}"
 
 
@@ -262,29 +275,35 @@ def table(result: dict[str, Any]) -> str:
     others = (("0.5 and 3 kPa: force, %", pressure), ("pre-stretch 1.0 and 1.1: force, %", stretch))
     missed = sum(not r["converged"] for r in rows)
     lines = [
-        f"{len(rows) // len(GRIDS)} presses of an independent sheet; {missed} did not converge.",
+        f"{len(rows) // len(GRIDS)} loads compared with an independent membrane solver; {missed} "
+        "did not converge.",
         "",
         "| error, rms (worst) | 21 x 16 | 41 x 31 |",
         "|---|---|---|",
-        _line("balls of 4-30 mm, 0.5-3 mm deep, four places: force, %", balls, "force_error", 100),
-        _line("the same, gauge pressure, %", balls, "pressure_error", 100),
-        _line("squares of 6-14 mm, two places: force, %", squares, "force_error", 100),
-        _line("discs of 5.5-13.5 mm, two places: force, %", discs, "force_error", 100),
+        _line(
+            "balls of 4-30 mm, 0.5-3 mm deep, four positions: force, %", balls, "force_error", 100
+        ),
+        _line("the same: gauge pressure, %", balls, "pressure_error", 100),
+        _line("squares of 6-14 mm, two positions: force, %", squares, "force_error", 100),
+        _line("discs of 5.5-13.5 mm, two positions: force, %", discs, "force_error", 100),
         _line(f"`{OTHER}`, all of these: force, %", other, "force_error", 100),
         _line("half and double thickness: force, %", thickness, "force_error", 100),
         *(_line(name, some, "force_error", 100) for name, some in others if some),
-        _line("heights at the markers, um", balls, "heights_um", 1),
-        _line("markers in the plane, um", balls, "plane_um", 1),
-        _line("what sticks, dragged: stiffness, %", result["sticking"], "stiffness_error", 100),
+        _line("marker heights, um", balls, "heights_um", 1),
+        _line("in-plane marker positions, um", balls, "plane_um", 1),
+        _line(
+            "sticking contact, dragged: stiffness, %", result["sticking"], "stiffness_error", 100
+        ),
     ]
     lines += [
         "",
-        "| force, N, and spread over places | 21 x 16 | 41 x 31 | 81 x 61 |",
+        "| force, N, and spread over positions | 21 x 16 | 41 x 31 | 81 x 61 |",
         "|---|---|---|---|",
     ]
     for name in result["places"][0]:
         if name != "grid":
-            lines.append(f"| {name} | {' | '.join(_cell(p[name]) for p in result['places'])} |")
+            cells = " | ".join(_cell(place[name]) for place in result["places"])
+            lines.append(f"| {name.replace('turned', 'rotated')} | {cells} |")
     lines += quasistatic_discretization.table(result["narrow"])
     times = result["times"]
     names = " | ".join("{} x {}".format(*t["grid"]) for t in times)
@@ -293,14 +312,16 @@ def table(result: dict[str, Any]) -> str:
         lines.append(f"| {name}, us | {' | '.join(f'{t[key]:.0f}' for t in times)} |")
     for size in (1, 8, 64, 256):
         each = (f"{1e6 / t['batch_per_s'][f'{size}, 1']:.0f}" for t in times)
-        lines.append(f"| {size} at once at rest, one thread, us each | {' | '.join(each)} |")
+        lines.append(
+            f"| batch of {size} in equilibrium, one thread, us each | {' | '.join(each)} |"
+        )
     gains = [t["batch_per_s"]["64, 2"] / t["batch_per_s"]["64, 1"] for t in times]
     ceilings = [t["ceiling"] for t in times]
     shares = (100 * gain / most for gain, most in zip(gains, ceilings, strict=True))
     lines += [
-        f"| {quasistatic_times.AT_ONCE} at once: rate of two threads over one "
+        f"| batch of {quasistatic_times.AT_ONCE}: rate of two threads / one "
         f"| {_row(gains, '.2f')} |",
-        f"| two processes, which share nothing, over one | {_row(ceilings, '.2f')} |",
-        f"| what two threads reach of that, % | {_row(shares, '.0f')} |",
+        f"| rate of two independent processes / one | {_row(ceilings, '.2f')} |",
+        f"| gain of threads relative to processes, % | {_row(shares, '.0f')} |",
     ]
     return "\n".join(lines) + "\n"

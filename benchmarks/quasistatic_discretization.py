@@ -1,5 +1,8 @@
-"""Of `bench quasistatic`: bodies that are narrow for a grid, at random places, against a finer
-film, and whether what a state says of its own force (`MembraneSolution.doubt`) holds."""
+"""Discretization errors in `bench quasistatic`: narrow obstacles at random positions.
+
+The reference is a finer grid. The test checks the reported discretization error of a state's force
+(`MembraneSolution.doubt`).
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ from mjtactile.core.types import Array
 FINEST = {"round": (81, 61), "edged": (121, 91), "tips": (121, 91)}
 """Grids of references. Round bodies come to rest on the finer one by small jumps only, which takes
 seconds; they are within 0.5 % on the other. Tips want both."""
-SEED = 777  # that nobody looked at before the table of doubts was made
+SEED = 777  # unseen before the table of reported errors was made
 PLACES, PLACES_QUICK = 40, 2
-_ASIDE = 5e-3  # m, how far from the middle at most, along x and y
-_DEPTHS = (0.5e-3, 2e-3)  # m, below the bulge
-_BALLS, _ROUND = (1.5e-3, 15e-3), (0.7e-3, 5e-3)  # m, radii of balls, of rods and pins
-_TIPS = (0.2e-3, 1.5e-3)  # m, radii
-_JUMPS = np.linspace(2e-3, 0.0, 9)  # m, how far above its place a tip is put on the way
+_ASIDE = 5e-3  # maximum distance from the center along x and y, m
+_DEPTHS = (0.5e-3, 2e-3)  # depths below the bulge, m
+_BALLS, _ROUND = (1.5e-3, 15e-3), (0.7e-3, 5e-3)  # radii of balls, and of rods and pins, m
+_TIPS = (0.2e-3, 1.5e-3)  # radii of tips, m
+_JUMPS = np.linspace(2e-3, 0.0, 9)  # heights above the final position of a tip, m
 _LYING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
@@ -28,8 +31,11 @@ _AS_TIPS = ("balls and round pins of 0.4-3 mm", "cones of 90 degrees")
 
 
 def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]:
-    """A row for each body on each grid and on that which is fine enough: force over that of the
-    finest, less one, what the state says of it, and the grid; NaN where there is no rest."""
+    """Return a row for each obstacle on each grid and on a sufficiently fine one.
+
+    A row holds the force relative to the finest grid, less one, the reported error, and the grid.
+    Values are NaN where no equilibrium exists.
+    """
     films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in grids]
     finest = {kind: QuasistaticMembrane("dense", grid, 1000.0) for kind, grid in FINEST.items()}
     rng = np.random.default_rng(SEED)
@@ -53,7 +59,7 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
 
 
 def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> dict[str, float]:
-    """Force and area over the reference's, less one, and what the state says of both."""
+    """Compute the relative errors of force and area, and their reported errors."""
     if state is None:
         return dict.fromkeys(
             ("force_error", "doubt", "area_error", "relative_area_error"), float("nan")
@@ -67,7 +73,7 @@ def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> di
 
 
 def _slowly(film: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
-    """As `_solve`, by small jumps."""
+    """Solve like `_solve`, in small steps of the obstacle position."""
     place, state = body.numbers[13:16], None
     for above in _JUMPS:
         try:
@@ -120,8 +126,8 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     names = " | ".join("{} x {}".format(*grid) for grid in grids)
     lines = [
         "",
-        f"| force over that of a finer film, 90 % within (worst), % | {names} |"
-        " `refined_for` | within what the state says | areas that are told, within what it says |",
+        f"| force error relative to a finer grid, 90 % within (worst), % | {names} |"
+        " `refined_for` | force within the reported error | area, if reported, within its error |",
         "|---" * (len(grids) + 4) + "|",
     ]
     for body in dict.fromkeys(r["body"] for r in rows):
@@ -142,5 +148,5 @@ def _errors(rows: list[dict[str, Any]]) -> str:
     found = errors[np.isfinite(errors)]
     if not len(found):
         return "-"
-    lost = f", {len(errors) - len(found)} without rest" if len(found) < len(errors) else ""
+    lost = f", {len(errors) - len(found)} not converged" if len(found) < len(errors) else ""
     return f"{100 * np.quantile(found, 0.9):.1f} ({100 * found.max():.1f}){lost}"

@@ -1,4 +1,4 @@
-"""How long films take: alone, many at once, by threads and by processes."""
+"""Computing times of quasi-static membranes: single, in batches, by threads and by processes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _rate(
 def _at_rest(
     film: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int
 ) -> Callable[[], float]:
-    """Times, s, of `size` films at once, each time anew from where they are at rest already."""
+    """Return a function that times, s, a batch of `size` membranes from their equilibrium."""
     many = [[balls[k % 8]] for k in range(size)]
     batch = film.solve_batch(many)
     spare, batch = batch, film.solve_batch(many, batch)
@@ -96,8 +96,11 @@ def _at_rest(
 
 
 def _ceiling(grid: tuple[int, int], seconds: float) -> float:
-    """What a second processor adds at most: the rate of two processes, which share nothing, over
-    that of one. Two threads cannot do better: processors share caches and memory, if not more."""
+    """Measure the maximum gain of a second processor: the rate of two processes over that of one.
+
+    The processes share no data. Two threads cannot do better: processors share caches and memory,
+    if not more.
+    """
     context = multiprocessing.get_context("spawn")
     rates = {}
     for count in (1, 2):

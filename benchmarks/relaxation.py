@@ -1,8 +1,8 @@
-"""`mjtactile bench relaxation`: holds of ten minutes on rubber that relaxes: what is felt less what
-is true, by sensors that know of it and by sensors that do not.
+"""`mjtactile bench relaxation`: force errors during holds of ten minutes on rubber that relaxes.
 
-A ball of 8 mm stands pressed into `dense` while the sheet's stress fades; pressure is read by a
-gauge with its noise. Terms are a decade apart, their shares those of `RUBBERS`.
+One sensor models the relaxation and another does not. A ball of 8 mm stays pressed into `dense`
+while the membrane stress fades. A noisy pressure sensor is read. Terms are a decade apart; their
+fractions are those of `RUBBERS`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 RUBBERS = {"latex": 0.02, "five times latex": 0.1}
 """Share of the lasting stress that fades in each decade from 1 to 1000 s."""
-DEPTH = 3.3e-3  # m: 0.6 N
+DEPTH = 3.3e-3  # depth of the hold, m: 0.6 N
 HOLD = 600.0
 HOLD_QUICK = 20.0
-AFTER = 10.0  # s after the release
-_EVERY = 20.0  # s from look to look
+AFTER = 10.0  # time after the release, s
+_EVERY = 20.0  # interval between measurements, s
 _IMAGES = 5  # of a look, 0.1 s: their mean, since one image alone has a noise of 5 mN
-_GAUGE_SD = 5.0  # Pa
+_GAUGE_SD = 5.0  # noise of the pressure sensor, Pa
 _TIMED = 400  # steps
 _TURNS = 6
 
@@ -40,7 +40,10 @@ _TURNS = 6
 def run(
     out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """One row a rubber. What was measured so far is kept in `out`/relaxation.json."""
+    """Measure each rubber; return one row each.
+
+    Results so far are stored in `out`/relaxation.json.
+    """
     rows: list[dict[str, Any]] = []
     for name, rate in RUBBERS.items():
         row = hold(rate, HOLD_QUICK if quick else HOLD)
@@ -59,8 +62,10 @@ def run(
 
 
 def hold(rate: float, seconds: float, seed: int = 0) -> dict[str, Any]:
-    """A hold of `seconds` on rubber that fades by `rate` a decade; errors are pairs, of a sensor
-    that knows and of one that does not."""
+    """Simulate a hold of `seconds` on rubber whose stress fades by `rate` per decade.
+
+    Errors are pairs: of a sensor that models the relaxation and of one that does not.
+    """
     elastic = load_sensor("dense")
     relaxing = _relaxing(elastic, rate)
     rng = np.random.default_rng(seed)
@@ -99,7 +104,8 @@ def _steps(world: PressWorld, seconds: float) -> int:
 def _look(
     world: PressWorld, views: Sequence[View], rng: np.random.Generator
 ) -> tuple[float, float, float, float]:
-    """Time, true normal force, and what both feel, the mean of some images."""
+    """Return time, true normal force, and the estimates of both sensors, averaged over some
+    images."""
     seen = []
     for _ in range(_IMAGES):
         world.step(_steps(world, 0.02))
@@ -138,8 +144,9 @@ def _price() -> float:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = [
-        "| rubber | fades a decade | true force, N | felt less true, worst, mN | the same, sensor "
-        "does not know | felt 10 s after the release, mN |",
+        "| rubber | relaxation per decade | true force, N | force error (estimate minus ground "
+        "truth), worst, mN | the same without `[relaxation]`, mN | force error 10 s after release "
+        "(without `[relaxation]`), mN |",
         "|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:
@@ -152,23 +159,25 @@ def table(result: Mapping[str, Any]) -> str:
         )
     price = 100 * (result["price"] - 1)
     note = (
-        f"Holds of {result['seconds']:.0f} s, looked at every {_EVERY:.0f} s, means of {_IMAGES} "
-        f"images. 30 mN at most are wanted, 15 aimed at. A step of the simulation costs "
-        f"{price:+.0f} % (10 wanted)."
+        f"Holds of {result['seconds']:.0f} s, evaluated every {_EVERY:.0f} s by the mean of "
+        f"{_IMAGES} images. Required: at most 30 mN (target 15 mN). The cost of a simulation step "
+        f"changes by {price:+.0f} % (allowed 10 %)."
     )
     return "\n".join(lines) + f"\n\n{note}\n"
 
 
 def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """`relaxation.png`: felt less true over the time held."""
+    """Plot the force error over the time held, `relaxation.png`."""
     if (figure := new_figure("relaxation.png", (6.4, 3.8))) is None:
         return
     axes = figure.add_subplot()
     for k, row in enumerate(rows):
         errors = 1e3 * np.array(row["error_N"])
         axes.plot(row["time_s"], errors[:, 0], f"C{k}-", label=row["rubber"])
-        axes.plot(row["time_s"], errors[:, 1], f"C{k}:", label=f"{row['rubber']}, not known")
+        axes.plot(
+            row["time_s"], errors[:, 1], f"C{k}:", label=f"{row['rubber']}, without [relaxation]"
+        )
     axes.axhline(0.0, color="k", lw=0.8)
-    axes.set(xlabel="held for, s", ylabel="felt less true, mN")
+    axes.set(xlabel="hold time, s", ylabel="force error (estimate minus ground truth), mN")
     axes.legend(fontsize=8, ncols=2)
     figure.savefig(out / "relaxation.png")

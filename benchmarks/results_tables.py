@@ -1,7 +1,8 @@
-"""`mjtactile bench summary-page` and `bench readme-table`: the numbers of
-docs/validation/results.md and of the README, taken from the pages that the other benchmarks wrote.
+"""`mjtactile bench summary-page` and `bench readme-table`: numbers of docs/validation/results.md
+and of the README.
 
-They measure nothing: a number may stand on several pages, and comes from one.
+They are copied from the pages that the other benchmarks wrote. Nothing is measured here. A number
+may stand on several pages, but has one source.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ class Number:
     page: str
     """Name of the page in docs/ whose tables have it."""
     row: str
-    """How the row begins; "a / b": two rows, shown one after the other."""
+    """Start of the row; "a / b": two rows, shown one after the other."""
     column: str
     """Heading of the column; "a | b": two of them, likewise."""
     command: str
     """The command that measured it."""
     headline: bool = False
-    """Whether the README shows it, too."""
+    """True if the README shows the number as well."""
 
 
-def _largest_force(name: str, thing: str) -> Number:
+def _largest_force(name: str, label: str) -> Number:
     return Number(
-        what=f"largest force on a finger that grasps {thing}, by touch / by the servos' current "
-        "alone, N: median (worst)",
+        what=f"largest force on a finger, grasp of {label}, with touch / with servo current only: "
+        "median (worst), N",
         page="how-to/evaluate",
         row=f"gentle | {name} / touchless | {name}",
         column="largest force, N: median (worst)",
@@ -45,7 +46,7 @@ def _largest_force(name: str, thing: str) -> Number:
 
 NUMBERS = (
     Number(
-        what="normal force felt: mean absolute error (worst), N",
+        what="normal force: mean absolute error (worst), N",
         page="validation/benchmarks",
         row="normal force, mean absolute",
         column="dense",
@@ -53,49 +54,49 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="shear force felt: mean absolute error, N",
+        what="shear force: mean absolute error, N",
         page="validation/benchmarks",
-        row="shear force error",
+        row="shear force, mean absolute error",
         column="dense",
         command="bench touch",
     ),
     Number(
-        what="middle of the contact: error, mm",
+        what="contact centroid: mean error, mm",
         page="validation/benchmarks",
         row="contact centroid",
         column="dense",
         command="bench touch",
     ),
     Number(
-        what="touches of 0.03-0.06 N felt",
+        what="contacts of 0.03-0.06 N detected",
         page="validation/benchmarks",
-        row="touches of 0.03-0.06 N",
+        row="contacts of 0.03-0.06 N",
         column="dense",
         command="bench touch",
     ),
     Number(
-        what="the paper's force test (the paper: 0.04 N)",
+        what="force error in the test of the paper (paper: 0.04 N)",
         page="validation/paper",
         row="5a: force error, cylinder",
         column="ours",
         command="experiments",
     ),
     Number(
-        what="eggs held, of ten seeds",
+        what="eggs held, ten seeds",
         page="validation/benchmarks",
         row="egg",
         column="held",
         command="bench grasp",
     ),
     Number(
-        what="grasps held: egg, strawberry, vial and random things in worlds that vary",
+        what="grasps held: egg, strawberry, vial and random objects, domain randomization",
         page="how-to/evaluate",
         row="gentle",
         column="held",
         command="evaluate",
     ),
     Number(
-        what="the share held: 95 % interval",
+        what="fraction of grasps held: 95 % interval",
         page="how-to/evaluate",
         row="gentle",
         column="95 % interval",
@@ -104,45 +105,45 @@ NUMBERS = (
     _largest_force("egg", "an egg"),
     _largest_force("strawberry", "a strawberry"),
     _largest_force("vial", "a vial"),
-    _largest_force("random", "random things"),
+    _largest_force("random", "random objects"),
     Number(
-        what="force while holding an egg: error, mean / worst, N",
+        what="force error while an egg is held: mean / worst, N",
         page="validation/benchmarks",
         row="egg",
-        column="its error, N: mean / worst",
+        column="force error (estimate minus ground truth), N: mean / worst",
         command="bench grasp",
     ),
     Number(
-        what="centres of circles in space: mean error, nearer of two poses, mm",
+        what="circle centers in space: mean error, nearer of two poses, mm",
         page="validation/benchmarks",
-        row="mean centre error, nearer",
+        row="mean center error, nearer",
         column="measured",
         command="bench perception",
     ),
     Number(
-        what="centres of circles in space: mean error, the pose that is returned, mm",
+        what="circle centers in space: mean error, returned pose, mm",
         page="validation/benchmarks",
-        row="mean centre error, as returned",
+        row="mean center error, returned",
         column="measured",
         command="bench perception",
     ),
     Number(
-        what="a whole grasp with two cameras at 30 Hz, on two cores, x real time",
+        what="speed of a complete grasp with two cameras at 30 Hz on two cores, x real time",
         page="validation/accuracy",
-        row="30 Hz loop, all",
+        row="30 Hz loop, complete grasp",
         column="now",
         command="bench speed",
         headline=True,
     ),
     Number(
-        what="two cameras at 60 Hz, from touch to release, on two cores, x real time",
+        what="speed with two cameras at 60 Hz on two cores, touch to release, x real time",
         page="validation/accuracy",
         row="60 Hz loop, touch to release",
         column="now",
         command="bench speed",
     ),
     Number(
-        what="the same over what it was before the compiled chain, measured in turns",
+        what="the same, relative to the version without the compiled pipeline",
         page="validation/accuracy",
         row="60 Hz loop, touch to release",
         column="ratio",
@@ -156,14 +157,14 @@ NUMBERS = (
         command="bench slip",
     ),
     Number(
-        what="holds with a false alarm of slip",
+        what="holds with a false slip alarm",
         page="validation/benchmarks",
         row="holds with a false alarm",
         column="measured",
         command="bench slip",
     ),
     Number(
-        what="six tasks: held and whole, by touch / by the servos' current alone",
+        what="six tasks: objects held without damage, with touch / with servo current only",
         page="validation/controller_comparison",
         row="all 6 |",
         column="adaptive | touchless",
@@ -171,7 +172,8 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="put on a place of another height than was told: set down upright, likewise",
+        what="objects placed upright at a height other than specified, with touch / with servo "
+        "current only",
         page="validation/controller_comparison",
         row="place |",
         column="adaptive | touchless",
@@ -179,38 +181,39 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="grip over the least that holds, in the six tasks: median, likewise",
+        what="six tasks: grip force relative to the minimum that holds, median, with touch / with "
+        "servo current only",
         page="validation/controller_comparison",
-        row="grip over need in all tasks, median |",
+        row="grip force relative to required force, all tasks, median |",
         column="adaptive | touchless",
         command="bench tasks",
         headline=True,
     ),
     *(
         Number(
-            what=f"held and whole {happens}, by touch / by the servos' current alone",
+            what=f"objects held without damage, {condition}, with touch / with servo current only",
             page="validation/controller_comparison",
             row=f"{task} |",
             column="adaptive | touchless",
             command="bench tasks",
         )
-        for task, happens in (
-            ("weigh", "whatever it weighs"),
-            ("pour", "while it is filled or emptied"),
-            ("shake", "while it is shaken and turned"),
-            ("bump", "while it is bumped"),
-            ("hand-over", "until somebody takes it"),
+        for task, condition in (
+            ("weigh", "unknown mass"),
+            ("pour", "filled or emptied in the gripper"),
+            ("shake", "shaken and rotated"),
+            ("bump", "bumped"),
+            ("hand-over", "until taken over"),
         )
     ),
     Number(
-        what="materials named right",
+        what="material class correct",
         page="validation/benchmarks",
-        row="material class right",
+        row="correct material class",
         column="measured",
         command="bench material",
     ),
     Number(
-        what="faults of the emulated rig that ended safely",
+        what="faults of the emulated rig that end in a safe state",
         page="validation/benchmarks",
         row="safe state after a fault",
         column="measured",
@@ -223,7 +226,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Read the pages of the checkout or of the installed package.
 
     Args:
-        out: Not used: nothing is drawn.
+        out: Not used, no plot is written.
         quick: Not used.
 
     Returns:
@@ -315,4 +318,4 @@ def _markdown(numbers: list[dict[str, Any]], folder: str) -> str:
         f"| {n['what']} | {n['value']} | [`{n['command']}`]({folder}{n['page']}.md) |"
         for n in numbers
     ]
-    return "\n".join(["| what | measured | by |", "|---|---|---|", *rows]) + "\n"
+    return "\n".join(["| quantity | measured | command |", "|---|---|---|", *rows]) + "\n"

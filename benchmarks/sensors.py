@@ -1,8 +1,8 @@
-"""`mjtactile bench sensors`: the shipped layouts on one simulated membrane: what more and smaller
-markers tell, and what they cost.
+"""`mjtactile bench sensors`: the shipped marker layouts on one simulated membrane.
 
-A membrane, fine enough to have the shape of rubber, is pressed by a ball and a disc at places that
-nothing was tuned on; the camera of each sensor looks at it with its own markers.
+It shows the gain from more and smaller markers, and their cost. Balls, a disc and a box press on a
+membrane whose mesh is fine enough to deform like rubber. The positions were not used for tuning.
+Each sensor's camera views it with its own markers.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _BALLS = ("sphere",)
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Press each body into each sensor; four minutes of a processor.
+    """Press each indenter into each sensor; four minutes of a processor.
 
     Args:
         out: Not used.
-        quick: One body.
+        quick: One indenter.
 
     Returns:
-        "rows", one a sensor.
+        "rows", one per sensor.
     """
     del out
     say = Progress().message
@@ -102,14 +102,14 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
 
 
 def _median(values: list[float]) -> float:
-    """Of absolute values, of what is known."""
+    """Return the median of the absolute known values."""
     known = np.abs(np.array(values))
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else float("nan")
 
 
 def _percent(share: float | None, digits: int) -> str:
-    """Of frames that are no rectangles shapes are not known."""
+    """Format a percentage; contact shapes are unknown for non-rectangular frames."""
     return "unknown" if share is None or np.isnan(share) else f"{100 * share:.{digits}f}"
 
 
@@ -128,13 +128,14 @@ def table(result: Mapping[str, Any]) -> str:
         line("image, px", *(r["image"] for r in rows)),
         line("normal force, rms error, mN", *(f"{1e3 * r['force_error_N']:.1f}" for r in rows)),
         line(
-            "a marker's place, rms of x, y, z, um", *(f"{r['marker_error_um']:.0f}" for r in rows)
+            "marker position, rms error of x, y, z, um",
+            *(f"{r['marker_error_um']:.0f}" for r in rows),
         ),
         line("contact area, median error, %", *(_percent(r["area_error"], 0) for r in rows)),
         line("radius of a ball, median error, %", *(_percent(r["radius_error"], 1) for r in rows)),
-        line(f"shapes unknown, of {presses}", *(f"{r['shape_unknown']}" for r in rows)),
-        line("drawing an image, ms", *(f"{r['camera_ms']:.1f}" for r in rows)),
-        line("perception, ms an image", *(f"{r['perception_ms']:.1f}" for r in rows)),
-        line("shape, ms", *(f"{r['shape_ms']:.0f}" for r in rows)),
+        line(f"unknown contact shapes, of {presses}", *(f"{r['shape_unknown']}" for r in rows)),
+        line("rendering, ms per image", *(f"{r['camera_ms']:.1f}" for r in rows)),
+        line("perception, ms per image", *(f"{r['perception_ms']:.1f}" for r in rows)),
+        line("contact shape, ms", *(f"{r['shape_ms']:.0f}" for r in rows)),
     ]
     return "\n".join(lines) + "\n"

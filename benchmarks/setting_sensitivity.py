@@ -1,10 +1,12 @@
-"""`mjtactile bench setting-sensitivity`: what the sensing chain's tried numbers are worth: the same
-images felt with each of them at half and at twice. Numbers that were derived, or fitted by another
-benchmark, are not among them.
+"""`mjtactile bench setting-sensitivity`: effect of halving and doubling the sensing chain's tuned
+parameters.
 
-Touch: presses, drags and lifts of a ball on both shipped layouts, recorded once, references too, so
-that a change is the setting's alone. Pictures: what `locate` looks at, sharp, black and white, half
-in glare, small, of a camera with a gamma, blurred and noisy.
+The same images are evaluated with each value. Derived parameters, and those fitted by another
+benchmark, are excluded.
+
+Touch: loads, drags and lifts of a ball on both shipped layouts. They are recorded once, with their
+references, so that a change is due to the setting alone. Images for `locate`: sharp, black and
+white, half in glare, small, from a camera with a gamma, blurred and noisy.
 """
 
 from __future__ import annotations
@@ -37,18 +39,18 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
 RENDER_STAGES = ("locate", "consensus", "smoothness", "preference", "thorough", "gamma")
-"""What only pictures see; the stages of an image are tried on both."""
+"""Stages used for photographs only; the image stages are tested on both."""
 IMAGE_STAGES = ("candidates", "markers", "edges", "profiles")
 PRESSES = (("dense", "sphere:8", (3e-3, -2e-3), 0.0), ("paper16", "sphere:12", (1e-3, 2e-3), 0.0))
 """Sensor, indenter, where, and tilt, rad."""
-DEPTHS = (-2e-4, 3e-4, 8e-4, 1.5e-3, 2e-3)  # m
-SHEAR = 1.5e-3  # m
-INTERVAL = 1 / 30  # s
+DEPTHS = (-2e-4, 3e-4, 8e-4, 1.5e-3, 2e-3)  # depths of the load, m
+SHEAR = 1.5e-3  # shear displacement, m
+INTERVAL = 1 / 30  # image period, s
 STILL_IMAGES = 8
-STILL_INTERVAL = 0.15  # s
+STILL_INTERVAL = 0.15  # image period, s
 DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
 REFERENCE_IMAGES = 4
-# what is no change: N, of an error bar, of an area, m of depth
+# limits of an insignificant change: force, N; sd (relative); area (relative); depth, m
 SIMILAR_FORCE = 1e-4
 SIMILAR_SD = 5e-3
 SIMILAR_AREA = 0.05
@@ -58,7 +60,7 @@ WORKERS = 2
 
 @dataclass(frozen=True, eq=False)
 class RecordedPress:
-    """What a camera saw: flat, at rest under `gauge_pressure` Pa, and then."""
+    """Recorded camera images: flat, inflated to `gauge_pressure`, Pa, and the load."""
 
     design: SensorDesign
     flat: Sequence[Image]
@@ -69,8 +71,11 @@ class RecordedPress:
 
 @dataclass(frozen=True, eq=False)
 class TouchResult:
-    """Of all images of the presses, (n,) each: normal `force` N and its `sd`, `markers` seen,
-    contact `area` m^2, `said`: status, whether something touches, slip, and how many patches."""
+    """Results of all images of the loads, (n,) each.
+
+    Normal `force`, N, and its `sd`, number of `markers`, contact `area`, m^2. `said` combines
+    status, contact, slip and number of patches.
+    """
 
     force: Array
     sd: Array
@@ -81,7 +86,7 @@ class TouchResult:
 
 @dataclass(frozen=True, eq=False)
 class Circles:
-    """Of one picture: where circles are, px, their depth m with its sd, and `status`."""
+    """Circles of one image: positions, px, depth, m, with its sd, and `status`."""
 
     uv: Array
     depth: Array
@@ -150,7 +155,7 @@ def _row(touch: Touch) -> tuple[Any, ...]:
 
 
 def pictures(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]:
-    """What a photograph may be: sharp, soft, noisy, black and white, with a bright window."""
+    """Return test photographs: sharp, soft, noisy, black and white, with a bright window."""
     found = []
     rng = np.random.default_rng(0)
     dense, coarse = presses[0], presses[-1]
@@ -187,13 +192,16 @@ def _look(image: Image, press: RecordedPress, settings: Settings) -> Circles:
     return Circles(found.ellipses.center_px, poses.p_CM[:, 2], sd, poses.status)
 
 
-# -- what changes
+# -- changes
 
 
 def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
-    """How far felt force goes (rms, N; NaN where it was or is not known), by how much its error bar
-    changes (median ratio), how many markers fewer or more are seen (mean), and of how many images
-    something else is said, or an area that is 5 % off."""
+    """Compare two sets of touch results.
+
+    The change of the estimated force is an rms, N (NaN where unknown). The change of its standard
+    deviation is a median ratio, that of the marker count a mean. The last value counts images with
+    another status, or with an area that differs by 5 %.
+    """
     known = np.isfinite(before.force) & np.isfinite(now.force)
     off = now.force[known] - before.force[known]
     area_off = np.abs(now.area - before.area) > SIMILAR_AREA * np.maximum(before.area, now.area)
@@ -206,8 +214,11 @@ def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
 
 
 def image_change(before: Sequence[Circles], now: Sequence[Circles]) -> dict[str, float]:
-    """How many circles come, go, or have another status; how far depths go (rms, m); by how much
-    error bars change (median ratio)."""
+    """Compare two sets of circles.
+
+    Count circles that appear, disappear or change status. Compute the depth change (rms, m) and the
+    change of standard deviations (median ratio).
+    """
     off: list[float] = []
     ratios: list[float] = []
     changed = 0
@@ -247,8 +258,10 @@ def _median_ratio(now: Array, before: Array) -> float:
 
 
 def variants(source: str = TRIED) -> list[tuple[str, float, Any]]:
-    """Name, factor and value of every number to try, of those whose `source` ends so; a whole
-    number goes to the next one, and what is not allowed to the end of its range."""
+    """Return name, factor and value of every parameter to test whose `source` ends so.
+
+    Integers are rounded, and values are limited to their allowed range.
+    """
     found = []
     for name, default in DEFAULTS.to_dict().items():
         stage, _, field = name.rpartition(".")
@@ -272,7 +285,7 @@ _GIVEN: dict[str, Any] = {}
 
 
 def _prepare(quick: bool) -> None:
-    """In each process: the images, and what is made of them by the settings as they are."""
+    """Prepare a process: the images, and their results with the default settings."""
     presses = [record(*press) for press in (PRESSES[:1] if quick else PRESSES)]
     images = pictures(presses)
     _GIVEN.update(
@@ -293,7 +306,7 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
 
 
 def run(out: Path, quick: bool) -> dict[str, Any]:
-    """Every tried number at half and at twice; what an interrupted run left in `out` is kept."""
+    """Halve and double every tuned parameter; results of an interrupted run in `out` are kept."""
     todo = variants()[::20] if quick else variants()
     progress = Progress()
     kept = out / "settings-rows.jsonl"
@@ -315,7 +328,7 @@ def run(out: Path, quick: bool) -> dict[str, Any]:
 
 
 def is_insensitive(row: Mapping[str, Any]) -> bool:
-    """Whether nothing that was looked at changes."""
+    """Return True if none of the results changes."""
     return (
         abs(row.get("force_N", 0.0)) < SIMILAR_FORCE
         and abs(row.get("bar", 1.0) - 1) < SIMILAR_SD
@@ -334,10 +347,10 @@ def table(result: Mapping[str, Any]) -> str:
         by_name.setdefault(row["name"], []).append(row)
     quiet = [name for name, rows in by_name.items() if all(map(is_insensitive, rows))]
     lines = [
-        f"{len(by_name)} numbers; {len(quiet)} change nothing here.",
+        f"{len(by_name)} parameters; {len(quiet)} change nothing here.",
         "",
-        "| number | default | force, mN | its bar, x | markers | images | circles | depth, um "
-        "| its bar, x |",
+        "| parameter | default | force, mN | sd factor | markers | images | circles | depth, um "
+        "| sd factor |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     defaults = DEFAULTS.to_dict()

@@ -1,10 +1,9 @@
-"""Settings of the simulator as the benchmarks vary them, and the two experiments in which each is
-measured.
+"""Simulator settings varied in the benchmarks, and the two experiments that measure each of them.
 
-Accuracy is measured on one sensor into which spheres are driven to a given depth (the force is an
-outcome), cost and noise on two sensors that hold an egg (the work the simulator is made for). Times
-are core time, so that what else runs on the machine disturbs them little; compare ratios of one run
-only.
+Accuracy is measured on one sensor, into which spheres are driven to a given depth; the force is the
+result. Cost and noise are measured on two sensors that hold an egg, the simulator's main
+application. Times are core time, so that other load on the machine has little effect. Compare only
+ratios of one run.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-HOLD_FORCE = 0.6  # N on each finger
+HOLD_FORCE = 0.6  # hold force on each finger, N
 SENSOR = "dense"
 
 
@@ -78,7 +77,7 @@ CASES = (
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """What a press gave: normal `force` N, marker positions `p_SM` (N, 3) m, `penetration` m."""
+    """Result of a load: normal `force`, N, marker positions `p_SM` (N, 3), m, `penetration`, m."""
 
     force: float
     p_SM: Array

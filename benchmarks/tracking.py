@@ -1,12 +1,12 @@
-"""`mjtactile bench tracking`: markers that are followed from image to image, against a search of
-every image.
+"""`mjtactile bench tracking`: marker tracking from image to image, against a search of every image.
 
-Sequences of a moving membrane, each disturbed in one way: hands and glare in front of the markers,
-a camera that jumps, images that are lost, 15 Hz, taps, markers that fade. Each image is looked at
-twice, by `tracking.follow` and by `markers.search`, and both are compared with where the markers
-were drawn. Wrong is a marker that is followed, trusted, and further from the truth than its error
-allows, where the search was right or flagged it; and a marker that the search finds and that was
-missed twice in a row.
+Sequences of a moving membrane have one kind of disturbance each: hands and glare in front of the
+markers, a camera that jumps, lost images, 15 Hz, taps, fading markers. Each image is evaluated by
+`tracking.follow` and by `markers.search`. Both are compared with the rendered marker positions.
+
+A tracked, trusted marker is wrong if its error exceeds its uncertainty, while the search was right
+or flagged it. A marker that the search finds and the tracking misses twice in a row counts as
+missed.
 """
 
 from __future__ import annotations
@@ -117,8 +117,10 @@ def _is_wrong(off: Array, sd: Array) -> Array:
 
 
 def _errors(found: Ellipses, truth: Array) -> tuple[Array, Array, Array]:
-    """For each true centre: whether a trusted ellipse is there, how far it is off, px, and the sd
-    that it says of itself."""
+    """Match trusted ellipses to the true centres.
+
+    Return True where one is present, its error, px, and its reported standard deviation.
+    """
     good = np.flatnonzero(found.status == "ok")
     has = np.zeros(len(truth), bool)
     off = np.full(len(truth), np.inf)
@@ -273,8 +275,7 @@ def _glare(
 def _jump(
     grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
 ) -> tuple[Floats, Array]:
-    """The camera is knocked now and then: the picture is elsewhere from one image to the next, by
-    up to two pitches."""
+    """Simulate camera knocks: from one image to the next, the image shifts by up to two pitches."""
     if k == 0 or rng.random() < 0.08:
         state["shift"] = rng.uniform(-60, 60, 2) * rng.choice([0.05, 1.0])
     du, dv = state["shift"]
@@ -312,7 +313,7 @@ KINDS: dict[str, tuple[float, Callable]] = {
     "a camera that jumps": (30.0, _jump),
     "markers that fade": (30.0, _fade),
 }
-"""Kind of sequence: images a second, and what disturbs."""
+"""Kind of sequence: image rate, Hz, and disturbance."""
 
 
 # -- the table
@@ -327,17 +328,25 @@ def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return total | {"apart_sd": max((row["apart_sd"] for row in rows), default=0.0)}
 
 
+_LABELS = {
+    "hands": "occlusion",
+    "a camera that jumps": "camera displaced",
+    "markers that fade": "fading markers",
+}
+
+
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = [
         "| sequences | images | searched | markers | wrong | missed once | missed twice in a "
-        "row | most apart, sd |",
+        "row | largest difference, sd |",
         "|---" * 8 + "|",
     ]
     for name, g in result["groups"].items():
         numbers = [g["markers"], g["wrong"], g["missed"] - g["missed_twice"], g["missed_twice"]]
+        searched = 100 * g["searched"] / max(g["images"], 1)
         lines.append(
-            f"| {name} | {g['images']} | {100 * g['searched'] / max(g['images'], 1):.0f} % | "
+            f"| {_LABELS.get(name, name)} | {g['images']} | {searched:.0f} % | "
             + " | ".join(map(str, numbers))
             + f" | {g['apart_sd']:.1f} |"
         )

@@ -1,9 +1,9 @@
 """`mjtactile bench no-images`: episodes without images against episodes with them.
 
-Markers: the same membranes seen by the image stages and by `--effects -images`, with references
-taken in the same way; errors of their places by mean, spread, outliers and dropouts. Grasps: the
-same episodes (object, seed, variation) both ways, in turns in one process; outcomes, true held
-forces, and episodes in an hour of one core.
+Markers: the image stages and `--effects -images` process the same membranes, with references taken
+alike. Position errors are given by mean, spread, outliers and dropouts. Grasps: the same episodes
+(object, seed, variation) run both ways, alternating in one process. The result is outcomes, true
+hold forces, and episodes per hour of one core.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def run(
 
 
 def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
-    """Of `count` images: both ways' errors of marker places, um."""
+    """Compute the errors of marker positions with both methods over `count` images, um."""
     design = load_sensor("dense")
     design = replace(
         design, camera=replace(design.camera, blur_px=scene.blur, noise_dn=scene.noise)
@@ -220,8 +220,8 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
 def table(result: dict[str, Any]) -> str:
     """Both comparisons as Markdown."""
     lines = [
-        "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | said "
-        "sd (x, y, z) | beyond 5 sd, % | missed, % |",
+        "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | "
+        "reported sd (x, y, z) | beyond 5 sd, % | missed, % |",
         "|---" * 6 + "|",
     ]
     for row in result["markers"]:
@@ -238,12 +238,13 @@ def table(result: dict[str, Any]) -> str:
     g = result["grasps"]
     low, high = (100 * value for value in g["held_interval"]["none"])
     lines += [
-        f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; "
-        f"`--randomization default`): the same outcome in {g['same_outcome']}; held "
-        f"{g['held']['images']} with "
-        f"images, {g['held']['none']} without (95 %: {low:.0f}-{high:.0f} %). The true held force "
-        f"differs by {g['force_mN']:+.2f} +- {g['force_interval_mN']:.2f} mN in the mean (95 %), "
-        f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of one core: "
-        f"{g['an_hour']['images']:.0f} with images, {g['an_hour']['none']:.0f} without."
+        "",
+        f"{g['pairs']} episodes with and without images (`gentle`; {', '.join(OBJECTS)}; "
+        f"`--randomization default`): same outcome in {g['same_outcome']}. Held: "
+        f"{g['held']['images']} with images, {g['held']['none']} without (95 %: {low:.0f}-"
+        f"{high:.0f} %). Mean difference of the true grip force: {g['force_mN']:+.2f} +- "
+        f"{g['force_interval_mN']:.2f} mN (95 %); sd between episodes {g['force_sd_mN']:.1f} mN. "
+        f"Episodes per hour of one core: {g['an_hour']['images']:.0f} with images, "
+        f"{g['an_hour']['none']:.0f} without.",
     ]
     return "\n".join(lines) + "\n"

@@ -1,5 +1,7 @@
-"""An arm that follows the touch: a wall comes and goes, and the arm keeps pressing on it with
-0.3 N. mink turns where the fingertip shall be into joint angles: `pip install mink daqp`."""
+"""Arm that follows the touch: a wall moves back and forth, and the arm presses on it with 0.3 N.
+
+mink converts the target of the fingertip to joint angles: `pip install mink daqp`.
+"""
 
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import numpy as np
 import mjtactile
 
 FILE = str(Path(__file__).parents[1] / "models" / "grippers" / "arm_two_finger.xml")
-WANTED, GAIN, PERIOD = 0.3, 1.2e-3, 1 / 30  # N; m for each N of error and image; s
+WANTED, GAIN, PERIOD = 0.3, 1.2e-3, 1 / 30  # force, N; gain, m per N and image; period, s
 plan = mink.Configuration(mujoco.MjModel.from_xml_path(FILE))  # the arm alone, for its kinematics
 plan.update_from_keyframe("home")
 tip = plan.get_transform_frame_to_world("left_tip", "site")

@@ -1,14 +1,12 @@
-"""What was measured of one finger counts: the lens of its own camera, from a calibration file, in
-place of the sensor file's.
+"""Calibrated finger: a calibration file replaces the lens of the sensor file.
 
 `mjtactile calibrate camera --rig my_gripper.toml --finger left`, then `valve`, `frame`, `force` and
 `gripper`, measure the parts and write them into the files that the rig file names
-(docs/how-to/hardware.md); `grasp`, `probe` and `record` then go by them. What `frame` found is
-there for `reconstruct`, which sees single pictures: the others measure the same anew when they
-begin.
+(docs/how-to/hardware.md). `grasp`, `probe` and `record` then use them. The result of `frame` is for
+`reconstruct`, which processes single images. The other commands measure it again at their start.
 
-Here the finger is simulated, so its true lens is known; it is another than the sensor file says,
-as every real one is.
+Here the finger is simulated, so its true lens is known. It differs from that of the sensor file, as
+on every real finger.
 """
 
 import tempfile
@@ -27,7 +25,7 @@ camera = replace(
 
 
 class Squeeze:
-    """Close to 20 mm, whatever is felt: so every run below is the same squeeze."""
+    """Close to 20 mm regardless of touch, so that every run below is the same squeeze."""
 
     path = Path(__file__)
 
@@ -40,8 +38,8 @@ class Squeeze:
 
 
 def felt(rig, design, calibrations=(None, None), recorder=None):
-    """Normal forces, N, (cycles, fingers) of a squeeze on `rig` by sensors of which `calibrations`
-    are known."""
+    """Return the normal forces, N, (cycles, fingers) of a squeeze on `rig`, with the given
+    `calibrations`."""
     forces = []
     try:
         session = mjtactile.Session(

@@ -1,15 +1,14 @@
-"""A grasp from Python: references, control loop and supervision by a session, the controller that
-ships, your own eyes.
+"""Grasp from Python: a session provides references, control loop and supervision.
 
-`open_session` takes what `--rig` takes: "sim", "emulated", a recording, or the rig file of your own
-gripper.
+It uses the shipped controller, and a callback observes each cycle. `open_session` takes the same
+values as `--rig`: "sim", "emulated", a recording, or the rig file of your own gripper.
 """
 
 import mjtactile
 
 design = mjtactile.load_sensor("dense")
 controller = mjtactile.load_controller("gentle")
-seen = []  # (phase, felt normal forces in N, slip states), one a cycle
+seen = []  # (phase, estimated normal forces in N, slip states), one per cycle
 
 
 def look(cycle):

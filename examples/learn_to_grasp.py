@@ -1,9 +1,10 @@
-"""Learn to grasp from nothing, with stable-baselines3: pip install 'mjtactile[learn]'
+"""Learn to grasp from scratch, with stable-baselines3: pip install 'mjtactile[learn]'
 
     python examples/learn_to_grasp.py policy.npz 600     # seconds
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
-Touch is drawn meanwhile (`-mesh,-pipeline`); the second line judges with everything simulated.
+Training uses synthetic touch (`-mesh,-pipeline`). The second command evaluates with everything
+simulated.
 """
 
 import os
@@ -24,7 +25,8 @@ DECISIONS = 32  # of each environment between two updates: about a grasp
 
 
 def make():
-    """Another random thing each time; the generator's seeds are far from those of `evaluate`."""
+    """Create an environment with a new random object per episode; its seeds differ from
+    `evaluate`."""
     how = {
         "effects": "-mesh,-pipeline",
         "randomization": "default",
@@ -37,7 +39,7 @@ def make():
 
 
 class ProgressCallback(BaseCallback):
-    """How the last grasps ended, twice a minute; and the end after `seconds`."""
+    """Callback that prints the last outcomes twice a minute, and ends training after `seconds`."""
 
     def __init__(self, seconds):
         super().__init__()

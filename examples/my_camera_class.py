@@ -23,8 +23,11 @@ import mjtactile
 
 
 class NewestFrame:
-    """`config` has what the rig file says of this camera: finger, source, width, height, rate,
-    delay and more."""
+    """Camera that returns the newest frame of a stream.
+
+    `config` holds the rig file's entry of this camera: finger, source, width, height, rate, delay
+    and more.
+    """
 
     def __init__(self, config):
         self._config = config
@@ -44,7 +47,7 @@ class NewestFrame:
                 self._newest = mjtactile.Image(gray, mjtactile.monotonic() - self._config.delay)
 
     def read(self):
-        """The newest image; an old one is an error, so that nobody takes old news for new."""
+        """Return the newest image; a stale image is an error."""
         image = self._newest
         if image is None or mjtactile.monotonic() - image.time > 0.15:
             raise mjtactile.DeviceError(

@@ -1,7 +1,7 @@
-"""A run's log in pandas: what was felt in each phase of a grasp. `mjtactile grasp --frames none
---out runs/egg` writes one.
+"""Log of a run in pandas: estimated force in each phase of a grasp.
 
-Every column with its unit: docs/reference/recording_format.md.
+`mjtactile grasp --frames none --out runs/egg` writes one. Every column with its unit:
+docs/reference/recording_format.md.
 """
 
 import sys

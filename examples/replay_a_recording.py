@@ -1,8 +1,8 @@
-"""Record a short squeeze, then replay it: the same images through the same chain give the same
-numbers, bit for bit.
+"""Record a short squeeze, then replay it.
 
-A folder may be given: `python replay_a_recording.py runs/egg` replays what `mjtactile grasp --out
-runs/egg` wrote.
+The same images through the same chain give the same numbers, bit for bit. An optional folder
+replaces the recording: `python replay_a_recording.py runs/egg` replays the output of `mjtactile
+grasp --out runs/egg`.
 """
 
 import sys
@@ -16,7 +16,7 @@ import mjtactile
 
 
 class Squeeze:
-    """A controller needs no more than `step`: close until 0.2 N are felt."""
+    """Controller that closes until both fingers estimate 0.2 N; a controller needs only `step`."""
 
     path = Path(__file__)
 
@@ -33,7 +33,7 @@ class Squeeze:
 
 
 def run(rig, sensor, folder):
-    """Squeeze on `rig`, and keep what happens in `folder`."""
+    """Squeeze on `rig`, and record to `folder`."""
     design = mjtactile.load_sensor(sensor)
     header = {"sensor": sensor, "rig": rig, "object": "vial"}
     with (

@@ -12,7 +12,7 @@ from dm_control.mujoco.wrapper.mjbindings import sizes
 
 import mjtactile
 
-# 1.0.50 also asks for what MuJoCo 4.0 has no more
+# 1.0.50 also requests fields that MuJoCo 4.0 has removed
 for struct, have in (("mjmodel", dir(mujoco.MjModel)), ("mjdata", dir(mujoco.MjData))):
     sizes.array_sizes[struct] = {k: v for k, v in sizes.array_sizes[struct].items() if k in have}
 

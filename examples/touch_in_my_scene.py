@@ -1,7 +1,6 @@
-"""Touch in a scene that somebody else wrote: the Fetch arm of gymnasium-robotics closes its gripper
-on nothing.
+"""Touch in an existing scene: the Fetch arm of gymnasium-robotics closes its empty gripper.
 
-One fingertip gets a sensor, which then feels the other finger. Needs `pip install
+One fingertip gets a sensor, which then touches the other finger. Needs `pip install
 'mjtactile[examples]'`.
 """
 
@@ -13,7 +12,7 @@ import mjtactile
 
 package = find_spec("gymnasium_robotics").submodule_search_locations[0]
 spec = mujoco.MjSpec.from_file(f"{package}/envs/assets/fetch/pick_and_place.xml")
-print(*mjtactile.configure_options(spec), sep="\n")  # what a membrane needs, and why
+print(*mjtactile.configure_options(spec), sep="\n")  # options that a membrane needs, with reasons
 
 # The site's z points out of the sensor, its x along the longer side; 2 mm before the finger's own
 # pad.
@@ -25,7 +24,7 @@ model = spec.compile()
 data = mujoco.MjData(model)
 finger = tip.bind(model, data)
 
-data.ctrl[:] = 0.0016  # m that each finger stays open
+data.ctrl[:] = 0.0016  # opening of each finger, m
 while data.time < 1.0:
     mjtactile.step(model, data, [finger])
 print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.gauge_pressure:.0f} Pa")

@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
-"""Touch as an `Observable` of robosuite: the Panda of `Lift` closes until it feels the cube.
+"""Touch as an `Observable` of robosuite: the Panda of `Lift` closes until it touches the cube.
 
-Tried with robosuite 1.5.2 (docs/how-to/integrations.md).
+Tested with robosuite 1.5.2 (docs/how-to/integrations.md).
 """
 
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ from robosuite.utils.observables import Observable, sensor
 
 import mjtactile
 
-# three things that MuJoCo 4.0 says otherwise than robosuite 1.5.2 expects
+# three names that MuJoCo 4.0 changed after robosuite 1.5.2
 binding_utils.MjModel.jnt_type = property(lambda model: model._model.jnt_type.tolist())
 binding_utils.MjData.qM = property(lambda data: data._data)
 controller.mujoco = SimpleNamespace(mj_fullM=lambda model, M, data: mujoco.mj_fullM(model, data, M))

@@ -1,5 +1,5 @@
-"""A policy learned from recorded grasps, without a training framework: what `gentle` did, by linear
-regression.
+"""Policy learned from recorded grasps of `gentle` by linear regression, without a training
+framework.
 
     python examples/train_a_policy.py policy.npz 16          # from sixteen grasps with other seeds
     MJTACTILE_POLICY=policy.npz mjtactile grasp --controller policy
@@ -22,7 +22,8 @@ NOT_DETECTED = np.isin(
 
 
 def watch(seed):
-    """What the policy would have seen (n, k) and the teacher did (n, 3) in one grasp of the egg."""
+    """Return the policy's observations (n, k) and the teacher's actions (n, 3) in one grasp of the
+    egg."""
     seen = []
     done = []
     own = []
@@ -48,7 +49,7 @@ def watch(seed):
 def fit(seen, done):
     """Weights (3, k) and offsets (3,) that explain the actions best, a little drawn towards
     zero."""
-    # what never changed says nothing
+    # constant inputs carry no information
     scale = np.where(seen.std(axis=0) > 1e-9, seen.std(axis=0), np.inf)
     middle = seen.mean(axis=0)
     x = (seen - middle) / scale

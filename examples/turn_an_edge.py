@@ -1,4 +1,5 @@
-"""An edge at an unknown angle is felt, turned into line with the finger, and felt again."""
+"""Estimate the unknown angle of an edge, rotate it into line with the finger, and estimate it
+again."""
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ finger = tip.bind(model, data)
 
 
 def press(angle: float, height: float = 0.0113) -> mjtactile.ContactShape:
-    """Lift, turn the block, come down on the membrane: what is felt there."""
+    """Lift, rotate the block, lower it onto the membrane, and return the contact shape."""
     for lift, wait in ((0.02, 0.2), (height, 0.4)):
         data.ctrl[:] = lift - 0.02, angle
         end = data.time + wait

@@ -1,8 +1,7 @@
-"""Two sensors on the fingertips of somebody else's arm: close on an object, lift it, and say what
-each finger feels.
+"""Two sensors on the fingertips of an existing arm: close on an object, lift it, print the forces.
 
-The scene is the Fetch arm of gymnasium-robotics with its table and its block, here made an egg. The
-hand follows a mocap body, the fingers their position servos. Needs `pip install
+The scene is the Fetch arm of gymnasium-robotics with its table and its block, which is changed to
+an egg. The hand follows a mocap body, the fingers their position servos. Needs `pip install
 'mjtactile[examples]'`.
 """
 
@@ -30,7 +29,7 @@ egg.mass = 0.05
 model = spec.compile()
 data = mujoco.MjData(model)
 fingers = [tip.bind(model, data) for tip in tips]
-# the weld: hand on mocap body, as that package's own scripts set it
+# weld of the hand to the mocap body, as in that package's own scripts
 model.eq_data[0, :11] = [*[0] * 6, *[1, 0, 0, 0], 1]
 for joint, place in {
     "robot0:slide0": 0.405,
@@ -45,7 +44,7 @@ data.ctrl[:] = 0.05
 
 
 def go(seconds, *, height=None, fingers_at=None):
-    """Move hand and fingers evenly, m, and say what is felt at the end."""
+    """Move hand and fingers at constant speed (positions in m), and print the final forces."""
     before = (data.mocap_pos[0, 2], data.ctrl[0])
     steps = round(seconds / model.opt.timestep)
     goals = [

@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-# As the command line does it: with more threads, small factorisations fight for the cores. Before
-# anything imports numpy.
+# Same as in the command line: more threads slow down small factorisations. Before numpy is
+# imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Emulated devices, their watchdogs and whoever talks to them: tests share their computer with each
-# other, and a rented one may stand still for half a second. Before anything imports mjtactile.
+# Slows down emulated devices, their watchdogs and their hosts: tests run in parallel, and a rented
+# computer may pause for half a second. Before mjtactile is imported.
 os.environ.setdefault("MJTACTILE_TIME_SCALE", "3")
-# Where no bytecode may be written each process compiles what it imports: half a second for each
-# `mjtactile` that a test starts, and all tests anew in each worker. Before there are workers.
+# Without bytecode each process compiles its imports: half a second for each `mjtactile` that a test
+# starts, and all tests again in each worker. Before workers start.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 for number, handler in {
@@ -26,8 +26,8 @@ for number, handler in {
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
-# While modules and tests are read nearly all that is made stays: looking for what does not takes a
-# fifth of the time of reading. `pytest_collection_finish` turns it on again.
+# Nearly all objects created during collection stay alive: garbage collection would take a fifth of
+# its time. `pytest_collection_finish` turns it on again.
 gc.disable()
 
 pytest_plugins = ["tests.stolen", "pytester"]
@@ -42,14 +42,17 @@ def pytest_addoption(parser):
 
 
 def seconds(item):
-    """About how long a test takes, if one of its marks says so: `slow(60)`, `clock(10)`."""
+    """Return the approximate duration of a test, s, from its mark: `slow(60)`, `clock(10)`; else
+    0."""
     marks = [item.get_closest_marker(name) for name in ("slow", "clock")]
     return max(mark.args[0] if mark and mark.args else 0 for mark in marks)
 
 
 def units_of(items):
-    """What xdist gives to one worker as a whole: the tests of a group (`xdist_group`), and each
-    other test by itself."""
+    """Group tests into the units that xdist gives to one worker.
+
+    A unit is the tests of a group (`xdist_group`), or a single other test.
+    """
     units = {}
     for item in items:
         mark = item.get_closest_marker("xdist_group")
@@ -58,14 +61,19 @@ def units_of(items):
 
 
 def seconds_of(unit):
-    """As `seconds`; tests of a group that do not say how long they take count as 3 s each."""
+    """Return the duration of a unit like `seconds`.
+
+    Tests of a group without a stated duration count as 3 s each.
+    """
     return seconds(unit[0]) if len(unit) == 1 else sum(seconds(item) or 3 for item in unit)
 
 
 def longest_first(items, workers):
-    """The order in which workers are busy until the end: a long test that is begun last is waited
-    for. xdist gives each worker two units at once, so that behind the first of these it gets one
-    of the shortest that say how long they take."""
+    """Return the order that keeps workers busy until the end.
+
+    A long test that starts last delays the run. xdist gives each worker two units at the start.
+    Behind the first of these comes one of the shortest units with a stated duration.
+    """
     units = units_of(items)
     long = sorted((unit for unit in units if seconds_of(unit)), key=seconds_of, reverse=True)
     if len(long) > 2 * workers:
@@ -101,7 +109,6 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_collection_finish():
-    """What there is before the first test stays until the last, and is never looked through for
-    garbage."""
+    """Exclude all objects that exist before the first test from garbage collection."""
     gc.freeze()
     gc.enable()

@@ -28,7 +28,7 @@ ANGLE = 3.0  # rad at which the emulated servos stand
 
 @dataclass
 class Bench:
-    """Two jaw servos and what they need; `log` holds every packet that reached them."""
+    """Two jaw servos with their bus; `log` holds every packet that reached them."""
 
     servos: dict[int, EmulatedServo]
     faults: Faults
@@ -124,7 +124,7 @@ def valve_configs(path: str) -> list[ValveConfig]:
 
 @contextlib.contextmanager
 def at_pace(slow: float) -> Iterator[None]:
-    """What is started inside runs at 1/`slow` of the speed."""
+    """Slow down everything started inside the block to 1/`slow` of the speed."""
     before = scaled_clock.slow()
     scaled_clock.set_slow(slow)
     try:
@@ -134,7 +134,7 @@ def at_pace(slow: float) -> Iterator[None]:
 
 
 def wait_for(condition, timeout: float = 5.0) -> bool:
-    """Wait until `condition()`; five seconds is far beyond what any of it takes."""
+    """Wait until `condition()` is true; five seconds is far longer than any condition takes."""
     deadline = scaled_clock.monotonic() + timeout
     while scaled_clock.monotonic() < deadline:
         if condition():

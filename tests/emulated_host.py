@@ -1,8 +1,8 @@
-"""The command line in a process of its own that drives emulated hardware, and what became of the
-hardware and the object.
+"""Command line in its own process with emulated hardware, and the final state of hardware and
+object.
 
-The emulator outlives its hosts and says the truth. Time-outs are generous against a busy computer;
-none is asserted.
+The emulator outlives its hosts and reports the ground truth. Time-outs are generous for a busy
+computer; none is asserted.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
 
-WAIT = 300.0  # s for what takes a few on a computer of one's own
-# m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
+WAIT = 300.0  # time-out in s; an idle computer needs a few seconds
+# largest drop, m, of a lift of 40 mm; the two heights are not read at exactly the same time
 FALLEN = 0.010
-_CHECK_TIME = 0.03  # s of the hardware's clock between two looks; 40 mm are fallen in 0.09 s
+_CHECK_TIME = 0.03  # period of the check on the hardware's clock, s; a fall of 40 mm takes 0.09 s
 _TAIL = 40_000  # bytes of the log's end, in which there is a whole line
 _GENEROUS = (
     ("delay_ms", "8.0", "400.0"),
@@ -107,7 +107,7 @@ class Host:
             stderr=stderr,
             text=True,
         )
-        self.fallen = 0.0  # m by which the object was below where the hand had lifted it to
+        self.fallen = 0.0  # drop of the object below its lifted height, m
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._follow)
         self._thread.start()
@@ -151,7 +151,7 @@ class Host:
     def has_set_down(self) -> None:
         """Check that the object came down with the hand, and stands where it stood."""
         assert self.fallen < FALLEN
-        # m, of its middle; less: it lies
+        # height of the object's center, m; less means that it has toppled
         assert self.emulator.truth()["object_height"] == pytest.approx(0.031, abs=0.003)
 
     def recording(self):

@@ -1,4 +1,4 @@
-"""A made-up grasp with a plausible force curve, for tests of what records and draws runs."""
+"""Synthetic grasp with a plausible force curve, for tests that record or plot runs."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,5 +1,8 @@
-"""Images of a membrane that the chain's own sheet solves for, without the simulator: flat, at rest,
-and under a round patch of traction that grows and is dragged along."""
+"""Images of a membrane computed with the chain's own membrane model, without the simulator.
+
+The membrane is flat, in equilibrium, and under a round traction patch that grows and is dragged
+along.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,15 @@ from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sim.rendering.renderer import Renderer
 
-GAUGE = 1000.0  # Pa
-PLACE = np.array([0.003, -0.002])  # m
-RADIUS = 0.005  # m
-LOADS = ((0.0, 0.1), (0.05, 0.4), (0.15, 0.8), (0.0, 0.0))  # N: shear along x, normal force
+GAUGE = 1000.0  # gauge pressure, Pa
+PLACE = np.array([0.003, -0.002])  # center of the patch, m
+RADIUS = 0.005  # radius of the patch, m
+LOADS = ((0.0, 0.1), (0.05, 0.4), (0.15, 0.8), (0.0, 0.0))  # shear along x and normal force, N
 
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """What a chain sees from its references on; images at 30 Hz."""
+    """Images of a sensor from its references on, at 30 Hz."""
 
     flat: tuple[Image, ...]
     rest: tuple[Image, ...]
@@ -31,7 +34,8 @@ class Sequence:
 
 @cache
 def sequence(sensor: str = "paper16") -> Sequence:
-    """Of a sensor, shipped or a file: four images of each reference, and one for each of `LOADS`."""
+    """Render the images of a sensor, shipped or from a file: four of each reference, and one for
+    each of `LOADS`."""
     design = load_sensor(sensor)
     sheet = InverseMembrane(design).sheet
     view = Renderer(design, seed=1)
@@ -59,7 +63,7 @@ def _load(sheet, shear, normal):
 def _image(design, sheet, view, c, time):
     X = design.markers.p_SM
     p = X + sheet.basis(sheet.own(X[:, :2])) @ c.T
-    step = 1e-5  # m
+    step = 1e-5  # difference step, m
     along, across = (
         step * unit + (sheet.basis(sheet.own(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
         for unit in np.eye(3)[:2]

@@ -1,4 +1,4 @@
-"""What a page of one file is held to."""
+"""Checks of a single-file HTML page."""
 
 from html.parser import HTMLParser
 
@@ -6,8 +6,10 @@ _VOID = ("meta", "br", "img", "input", "rect", "line", "circle")
 
 
 class Balanced(HTMLParser):
-    """Every tag that is opened is closed, in order; no address is outside of the page. `text` is
-    what it says, `scripts` its scripts and data."""
+    """Parser that checks a page: every opened tag is closed, in order, and no address is external.
+
+    `text` is the page's text, `scripts` its scripts and data.
+    """
 
     def __init__(self, page: str):
         super().__init__()

@@ -1,10 +1,10 @@
-"""`python -m tests.sanitized [PYTEST ARGUMENTS]`: tests with kernels that notice every read and
-write beyond an array and all undefined behaviour (gcc's or clang's address and undefined-behaviour
+"""`python -m tests.sanitized [PYTEST ARGUMENTS]`: tests with kernels that detect every read and
+write beyond an array and all undefined behavior (gcc's or clang's address and undefined-behavior
 sanitizers).
 
-Compiles them with the system's compiler into build/sanitized, starts Python again with the
+It compiles the kernels with the system's compiler into build/sanitized. It restarts Python with the
 sanitizers' libraries loaded before all others, and runs pytest there, in one process. A finding
-ends it with the place in C; exit codes are pytest's, and 1 for a finding.
+ends the process with the location in C. Exit codes are pytest's, and 1 for a finding.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main(words: list[str]) -> int:
 
 
 def _environment(compiler: str) -> dict[str, str]:
-    """Compile, and say how Python must be started to load the result."""
+    """Compile the kernels, and return the environment in which Python loads the result."""
     out = Path("build", "sanitized", "kernels.so").resolve()
     out.parent.mkdir(parents=True, exist_ok=True)
     sources = map(str, build.sources())

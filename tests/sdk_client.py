@@ -48,7 +48,7 @@ class SdkClient:
         return self.packets.ping(self.port, servo)[1] == OK
 
     def is_silent(self, ask, *arguments):
-        """Whether nothing comes back from a call of the SDK."""
+        """Return True if a call of the SDK gets no reply."""
         self.disk_wait_time = SILENCE
         result = [part for part in ask(self.port, *arguments) if part == sdk.COMM_RX_TIMEOUT]
         self.disk_wait_time = PATIENCE

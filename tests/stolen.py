@@ -1,10 +1,11 @@
-"""Tests by the clock on a computer that somebody else uses, too.
+"""Timing tests on a computer with shared processors.
 
-A rented computer's processors are taken away for as long as a second ("steal" in /proc/stat):
-devices fall silent then, and a driver that says so is right. A test marked `clock` that fails while
-that happens is tried again; if it fails each time it is undecided, which is said at the end, and
-never counts as passed. Where nobody steals, it fails as any other; and where more than `MOST` are
-undecided, the run fails: what is broken fails every time, and breaks many.
+The host of a rented computer may take its processors away for up to a second ("steal" in
+/proc/stat). Devices are silent during that time, and a driver that reports it is right. A test
+marked `clock` that fails during such a time is repeated. If it fails each time it is undecided.
+This is reported at the end, and never counts as passed. Without stolen time it fails like any other
+test. If more than `MOST` are undecided, the run fails: a real defect fails every time, and breaks
+many tests.
 """
 
 import os
@@ -22,8 +23,8 @@ _STEAL = 8  # column of /proc/stat's first line
 
 
 def stolen_seconds():
-    """What the computer's host has taken from its processors since it was started, s; 0 where it
-    does not say."""
+    """Return the time that the host has taken from the processors since boot, s; 0 where it is not
+    reported."""
     try:
         columns = Path("/proc/stat").read_text().split("\n", 1)[0].split()
     except OSError:

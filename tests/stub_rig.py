@@ -1,4 +1,4 @@
-"""A rig of stubs whose parts can be told to fail, and what is felt on it."""
+"""Rig of stubs with parts that fail on request, and its touch data."""
 
 import math
 from dataclasses import replace
@@ -34,7 +34,7 @@ def loaded(shear):
 
 
 class World:
-    """A rig of stubs whose parts can be told to fail; its jaws can be `stuck`."""
+    """Rig of stubs with parts that fail on request; its jaws can be `stuck`."""
 
     def __init__(self):
         self.time = 0.0

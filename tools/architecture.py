@@ -1,9 +1,9 @@
-"""The picture of the architecture, drawn from the import contracts in pyproject.toml.
+"""Diagram of the architecture, generated from the import contracts in pyproject.toml.
 
     python tools/architecture.py    # writes docs/images/architecture.svg
 
-The contracts are what `make test` enforces, so the picture cannot say anything else. Only the line
-that explains a room is written here; a test fails when the picture is not that of the contracts.
+`make test` enforces the contracts, so the diagram cannot differ from the code. Only the one-line
+description of each room (subpackage) is written here. A test fails if the diagram is outdated.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ROOMS = {
     "kernels": "loops in C",
     "core": "values, errors, geometry, optics, sensor designs",
 }
-"""What a room of the package is for, in a few words; a room that is not named has no line."""
+"""Short descriptions of the package's rooms; an unlisted room has no line."""
 
 INSIDE = (
     "Sensing, from the image up",
@@ -80,16 +80,16 @@ class Floor:
 
     rooms: tuple[str, ...]
     apart: bool
-    """Whether they may not import each other."""
+    """True if the rooms may not import each other."""
 
 
 def floors(layers: list[str]) -> list[Floor]:
     """Read the layers of a contract.
 
     Args:
-        layers: As import-linter writes them, the top first: names on one line are separated by
-            "|" where they do not see each other and by ":" where they may; brackets mean that a
-            module need not exist.
+        layers: Layers in import-linter's format, the top first. Names on one line are separated by
+            "|" if they may not import each other and by ":" if they may. Brackets mark an optional
+            module.
 
     Returns:
         The floors, the top first.

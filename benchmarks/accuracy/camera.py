@@ -1,7 +1,7 @@
-"""The camera's part of `bench accuracy`: the shipped sensors, resolution, rate, markers, and what
-the renderer draws, against simulated truth.
+"""Camera part of `bench accuracy`: errors of the shipped sensors against simulated ground truth.
 
-The world is pressed once per set of markers; every camera then looks at the same states.
+The sweeps vary resolution, frame rate, markers and rendered effects. The world is loaded once per
+set of markers. Every camera then views the same states.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _DEPTHS = (1.0e-3, 2.5e-3)
 _FRAMES = 6
-_SPEED = 0.02  # m/s, of the press over which a rate is judged
+_SPEED = 0.02  # speed of the load for the rate sweep, m/s
 RESOLUTIONS = (0.4, 0.6, 0.8, 1.0, 1.5, 2.0)
 RATES = (15.0, 30.0, 60.0, 120.0)
 MARKERS = {
@@ -45,7 +45,7 @@ DRAWN = {
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What one moment looks like: marker poses, true normal force N, true marker places."""
+    """Appearance of one state: marker poses in frame S, and the true normal force, N."""
 
     p_SM: Array
     n_S: Array
@@ -171,8 +171,10 @@ def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[s
 
 
 def _rates(design: SensorDesign) -> list[dict[str, Any]]:
-    """What a perfect sensor's last reading is off by, while a 16 mm sphere is pressed in at 20
-    mm/s."""
+    """Return the sample-and-hold error of a perfect force sensor at each frame rate.
+
+    A 16 mm sphere is pressed in at 20 mm/s. The last reading is held until the next image.
+    """
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=1e-3)
     world.inflate(1000.0, seal=True)
     forces: list[float] = []
@@ -194,7 +196,7 @@ def table(result: dict[str, Any]) -> str:
         lines += [
             f"### Camera: {sweep}",
             "",
-            "| | force error mN | marker error um | images without a force | camera "
+            "| | force error mN | marker error um | images without force | camera "
             "ms | perception ms |",
             "|---|---|---|---|---|---|",
         ]
@@ -208,8 +210,8 @@ def table(result: dict[str, Any]) -> str:
     lines += [
         "### Camera: rate",
         "",
-        "Error of a perfect reading that is held until the next image, while the "
-        "force rises at 20 mm/s.",
+        "Error of an exact reading that is held until the next image, while a sphere is "
+        "pressed in at 20 mm/s.",
         "",
         "| | force error mN |",
         "|---|---|",

@@ -1,9 +1,10 @@
-"""`mjtactile bench meshless`: the levels without a mesh, as `bench accuracy` measures meshes.
+"""`mjtactile bench meshless`: simulation levels without a mesh, measured like `bench accuracy`.
 
-The same presses of spheres against the same finest mesh, the same egg held; for drawn touch the
-error of what is felt, in place of the force's own. Then episodes of `gentle`, the same seeds with
-everything and at each level: how many end alike. What is written, models/fidelity/levels.json, is
-what `--accuracy` chooses a film by.
+The same spheres are pressed and compared with the same finest mesh, and the same egg is held. For
+synthetic touch the error is that of the estimated force, not of the simulated one. Then episodes of
+`gentle` run with the same seeds, with all effects and at each level. The result counts the equal
+outcomes. The output models/fidelity/levels.json is the table from which `--accuracy` chooses a
+quasi-static membrane.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
 from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
-STEP = 1 / 480  # s: what a rig takes for films
+STEP = 1 / 480  # time step of a rig with quasi-static membranes, s
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
 PAIRS, PAIRS_QUICK = 12, 1
 FILM, DRAWN = "-mesh", "-mesh,-pipeline"
@@ -44,7 +45,7 @@ Say = Callable[[str], None]
 def run(
     out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
 ) -> dict[str, Any]:
-    """Measure both levels; unless `quick`, write what `--accuracy` reads."""
+    """Measure both levels. Unless `quick`, write the table that `--accuracy` reads."""
     say = say or Progress().message
     cases = CASES[:2] if quick else CASES
     finest = (_QUICK_REFERENCE if quick else _REFERENCE)[1]
@@ -97,7 +98,7 @@ def _rms(values: Any) -> float:
 
 
 def _press(case: Case) -> Pressed:
-    """As `benchmarks.simulation_cases.press`, of a film."""
+    """Run `benchmarks.simulation_cases.press` with a quasi-static membrane."""
     world = PressWorld(
         SENSOR,
         Indenter("sphere", case.radius),
@@ -114,7 +115,7 @@ def _press(case: Case) -> Pressed:
 
 
 def _felt(force: float) -> np.ndarray:
-    """(n,) N that the chain says of this normal force, in as many grasps as draws."""
+    """Return synthetic estimates (n,), N, of this normal force, one per simulated grasp."""
     errors = load_errors(load_sensor(SENSOR))
     here = errors.at(force)
     rng = np.random.default_rng(0)
@@ -154,13 +155,13 @@ def _outcomes(seed: int, number: int, count: int, say: Say) -> dict[str, str]:
 
 def table(result: dict[str, Any]) -> str:
     """The rows as Markdown."""
-    names = {FILM: "a film", DRAWN: "a film, touch drawn"}
+    names = {FILM: "quasi-static membrane", DRAWN: "quasi-static membrane, sampled touch"}
     made = result["stamp"]
     lines = [
         f"Measured on {made['machine']}, MuJoCo {made['mujoco']}, {made['date']}.",
         "",
         "| level | `effects` | step ms | force error mN | surface error um | noise mN "
-        "| ms per simulated s | the same outcome |",
+        "| ms per simulated s | same outcome |",
         "|---" * 8 + "|",
     ]
     for row in result["rows"]:
@@ -175,5 +176,5 @@ def table(result: dict[str, Any]) -> str:
 
 
 def _share(row: dict[str, Any]) -> str:
-    """Of episodes that end alike; "" where none was tried."""
+    """Format the fraction of episodes with the same outcome; "" where none was run."""
     return f"{row['same_outcomes']} of {row['outcomes']}" if row["outcomes"] else ""

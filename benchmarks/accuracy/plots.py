@@ -16,7 +16,10 @@ _LABELS = {
 
 
 def draw(result: dict[str, Any], out: Path, say: Callable[[str], None]) -> None:
-    """Write accuracy.png (force) and accuracy_surface.png into `out`; without matplotlib say so."""
+    """Write accuracy.png (force) and accuracy_surface.png into `out`.
+
+    Print a message if matplotlib is missing.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:

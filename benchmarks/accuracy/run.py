@@ -1,11 +1,14 @@
 """`mjtactile bench accuracy`: work-precision diagrams, and the table that `Fidelity` chooses from.
 
-One knob at a time around the default, and all together: error of force and surface against a
-converged reference, against the cost. Physics: spheres pressed to a given depth
-(benchmarks/simulation_cases.py); the reference is the finest mesh with contact ten times stiffer,
-its own uncertainty the step from the next coarser mesh. The bulge is also held against its closed
-form.
-Perception: what the sensing chain makes of rendered images, against the simulated truth.
+Each setting varies alone around the default, then all together. Errors of force and surface against
+a converged reference are plotted over the cost.
+
+Physics: spheres are pressed to a given depth (benchmarks/simulation_cases.py). The reference is the
+finest mesh with contact ten times stiffer. Its own uncertainty is the step from the next coarser
+mesh. The bulge is also compared with its closed form.
+
+Perception: the output of the sensing chain on rendered images is compared with the simulated ground
+truth.
 """
 
 from __future__ import annotations
@@ -62,7 +65,7 @@ TOGETHER = tuple(
     if not (step == 1 / 240 and tolerance == 1e-6)
 ) + (Setting((21, 17)), Setting((25, 21)))
 _HEAD = (
-    "| mesh | step ms | tolerance | iterations at most | contact softness | force error mN | "
+    "| mesh | step ms | tolerance | maximum iterations | contact softness | force error mN | "
     "surface error um | noise mN | penetration um | ms per simulated s |"
 )
 _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
@@ -120,8 +123,11 @@ def stamp() -> dict[str, str]:
 
 
 def fidelity_table(result: dict[str, Any]) -> dict[str, Any]:
-    """What `Fidelity` reads: every setting that ran, with the default contact and enough
-    iterations, on a mesh that sensing takes for a membrane."""
+    """Return the table that `Fidelity` reads.
+
+    It holds every setting that ran with the default contact and enough iterations. Meshes too
+    coarse for the sensing chain's membrane model are left out.
+    """
     rows = [
         row
         for row in [*result["together"], *result["sweeps"]["mesh"], *result["sweeps"]["time step"]]
@@ -240,13 +246,13 @@ def table(result: dict[str, Any]) -> str:
     limit = result["reference"]
     lines = [
         f"Measured on {about['machine']}, Python {about['python']}, MuJoCo {about['mujoco']}, "
-        f"{about['date']}. The reference is itself uncertain by {1e3 * limit['force_N']:.1f} mN "
-        f"and {limit['surface_um']:.0f} um.",
+        f"{about['date']}. Uncertainty of the reference: {1e3 * limit['force_N']:.1f} mN and "
+        f"{limit['surface_um']:.0f} um.",
         "",
     ]
     for name, rows in {
         **result["sweeps"],
-        "all together: the Pareto front": result["pareto"],
+        "all parameters: Pareto front": result["pareto"],
     }.items():
         title = f"### {name[0].upper()}{name[1:]}"
         lines += [title, "", _HEAD, "|" + "---|" * 10, *map(_row, rows), ""]

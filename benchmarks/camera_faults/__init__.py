@@ -1,1 +1,1 @@
-"""What is felt when the camera is not as it was."""
+"""Errors of estimated forces after changes of the camera."""

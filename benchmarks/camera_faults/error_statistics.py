@@ -1,4 +1,4 @@
-"""How far felt forces are from true ones, and what of it is said."""
+"""Statistics of force errors and of their reported uncertainty."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FAR_N = 0.05
 
 
 def numbers(grasp: Grasp, felt: ReplayResult) -> dict[str, Any]:
-    """Felt less true force where the status is ok, and how often it is far from it."""
+    """Compute force errors where the status is ok, and count the large ones."""
     touches = felt.touches
     known = np.array([touch.status == "ok" for touch in touches], bool)
     off = np.array([touch.force_normal for touch in touches]) - grasp.true[: len(touches)]

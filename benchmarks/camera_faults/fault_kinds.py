@@ -1,4 +1,4 @@
-"""Camera troubles of `mjtactile bench camera-faults`, each near the strength that its name says."""
+"""Camera faults of `mjtactile bench camera-faults`, each near the strength in its name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SEED = 20261
 _SPREAD = 0.2  # share by which a strength may be another
 _WHOLE = ("count", "bits", "quality", "yuyv", "Hz")
 ALWAYS, RUN, REFERENCES = "always", "run", "references"
-"""When: from the references on, after them alone, in them alone."""
+"""Periods with the fault: references and run, run only, references only."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Kind:
 
     @property
     def troubles(self) -> CameraFaults:
-        """As a camera has it."""
+        """Fault settings of a camera."""
         return from_table(CameraFaults, self.table, self.name)
 
 
@@ -99,14 +99,36 @@ TABLES: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
 )
 
 
+_WORDS = {
+    "knock of": "image shift of",
+    "turn of": "image rotation of",
+    "pictures": "images",
+    "a shop's webcam": "consumer webcam",
+    "a covered": "covered",
+    "a grey": "grey",
+    "a fingerprint": "fingerprint",
+    "colour cast": "color cast",
+}
+
+
+def label(name: str) -> str:
+    """Return the name of a fault for tables and figures.
+
+    The names in `TABLES` are fixed because the strengths are random numbers seeded by them.
+    """
+    for word, shown in _WORDS.items():
+        name = name.replace(word, shown)
+    return name
+
+
 def kinds(seed: int = SEED) -> Iterator[Kind]:
-    """All of them, with strengths within a fifth of what their names say.
+    """Yield all faults, with strengths within a fifth of those in their names.
 
     Args:
-        seed: Of strengths, and of where dust lies.
+        seed: Seed of the strengths and of the positions of dust.
 
     Yields:
-        One for each trouble and time.
+        One kind for each fault and period.
     """
     for name, table, times in TABLES:
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
@@ -116,7 +138,7 @@ def kinds(seed: int = SEED) -> Iterator[Kind]:
 
 
 def _near(key: str, value: Any, rng: np.random.Generator) -> Any:
-    """A strength near `value`; what is counted stays."""
+    """Return a strength near `value`; counts stay unchanged."""
     if any(key.endswith(unit) or unit in key for unit in _WHOLE):
         return value
     factor = 1 + _SPREAD * rng.uniform(-1, 1)

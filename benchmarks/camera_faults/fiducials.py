@@ -1,8 +1,8 @@
-"""`mjtactile bench fiducials`: a camera that changes, felt by a sensor with fiducials and by one
-without.
+"""`mjtactile bench fiducials`: effect of camera changes on sensors with and without fiducials.
 
-The same eggs, seeds and troubles for both; each with the pressure gauge and without; what a
-trouble changes of what is felt in the same images without it; and what fiducials cost an image.
+Both sensors get the same eggs, seeds and faults, each with and without the pressure sensor. The
+benchmark reports the change of the estimated force against the same images without the fault. It
+also reports the cost of fiducials per image.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults.error_statistics import numbers
-from benchmarks.camera_faults.fault_kinds import ALWAYS, RUN, kinds
+from benchmarks.camera_faults.fault_kinds import ALWAYS, RUN, kinds, label
 from benchmarks.camera_faults.replay import Grasp, ReplayResult, feel, record
 from mjtactile.runtime.progress import Progress
 
@@ -84,8 +84,7 @@ def _rows(
 
 
 def _row(grasp: Grasp, felt: ReplayResult, clean: ReplayResult) -> dict[str, Any]:
-    """How far felt forces are from true ones, and from those that are felt in the same images
-    without a trouble."""
+    """Compute force errors, and changes against the same images without a fault."""
     forces, usual = (
         np.array([touch.force_normal for touch in one.touches]) for one in (felt, clean)
     )
@@ -115,11 +114,14 @@ def table(result: Mapping[str, Any]) -> str:
     plain, fixed = SENSORS
     seeds = ", ".join(map(str, result["grasp_seeds"]))
     lines = [
-        f"Eggs of seeds {seeds}; N, rms / worst over all of them. Changed: against the same images "
-        "without the trouble. First: of the first image after the references, the worst.",
+        f"Egg grasps of seeds {seeds}. Each cell has, over all of them, in N:",
         "",
-        f"| trouble, after the references | `{plain}`: felt less true; changed; first | "
-        f"`{fixed}` | without gauge | without gauge, fiducials |",
+        "- force error (estimate minus ground truth), rms / worst;",
+        "- change relative to the same images without the fault, rms / worst;",
+        "- largest error in the first image after the references.",
+        "",
+        f"| fault after the references | `{plain}` | `{fixed}` | `{plain}`, no pressure sensor | "
+        f"`{fixed}`, no pressure sensor |",
         "|---|---|---|---|---|",
     ]
     for name in dict.fromkeys(row["name"] for row in result["rows"]):
@@ -128,11 +130,11 @@ def table(result: Mapping[str, Any]) -> str:
             for gauge in (True, False)
             for sensor in SENSORS
         ]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
+        lines.append(f"| {label(name)} | {' | '.join(cells)} |")
     ms = result["ms"]
     lines += [
         "",
-        f"Processor time of an image: {ms[plain]:.2f} ms, with fiducials {ms[fixed]:.2f} ms.",
+        f"Processor time per image: {ms[plain]:.2f} ms, with fiducials {ms[fixed]:.2f} ms.",
     ]
     return "\n".join(lines)
 
@@ -142,7 +144,7 @@ def _is(row: Mapping[str, Any], name: str, sensor: str, gauge: bool) -> bool:
 
 
 def _cell(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Of one trouble, one sensor and all seeds."""
+    """Format the result of one fault and one sensor over all seeds."""
     known = [row for row in rows if row["rms_N"] is not None]
     if not known:
         return "none ok"

@@ -1,5 +1,4 @@
-"""What is felt while the gas is not what it was, in a scene of a user's: against the force that the
-simulated contact carries."""
+"""Force errors after changes of the gas, in a user's scene, against the simulated contact force."""
 
 from __future__ import annotations
 
@@ -16,16 +15,16 @@ from mjtactile import SimFinger
 RADIUS = 12e-3
 # kg of a ball on a sensor that looks up: 0.6 N
 MASS = 0.061
-# s before and after
+# durations before and after the change, s
 BEFORE = 0.8
 AFTER = 2.0
 TROUBLES: dict[str, Callable[[SimFinger], None]] = {
     "valve to 0.5 kPa": lambda finger: finger.sensor.open_valve(500.0),
     "valve to 2 kPa": lambda finger: finger.sensor.open_valve(2000.0),
-    "valve to the air": lambda finger: finger.sensor.open_valve(0.0),
+    "valve to ambient": lambda finger: finger.sensor.open_valve(0.0),
     "puncture": lambda finger: finger.sensor.puncture(1e-9),
     "leak of 0.03 mL/(s kPa)": lambda finger: finger.sensor.puncture(0.03e-9),
-    "warmth of 3 K": lambda finger: finger.sensor.warm(1.5),
+    "warming by 3 K": lambda finger: finger.sensor.warm(1.5),
 }
 
 
@@ -40,7 +39,7 @@ def rows(quick: bool = False) -> list[dict[str, Any]]:
 
 
 def feel(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
-    """Felt less true force after it, of images whose status is ok."""
+    """Compute the force errors after the change, over images whose status is ok."""
     model, data, finger = scene(MASS if held else None)
     errors(model, data, finger, BEFORE)
     trouble(finger)
@@ -75,7 +74,7 @@ def scene(mass: float | None) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]
 def errors(
     model: mujoco.MjModel, data: mujoco.MjData, finger: SimFinger, seconds: float
 ) -> np.ndarray:
-    """Felt less true force, N, and its sd, of each image (n, 2); NaN where it is not known."""
+    """Return force error and its sd, N, of each image (n, 2); the error is NaN where unknown."""
     ball = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "z")
     found = []
     end = data.time + seconds
@@ -95,12 +94,12 @@ def errors(
 def table(found: list[Mapping[str, Any]]) -> list[str]:
     """Lines of Markdown."""
     lines = [
-        "| the air | on the sensor | felt less true, N: rms / worst | worst from 0.5 s on, N | "
-        "ok | far |",
+        "| gas fault | load | force error (estimate minus ground truth), N: rms / worst | worst "
+        "from 0.5 s, N | ok | far |",
         "|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {row['trouble']} | {'a ball, 0.6 N' if row['held'] else 'nothing'} | "
+        f"| {row['trouble']} | {'ball, 0.6 N' if row['held'] else 'none'} | "
         f"{row['rms_N']:.3f} / {row['worst_N']:.3f} | {row['worst_later_N']:.3f} | "
         f"{row['ok']} of {row['images']} | {row['far']} |"
         for row in found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.camera_faults.fault_kinds import ALWAYS, TABLES, Kind
+from benchmarks.camera_faults.fault_kinds import ALWAYS, TABLES, Kind, label
 from benchmarks.camera_faults.replay import Grasp
 from mjtactile.report.figures import new_figure
 from mjtactile.sim.rendering.image_faults import FaultyImage
@@ -25,6 +25,6 @@ def draw(grasp: Grasp, path: Path) -> None:
         shown = [camera(image) for image in grasp.images[middle - 2 : middle + 1]][-1]
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         axes.imshow(shown.pixels[_PART], cmap="gray", vmin=0, vmax=255)
-        axes.set_title(name, fontsize=6)
+        axes.set_title(label(name), fontsize=6)
         axes.set_axis_off()
     figure.savefig(path)

@@ -1,4 +1,4 @@
-"""One finger's grasp kept in memory, and felt again with its images changed."""
+"""One finger's grasp, kept in memory and evaluated again with modified images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mjtactile.sim.rendering.image_faults import FaultyImage
 
 @dataclass(eq=False)
 class Grasp(Observer):
-    """What one finger's camera and gauge showed, and the true normal force, N, on it."""
+    """Recorded images and pressure readings of one finger, and the true normal force on it, N."""
 
     design: SensorDesign
     references: dict[str, list[Image]] = field(default_factory=dict)
@@ -50,15 +50,17 @@ def record(sensor: str, seed: int) -> Grasp:
 
 @dataclass(frozen=True)
 class ReplayResult:
-    """What came of one kind: the touches, or why the references were `refused`."""
+    """Result of one fault kind: the touches, or the reason why the references were `refused`."""
 
     touches: tuple[Touch, ...] = ()
     refused: str = ""
 
 
 def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[ReplayResult]:
-    """The grasp as it is felt with that trouble, by the gauge or without, in one pass over the
-    pictures."""
+    """Evaluate the grasp with that fault, with and without pressure readings.
+
+    One pass over the images serves both.
+    """
     camera = FaultyImage(kind.troubles, kind.seed)
     before = kind.when in (ALWAYS, REFERENCES)
     after = kind.when != REFERENCES

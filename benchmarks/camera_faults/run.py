@@ -1,10 +1,12 @@
-"""`mjtactile bench camera-faults`: one egg grasp felt again with its images changed, as cameras do.
+"""`mjtactile bench camera-faults`: one egg grasp, evaluated again with images altered as by faulty
+cameras.
 
-Each trouble at a strength of its own seed, from the references on ("always"), after them alone
-("run"), or in them alone; felt against true normal force of one finger, with the chamber's pressure
-gauge and without. And a sensor in a user's scene whose gas is not what it was.
+The strength of each fault comes from a separate seed. A fault is present from the references on
+("always"), after them only ("run"), or in them only. The estimated normal force of one finger is
+compared with ground truth, with and without the chamber's pressure sensor. Another part changes the
+gas of a sensor in a user's scene.
 
-Each row is kept in a file of its own; `--resume` goes on from there.
+Each row is stored in a separate file; `--resume` continues from there.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import Any
 from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults import gas_changes
 from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD, numbers
-from benchmarks.camera_faults.fault_kinds import Kind, kinds
+from benchmarks.camera_faults.fault_kinds import Kind, kinds, label
 from benchmarks.camera_faults.pictures import draw
 from benchmarks.camera_faults.replay import Grasp, feel, record
 from mjtactile.recording.files import write_json
@@ -80,8 +82,10 @@ def _line(row: Row) -> str:
 
 
 def _sums(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of each sensor: images, how many are ok, and of these how many far off; and the last two
-    without a gauge."""
+    """Count images, ok images and large errors for each sensor.
+
+    The last two counts are repeated without the pressure sensor.
+    """
     sums = {}
     for sensor in SENSORS:
         mine = [row for row in rows if row["sensor"] == sensor]
@@ -100,13 +104,14 @@ def table(result: Mapping[str, Any]) -> str:
             continue
         total = result["sums"][sensor]
         lines += [
-            f"`{sensor}`, an egg of {rows[0]['images']} images: of {total['images']} images "
-            f"{total['ok']} are `ok`, and of these {total['far']} "
+            f"`{sensor}`, egg grasp of {rows[0]['images']} images: {total['ok']} of "
+            f"{total['images']} images are `ok`. {total['far']} of these "
             f"({100 * total['far'] / max(total['ok'], 1):.2f} %) are beyond {FAR_SD:g} sd and "
-            f"{FAR_N:g} N; without the gauge {total['far_without']} of {total['ok_without']}.",
+            f"{FAR_N:g} N; without pressure sensor {total['far_without']} of "
+            f"{total['ok_without']}.",
             "",
-            "| trouble | when | felt less true, N: rms / worst | sd, N | ok | far | else | "
-            "without gauge: rms / worst | far |",
+            "| fault | when | force error (estimate minus ground truth), N: rms / worst | sd, N | "
+            "ok | far | other status | without pressure sensor: rms / worst | far |",
             "|---|---|---|---|---|---|---|---|---|",
             *(_row(row) for row in rows),
             "",
@@ -116,9 +121,9 @@ def table(result: Mapping[str, Any]) -> str:
 
 def _row(row: Row) -> str:
     strength = ", ".join(f"{key} {_short(value)}" for key, value in row["strength"].items())
-    name = f"{row['name']} (`{strength}`)" if strength else row["name"]
+    name = f"{label(row['name'])} (`{strength}`)" if strength else label(row["name"])
     if row["refused"]:
-        return f"| {name} | {row['when']} | | | 0 | 0 | references refused | | |"
+        return f"| {name} | {row['when']} | | | 0 | 0 | references rejected | | |"
     sd = "" if row["sd_N"] is None else f"{row['sd_N']:.3f}"
     other = ", ".join(f"{n} {code}" for code, n in row["status"].items() if code != "ok")
     without = row["without"]

@@ -1,1 +1,1 @@
-"""`mjtactile bench commissioning`: what a stranger reaches in an afternoon; see `run`."""
+"""`mjtactile bench commissioning`: results a new user obtains in an afternoon; see `run`."""

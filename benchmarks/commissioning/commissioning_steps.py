@@ -37,11 +37,11 @@ from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
 
 RIG = "emulated_first_day"
-ASKED = 0.04  # N, felt less true
+ASKED = 0.04  # required force error, N
 SEEDS = (11, 12, 13)
 HOLD = 60  # images of each grasp's hold that are compared
 _PRESSES = (("press_05", 500.0), ("press_3", 3000.0))
-_STILL = 40.0  # s that a membrane is watched after it was inflated
+_STILL = 40.0  # recording time of a membrane after inflation, s
 _NOWHERE = {
     "servo": "/dev/none",
     "valve": "/dev/none",
@@ -66,8 +66,10 @@ class Day:
         self.sensor = str(self._fitted) if self._fitted.exists() else "dense"
 
     def step(self, name: str, do: Callable[[], Mapping[str, Any]]) -> None:
-        """Do it, unless it was done, and keep what came of it; a step that fails is told, and the
-        day goes on."""
+        """Run a step unless it is done, and store its result.
+
+        A failed step is reported, and the day continues.
+        """
         if any(row["step"] == name and "failed" not in row for row in self.rows):
             return
         begin = time.monotonic()
@@ -86,8 +88,8 @@ class Day:
 
     @contextlib.contextmanager
     def hardware(self, seed: int = 0) -> Iterator[EmulatorProcess]:
-        """The emulated gripper, switched on: its world's sensors are `dense` and what they are
-        beside that."""
+        """Run the emulated gripper. Its sensors are `dense` with the as-built deviations of its
+        file."""
         emulator = EmulatorProcess(
             load_rig_file(self.world), load_sensor("dense"), object_name="egg", seed=seed
         )
@@ -241,7 +243,7 @@ class Day:
         }
 
     def grasps(self, sensor: str, file: Path, seeds: tuple[int, ...]) -> dict[str, Any]:
-        """An egg is grasped and held, by each seed: felt less true on each finger, N."""
+        """Grasp and hold an egg with each seed; return the force errors of each finger, N."""
         errors = []
         seconds = 0.0
         for seed in seeds:
@@ -265,7 +267,7 @@ class Day:
         }
 
     def _grasp(self, sensor: str, file: Path, seed: int, where: Path) -> np.ndarray:
-        """One grasp, recorded in `where`: felt less true (images, fingers), N."""
+        """Record one grasp in `where`; return the force errors (images, fingers), N."""
         header = Scenario(object="egg", sensor=sensor, rig=str(file), seed=seed).header()
         with self.plugged_in(file, seed) as emulator:
             rig = build_device_rig(load_rig_file(file), load_sensor(sensor))
@@ -295,7 +297,7 @@ def _since(begin: float) -> float:
 def _held_error(
     rig: Any, emulator: EmulatorProcess, where: Path, header: dict[str, Any]
 ) -> np.ndarray:
-    """(images, fingers) Felt less true while an egg is held, N."""
+    """Return the force errors (images, fingers), N, while an egg is held."""
     errors: list[list[float]] = []
     controller = load_controller("gentle")
     with Recorder(where / "recording", header) as recorder:

@@ -1,10 +1,12 @@
-"""`mjtactile bench commissioning`: a rehearsal of the first day with a rig, on an emulated one that
-has a real one's troubles all at once (models/rigs/emulated_first_day.toml).
+"""`mjtactile bench commissioning`: a rehearsal of the first day with a rig, on an emulated one.
 
-Each step is the command that a user types, in this process, with a person at the terminal who reads
-the instruments (`person`). True forces are read from the emulated world only to say what is felt
-less true. The presses that `fit` needs are made on a simulated stage, with the left finger's sheet
-and a camera that is as its file says.
+The emulated rig has all deviations and faults of a real one together
+(models/rigs/emulated_first_day.toml).
+
+Each step is the command that a user types, run in this process. A simulated operator at the
+terminal reads the instruments (`simulated_operator`). True forces of the emulated world serve only
+to compute force errors. The loads that `fit` needs are recorded on a simulated stage. It has the
+left finger's membrane and a camera as in its file.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from mjtactile.core import scaled_clock
 from mjtactile.core.types import FINGERS
 from mjtactile.devices import discovery
 
-SLOW = 4.0  # the emulated world's time: two processors draw and look at two cameras
+SLOW = 4.0  # time scale of the emulated world: two processors render and evaluate two cameras
 _HURRIED = (
     (discovery, "BAUDS", (1_000_000,)),
     (discovery, "IDS", range(1, 4)),
@@ -30,7 +32,7 @@ _HURRIED = (
     (interactive, "_REST_TIME", 0.3),
     (interactive, "_VALVE_STAGES", (1.0, 1.0, 0.5)),
 )
-"""What is shortened of the commands' waiting: emulated jaws have nothing to settle."""
+"""Waiting times of commands that are shortened: emulated jaws have nothing to settle."""
 
 
 def run(
@@ -40,8 +42,11 @@ def run(
     resume: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """The day, step by step; with `quick` one grasp before and after, and no shadow. What was done
-    so far is kept in `out`/first_day.json: with `resume` a day that was cut off goes on."""
+    """Run the day, step by step.
+
+    With `quick` there is one grasp before and one after, and no shadow comparison. Results so far
+    are stored in `out`/first_day.json. With `resume` an interrupted day continues.
+    """
     if not resume:
         shutil.rmtree(out / "day", ignore_errors=True)
         (out / "first_day.json").unlink(missing_ok=True)
@@ -78,41 +83,50 @@ def _hurried() -> Iterator[None]:
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
-    lines = ["| step | what came of it |", "|---|---|"]
+    lines = ["| step | result |", "|---|---|"]
     for row in result["steps"]:
         name = row["step"]
         came = f"failed: {row['failed']}" if "failed" in row else _came(name, row)
-        lines.append(f"| {name} | {came} |")
+        lines.append(f"| {_STEPS.get(name, name)} | {came} |")
     live = [row for row in result["steps"] if row["step"] not in ("record and fit", "shadow")]
     minutes = sum(row["seconds"] for row in live) / 60
     note = (
-        f"Felt less true force is asked to be within {result['asked_N']:g} N. All but fit "
-        f"and shadow took {minutes:.0f} minutes of the emulated rig's time, with the waiting "
-        "of some commands shortened."
+        f"Required: force error (estimate minus ground truth) within {result['asked_N']:g} N. All "
+        f"steps except fit and compare-sim took {minutes:.0f} minutes of emulated time; some "
+        "waiting times were shortened."
     )
     return "\n".join(lines) + f"\n\n{note}\n"
 
 
+_STEPS = {
+    "grasp, before": "grasp before calibration",
+    "grasp, after": "grasp after calibration",
+    "shadow": "compare-sim",
+}
+
+
 def _came(step: str, row: Mapping[str, Any]) -> str:
-    """What a step came to, in words."""
+    """Describe the result of a step in words."""
     if step.startswith("grasp"):
         means = [f"{left:+.3f}, {right:+.3f}" for left, right in row["mean_N"]]
         return (
-            f"an egg is held {len(means)} times; felt less true on each finger (left, right), N, "
-            f"means: {'; '.join(means)}; worst image {row['worst_N']:.3f}"
+            f"egg held {len(means)} times; mean force error (left, right), N: "
+            f"{'; '.join(means)}; worst image {row['worst_N']:.3f}"
         )
     if step == "setup":
-        told = "told apart" if row["cameras_told_apart"] else "taken for each other"
-        return f"{row['questions']} questions; the cameras are {told}"
+        found = "correctly assigned" if row["cameras_told_apart"] else "exchanged"
+        return f"{row['questions']} questions; cameras {found}"
     if "fx_px" in row:
         (true, found), (cx, found_cx) = row["fx_px"], row["cx_px"]
-        return f"focal length {found:.1f} px ({true:.0f} truly), centre {found_cx:.1f} ({cx:.1f})"
+        return (
+            f"focal length {found:.1f} px (true {true:.0f}), center {found_cx:.1f} (true {cx:.1f})"
+        )
     if "young_MPa" in row:
         (young, found), (stretch, found_stretch) = row["young_MPa"], row["pre_stretch"]
         quick, found_quick = row["quick_over_lasting_less_1"]
         return (
-            f"modulus {found:.2f} MPa ({young:.2f} truly when all has faded), pre-stretch "
-            f"{found_stretch:.3f} ({stretch:.3f}), {found_quick:.0%} fade within the recording "
-            f"({quick:.0%} in 1000 s)"
+            f"modulus {found:.2f} MPa (true long-term value {young:.2f}), pre-stretch "
+            f"{found_stretch:.3f} (true {stretch:.3f}), {found_quick:.0%} relaxation within the "
+            f"recording (true {quick:.0%} in 1000 s)"
         )
-    return row.get("verdict", "good")
+    return row.get("verdict", "passed")

@@ -1,7 +1,8 @@
-"""Somebody at an emulated rig: with a printed board, a caliper, a load cell and a keyboard.
+"""Simulated operator of an emulated rig, with a printed board, a caliper, a load cell and a
+keyboard.
 
-The emulator's own world is the caliper and the load cell, as in `mjtactile.calibrate.interactive`:
-instruments outside of the devices, which a person would read on a real rig.
+The emulator's world serves as caliper and load cell, as in `mjtactile.calibrate.interactive`. These
+instruments are outside of the devices, and a person would read them on a real rig.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ _PIXELS = 60  # of the drawn board a square
 
 
 class Person:
-    """Stands for stdin and stderr: reads what is asked, looks at the instrument, types."""
+    """Replacement for stdin and stderr: reads the prompt, reads the instrument, types the
+    answer."""
 
     def __init__(self, emulator: Any):
         self._emulator = emulator
@@ -55,7 +57,7 @@ class Person:
 
     @contextlib.contextmanager
     def at_the_terminal(self) -> Iterator[None]:
-        """While it lasts, what asks on stderr is answered on stdin."""
+        """Answer prompts on stderr through stdin while the context lasts."""
         before = sys.stdin, sys.stderr
         sys.stdin = sys.stderr = self  # type: ignore[assignment]
         try:
@@ -65,8 +67,10 @@ class Person:
 
 
 def photograph_board(folder: Path, camera: CameraDesign) -> None:
-    """Pictures of the board through OpenCV's model of that camera, without membrane and pane, all
-    over the view and tilted."""
+    """Write images of the board, tilted and all over the view.
+
+    They use OpenCV's model of that camera, without membrane and glass.
+    """
     K = camera.K
     k = np.array(camera.distortion)
     u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))

@@ -1,1 +1,1 @@
-"""What touch at the speed of learning costs in accuracy, and how fast it is."""
+"""Accuracy and speed of touch at the simulation levels for learning."""

@@ -1,4 +1,4 @@
-"""How errors of a chain compare with what is drawn with a model of them."""
+"""Comparison of a sensing chain's errors with errors sampled from a model of them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from mjtactile.sim.sensing_error_model import SensingErrorModel
 
 
 def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
-    """How errors of other seeds compare with the model: their root mean square over its sd at each
-    load (1: as it says), over all grasps."""
+    """Compare errors of other seeds with the model.
+
+    At each load, over all grasps, compute the rms error over the model's standard deviation (1: as
+    modeled).
+    """
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
     known = np.asarray(rows["status"] == "ok")
     left = rows["felt"] - rows["wrench"] @ (np.eye(6) + errors.gain).T

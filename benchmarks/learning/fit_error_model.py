@@ -1,10 +1,11 @@
-"""`mjtactile bench error-model`: what a sensor's chain errs by in grasps, fitted, for `--effects
--mesh,-pipeline`; and how far what is drawn with it is from that, on other seeds.
+"""`mjtactile bench error-model`: fitted error model of a sensing chain, for `--effects
+-mesh,-pipeline`.
 
-Random things are gripped with forces that wander from 0.05 to 2.2 N, and lifted, with images and
-the whole chain over films; what was felt of each image is compared with what the film bore. The
-model of `mjtactile/sim/sensing_error_model.py` is fitted to every other seed and checked on those
-between; what is written is fitted to all.
+Random objects are gripped with forces that vary from 0.05 to 2.2 N, and lifted. Images and the
+whole chain run over quasi-static membranes. The estimate from each image is compared with the load
+of the membrane. The model of `mjtactile/sim/sensing_error_model.py` is fitted to every other seed.
+Errors sampled from it are checked on the seeds between. The written model is fitted to all
+seeds.
 """
 
 from __future__ import annotations
@@ -32,17 +33,18 @@ from mjtactile.sim.sensing_error_model import SensingErrorModel, path_of
 LOADS = np.array([0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 1.6])
 GRASPS, GRASPS_QUICK = 40, 2
 FIRST_SEED = 6000  # evaluate and bench learning begin below
-_PRESSED = 0.03  # N, from which on the error may go with the wrench
+_PRESSED = 0.03  # minimum normal force for the fit of gains, N
 _LAGS = 30  # images over which errors are followed
 _OUTLIER = 5.0  # sd
-_DRAGGED = 0.05  # N, from which on a grasp's gain of shear is told
-_MEDIAN = 0.6745  # of the magnitude of what is normal, over its sd
-_LOADED = 0.1  # N, from which on a grasp has errors of its own
+_DRAGGED = 0.05  # minimum shear force for a grasp's shear gain, N
+_MEDIAN = 0.6745  # median magnitude of a normal variable, over its sd
+_LOADED = 0.1  # minimum normal force for a grasp's own error factor, N
 _FEW = 30
 """Images at a load, from which on it is fitted to them alone."""
 _FEW_OF_GRASP, _FEW_GRASPS = 8, 16  # images of a grasp at a load, and grasps
 _GOES_WITH = ([], [], [], [3, 1], [4, 0], [5])
-"""By which true parts the mean error of each goes; the shear's own is each grasp's."""
+"""Wrench components that the mean error of each component is proportional to; the shear error is
+specific to each grasp."""
 _RIDGE = 0.01
 WORLDS = {"errors": "none", "varied": "default"}
 """Name of a set of errors in the file, and the variation that it is measured under."""
@@ -100,7 +102,7 @@ def joined(grasps: Sequence[Rows]) -> Rows:
 
 
 def fit(rows: Rows) -> SensingErrorModel:
-    """The errors of the chain that felt these rows."""
+    """Fit the error model of the chain that produced these rows."""
     known = np.asarray(rows["status"] == "ok")
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
     share = _shares(load)
@@ -169,9 +171,12 @@ def _shares(load: Array) -> Array:
 
 
 def _gain(true: Array, error: Array) -> Array:
-    """(6, 6) By which each part's error goes with that part where something presses, and a torque's
-    with the shear across it, too, which has a lever; least squares, each row over its force. The
-    normal force's goes by its mean at each load."""
+    """Return the gains (6, 6) of the error per unit of wrench, under load.
+
+    Each component depends on its own true value. A torque also depends on the shear across it,
+    through a lever. The fit is least squares, each row divided by its force. The normal force's
+    gain is left to its mean at each load.
+    """
     pressed = -true[:, 2] > _PRESSED
     size = np.maximum(-true[pressed, 2], 0.1)[:, None]
     a = true[pressed] / size
@@ -187,9 +192,13 @@ def _gain(true: Array, error: Array) -> Array:
 
 
 def _shear_gains(true: Array, error: Array, rows: Rows) -> tuple[Array, float]:
-    """(n,) The share by which the shear of a row's grasp and finger is felt too large, throughout,
-    and its standard deviation between grasps: medians, since an edge may undo it for a while. Their
-    median is not the chain's alone: a film sticks within 4 to 9 % of a sheet (X7)."""
+    """Return the relative shear error (n,) of each row's grasp and finger, and its sd between
+    grasps.
+
+    It lasts for the whole grasp. Both values are medians, since an edge may cancel the error for a
+    while. The median is not due to the chain alone: the friction of a quasi-static membrane agrees
+    with that of a mesh within 4 to 9 % (X7).
+    """
     drag = np.linalg.norm(true[:, :2], axis=1)
     along = (error[:, :2] * true[:, :2]).sum(axis=1) / np.maximum(drag, 1e-9) ** 2
     tells = (drag > _DRAGGED) & (-true[:, 2] > _LOADED)
@@ -226,22 +235,23 @@ def _moments(values: Array, share: Array) -> tuple[Array, Array]:
 
 
 def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Array, Array]:
-    """Moments as a typical grasp has them, medians over grasps and fingers: few err ten times as
-    much as most, above all where something presses hard, and without this all would be drawn with
-    what these do.
+    """Return the moments of a typical grasp, medians over grasps and fingers.
+
+    A few grasps have ten times the usual error, mostly under high pressure. Without medians they
+    would dominate the samples.
 
     Returns:
         Mean and sd (k, 6) at each load, the factor (n,) of each row's grasp, and at each load the
-        standard deviation (k,) of a factor's logarithm. A factor's square is one in the mean where
-        that is normal.
+        standard deviation (k,) of a factor's logarithm. The squared factor has mean one for a
+        log-normal factor.
     """
     mean = _typical(left, near, rows, _mean)
-    mean[:, :2] = 0.0  # all things hang the same way: it would be a gain
+    mean[:, :2] = 0.0  # gravity acts in the same direction on all objects: it would be a gain
     off = left - near @ mean
     sd = np.maximum(_typical(off, near, rows, _root_mean_square), 1e-9)
     z = off / (near @ sd)
     spread = _typical(z, near, rows, _logarithm, np.std)[:, 0]
-    spread[0] = 0.0  # what is there without a load has no factor
+    spread[0] = 0.0  # errors without a load have no factor
     rms = np.exp(spread**2)  # of a factor, over its median
     return mean, rms[:, None] * sd, _between(z, rows) / (near @ rms), spread
 
@@ -253,8 +263,11 @@ def _typical(
     of: Callable[[Array], Array],
     over: Callable[..., Any] = np.median,
 ) -> Array:
-    """(k, m) Median, or what is `over` grasps and fingers, of what `of` says of a grasp's `values`
-    (n, m) at each load; where few have any, as at the nearest load with enough."""
+    """Return the median (k, m), or the statistic `over`, of grasps and fingers at each load.
+
+    `of` reduces the `values` (n, m) of one grasp. A load with too few grasps gets the result of the
+    nearest load with enough.
+    """
     nearest = share.argmax(axis=1)
     found: list[Array | None] = []
     for k in range(len(LOADS)):
@@ -312,11 +325,11 @@ def _correlation_of(cov: Array) -> Array:
 
 
 def _alone(left: Array, rows: Rows) -> tuple[Array, Array]:
-    """By how much each image's errors (n, 6) stand out of its neighbours'.
+    """Compute the difference of each image's errors (n, 6) from those of its neighbors.
 
     Returns:
-        (2, m, 6) error less the one's before and less the one's after; and the rows (m,) that it is
-        of: those with two neighbours.
+        (2, m, 6) error minus that of the previous image, and minus that of the next; and the
+        indices (m,) of the rows: those with two neighbors.
     """
     found = []
     middles = []
@@ -341,8 +354,10 @@ def _median_at(values: Array, share: Array) -> Array:
 
 
 def _memory(z: Array, rows: Rows) -> float:
-    """Time constant, s, of what lasts: of z's autocorrelation over a second, fitted by
-    s exp(-t/T)."""
+    """Return the time constant T, s, of the lasting part of the error.
+
+    The autocorrelation of z over a second is fitted by s exp(-t/T).
+    """
     sums = np.zeros(_LAGS + 1)
     counts = np.zeros(_LAGS + 1)
     z = np.clip(z, -_OUTLIER, _OUTLIER)
@@ -368,13 +383,14 @@ def _memory(z: Array, rows: Rows) -> float:
 def table(result: dict[str, Any]) -> str:
     """The check as Markdown."""
     grasps = " and ".join(str(one["grasps"]) for one in result["checks"].values())
-    words = {"errors": "as its file says", "varied": "`--randomization default`"}
+    words = {"errors": "nominal", "varied": "`--randomization default`"}
     lines = [
-        f"`{result['sensor']}`, {grasps} grasps, of which every other one was fitted to and those "
-        "between are in the table. Normal force: rms error of the chain / as drawn. Ratios: errors "
-        "over the sd that the model has at that load.",
+        f"`{result['sensor']}`, {grasps} grasps. Every other one is used for the fit, the rest for "
+        "the table. Normal force: rms error of the pipeline / of the sampled touch. Ratios: error "
+        "/ sd of the model at that load.",
         "",
-        "| sensor | load, N | images | force, mN | force | shear | torque |",
+        "| sensor | load, N | images | force error, mN | force ratio | shear ratio | torque ratio "
+        "|",
         "|---" * 7 + "|",
     ]
     for name, checked in result["checks"].items():

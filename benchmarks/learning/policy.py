@@ -1,8 +1,9 @@
-"""`mjtactile bench policy`: a policy learned from nothing, and what it holds afterwards.
+"""`mjtactile bench policy`: a policy learned from scratch, and its success rate afterwards.
 
-`examples/learn_to_grasp.py` learns for ten minutes with drawn touch; what it saved then grasps
-random things that it has not met, once with drawn touch and once with everything simulated. The
-page's own ten lines are run, too, for a few thousand decisions, and timed. Needs the extra `learn`.
+`examples/learn_to_grasp.py` learns for ten minutes with synthetic touch. The saved policy then
+grasps unseen random objects, once with synthetic touch and once with everything simulated. The ten
+lines of the documentation page also run for a few thousand decisions, timed. Needs the extra
+`learn`.
 """
 
 from __future__ import annotations
@@ -25,34 +26,35 @@ from mjtactile.runtime.progress import Progress
 CHECKOUT = Path(__file__).parents[2]
 LEARNER = CHECKOUT / "examples" / "learn_to_grasp.py"
 PAGE = CHECKOUT / "docs" / "how-to" / "train.md"
-LEVELS = {"-mesh,-pipeline": "drawn, as it learned", "auto": "everything simulated"}
+LEVELS = {"-mesh,-pipeline": "sampled, as in training", "auto": "complete simulation"}
 SECONDS, SECONDS_QUICK = 600, 40
 EPISODES, EPISODES_QUICK = 24, 2
 DECISIONS = 2048  # of the ten lines: of one update of the learner, which makes no fewer
-FIRST_SEED = 5000  # of the episodes that judge; the learner draws its seeds elsewhere
+FIRST_SEED = 5000  # first seed of the evaluation episodes; the learner uses others
 SHOWN = 6  # times of the learner's that the table has
 ENDS = {
     "held": "held",
     "dropped": "dropped",
     "crushed": "crushed",
     "out of time": "out of time",
-    "error": "ended by a film that found no rest",
+    "error": "quasi-static membrane did not converge",
 }
 
 Say = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
-    """Learn, judge and time; a quarter of an hour on two cores.
+    """Learn, evaluate and time; a quarter of an hour on two cores.
 
     Args:
-        out: Folder; the policy is kept in its policy.npz.
-        quick: Learn for a moment: to see that it works.
-        say: Told of what comes.
+        out: Folder; the policy is stored in its policy.npz.
+        quick: Learn for a short time, only to check that it works.
+        say: Receiver of progress messages.
 
     Returns:
-        "learned": rows of time, decisions and how the last hundred episodes ended; "judged": for
-        each level, `evaluate`'s numbers; "ten_lines": decisions a second of the page's.
+        "learned": rows of time, decisions and outcomes of the last hundred episodes; "judged": for
+        each level, the numbers of `evaluate`; "ten_lines": decisions per second of the page's
+        lines.
     """
     say = say or Progress().message
     saved = out / "policy.npz"
@@ -67,7 +69,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
 
 
 def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
-    """What the example says while it learns."""
+    """Return the progress that the example reports while it learns."""
     command = [sys.executable, str(LEARNER), str(saved), str(seconds)]
     rows: list[dict[str, Any]] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_one_thread()) as learner:
@@ -87,7 +89,7 @@ def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
 
 
 def _judge(saved: Path, effects: str, episodes: int) -> dict[str, Any]:
-    """Of random things that the policy has not met, without the noise that it learned by."""
+    """Evaluate the policy on unseen random objects, without exploration noise."""
     folder = saved.parent / f"judged{effects.replace(',', '')}"
     command = [sys.executable, "-m", "mjtactile", "evaluate", "--controller", "policy"]
     command += ["--objects", "random", "--episodes", str(episodes), "--seed", str(FIRST_SEED)]
@@ -131,11 +133,11 @@ def _one_thread() -> dict[str, str]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """What was learned, when; what was held then; and the ten lines' rate."""
+    """Return the learning progress, the final evaluation, and the rate of the ten lines."""
     rows = _some(result["learned"])
     lines = [
         f"{rows[-1]['decisions']:,} decisions of 0.27 s in {rows[-1]['seconds']} s, on two cores. "
-        "Of the last hundred episodes after".replace(",", " ", 1),
+        "Outcomes of the last hundred episodes after".replace(",", " ", 1),
         "",
         "| | " + " | ".join(f"{row['seconds']} s" for row in rows) + " |",
         "|---" * (len(rows) + 1) + "|",
@@ -145,11 +147,11 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(f"| {words} | " + " | ".join(counts) + " |")
     lines += [
         "",
-        "with the noise that it learns by. Without it, on random things that it had not met "
-        f"(`--seed {FIRST_SEED}`), the policy then held",
+        "with exploration noise. Without it, on unseen random objects "
+        f"(`--seed {FIRST_SEED}`), the policy held",
         "",
         "| touch | held | 95 % interval | dropped / crushed / stopped / out of time / failed "
-        "| largest force, median (worst), N | grip over need, median |",
+        "| largest force, median (worst), N | grip force relative to required force, median |",
         "|---|---|---|---|---|---|",
     ]
     lines += [_judged_row(LEVELS[level], judged) for level, judged in result["judged"].items()]
@@ -157,8 +159,8 @@ def table(result: Mapping[str, Any]) -> str:
     whole = result["ten_lines"]["meant"] / rate / 60
     lines += [
         "",
-        f"The ten lines above, of one environment, make {rate:.0f} decisions a second "
-        f"({result['ten_lines']['decisions']} of them were timed, with their start): "
+        f"The ten lines above, with one environment, make {rate:.0f} decisions per second "
+        f"({result['ten_lines']['decisions']} decisions timed, start included): "
         f"{whole:.0f} minutes.",
     ]
     return "\n".join(lines) + "\n"

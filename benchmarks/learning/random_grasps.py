@@ -1,5 +1,7 @@
-"""A hand that grips random things with forces that wander, and lifts them: touches as they come in
-grasps, of all loads, for whoever compares what is felt with what is true."""
+"""Grasps of random objects with varying forces, followed by a lift.
+
+They cover all loads of real grasps, for comparison of estimated touch with ground truth.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,13 @@ from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.session import Session, open_session
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
-_LEAST, _MOST = 0.05, 1.5  # N that it grips with
-_CHANGE_EVERY = 0.4  # s
-_CLOSING = 0.04  # m/s
-_GAIN = 0.04  # m/s for each N that is missing
-_FASTEST = 0.02  # m/s of that
-_RISE = 0.03  # m/s
-_TIME = 3.0  # s from the first touch of both
+_LEAST, _MOST = 0.05, 1.5  # range of the grip force, N
+_CHANGE_EVERY = 0.4  # period of goal changes, s
+_CLOSING = 0.04  # closing speed, m/s
+_GAIN = 0.04  # closing speed per missing force, m/s per N
+_FASTEST = 0.02  # limit of that speed, m/s
+_RISE = 0.03  # lift speed, m/s
+_TIME = 3.0  # duration after the first contact of both fingers, s
 
 
 class Squeezer:
@@ -65,7 +67,7 @@ class Squeezer:
 
 @dataclass
 class Compared(Observer):
-    """Rows of what was true when an image was taken, and what was felt of it."""
+    """Rows of ground truth at each image, and the estimate from that image."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
 
@@ -107,17 +109,18 @@ def _felt(touch: Touch) -> dict[str, Any]:
 
 
 def squeeze(scenario: Scenario) -> dict[str, Array]:
-    """Grip the scenario's object, and compare.
+    """Grip the scenario's object, and compare the estimates with ground truth.
 
     Args:
-        scenario: Its seed also draws the goals.
+        scenario: Scenario; its seed also determines the goals.
 
     Returns:
-        By name, one row for each image of each finger, in order of time; `seed` is among them. Up
-        to where the simulation failed, if it did: a film is no sensor for everything.
+        Columns by name, one row for each image of each finger, in order of time; `seed` is among
+        them. The rows end where the simulation failed: a quasi-static membrane does not suit every
+        contact.
 
     Raises:
-        MjtactileError: It failed at once.
+        MjtactileError: The simulation failed before the first row.
     """
     compared = Compared()
     with open_session(scenario, workers=0) as session:

@@ -1,9 +1,11 @@
-"""`mjtactile bench learning`: how fast touch is at each level of simulation, and what that costs.
+"""`mjtactile bench learning`: speed of touch at each level of simulation, and its cost in accuracy.
 
-Steps of the environment by a fixed policy, in processor time of one core; several environments in
-threads against one thread, by the clock and by the same policy; episodes of `gentle` at each level,
-the same seeds: their outcomes, the force they held, and how many an hour of one core is; what is
-made once for a design; memory of many environments, in a process of their own.
+- Environment steps by a fixed policy, in processor time of one core.
+- Several environments in threads against one thread, in wall time, with the same policy.
+- Episodes of `gentle` at each level with the same seeds: outcomes, hold force, episodes per hour of
+  one core.
+- Precomputation for a new design.
+- Memory of many environments, in a separate process.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ TOGETHER = 8
 MANY = 64
 FIRST_SEED = 9000  # of pairs: nothing was fitted or tuned on these
 _STEPS, _STEPS_QUICK = 224, 30  # of those together: a grasp and the reset after it
-_FORCE = 0.6  # N that the policy grips with
+_FORCE = 0.6  # grip force of the policy, N
 
 Say = Callable[[str], None]
 
@@ -74,14 +76,14 @@ def run(
 
 
 def grip(shown: Array, phase: str) -> Array:
-    """An action of the fixed policy: close, grip with 0.6 N, lift, hold, set down.
+    """Return an action of the fixed policy: close, grip with 0.6 N, lift, hold, set down.
 
     Args:
-        shown: (30,) What the environment shows.
-        phase: Of the grasp.
+        shown: Observation of the environment (30,).
+        phase: Phase of the grasp.
 
     Returns:
-        (3,).
+        The action (3,).
     """
     least = min(shown[2], shown[10])
     if phase == "approach":
@@ -151,7 +153,8 @@ def _pair(seed: int, number: int, count: int, say: Say) -> dict[str, Any]:
 
 
 def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of each cheap level against the dear one, and of the drawn one against the film's."""
+    """Compare each cheap level with the full one, and synthetic touch with the quasi-static
+    membrane."""
     against = [("-mesh", "auto"), (DRAWN, "auto"), (DRAWN, "-mesh")]
     return {
         "count": len(rows),
@@ -181,7 +184,7 @@ def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, An
     }
 
 
-# -- what is made once
+# -- precomputation
 
 
 _CONDENSE = """
@@ -198,7 +201,10 @@ print(time.process_time() - begin)
 
 
 def _condense() -> float:
-    """Processor seconds to make a design's film and what sticks to it, where none was made yet."""
+    """Return the processor time, s, to precompute a design's membrane and its sticking contacts.
+
+    No cached result exists.
+    """
     return _alone(_CONDENSE)
 
 
@@ -220,7 +226,7 @@ def _memory(count: int) -> dict[str, float]:
 
 
 def _alone(code: str, *arguments: int) -> float:
-    """What it prints in a process of its own."""
+    """Run code in a separate process and return the number it prints."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
@@ -228,27 +234,35 @@ def _alone(code: str, *arguments: int) -> float:
 # -- table
 
 
+_LABELS = {
+    "everything": "complete simulation",
+    "without the sheet's mesh": "without mesh",
+    "without mesh, touch drawn": "without mesh, sampled touch",
+}
+
+
 def table(result: dict[str, Any]) -> str:
     """All of it as Markdown."""
-    lines = ["| level | `effects` | steps a second of one core | a reset, s |", "|---|---|---|---|"]
+    lines = ["| level | `effects` | steps per second of one core | reset, s |", "|---|---|---|---|"]
     lines += [
-        f"| {name} | `{LEVELS[name]}` | {row['steps_a_second']:.0f} | {row['reset_s']:.2f} |"
+        f"| {_LABELS.get(name, name)} | `{LEVELS[name]}` | {row['steps_a_second']:.0f} | "
+        f"{row['reset_s']:.2f} |"
         for name, row in result["speeds"].items()
     ]
     together = result["together"]
     lines += [
         "",
-        f"{TOGETHER} environments with drawn touch in one process: {together['1']:.0f} steps a "
-        f"second by the clock in one thread, {together['2']:.0f} in two. A design's film is made "
-        f"in {result['condense_s']:.2f} s. A process with one environment takes "
-        f"{result['memory_MB']['one']:.0f} MB, with {result['memory_MB']['count']} "
-        f"{result['memory_MB']['many']:.0f} MB.",
+        f"{TOGETHER} environments with sampled touch in one process: {together['1']:.0f} steps "
+        f"per second of wall time in one thread, {together['2']:.0f} in two. The quasi-static "
+        f"membrane of a design is computed in {result['condense_s']:.2f} s. Memory of a process: "
+        f"{result['memory_MB']['one']:.0f} MB with one environment, "
+        f"{result['memory_MB']['many']:.0f} MB with {result['memory_MB']['count']}.",
         "",
         f"{result['pairs']['count']} episodes of random objects (`gentle`, "
-        f"`--randomization default`, seeds from {FIRST_SEED} on) at three levels:",
+        f"`--randomization default`, seeds from {FIRST_SEED}) at three levels:",
         "",
-        "| level | against | the same outcome | held force, mN (95 %) | episodes an hour of one "
-        "core |",
+        "| level | reference | same outcome | difference of the grip force, mN (95 %) | episodes "
+        "per hour of one core |",
         "|---|---|---|---|---|",
     ]
     lines += [

@@ -1,10 +1,10 @@
-"""The membrane's deformation x(X) from marker positions, and its elastic statics in weak form.
+"""Membrane deformation x(X) from marker positions, and its elastic statics in weak form.
 
-Markers are material points, so identified markers give the deformation itself, not only a surface.
-It is written as a tensor-product cubic B-spline u(X) = x - X over the mounted flat sheet (material
+Markers are material points. Identified markers therefore give the deformation itself, not only a
+surface. It is a tensor-product cubic B-spline u(X) = x - X over the mounted flat membrane (material
 coordinates X, frame S), with u = 0 on the frame. The operators depend on the layout alone and are
-computed once for each sensor, so a camera frame costs one small solve and one matrix product.
-Elasticity is that of the sheet's law in plane stress with the pre-stretch, as in the sensor file
+computed once for each sensor. A camera frame then costs one small solve and one matrix product.
+Elasticity is the membrane's law in plane stress with the pre-stretch, as in the sensor file
 (docs/theory/membrane_inverse.md, Eq. F3-F6).
 """
 
@@ -22,8 +22,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 
-# nodes in each interval of the spline: what is integrated varies over markers, several intervals
-# wide
+# nodes in each interval of the spline: integrands vary over markers, several intervals wide
 _GAUSS = 2
 
 
@@ -42,15 +41,15 @@ class Fields:
 
 
 class MembraneModel:
-    """Precomputed operators of one sensor's membrane: marker positions to deformation, strain and
+    """Precomputed operators of a membrane: from marker positions to deformation, strain and
     weak-form forces.
 
     `material` (N, 2) are the markers' positions on the flat membrane, m in S (the design's layout
-    unless measured). The displacement is the smoothest field (least integral of squared second
-    derivatives) that meets the markers up to their noise: a smoothing spline, in its kernel form
-    u(X) = sum_i g(X, X_i) alpha_i, so that one product with a fixed matrix gives all fields, and
-    markers that are not seen just drop out (Eq. F3). `smoothing` is the squared ratio of marker
-    noise to bending amplitude; below 1e-3 the force no longer depends on it.
+    unless measured). The displacement is the smoothest field (minimum integral of squared second
+    derivatives) that fits the markers within their noise. It is a smoothing spline in kernel form,
+    u(X) = sum_i g(X, X_i) alpha_i. One product with a fixed matrix gives all fields, and missing
+    markers drop out (Eq. F3). `smoothing` is the squared ratio of marker noise to bending
+    amplitude. Below 1e-3 it has no effect on the force.
     """
 
     def __init__(
@@ -137,11 +136,10 @@ class MembraneModel:
         return self.basis(X) @ (self._kernel @ alpha)
 
     def first_piola(self, fields: Fields) -> Array:
-        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m, plane stress, pre-stretch
-        included.
+        """Compute the membrane force per mounted length P = h F S, (Q, 3, 2), N/m.
 
-        With F0 = lambda I from the free sheet to the mounted one, C = lambda^2 F^T F; S by the
-        sheet's law, per mounted length and free thickness (Eq. F4).
+        Plane stress with pre-stretch. With F0 = lambda I from the free to the mounted membrane, C =
+        lambda^2 F^T F; S by the membrane's law, per mounted length and free thickness (Eq. F4).
         """
         C = self.design.membrane.pre_stretch**2 * np.einsum("qia,qib->abq", fields.F, fields.F)
         S11, S22, S12 = self._law.stress(C[0, 0], C[1, 1], C[0, 1])

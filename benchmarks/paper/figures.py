@@ -16,7 +16,7 @@ _COLOURS = {"solid": "tab:blue", "sponge": "tab:red"}  # as in the paper's Fig. 
 
 
 def save(name: str, result: Mapping[str, Any], out: Path) -> None:
-    """Write `out`/NAME.png; without matplotlib say so on stderr."""
+    """Write `out`/NAME.png; report a missing matplotlib on stderr."""
     draw, size = _DRAW[name]
     if (figure := new_figure(f"{name}.png", size, dpi=100)) is not None:
         draw(figure, result)

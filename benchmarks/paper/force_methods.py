@@ -19,12 +19,11 @@ from mjtactile.core.types import Array, Markers, Surface
 
 
 def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:
-    """Force of the world on each grid node (ny, nx, 3) N: the paper's grid of springs (its Fig. 4),
-    against rest.
+    """Compute the external force on each grid node (ny, nx, 3), N, relative to rest.
 
-    A uniformly stretched sheet of `tension` N/m pulls a node along each of its four springs with
-    the tension times the spacing across it. What the springs pull in excess of the rest state must
-    be held by the outside.
+    This is the paper's grid of springs (its Fig. 4). In a uniformly stretched membrane of `tension`
+    N/m, each of the four springs of a node pulls with the tension times the spacing across it. The
+    change of the spring forces from the rest state is balanced by the external force.
     """
     pull = _spring_pull(surface, tension) - _spring_pull(rest, tension)
     return -pull
@@ -54,11 +53,13 @@ def _spring_pull(surface: Surface, tension: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """What the sensor measured of itself with nothing touching: gas `volume` m^3 (chamber and
-    bulge), absolute `pressure` Pa, the factor `stiffness_scale` that makes its elastic forces
-    balance the pressure, the remaining wrench `offset` (6,), and the sensitivities `jacobian` (6,
-    N, 3) of the wrench to marker positions. `sealed`: the gas is kept; otherwise the valve keeps
-    the pressure."""
+    """Calibration of the sensor from a state without contact.
+
+    Gas `volume`, m^3 (chamber and bulge), and absolute `pressure`, Pa. The factor `stiffness_scale`
+    makes the elastic forces balance the pressure. `offset` (6,) is the remaining wrench, `jacobian`
+    (6, N, 3) the sensitivity of the wrench to marker positions. `sealed`: the amount of gas is
+    constant; otherwise the valve keeps the pressure constant.
+    """
 
     volume: float
     pressure: float
@@ -72,14 +73,14 @@ class MembraneForce:
     """Net contact wrench by the weak form of equilibrium (docs/theory/membrane_inverse.md, Eq. F5,
     F6).
 
-    For a test function phi that is 1 over the contact and 0 on the frame, the virtual work of the
-    membrane's stress, of the gas and of the contact cancel:
+    Let the test function phi be 1 over the contact and 0 on the frame. Then the virtual work of the
+    membrane stress, the gas and the contact cancel:
 
         F = int P grad(phi) dX - p int phi N dX
 
-    and with x cross both integrands the torque. It needs slopes only where phi falls, so noise in
-    curvature does not enter. The pressure follows from the reconstructed volume by
-    p V^gamma = constant.
+    The torque follows with x cross both integrands. The formula needs slopes only where phi falls,
+    so curvature noise has no effect. With p V^gamma = constant, the reconstructed volume gives the
+    pressure.
     """
 
     def __init__(self, model: MembraneModel, settings: PaperSettings = DEFAULTS):

@@ -1,9 +1,8 @@
-"""How far from the physical limit the poses of single circles are, and whether their covariance is
-right.
+"""Pose errors of single circles relative to the Cramer-Rao bound, and a check of their covariance.
 
-Images come from `marker_scenes`, which shares nothing with the detector. "centre error" takes the
-nearer of the two solutions of the circle's pose (one image cannot tell them apart; the surface
-does), "as returned" the preferred one.
+Images come from `marker_scenes`, which shares no code with the detector. "centre error" takes the
+nearer of the two solutions of the circle's pose. One image cannot distinguish them; the surface
+can. "as returned" takes the preferred solution.
 """
 
 from __future__ import annotations
@@ -20,7 +19,8 @@ from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.circles_from_images import detect_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
-_STEP = np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3])  # m and rad: numeric derivatives of the image
+# steps of the numerical image derivatives, m and rad
+_STEP = np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3])
 RADIUS = 0.0015
 BLUR = 0.7
 NOISE = 2.0
@@ -96,8 +96,11 @@ def paper_like(images: int, seed: int = 0) -> tuple[dict[str, float], dict[str, 
 def match(
     poses: CirclePoses, circles: Sequence[marker_scenes.Circle]
 ) -> tuple[Array, Array, Array]:
-    """For each circle: the index (n,) of the nearest trusted pose, the nearer of its two centres
-    (n, 3), and whether one is within a marker's radius (n,)."""
+    """Assign to each circle the index (n,) of the nearest trusted pose.
+
+    Return also the nearer of its two centres (n, 3), and True (n,) where it lies within a marker's
+    radius.
+    """
     truth = np.array([c.p_C for c in circles])
     trusted = np.flatnonzero(poses.status == "ok")
     if not len(trusted):
@@ -163,8 +166,10 @@ def cramer_rao(
 
 
 def bias_against_blur(repeats: int) -> list[dict[str, float]]:
-    """Depth bias and spread of circles 40 mm away at 20 deg tilt, for several blurs; the classical
-    bias beside it."""
+    """Compute the depth bias and spread of circles for several blurs.
+
+    The circles are 40 mm away at 20 deg tilt. The classical bias is given for comparison.
+    """
     rows = []
     rng = np.random.default_rng(2)
     circles = marker_scenes.random_circles(CAMERA, rng, depth=(0.04, 0.04), tilt_deg=(20, 20))

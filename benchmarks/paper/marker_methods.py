@@ -1,4 +1,4 @@
-"""The same images by this package, by the paper's own route, and by what OpenCV offers."""
+"""Comparison of this package, the paper's method and OpenCV on the same images."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from mjtactile.sensing.pose.circles_from_images import Neighbours, detect_circle
 
 
 def compare_methods(images: int, seed: int = 1) -> dict[str, dict[str, float]]:
-    """The same images by this package, the paper's sine rule on the same ellipses, and what OpenCV
-    offers."""
+    """Compare this package, the paper's sine rule and OpenCV's methods on the same images.
+
+    The sine rule uses the same ellipses as this package.
+    """
     methods: dict[str, Callable[[Any], Array]] = {
         "closed form, sub-pixel (default)": lambda im: _both(
             estimate_poses(detect(im, CAMERA), CAMERA, RADIUS)
@@ -70,7 +72,8 @@ def _both(poses: CirclePoses) -> Array:
 
 
 def opencv_ellipses(image: Array) -> Ellipses:
-    """What most people do: whole-pixel borders of a global threshold, `cv2.fitEllipse`."""
+    """Fit ellipses with the common method: whole-pixel contours of a global threshold,
+    `cv2.fitEllipse`."""
     _, binary = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)
     borders, _ = cv2.findContours(binary, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     fits = [cv2.fitEllipse(b) for b in borders if len(b) > 20]
@@ -109,9 +112,11 @@ CHORD_END_PX = 0.05  # px: a good sub-pixel edge
 
 
 def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
-    """What an error of 0.05 px in edge points costs: the sine rule with its two chord ends, and the
-    closed form from a conic through 64 such points. True ellipses, so that nothing else is off; the
-    nearer of both solutions."""
+    """Compare the errors caused by 0.05 px noise in edge points.
+
+    The sine rule uses two chord ends. The closed form uses a conic through 64 such points. The
+    ellipses are exact, so that no other error occurs; the nearer of both solutions counts.
+    """
     rng = np.random.default_rng(seed)
     errors: dict[str, list[Array]] = {}
     for _ in range(images):
@@ -163,8 +168,11 @@ def _ellipses(rims: Array) -> Ellipses:
 
 
 def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
-    """A flat board of 16 circles: each circle by itself, and `cv2.solvePnP`, which must be told
-    where on the board each is, from the ellipses' centres and from the projected centres."""
+    """Compare single circles with `cv2.solvePnP` on a flat board of 16 circles.
+
+    `cv2.solvePnP` needs the position of each circle on the board. It runs with the ellipses'
+    centres and with the projected centres.
+    """
     rng = np.random.default_rng(seed)
     x, y = (c.ravel() * 0.005 for c in np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5))
     layout = np.stack([x, y, np.zeros(16)], axis=1)
@@ -183,7 +191,7 @@ def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
         errors.setdefault("solvePnP, layout known, ellipse centres", []).append(
             board - truth[found]
         )
-        # the board's normal tells which of a circle's two solutions is right
+        # the board's normal selects the right one of a circle's two solutions
         n = turned @ [0.0, 0.0, -1.0]
         second = (poses.n_C_alt @ n > poses.n_C @ n)[:, None]
         uv = optics.project(CAMERA, np.where(second, poses.p_CM_alt, poses.p_CM))
@@ -207,12 +215,12 @@ def _solve_board(layout: Array, uv: Array) -> tuple[Array, Array]:
 
 
 def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
-    """Boards of 100 circles 4 px in radius through what a cheap camera does to them, with and
-    without neighbours' help.
+    """Measure boards of 100 circles 4 px in radius, in images processed as by a cheap camera.
 
-    Scatter of the relative error of depth (truth known), in percent. An error that is linear over
-    the board is taken out: processing moves all edges alike, which scales and tilts the whole.
-    Flat, on a cylinder, rippled, and with a depth for each: the last must be left alone.
+    Neighbor smoothing is on and off. The result is the scatter of the relative depth error, in
+    percent. An error that is linear over the board is removed: processing moves all edges alike,
+    which scales and tilts the whole. Boards are flat, on a cylinder, rippled, or with an own depth
+    for each circle. The last one must remain unsmoothed.
     """
     rng = np.random.default_rng(seed)
     x, y = (c.ravel() for c in np.meshgrid(np.arange(10) - 4.5, np.arange(10) - 4.5))

@@ -1,9 +1,8 @@
-"""Test images with known circle poses, independent of what sensing assumes: no ellipse, conic or
-edge model in sight.
+"""Test images with known circle poses, without the sensing chain's ellipse, conic or edge models.
 
-Each circle's rim is projected point by point through pane and lens; the polygon is filled by scan
-lines with exact coverage along them, on a grid `SUPER` times finer than the pixels; the optics'
-blur acts on the fine grid, the pixel's area integrates it; then light, noise and rounding.
+Each circle's rim is projected point by point through glass and lens. Scan lines fill the polygon,
+with exact coverage along each line, on a grid `SUPER` times finer than the pixels. The optical blur
+acts on the fine grid, and the pixel's area integrates it. Light, noise and rounding follow.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""`mjtactile experiments`: the Results of the paper, done again in simulation, each number beside
-the paper's.
+"""`mjtactile experiments`: the Results of the paper, repeated in simulation, next to the paper's
+numbers.
 
-Figures by the paper's names (5a, 5b, 5c, 6, 7) and "air", its claim that the amount of air sets the
-sensitivity. The load cell reads the true contact force; estimates come from rendered images alone.
-Drawing is in `benchmarks.paper.figures`.
+Figures have the paper's names (5a, 5b, 5c, 6, 7). "air" tests its claim that the amount of air sets
+the sensitivity. The load cell reads the true contact force. Estimates come from rendered images
+alone. Plots are in `benchmarks.paper.figures`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ SPONGE = Pad("pad", 6e-3, stiffness=250.0, stiffening=2.5e5)
 # of Figs. 5a and 5c: on the default's vertices, 3.3 mm apart, the cylinder's face is no circle
 MESH = (33, 25)
 DEPTHS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)  # the paper's 1 mm increments, up to about its 2.5 N
-# m/s and m of Fig. 5c
+# speed and depth of Fig. 5c, m/s and m
 DRIVE_SPEED = 2e-3
 DRIVE_DEPTH = 4e-3
-PAPER_CIRCLE_ERROR = 0.39e-3  # m
+PAPER_CIRCLE_ERROR = 0.39e-3  # mean centre error in the paper, m
 
 Say = Callable[[str], None]
 
@@ -126,7 +126,7 @@ def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
     sponge = curves["sponge"]
     own = 1e-3 * np.array(sponge["own_deformation_mm"])
     force = np.array(sponge["force_N"])
-    seen = np.isfinite(own)  # the lightest touches have no contact that is told
+    seen = np.isfinite(own)  # no contact is detected at the lightest loads
     columns = np.column_stack([own, own**2])[seen]  # undeformed, it pushes nothing
     stiffness, stiffening = np.linalg.lstsq(columns, force[seen], rcond=None)[0]
     curves["sponge_law"] = {
@@ -139,8 +139,7 @@ def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
 
 
 def _fits(depth: Array, force: Array) -> dict[str, float]:
-    """What a line and a parabola, both through the origin, leave, rms N; and their share of the
-    force's variance."""
+    """Compute the rms residuals, N, of a line and a parabola through the origin, and their R^2."""
     d = depth
     f = force
     left = []
@@ -259,8 +258,10 @@ def air(say: Say, quick: bool = False) -> dict[str, Any]:
 
 
 def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
-    """N/mm of a 6 mm cylinder at the first mm, and the sd of the felt force over 20 images with
-    nothing touching."""
+    """Measure the stiffness of a 6 mm cylinder over the first mm, N/mm, and the force noise.
+
+    The noise is the standard deviation of the estimated force over 20 images without contact.
+    """
     station = TestBench(design, CYLINDER)
     station.zero(sealed=sealed)
     noise = float(np.std([station.touch().force_normal for _ in range(20)], ddof=1))

@@ -9,7 +9,7 @@ from mjtactile.sensing.settings.tunable_parameter import number
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """Of `benchmarks.paper.force_methods`."""
+    """Settings of `benchmarks.paper.force_methods`."""
 
     taper: float = number(
         1.25, "pitches over which the test function falls", "at least one marker must see it; trial"

@@ -1,11 +1,10 @@
-"""The paper's own route from an ellipse to a circle's centre (Eq. 4-10), kept as published to
-measure what it costs.
+"""The paper's own method from an ellipse to a circle's centre (Eq. 4-10), kept for comparison.
 
-`mjtactile.sensing.pose.circles` is what the sensor uses. Here: the image of the centre by Eq. 4-5
-(with the two corrections that make it a projection: Q = K^T M K instead of M, and the sign on the
-sine term alone), a chord of the ellipse through it, and the distance by the sine rule. The rule is
-exact, and redundant: the same eigenvalues already give the distance. It takes it from two short
-arcs instead, so that an error of the chord's ends is magnified, most of all along the minor axis.
+The sensor uses `mjtactile.sensing.pose.circles`. Here, Eq. 4-5 give the image of the centre. Two
+corrections make it a projection: Q = K^T M K instead of M, and the sign on the sine term alone. The
+sine rule then gives the distance from a chord of the ellipse through that point. The rule is exact
+but redundant: the same eigenvalues already give the distance. It uses two short arcs instead, which
+amplify an error of the chord's ends, most strongly along the minor axis.
 """
 
 from __future__ import annotations
@@ -21,15 +20,16 @@ from mjtactile.sensing.pose import circles
 
 
 def centre_distance(radius: Array, phi: Array, omega: Array) -> Array:
-    """Distance CD (N,) m of the middle D of a chord AB of length 2 `radius` that C sees under the
-    angles `phi` = ACD and `omega` = DCB, rad (Eq. 6-10 without the detour through nu and its
-    cotangents):
+    """Compute the distance CD (N,), m, of the midpoint D of a chord AB of length 2 `radius`.
+
+    C sees the halves of the chord under the angles `phi` = ACD and `omega` = DCB, rad. This is Eq.
+    6-10 without the detour through nu and its cotangents:
 
         CD = r sin(phi + omega)/sqrt(sin^2 phi + sin^2 omega - 2 sin phi sin omega cos(phi + omega))
 
-    Derivation: by Eq. 6-7 CA/CB = sin(omega)/sin(phi), so that the triangle ABC is similar to one
-    with sides sin(omega), sin(phi) and the angle phi + omega between them; the law of cosines gives
-    its third side, and the median's length follows.
+    Derivation: by Eq. 6-7 CA/CB = sin(omega)/sin(phi). Triangle ABC is then similar to one with
+    sides sin(omega), sin(phi) and the angle phi + omega between them. The law of cosines gives its
+    third side, and the median's length follows.
     """
     a = np.sin(phi)
     b = np.sin(omega)
@@ -56,11 +56,11 @@ def centres_by_sine_rule(
     chord: Literal["major", "minor"] = "major",
     end_error_px: Array | None = None,
 ) -> Array:
-    """Centres (2, N, 3) m of both solutions by Eq. 4-10, the chord parallel to the major axis as
-    the paper suggests.
+    """Compute the centres (2, N, 3), m, of both solutions by Eq. 4-10.
 
-    `end_error_px` (2, N): how far px each of the chord's ends is off along the chord, to see what
-    that costs. No pane. A lens is handled as in `circles.cones`.
+    The chord is parallel to the major axis, as the paper suggests. `end_error_px` (2, N) adds an
+    error along the chord, px, to each of its ends, to measure the effect. There is no glass. A lens
+    is handled as in `circles.cones`.
     """
     shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
     Q = circles.cones(camera, ellipses.center_px, shape)

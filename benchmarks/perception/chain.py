@@ -1,9 +1,8 @@
-"""The chain from image to surface on the dense sensor: what it costs, and how well a membrane under
-a ball comes out.
+"""Chain from image to surface on the dense sensor: its cost, and surface errors under a ball.
 
-The shape is computed here (projected over-relaxation of a sheet of uniform tension under pressure
-and over a rigid ball), the images by `marker_scenes`: nothing is shared with the detector or the
-fitted spline.
+The shape is computed here by projected over-relaxation of a membrane of uniform tension, under
+pressure and over a rigid ball. `marker_scenes` renders the images. Neither shares code with the
+detector or the fitted spline.
 """
 
 from __future__ import annotations
@@ -34,14 +33,16 @@ _BALL = 0.010
 _DEEP = 0.003
 _PRESSURE_OVER_TENSION = 20.0
 _CELLS = 96  # of the relaxation, along the length
-_MIN_PX = 4.0  # nothing smaller is looked for; the blob detector is told an area, too
+_MIN_PX = 4.0  # minimum radius of circles; the blob detector has an area limit as well
 # rows, columns, radius m
 _LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))
 
 
 class PressedSheet:
-    """Height z(x, y) m of a sheet of uniform tension over the frame's opening, sagging under
-    pressure towards -z or bulging to +z, and pushed to -z by a ball at (x, y) m."""
+    """Height z(x, y), m, of a membrane of uniform tension over the frame's opening.
+
+    It sags under pressure towards -z or bulges to +z. A ball at (x, y), m, pushes it to -z.
+    """
 
     def __init__(self, design: SensorDesign, x: float = 0.0, y: float = 0.0, deep: float = _DEEP):
         length = design.frame.length
@@ -72,7 +73,7 @@ class PressedSheet:
 
 
 def picture(design: SensorDesign, sheet: Callable[..., Array], seed: int) -> Image:
-    """What the design's camera sees of its markers on `sheet`."""
+    """Render the design's camera image of its markers on `sheet`."""
     x = design.markers.p_SM[:, 0]
     y = design.markers.p_SM[:, 1]
     p = np.column_stack([x, y, sheet(x, y)]) - design.camera.p_SC
@@ -87,8 +88,10 @@ def picture(design: SensorDesign, sheet: Callable[..., Array], seed: int) -> Ima
 
 
 def pressed(frames: int, repeats: int) -> dict[str, Any]:
-    """Balls pressed at several places and depths into the dense sensor: surface errors of both
-    routes, and the time of the whole chain from image to surface."""
+    """Measure surface errors of both methods, and the time from image to surface.
+
+    Balls are pressed into the dense sensor at several positions and depths.
+    """
     design = load_sensor("dense")
     rng = np.random.default_rng(6)
     sheets = [
@@ -135,9 +138,11 @@ def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[f
 
 
 def speed(repeats: int) -> list[dict[str, float]]:
-    """Milliseconds of processor time from image to poses, one thread, against the number of
-    markers; beside it `cv2.SimpleBlobDetector`, and `cv2.findContours` with `cv2.fitEllipse` and
-    the paper's sine rule."""
+    """Measure the processor time from image to poses, ms, one thread, over the number of markers.
+
+    Compared methods are `cv2.SimpleBlobDetector`, and `cv2.findContours` with `cv2.fitEllipse` and
+    the paper's sine rule.
+    """
     cv2.setNumThreads(1)
     rows = []
     for nv, nu, radius in _LAYOUTS:

@@ -17,18 +17,18 @@ from benchmarks.perception.plots import plot
 from mjtactile.runtime.progress import Progress
 
 TARGETS: dict[str, tuple[str, float, float]] = {
-    "mean_mm": ("mean centre error, nearer of the two poses, mm", 0.020, 0.010),
-    "mean_as_returned_mm": ("mean centre error, as returned, mm", 0.020, 0.010),
-    "worst_mm": ("worst centre error, nearer of the two poses, mm", 0.10, 0.04),
-    "worst_as_returned_mm": ("worst centre error, as returned, mm", 0.10, 0.04),
-    "depth_bias_mm": ("depth bias, mm (size)", 0.010, 0.003),
-    "cramer_rao_ratio": ("depth error over the Cramer-Rao bound, rms", 2.0, 1.2),
-    "detect_to_pose_80_ms": ("detect to pose, 80 markers, ms", 2.5, 1.5),
-    "chain_median_ms": ("whole chain to surface, 81 markers: median, ms", 5.0, 3.0),
-    "chain_p99_ms": ("whole chain to surface, 81 markers: p99, ms", 10.0, 6.0),
-    "surface_rms_mm": ("surface error RMS under a ball, mm", 0.03, 0.015),
+    "mean_mm": ("mean center error, nearer of two poses, mm", 0.020, 0.010),
+    "mean_as_returned_mm": ("mean center error, returned pose, mm", 0.020, 0.010),
+    "worst_mm": ("worst center error, nearer of two poses, mm", 0.10, 0.04),
+    "worst_as_returned_mm": ("worst center error, returned pose, mm", 0.10, 0.04),
+    "depth_bias_mm": ("depth bias, absolute value, mm", 0.010, 0.003),
+    "cramer_rao_ratio": ("depth error / Cramer-Rao bound, rms", 2.0, 1.2),
+    "detect_to_pose_80_ms": ("detection and pose, 80 markers, ms", 2.5, 1.5),
+    "chain_median_ms": ("pipeline up to the surface, 81 markers: median, ms", 5.0, 3.0),
+    "chain_p99_ms": ("pipeline up to the surface, 81 markers: 99th percentile, ms", 10.0, 6.0),
+    "surface_rms_mm": ("surface error under a ball, rms, mm", 0.03, 0.015),
 }
-"""What is measured, at least, aim: all no more than. Beside them chi-square, which has a range."""
+"""Quantity, required and target value, all upper limits. Chi-square has a range instead."""
 CHI2 = (0.7, 1.4), (0.9, 1.1)
 
 
@@ -111,19 +111,19 @@ def _targets(result: Mapping[str, Any]) -> str:
         f"{CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |",
     )
     head = (
-        f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 x "
-        f"480 pixels, blur {BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image "
-        "of one circle allows two poses: the first of them was right in "
-        f"{100 * a['preferred_right']:.0f} %, of which `locate` was "
-        f"{100 * a['preferred_probability']:.0f} % sure on average. Times are of one core of the "
-        "machine that ran this; compare the ratios below."
+        f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted by 0-45 degrees; "
+        f"{a['missed']:.0f} missed. Images: 640 x 480 pixels, blur {BLUR:g} px, noise {NOISE:g} "
+        "DN. Times are of one core of the test machine; compare ratios only.\n\n"
+        "One image of one circle has two possible poses. The first one was correct in "
+        f"{100 * a['preferred_right']:.0f} %; `detect_circles` reported a mean probability of "
+        f"{100 * a['preferred_probability']:.0f} %."
     )
-    return head + "\n\n" + _rows("| what | measured | at least | aim | |", rows)
+    return head + "\n\n" + _rows("| quantity | measured | required | target | |", rows)
 
 
 def _verdict(least: bool, aim: bool) -> str:
     if aim:
-        return "aim met"
+        return "target met"
     return "met" if least else "missed"
 
 
@@ -146,7 +146,7 @@ def _chord_noise(result: Mapping[str, Any]) -> str:
         for name, m in result["chord_noise"].items()
     ]
     return _rows(
-        f"| edge points {marker_methods.CHORD_END_PX:g} px off | mean error, mm | ratio | "
+        f"| edge points displaced by {marker_methods.CHORD_END_PX:g} px | mean error, mm | ratio | "
         "worst, mm |",
         rows,
     )
@@ -167,11 +167,11 @@ def _surface(result: Mapping[str, Any]) -> str:
         f"{s[key + '_worst_mm']:.3f} |"
         for name, key in (
             ("smoothing spline (default)", "spline"),
-            ("the paper's: Delaunay, grid, B-spline", "delaunay"),
+            ("method of the paper: Delaunay, grid, B-spline", "delaunay"),
         )
     ]
     return _rows(
-        f"| membrane under a ball, {s['markers']} markers, {s['frames']} frames | RMS error, mm "
+        f"| membrane under a ball, {s['markers']} markers, {s['frames']} images | rms error, mm "
         "| ratio | worst, mm |",
         rows,
     )
@@ -185,8 +185,8 @@ def _speed(result: Mapping[str, Any]) -> str:
         for r in result["speed"]
     ]
     return _rows(
-        "| markers | detect, ms | pose, ms | total, ms | us a marker | SimpleBlobDetector, ms | "
-        "its ratio | findContours + fitEllipse + sine rule, ms |",
+        "| markers | detection, ms | pose, ms | total, ms | us per marker | SimpleBlobDetector, "
+        "ms | ratio | findContours + fitEllipse + sine rule, ms |",
         rows,
     )
 
@@ -196,7 +196,7 @@ def _blur(result: Mapping[str, Any]) -> str:
         f"| {r['blur_px']:g} | {r['bias_um']:+.2f} | {r['sd_um']:.2f} | {r['uncorrected_um']:.1f} |"
         for r in result["bias_against_blur"]
     ]
-    return _rows("| blur, px | depth bias, um | sd, um | bias without the correction, um |", rows)
+    return _rows("| blur, px | depth bias, um | sd, um | bias without correction, um |", rows)
 
 
 def _small(result: Mapping[str, Any]) -> str:
@@ -206,7 +206,7 @@ def _small(result: Mapping[str, Any]) -> str:
         for r in result["small_circles"]
     ]
     return _rows(
-        "| 100 circles of 4 px, cheap camera | depth shared in | scatter of depth alone, % | "
-        "as `locate` gives it, % |",
+        "| 100 circles of 4 px, low-cost camera | images with smoothed depth | depth scatter, each "
+        "circle alone, % | depth scatter of `detect_circles`, % |",
         rows,
     )

@@ -1,10 +1,13 @@
-"""`mjtactile bench bubble --data FOLDER`: a real air-filled bubble pressed once to about 4.8 N, its
-force from surface and gauge (`mjtactile.estimate_force_from_surface`) beside a wrist's wrench.
+"""`mjtactile bench bubble --data FOLDER`: force on a real air-filled bubble, pressed once to about
+4.8 N.
+
+The force follows from surface and pressure (`mjtactile.estimate_force_from_surface`). It is
+compared with the wrench of a wrist sensor.
 
 The recording is `demo/0` of uiuc-iml/punyo_force_estimation. FOLDER holds its `data.json`, rows of
 [time s, absolute pressure hPa, six joint angles, wrench of a wrist sensor N, N m], and
-`points.npz`, `pc_K` the depth image of row K as points (h, w, 3) m. Neither the air's pressure
-around it nor the frame was recorded.
+`points.npz`, `pc_K` the depth image of row K as points (h, w, 3) m. Neither the ambient air
+pressure nor the frame was recorded.
 """
 
 from __future__ import annotations
@@ -22,10 +25,10 @@ from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
 
 AMBIENT = 98_700.0
-"""Pa: the standard atmosphere 222 m up, where the recording was made; weather is 1 kPa of it."""
+"""Standard atmosphere at 222 m, the altitude of the recording, Pa; weather changes it by 1 kPa."""
 OUTLINE = np.array([[-27, -36], [62, -36], [62, 40], [-27, 40]]) * 1e-3
-"""m in the camera's frame: what its picture shows of the bubble, whose right end it cuts off."""
-DEPTHS = (0.055, 0.11)  # m, of the bubble; the rest is missing or the room
+"""Outline of the visible bubble in the camera's frame, m; the image cuts off its right end."""
+DEPTHS = (0.055, 0.11)  # depth range of the bubble, m; other points are missing or background
 REST = (0, 10, 20, 40)  # rows of nothing touching
 QUIET = slice(30, 60)  # rows before the touch, with the arm where it presses
 PRESSING = slice(70, 101)  # rows of the hold
@@ -40,7 +43,7 @@ def run(
     data: Path | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """The force of each depth image, beside the wrist's; draws into `out`."""
+    """Estimate the force of each depth image, next to the wrist sensor's; plot into `out`."""
     if data is None:
         raise InputError("wants the recording's folder", field="--data")
     rows, clouds = _read(Path(data))
@@ -101,18 +104,18 @@ def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """What was found, in Markdown."""
+    """Return the results in Markdown."""
     held, felt = result["wrist_held_N"], result["felt_held_N"]
     rows = [
-        ("gauge pressure at rest, kPa, if the air was the standard atmosphere's", "gauge_kPa", 2),
-        ("wrist's force while it was held, N", "wrist_held_N", 2),
-        ("force from surface and gauge then, N", "felt_held_N", 2),
-        ("most with nothing touching, N", "untouched_most_N", 2),
-        ("factor that the growing press asks for", "factor", 2),
-        ("with it, rms error of the hold and the release, N", "later_rms_N", 2),
-        ("pressure of the air that would explain it, kPa", "ambient_by_factor_kPa", 1),
+        ("gauge pressure at rest with the standard atmosphere, kPa", "gauge_kPa", 2),
+        ("wrist sensor during the hold, N", "wrist_held_N", 2),
+        ("estimate from surface and pressure, N", "felt_held_N", 2),
+        ("largest estimate without contact, N", "untouched_most_N", 2),
+        ("factor fitted to the increasing load", "factor", 2),
+        ("rms error of hold and release with this factor, N", "later_rms_N", 2),
+        ("ambient pressure that would explain the factor, kPa", "ambient_by_factor_kPa", 1),
     ]
-    lines = ["| a real bubble, one press |  |", "|---|---|"]
+    lines = ["| real bubble sensor, one load |  |", "|---|---|"]
     lines += [f"| {words} | {result[key]:.{digits}f} |" for words, key, digits in rows]
     lines.insert(5, f"| error | {100 * (felt / held - 1):+.0f} % |")
     return "\n".join(lines)

@@ -1,13 +1,14 @@
-"""`mjtactile bench dots --data FOLDER`: what the marker stage sees on real gels with dots, and what
-a sign of slip on marker motion alone gets.
+"""`mjtactile bench dots --data FOLDER`: dots that the marker stage detects on real gels.
+
+A second part tests slip indicators that use marker motion alone.
 
 The recordings are two GelSight Minis in a gripper, from amitparag/Incipient-Slip-Detection
 (BSD-2-Clause). FOLDER holds NAME-camera_0.avi and NAME-camera_2.avi of each grip, and `labels.csv`
 with columns experiment and slip (0 or 1).
 
-How many dots there are is told by their lattice: a quadratic through the circles' whole numbers
-says where each dot of the picture must be. A dot counts as whole where its circle lies within the
-picture; a trusted circle is false where the lattice has no dot.
+A fitted lattice gives the number of dots: a quadratic in the lattice indices predicts each dot's
+image position. A dot counts as whole if its circle lies within the image. A trusted circle is false
+if the lattice has no dot there.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ from mjtactile.core.types import Array
 from mjtactile.recording.files import write_json
 from mjtactile.sensing.pose.dot_tracking import CUT
 
-EVERY = 8  # frames, of which one is looked at
+EVERY = 8  # one frame of this many is evaluated
 NEAR = 0.3  # of the dots' distance, from where the lattice has one
-RIM = 1.5  # px from the picture's rim, that a whole dot is away at least
+RIM = 1.5  # minimum distance of a whole dot from the image border, px
 SIGNS = ("relaxes", "wanders")
-"""By how much of its peak the motion of all dots together has gone back in the end, and the sd, px,
-of that motion over the last two thirds."""
+"""Fraction of its peak by which the common motion of all dots has gone back at the end, and the sd,
+px, of that motion over the last two thirds."""
 
 
 def run(
@@ -75,28 +76,31 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """What was found, in Markdown."""
+    """Return the results in Markdown."""
     whole = result["whole"]
     lines = [
-        "| real gels with dots |  |",
+        "| real gel sensors with dots |  |",
         "|---|---|",
-        f"| whole dots in 6 frames of each of {result['grips']} grips | {whole} |",
-        f"| found | {100 * result['seen'] / whole:.1f} % |",
+        f"| complete dots in 6 frames of each of {result['grips']} grips | {whole} |",
+        f"| detected | {100 * result['seen'] / whole:.1f} % |",
         f"| trusted | {100 * result['trusted'] / whole:.1f} % |",
-        f"| trusted where no dot is | {result['false']} |",
+        f"| trusted detections without a dot | {result['false']} |",
     ]
-    words = {"relaxes": "slip by motion that goes back", "wanders": "slip by motion that wanders"}
+    words = {"relaxes": "slip by return motion", "wanders": "slip by wandering motion"}
     for name, found in result["signs"].items():
         lines.append(
-            f"| {words[name]}: right, each grip by a threshold from the others | "
+            f"| {words[name]}: correct, with a threshold from the other grips | "
             f"{found['right']} of {result['grips']} (area under the curve {found['auc']:.2f}) |"
         )
     return "\n".join(lines)
 
 
 def dots_of(tracked: TrackedCircles) -> NDArray[np.int64]:
-    """Of one frame: dots that are whole in the picture, found of these, trusted of these, and
-    trusted circles where no dot is, (4,)."""
+    """Count the dots of one frame (4,).
+
+    The counts are: whole dots in the image, detected ones of these, trusted ones of these, and
+    trusted circles without a dot.
+    """
     ellipses = tracked.ellipses
     size = float(np.median(ellipses.semi_axes_px[:, 0]))
     good = (ellipses.status != CUT) & (ellipses.semi_axes_px[:, 1] > 0.6 * size)
@@ -116,8 +120,10 @@ PICTURE = (320, 240)  # px, of these recordings
 
 
 def lattice(places: Array) -> tuple[Array, float]:
-    """Where dots must be (m, 2) px, one row and column beyond those that were found, too; and their
-    distance, px."""
+    """Return the predicted dot positions (m, 2), px, and their distance, px.
+
+    The lattice extends one row and column beyond the detected dots.
+    """
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     pitch = float(np.median(apart.min(axis=1)))
@@ -171,7 +177,7 @@ def _auc(values: Array, slips: NDArray[np.bool_]) -> float:
 
 
 def _left_out(values: Array, slips: NDArray[np.bool_]) -> int:
-    """How many are told right, each by the threshold that is best for the others."""
+    """Count correct classifications, each by the threshold that is best for the others."""
     right = 0
     for one in range(len(values)):
         others = np.arange(len(values)) != one

@@ -1,21 +1,22 @@
-"""Cases of `mjtactile bench references`: a TOML file each, with a sensor, one motion, and a
-reference with its source.
+"""Cases of `mjtactile bench references`.
 
-    about = "a ball on the middle"          what it is, in a line
-    sensor = "dense"                        a shipped name, or FILE.toml beside the case
-    friction = 0.9                          of the membrane, if not as the sensor file says
+Each is a TOML file with a sensor, one motion, and a reference with its source.
+
+    about = "a ball on the middle"          one-line description
+    sensor = "dense"                        a shipped name, or FILE.toml next to the case
+    friction = 0.9                          of the membrane, unless that of the sensor file
     law = "neo-Hookean"                     of the reference's rubber; the default, or
                                             "St. Venant-Kirchhoff"
 
     [press]                                 the motion: press, bulge, hold, held_shear, slide, spin
-    indenter = "sphere:8"                   as for `mjtactile press`; a FILE.stl or FILE.xml beside
+    indenter = "sphere:8"                   as for `mjtactile press`; a FILE.stl or FILE.xml next to
                                             the case
     at_mm = [0.0, 0.0]
     force = [[1.0, 0.112], [2.0, 0.302]]    depth below first touch, mm, and normal force, N
 
     [reference]
     source = "who computed or measured it, and how"
-    percent = 5.0                           what is asked: within so much of the reference,
+    percent = 5.0                           required: within this percentage of the reference,
     least = 0.01                            or within this, in the unit of the reference
 """
 
@@ -38,9 +39,11 @@ _LARGE = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One case. `motion` names its kind, `plan` holds what that kind reads in `MOTIONS`, in the
-    file's units; asked is that each number is within `percent` of its reference or within `least`
-    of it."""
+    """One case.
+
+    `motion` names its kind. `plan` holds the values read for that kind by `MOTIONS`, in the file's
+    units. Each number must lie within `percent` of its reference or within `least` of it.
+    """
 
     name: str
     about: str
@@ -53,7 +56,7 @@ class Case:
     path: Path
 
     def allows(self, reference: float) -> float:
-        """How far from `reference` is good enough."""
+        """Return the allowed deviation from `reference`."""
         return max(self.least, 1e-2 * self.percent * abs(reference))
 
 
@@ -119,7 +122,7 @@ MOTIONS: dict[str, Callable[[Section], dict[str, Any]]] = {
     "slide": _drag,
     "spin": _spin,
 }
-"""Name of a motion to what reads its section."""
+"""Readers of the sections, by name of the motion."""
 
 
 def load_case(path: Path) -> Case:

@@ -1,5 +1,7 @@
-"""What the simulation, and where asked the sensing chain, makes of a case: numbers next to their
-references."""
+"""Measured numbers of a case, next to their references.
+
+They come from the simulation and, where required, from the sensing chain.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 
-# N, and how many of its own sd: what is asked of a felt force
+# allowed error of an estimated force, N, and in its own standard deviations
 FELT = 0.04
 FORCE_SD = 3.0
 _LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
@@ -25,8 +27,11 @@ _REST = 20
 
 @dataclass(frozen=True)
 class Number:
-    """One `measured` number and its `reference`, in `unit`, `at` a depth, pressure or time step;
-    `allowed` is how far apart they may be. A felt force has its own `sd`."""
+    """One `measured` number and its `reference`, in `unit`.
+
+    `at` names a depth, pressure or time step. `allowed` is the allowed deviation. An estimated
+    force has its own standard deviation `sd`.
+    """
 
     what: str
     at: str
@@ -52,7 +57,7 @@ def measure(case: Case) -> list[Number]:
 
 
 def _indenter(case: Case) -> Indenter:
-    """As the case names it; files are beside it."""
+    """Return the case's indenter; its files lie next to the case."""
     text = case.plan["indenter"]
     return Indenter.parse(
         str(case.path.parent / text) if text.lower().endswith((".stl", ".xml")) else text
@@ -86,7 +91,7 @@ def _press(case: Case) -> list[Number]:
             touch = [view.touch() for _ in range(_LOOKS)][-1]
             numbers.append(
                 Number(
-                    "felt, against simulated truth",
+                    "estimated normal force, relative to simulation",
                     at,
                     "N",
                     force,
@@ -116,7 +121,7 @@ def _shear(case: Case, world: PressWorld) -> list[Number]:
     across = float(np.linalg.norm(found - (found @ direction) * direction))
     return [
         Number("shear", at, "N", size, along, case.allows(size)),
-        Number("shear across it", at, "N", 0.0, across, case.allows(size)),
+        Number("shear perpendicular to the reference", at, "N", 0.0, across, case.allows(size)),
     ]
 
 
@@ -172,7 +177,7 @@ def _hold(case: Case) -> list[Number]:
         creep = 1e6 * float(np.polyfit(times, drops, 1)[0])
         numbers.append(
             Number(
-                f"creep with {margin:.1f} times the friction that it needs",
+                f"creep at {margin:.1f} times the required friction",
                 f"{step:g} ms",
                 "um/s",
                 0.0,
@@ -202,7 +207,7 @@ def _held_shear(case: Case) -> list[Number]:
         share = float(_at_rest(world, 50)[0] / before)
         numbers.append(
             Number(
-                f"shear that is left after {plan['seconds']:g} s",
+                f"remaining fraction of shear after {plan['seconds']:g} s",
                 f"{step:g} ms",
                 "",
                 1.0,
@@ -217,7 +222,7 @@ def _slide(case: Case) -> list[Number]:
     """Friction along the way that an indenter slides, over mu N, both ways."""
     return [
         Number(
-            "friction along the slide, over mu N",
+            "friction along the slide / (mu N)",
             f"{step:g} ms, {name}",
             "",
             1.0,
@@ -230,7 +235,7 @@ def _slide(case: Case) -> list[Number]:
 
 
 def _slid(case: Case, step: float, sign: float) -> float:
-    """The mean over the last third of a slide, which has long begun then."""
+    """Return the mean over the last third of a slide, well after its start."""
     plan = case.plan
     world = _dragged(case, step)
     shares = []
@@ -257,7 +262,7 @@ def _spin(case: Case) -> list[Number]:
         world.step(round(plan["seconds"] / world.timestep))
         numbers.append(
             Number(
-                f"angular momentum that is left after {plan['seconds']:g} s",
+                f"remaining fraction of angular momentum after {plan['seconds']:g} s",
                 f"{step:g} ms",
                 "",
                 1.0,

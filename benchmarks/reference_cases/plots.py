@@ -13,7 +13,7 @@ _COLUMNS = 4
 
 
 def save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Draw all cases; without matplotlib say so on stderr."""
+    """Plot all cases; report a missing matplotlib on stderr."""
     height = math.ceil(len(rows) / _COLUMNS)
     if (figure := new_figure(path.name, (4 * _COLUMNS, 3 * height), dpi=80)) is None:
         return
@@ -37,7 +37,7 @@ def _draw(axes: Any, row: dict[str, Any]) -> None:
         fmt="k_",
         capsize=4,
         ms=10,
-        label="reference, and what is asked",
+        label="reference and allowed error",
     )
     axes.plot(
         [places.index(n["at"]) for n in simulated],
@@ -55,7 +55,7 @@ def _draw(axes: Any, row: dict[str, Any]) -> None:
             ms=4,
             capsize=2,
             color="tab:orange",
-            label="felt, 2 sd",
+            label="estimated, 2 sd",
         )
     axes.set_xticks(range(len(places)), places, fontsize=7, rotation=20 if len(places) > 4 else 0)
     axes.set_title(row["about"], fontsize=9)

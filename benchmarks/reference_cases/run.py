@@ -1,5 +1,7 @@
-"""`mjtactile bench references`: the simulation, and what is felt, against references from outside
-of the project, on one page."""
+"""`mjtactile bench references`: simulation and estimated forces against external references.
+
+All results are on one page.
+"""
 
 from __future__ import annotations
 
@@ -65,18 +67,21 @@ def _number(number: Number) -> dict[str, Any]:
 def _verdict(row: dict[str, Any]) -> str:
     if "failed" in row:
         return f"failed: {row['failed']}"
-    return f"{sum(n['is_met'] for n in row['numbers'])} of {len(row['numbers'])} as good as asked"
+    return (
+        f"{sum(n['is_met'] for n in row['numbers'])} of {len(row['numbers'])} meet the requirement"
+    )
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown: in each case the number of each kind that is worst against what is asked; then
-    where references come from.
+    """Return a Markdown table and the sources of the references.
+
+    Each row is the number of a case and kind with the largest error relative to its requirement.
     """
     lines = [
-        f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows the "
-        "one that is worst against what is asked.",
+        f"{result['met']} of {result['numbers']} values meet the requirement. Each row shows the "
+        "value with the largest error relative to the allowed one.",
         "",
-        "| case | what | at | reference | measured | error | asked | as good |",
+        "| case | quantity | at | reference | measured | error | allowed error | met |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in result["cases"]:
@@ -85,13 +90,13 @@ def table(result: dict[str, Any]) -> str:
         for what in dict.fromkeys(n["what"] for n in row["numbers"]):
             lines.append(_line(row["about"], [n for n in row["numbers"] if n["what"] == what]))
     sources = dict.fromkeys(row["source"] for row in result["cases"])
-    return "\n".join([*lines, "", "References: " + "; ".join(sources) + ".", ""])
+    return "\n".join([*lines, "", "References:", "", *(f"- {one}" for one in sources), ""])
 
 
 def _line(about: str, numbers: Sequence[dict[str, Any]]) -> str:
     worst = max(numbers, key=lambda n: abs(n["error"]) / (n["allowed"] or 1e-300))
     unit = f" {worst['unit']}" if worst["unit"] else ""
-    sd = f", {abs(worst['error']) / worst['sd']:.1f} of its sd" if worst["sd"] else ""
+    sd = f", {abs(worst['error']) / worst['sd']:.1f} sd" if worst["sd"] else ""
     share = (
         (f" ({100 * worst['error'] / worst['reference']:+.1f} %)")
         if worst["reference"] and not sd

@@ -1,8 +1,9 @@
-"""`mjtactile bench emulated`: does a controller's file that was made in simulation hold what it
-grasps on the emulated gripper, through servos, valves and cameras? Eggs and vials in turn, by the
-truth of the emulated world, which only this program sees.
+"""`mjtactile bench emulated`: a controller tuned in simulation, tested on the emulated gripper.
 
-`MJTACTILE_TIME_SCALE=4` is for a computer that does not keep up with real time.
+It works through servos, valves and cameras. Eggs and vials alternate. The outcome is determined
+from the ground truth of the emulated world, which the controller cannot access.
+
+`MJTACTILE_TIME_SCALE=4` is for a computer that is slower than real time.
 """
 
 from __future__ import annotations
@@ -29,24 +30,24 @@ OBJECTS = ("egg", "vial")
 GRASPS = 20
 QUICK = 2
 SENSOR = "dense"
-_TIME_LIMIT = 60.0  # s
-_COMES_ALONG = 0.9  # of what the hand has risen: a thing rolls a little as it is lifted
-_STANDS = 3e-3  # m off the height at which it stood
+_TIME_LIMIT = 60.0  # time limit of a grasp, s
+_COMES_ALONG = 0.9  # minimum fraction of the lift height; an object rolls a little when lifted
+_STANDS = 3e-3  # maximum height difference after it is set down, m
 
 
 def run(
     out: Path, quick: bool = False, resume: bool = False, episodes: int = GRASPS
 ) -> dict[str, Any]:
-    """Grasp `episodes` times, each with an emulator of its own.
+    """Grasp `episodes` times, each with a new emulator.
 
     Args:
-        out: Gets emulated.json after each grasp.
+        out: Folder; emulated.json is written after each grasp.
         quick: Two grasps.
-        resume: Go on with what is there.
-        episodes: How many.
+        resume: Continue with the stored results.
+        episodes: Number of grasps.
 
     Returns:
-        `grasps`: a row each; `slow`: by how much devices and host were slowed.
+        `grasps`: a row each; `slow`: the slowdown factor of devices and host.
     """
     path = out / "emulated.json"
     rows = (
@@ -62,7 +63,7 @@ def run(
 
 
 class _Watch:
-    """The truth beside each cycle."""
+    """Ground truth of each cycle."""
 
     def __init__(self, bench: Bench):
         self._process = bench.process
@@ -82,11 +83,11 @@ class _Watch:
 
 
 def grasp(object_name: str, seed: int) -> dict[str, Any]:
-    """Lift, hold and set down one thing.
+    """Lift, hold and set down one object.
 
     Args:
-        object_name: What stands on the emulated table.
-        seed: Where it stands, and the cameras' noise.
+        object_name: Object on the emulated table.
+        seed: Seed of its position and of the cameras' noise.
 
     Returns:
         `outcome` ("held", "dropped" or "fault"), `reason`, and the true force of the hold on each
@@ -116,18 +117,18 @@ def grasp(object_name: str, seed: int) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """By object, what was asked for beside it."""
+    """Return the results by object, next to the requirement."""
     rows = result["grasps"]
     lines = [
-        f"| `{CONTROLLER}` on the emulated gripper | asked | held, with its 95 % interval | faults "
-        "of the rig | grip, N: median |",
+        f"| `{CONTROLLER}` on the emulated gripper | required | held (95 % interval) | faults "
+        "of the rig | grip force, N: median |",
         "|---" * 5 + "|",
     ]
     for name in OBJECTS:
         lines.append(_row(name, [row for row in rows if row["object"] == name], ""))
     lines.append(_row("all", rows, f"{GRASPS} of {GRASPS}"))
     if result["slow"] != 1:
-        lines += ["", f"Devices and host ran at 1/{result['slow']:g} of the speed."]
+        lines += ["", f"Devices and host ran at 1/{result['slow']:g} of real time."]
     return "\n".join(lines) + "\n"
 
 

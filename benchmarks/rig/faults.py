@@ -42,8 +42,8 @@ FAULTS: dict[str, float] = {
 """Kind and value of each fault that is injected while the loop runs; a stuck valve is injected
 before the references."""
 LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
-"""What an emulator does not recover from without its power being switched."""
-# s after the fault in which the loop must react
+"""Faults from which an emulator recovers only after a power cycle."""
+# cycle of the injection; time limit, s, for the loop's reaction
 _FAULT_CYCLE = 12
 _WATCH = 3.0
 
@@ -61,8 +61,10 @@ class Stopwatch(Supervisor):
         self.entered.append((scaled_clock.monotonic(), state))
 
     def reaction(self, injected: float) -> float | None:
-        """s from a fault at `injected` until the loop had left "running"; None where it did not, or
-        there was none (0)."""
+        """Return the time, s, from a fault at `injected` until the loop left "running".
+
+        Return None if it did not leave it, or if there was no fault (0).
+        """
         left = [
             at
             for at, state in self.entered
@@ -78,7 +80,7 @@ class KeptBench:
         self._name = name
         self._rate = rate
         self._bench: Bench | None = None
-        # what is unplugged cannot be switched off: said 100 times
+        # an unplugged device cannot be switched off: the warning would repeat 100 times
         logging.getLogger("mjtactile").setLevel(logging.CRITICAL)
 
     def bench(self) -> Bench:
@@ -86,8 +88,10 @@ class KeptBench:
         return self._bench
 
     def recover(self, kind: str) -> None:
-        """After a fault of that kind: it ends, or the emulator does, which the next call of `bench`
-        starts anew."""
+        """End a fault of that kind, or the emulator, if it does not recover.
+
+        The next call of `bench` then starts a new one.
+        """
         if kind in LASTING:
             self.close()
         else:
@@ -111,8 +115,7 @@ class FaultBench(KeptBench):
         super().__init__("emulated", 30.0)
 
     def react(self, kind: str, value: float) -> dict[str, Any]:
-        """One fault; s from its injection until the loop had left `running`, and what became of
-        it."""
+        """Inject one fault; return the time, s, until the loop left `running`, and the outcome."""
         bench = self.bench()
         supervisor = Stopwatch(1 / 30)
         injected = [0.0]
@@ -161,16 +164,19 @@ DEAD: dict[str, dict[str, object]] = {
     "limp": {"watchdog": "limp"},
     "goes on": {"servo_firmware": 51},
 }
-"""What the servos of a killed host do when their watchdogs trip (decision 19), and the emulator's
-setting for it."""
-# N by the servos' current at which the host holds; m/s of closing
+"""Watchdog reactions of the servos after the host is killed (decision 19), and the emulator
+settings for each."""
+# grip force at which the host holds, N, from the servos' current; closing speed, m/s
 _SQUEEZE = 1.0
 _SQUEEZE_SPEED = 0.02
 
 
 def killed(kind: str) -> dict[str, Any]:
-    """SIGKILL for a host that squeezes an egg; s until its servos' watchdogs tripped and its valves
-    were vented, and what each membrane feels, before and a second after, N."""
+    """Kill a host (SIGKILL) that squeezes an egg.
+
+    Return the times, s, until its servos' watchdogs tripped and its valves were vented. Return also
+    the contact force on the membranes before and a second after, N.
+    """
     bench = Bench("emulated", design_at(30.0), emulator=DEAD[kind])
     try:
         code = base64.b64encode(pickle.dumps(bench.process.connect(bench.rig_file))).decode()
@@ -205,7 +211,7 @@ def killed(kind: str) -> dict[str, Any]:
 
 
 def _hold(code: str) -> None:
-    """The host that gets killed: inflate, close on what is there, hold at 50 Hz."""
+    """Run the host that gets killed: inflate, close on the object, hold at 50 Hz."""
     from mjtactile.devices.dynamixel.gripper import DynamixelGripper
     from mjtactile.devices.valve.driver import connect_valves
 
@@ -234,8 +240,11 @@ def _hold(code: str) -> None:
 
 
 def outcome(seed: int) -> dict[str, Any]:
-    """The same grasp on both rigs: outcome, held force as felt, and as the jaws' drive gives it
-    (simulated: the joint's force; emulated: the servos' current), N."""
+    """Compare the same grasp on both rigs.
+
+    Return the outcome, the estimated hold force and the drive force of the jaws, N. In simulation
+    the latter is the joint force; emulated, it follows from the servos' current.
+    """
     import tempfile
 
     import numpy as np

@@ -1,9 +1,8 @@
-"""Bad bytes for the servo's and the valve's drivers, through their real ports: an adversary sits at
-the other end of a pty.
+"""Corrupted bytes for the drivers of servo and valve, through their real ports.
 
-It answers each question with noise, with headers in noise, or with a true answer that was damaged;
-now and then with the true one. What a driver accepts is compared with the truth. Of frames of noise
-a servo's CRC-16 lets 1 in 65536 pass, a valve's CRC-32 1 in 4 10^9.
+An adversary at the other end of a pty answers each question. The answer is noise, headers in noise,
+a damaged true answer, or sometimes the true one. Answers that a driver accepts are compared with
+ground truth. Of random frames a servo's CRC-16 passes 1 in 65536, a valve's CRC-32 1 in 4 10^9.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ from mjtactile.rig.file import ValveConfig
 SERVOS = (1, 2)
 START = 126
 SIZE = 21
-_TRUE_FRACTION = 0.05  # of the answers: a driver that accepted nothing at all would be no use
+_TRUE_FRACTION = 0.05  # fraction of true answers: a driver that accepts none would be useless
 _PRESSURE = 1000
 _MAX = 3000.0
-_PATIENCE = 0.004  # s for an answer: most of them are none
+_PATIENCE = 0.004  # timeout of an answer, s: most of them are none
 
 
 class Adversary:
@@ -67,7 +66,7 @@ def damage(rng: random.Random, data: bytes) -> bytes:
 
 
 def payload(servo: int) -> bytes:
-    """What servo `servo` truly holds in the block."""
+    """Return the true content of the block of servo `servo`."""
     return bytes((17 * servo + 5 * i) % 251 for i in range(SIZE))
 
 
@@ -79,7 +78,7 @@ def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
     kind = rng.randrange(6)
     if kind == 0:
         return bytes(rng.randrange(256) for _ in range(rng.randrange(1, 400))), True
-    if kind == 1:  # what looks like headers
+    if kind == 1:  # header-like bytes
         return bytes(
             rng.choice((0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x55, rng.randrange(256))) for _ in range(200)
         ), True

@@ -1,5 +1,8 @@
-"""A host that stands still (SIGSTOP, SIGCONT) while it holds an egg in the air: what its devices do
-meanwhile, by the rig file's `on_host_loss`, and whether the egg is set down when it comes back."""
+"""A host that is paused (SIGSTOP, SIGCONT) while it holds an egg in the air.
+
+Its devices react by the rig file's `on_host_loss`. The benchmark checks that the egg is set down
+after the host resumes.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +23,22 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
 
 SECONDS = (0.3, 1.0, 2.0)
-"""How long the host stands still, in turn."""
-# m: the hand is up; the object is below where the hand took it; it stands where it stood
+"""Durations of the pause, used in turn."""
+# lift height that counts as up; drop of the object that counts as lost; tolerance of its height on
+# the table, m
 _UP = 0.039
 _FALLEN = 0.010
 _STANDS = 0.003
-_PATIENCE = 240.0  # s for a grasp on a busy computer
+_PATIENCE = 240.0  # time limit of a grasp on a busy computer, s
 _QUICK = {"CLOSING_SPEED": 0.045, "SETTLE_TIME": 0.1, "HOLD_TIME": 60.0}
 
 
 def stopped(number: int, loss: str) -> dict[str, Any]:
-    """One run: how long the host stood still, s, whether the egg was set down and by how much it
-    was below its place in the hand, mm; and why the host ended."""
+    """Run once.
+
+    Return the pause, s, the outcome of the egg, its maximum drop below its place in the gripper,
+    mm, and the reason why the host ended.
+    """
     seconds = SECONDS[number % len(SECONDS)]
     rig_file = load_rig_file("emulated")
     emulator = EmulatorProcess(rig_file, load_sensor(SENSOR), object_name=OBJECT, seed=number)
@@ -89,8 +96,10 @@ def _run(host: subprocess.Popen[str], emulator: EmulatorProcess, seconds: float)
 def _watch(
     host: subprocess.Popen[str], emulator: EmulatorProcess, start: float, until: float
 ) -> float:
-    """The most by which the object is below its place in the hand, m, until then or the host's
-    end."""
+    """Return the maximum drop of the object below its place in the gripper, m.
+
+    The observation lasts until the given time or the host's end.
+    """
     fallen = 0.0
     while scaled_clock.monotonic() < until and host.poll() is None:
         truth = emulator.truth()
@@ -110,9 +119,9 @@ def stopped_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
         rows.append(
             (
                 f'host stopped for 0.3, 1 and 2 s while an egg is held, `on_host_loss = "{loss}"`',
-                "set down every time" if loss == "hold" else "",
-                f"set down {good} of {len(own)} times, the egg at most {worst:.1f} mm below its "
-                "place in the hand",
+                "always set down" if loss == "hold" else "",
+                f"set down in {good} of {len(own)} runs; maximum drop of the egg in the gripper "
+                f"{worst:.1f} mm",
             )
         )
     return rows

@@ -22,7 +22,7 @@ RATE = 60.0
 def measure_loop(seconds: float) -> dict[str, Any]:
     """The loop of one 60 Hz camera, two servos and a valve, holding still."""
     bench = Bench(RIG, design_at(RATE))
-    # at once: what grows later is the loop's
+    # allocated in advance: later growth is due to the loop
     rows = np.full((int(1.1 * RATE * seconds) + 100, 7), np.nan)
     rigs: list[Rig] = []
     count = 0

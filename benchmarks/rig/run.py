@@ -1,9 +1,9 @@
-"""`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed,
-bad bytes, grasps.
+"""`mjtactile bench rig`: the emulated rig's loop, latency, fault reactions, killed host, corrupted
+bytes, grasps.
 
-The host and the emulator share this computer's processors: with other work beside them the numbers
-are worse, and the load average is kept with them; `MJTACTILE_TIME_SCALE=4` is for a computer that
-does not keep up. Each part is written when it is done; `resume` goes on with what is missing.
+The host and the emulator share this computer's processors. Other load makes the numbers worse, so
+the load average is stored with them. `MJTACTILE_TIME_SCALE=4` is for a computer that is slower than
+real time. Each part is written when it is done; `resume` continues with the missing parts.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _soak(store: _Store, bench: SoakBench, hours: float) -> None:
 
 
 def _stopped(store: _Store, times: int) -> None:
-    """`times` runs with "hold", and a few with "open" beside them."""
+    """Run `times` cases with "hold", and a few with "open" for comparison."""
     few = min(times, 3)
     store.repeat("stopped", times, lambda i: host_pause.stopped(i, "hold"))
     store.repeat("stopped", times + few, lambda i: host_pause.stopped(i, "open"))
@@ -127,29 +127,32 @@ def _faults(store: _Store, times: int) -> None:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The result in Markdown, what was asked for beside it."""
+    """Return the result in Markdown, next to the requirements."""
     lines = [
-        "| what | at least | measured |",
+        "| quantity | required | measured |",
         "|---|---|---|",
         *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result)),
     ]
     lines += [
         "",
-        "Load average of this computer (2 processors) meanwhile: "
+        "Load average during the run (2 processors): "
         f"{result.get('load_average', float('nan')):.1f}.",
         "",
     ]
     if (slow := result.get("slow", 1.0)) != 1:
         lines += [
-            f"Devices and host ran at 1/{slow:g} of the speed, by a clock as slow: 1 ms is "
-            f"{slow:g} of the wall's.",
+            f"Devices, host and their clock ran at 1/{slow:g} of real time: 1 ms in this table is "
+            f"{slow:g} ms of wall time.",
             "",
         ]
     faults = {
         key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")
     }
     if faults:
-        lines += ["| fault | safe | reaction, median / worst, ms | ends as |", "|---|---|---|---|"]
+        lines += [
+            "| fault | safe | reaction time, median / worst, ms | outcome |",
+            "|---|---|---|---|",
+        ]
     for kind, rows in faults.items():
         median, worst = _reactions(rows)
         lines.append(
@@ -184,8 +187,8 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         late = sum((r["reaction_s"] or 0) > 0.2 for r in faults)
         rows.append(
             (
-                "safe state after a fault, from its injection",
-                "every time, 200 ms",
+                "safe state after a fault, time from its injection",
+                "always, within 200 ms",
                 f"{sum(r['safe'] for r in faults)} of "
                 f"{len(faults)}, {late} later than 200 ms, worst {worst:.0f} ms",
             )
@@ -193,25 +196,34 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
+_PARTS = {
+    "picture's age when looked at": "image age at the start of a cycle",
+    "servos read, perception, controller, command": "servo read to command",
+    "of it perception": "perception",
+    "state's age": "servo state age",
+}
+
+
 def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
     cpu = loop["cpu"]
     parts = loop["parts_median_ms"]
     return [
         (
-            "loop of a 60 Hz camera, two servos, valve",
+            "control loop with a 60 Hz camera, two servos, valve",
             "60 Hz",
             f"{loop['rate_Hz']:.1f} Hz, jitter {loop['jitter_ms']:.1f} ms",
         ),
         (
-            "capture to command, median / p99",
+            "image capture to command, median / 99th percentile",
             "25 / 45 ms",
             f"{loop['capture_to_command_median_ms']:.1f} / {loop['capture_to_command_p99_ms']:.1f} "
-            f"ms (p10 {loop['capture_to_command_p10_ms']:.1f})",
+            f"ms (10th percentile {loop['capture_to_command_p10_ms']:.1f})",
         ),
         (
-            "of it, median",
+            "its parts, median",
             "",
-            ", ".join(f"{name} {value:.1f}" for name, value in parts.items()) + " ms",
+            ", ".join(f"{_PARTS.get(name, name)} {value:.1f}" for name, value in parts.items())
+            + " ms",
         ),
         (
             "missed cycles",
@@ -230,11 +242,14 @@ def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [
         (
-            "two servos read, median / p99",
+            "time to read two servos, median / 99th percentile",
             "",
             f"{bus['read_2_servos_median_ms']:.2f} / {bus['read_2_servos_p99_ms']:.2f} ms",
         )
     ]
+
+
+_REACTIONS = {"goes on": "none (continue)", "limp": "torque off"}
 
 
 def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
@@ -253,10 +268,10 @@ def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
 
     return [
         (
-            f"host killed while squeezing an egg, on servos that then: {kind}",
-            "300 ms, a safe hand",
+            f"host killed while squeezing an egg, servo reaction: {_REACTIONS.get(kind, kind)}",
+            "300 ms, safe gripper",
             f"watchdogs tripped {time(kind, 'servos_stopped_s')}, valves vented "
-            f"{time(kind, 'valves_vented_s')}; squeeze {amount(kind, 'squeeze_before_N')} N "
+            f"{time(kind, 'valves_vented_s')}; grip force {amount(kind, 'squeeze_before_N')} N "
             f"before, {amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
             f"{amount(kind, 'closed_by_mm')} mm",
         )
@@ -269,23 +284,23 @@ def _outcome_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     for run in runs:
         sim = run["sim"]
         emulated = run["emulated"]
-        text = f"sim {sim['outcome']}, emulated {emulated['outcome']}"
-        for key, name in (("hold_force_N", "felt"), ("hold_drive_N", "by the drive")):
+        text = f"simulated {sim['outcome']}, emulated {emulated['outcome']}"
+        for key, name in (("hold_force_N", "estimate"), ("hold_drive_N", "from the drive")):
             a = sim[key]
             b = emulated[key]
             text += (
                 (f"; {name} {a:.3f} and {b:.3f} N ({100 * (b / a - 1):+.1f} %)") if a and b else ""
             )
-        rows.append((f"grasp of an egg, seed {run['seed']}: held force", "within 10 %", text))
+        rows.append((f"grasp of an egg, seed {run['seed']}: grip force", "within 10 %", text))
     return rows
 
 
 def _fuzz_rows(fuzz: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [
         (
-            f"bad bytes to the {name} driver",
-            "10^7, none beyond what the CRC allows",
-            f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong accepted, {r['true']} true "
+            f"corrupted bytes sent to the {name} driver",
+            "10^7, none accepted beyond the CRC limit",
+            f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong accepted, {r['true']} correct "
             f"accepted, longest call {1e3 * r['longest_s']:.0f} ms",
         )
         for name, r in fuzz.items()
@@ -295,8 +310,8 @@ def _fuzz_rows(fuzz: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _stuck_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     return [
         (
-            "stuck valve refused",
-            "every time",
+            "stuck valve detected",
+            "always",
             f"{sum(r['safe'] for r in runs)} of {len(runs)}: {runs[0]['outcome'][:80]}",
         )
     ]

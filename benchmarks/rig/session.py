@@ -66,7 +66,7 @@ class Bench:
         seed: int = 0,
         emulator: Mapping[str, object] = MappingProxyType({}),
     ):
-        """`emulator`: what of the rig file's [emulator] is otherwise."""
+        """Start an emulator; `emulator` overrides fields of the rig file's [emulator]."""
         file = load_rig_file(name)
         assert file.emulator is not None
         self.rig_file: RigFile = replace(file, emulator=replace(file.emulator, **emulator))
@@ -114,8 +114,10 @@ def drive(
     time_limit: float = 60.0,
     on_ready: Callable[[Rig], None] = lambda _: None,
 ) -> str:
-    """Connect, take references, run until `on_cycle` raises EndOfRun or a fault ends it; what ended
-    it ("" for EndOfRun)."""
+    """Connect, take references, and run until `on_cycle` raises EndOfRun or a fault ends the run.
+
+    Return the reason of the end ("" for EndOfRun).
+    """
     try:
         rig = bench.connect()
     except DeviceError as error:
@@ -129,6 +131,6 @@ def drive(
     except DeviceError as error:
         return str(error)
     finally:
-        with contextlib.suppress(DeviceError):  # what was unplugged cannot be switched off
+        with contextlib.suppress(DeviceError):  # an unplugged device cannot be switched off
             rig.close()
     return "the controller ended"

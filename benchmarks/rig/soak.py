@@ -1,8 +1,7 @@
-"""Hours of the 60 Hz loop: an egg is gripped again and again, every five minutes something breaks,
-and all is recorded.
+"""Hours of the 60 Hz loop with repeated grips of an egg, and a fault every five minutes.
 
-A leg is what lies between two faults: a connection, its grips, a fault at a moment that nobody
-chose, the safe state. An interrupted run goes on with its next leg.
+The whole run is recorded. A leg lies between two faults: a connection, its grips, a fault at a
+random moment, the safe state. An interrupted run continues with its next leg.
 """
 
 from __future__ import annotations
@@ -28,23 +27,25 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.cycle import Cycle
 
-# s from fault to fault, and from grip to grip
+# time from fault to fault, and from grip to grip, s
 LEG = 300.0
 GRIP = 20.0
-_WATCH = 3.0  # s after a fault in which the loop must react
+_WATCH = 3.0  # time limit for the loop's reaction, s
 _PICTURES = 60  # cycles from one recorded image to the next: one a second
 
 
 @dataclass
 class Gripping:
-    """Grips what is there to `force` N as the membrane feels it for the first 0.6 of each `period`
-    s, then lets go: for ever."""
+    """Controller that grips with an estimated `force`, N, during the first 0.6 of each `period`, s.
+
+    It releases for the remainder, and repeats without end.
+    """
 
     period: float = GRIP
     force: float = 0.4
-    touch: float = 0.08  # N
-    speed: float = 0.02  # m/s
-    gain: float = 0.03  # m/s of opening for each N
+    touch: float = 0.08  # contact threshold, N
+    speed: float = 0.02  # closing speed, m/s
+    gain: float = 0.03  # gain, m/s of opening per N
     path: Path = Path("soak")
 
     def step(self, observation: Observation) -> Command:
@@ -110,8 +111,8 @@ class SoakBench(KeptBench):
 
 
 class _Leg:
-    """What happens in one leg. Each cycle only adds to arrays that are there from the beginning:
-    what grows is the loop's."""
+    """State of one leg. Each cycle only writes to preallocated arrays, so that memory growth is due
+    to the loop."""
 
     def __init__(self, bench: Bench, kind: str, at: float, grip: float):
         self._bench = bench
@@ -119,7 +120,8 @@ class _Leg:
         self._at = at
         self._grip = grip
         self.supervisor = Stopwatch(1 / RATE)
-        self._rows = np.full((int(1.1 * RATE * (at + 60)), 3), np.nan)  # s, N felt, whether it ran
+        # time, s; estimated force, N; 1 while running
+        self._rows = np.full((int(1.1 * RATE * (at + 60)), 3), np.nan)
         self.cycles = 0
         self._injected = 0.0
         self._rig: Rig | None = None
@@ -143,8 +145,10 @@ class _Leg:
             raise EndOfRun
 
     def result(self, outcome: str) -> dict[str, Any]:
-        """Of the time before the fault, and what became of it: `safe` where the loop left "running"
-        within `_WATCH` of it."""
+        """Return the statistics before the fault, and its outcome.
+
+        `safe` is true if the loop left "running" within `_WATCH` of it.
+        """
         rows = self._rows[np.isfinite(self._rows[:, 0])]
         intervals = np.diff(rows[:, 0])
         felt = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
@@ -164,8 +168,10 @@ class _Leg:
 
 
 def _read_back(folder: Path, cycles: int) -> str:
-    """What is wrong with the recording of a leg ("": nothing). Read by a process of its own: the
-    memory of this one is the loop's."""
+    """Return the defect of a leg's recording ("": none).
+
+    A separate process reads it, so that this one's memory is that of the loop.
+    """
     done = subprocess.run(
         [sys.executable, "-m", __name__, str(folder)], capture_output=True, text=True, check=False
     )
@@ -175,7 +181,7 @@ def _read_back(folder: Path, cycles: int) -> str:
 
 
 def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, str, str]]:
-    """Of the table of `mjtactile bench rig`."""
+    """Return rows for the table of `mjtactile bench rig`."""
     hours = sum(leg["seconds"] for leg in legs) / 3600
     cycles = sum(leg["cycles"] for leg in legs)
     missed = sum(leg["missed"] for leg in legs)
@@ -184,38 +190,40 @@ def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, 
     unread = sum(bool(leg["recording"]) for leg in legs)
     return [
         (
-            f"long run: {hours:.2f} h, {sum(leg['grips'] for leg in legs)} grips of an egg, cycles "
-            "missed",
+            f"long run of {hours:.2f} h, {sum(leg['grips'] for leg in legs)} grips of an egg: "
+            "missed cycles",
             "< 0.5 %",
             f"{100 * missed / max(cycles, 1):.2f} % of {cycles}",
         ),
         (
-            "long run: safe state after a fault at any moment",
-            "every time, 200 ms",
+            "long run: safe state after a fault at a random time",
+            "always, within 200 ms",
             f"{sum(leg['safe'] for leg in legs)} of {len(legs) - len(unasked)}, "
             f"{sum(t > late for t in times)} later than "
             f"{1e3 * late:.0f} ms, worst {1e3 * max(times, default=math.nan):.0f} ms",
         ),
         (
-            "long run: ended without a fault",
-            "never",
+            "long run: stops without a fault",
+            "none",
             f"{len(unasked)} of {len(legs)} legs"
             + "".join(f"; {leg['outcome'][:80]}" for leg in unasked[:1]),
         ),
-        ("long run: memory", "flat", growth(legs)),
-        ("long run: recordings that cannot be read", "none", f"{unread} of {len(legs)}"),
+        ("long run: memory", "constant", growth(legs)),
+        ("long run: unreadable recordings", "none", f"{unread} of {len(legs)}"),
     ]
 
 
 def growth(legs: list[dict[str, Any]]) -> str:
-    """What the process that ran most of the legs held after its second one, half of them, and the
-    last."""
+    """Describe the memory of the process that ran the largest number of legs.
+
+    It is given after the second leg, half of the legs and the last leg.
+    """
     by_process: dict[int, list[float]] = {}
     for leg in legs:
         by_process.setdefault(leg["process"], []).append(leg["memory_MB"])
     longest = max(by_process.values(), key=len)
     if len(longest) < 3:
-        return f"{longest[-1]:.0f} MB; too few legs to say"
+        return f"{longest[-1]:.0f} MB; too few legs for a trend"
     counts = sorted({2, max(2, len(longest) // 2), len(longest)})
     return ", ".join(f"{longest[count - 1]:.1f} MB after {count} legs" for count in counts)
 

@@ -20,10 +20,11 @@ TOUCH_GRID = "mujoco.sensor.touch_grid"
 def scene(
     design: SensorDesign, grasped: str, timestep: float, *, touch_grid: bool
 ) -> mujoco.MjSpec:
-    """Gripper, table and object of a grasp with a rigid pad, as large as the membrane, on each
-    finger.
+    """Build gripper, table and object of a grasp with a rigid pad, as large as the membrane, on
+    each finger.
 
-    Newton with an elliptic cone: what MuJoCo's manual recommends for grasping rigid things.
+    The solver is Newton with an elliptic cone, as MuJoCo's manual recommends for grasping rigid
+    objects.
     """
     spec = mujoco.MjSpec.from_file(str(resources.find("two_finger", "models/grippers", ".xml")))
     configure_options(spec, timestep)

@@ -8,7 +8,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
-# m between two sensors, and of a ball above the frame before it falls
+# distance between two sensors, and initial height of a ball above the frame, m
 _GAP = 0.03
 _ABOVE = 6e-3
 

@@ -1,5 +1,4 @@
-"""Random cases of slip and of holding, each drawn from its seed: what is held, how hard, and how it
-is pulled."""
+"""Random cases of slip and of holding: object, grip force and load of each seed."""
 
 from __future__ import annotations
 
@@ -9,17 +8,21 @@ import numpy as np
 
 BODIES = ("ball", "box", "cylinder", "lying cylinder", "soft block", "soft ball")
 FRICTION = (0.3, 1.2)
-SPEED = (2e-3, 40e-3)  # m/s that a slipping body comes to, where nothing moves it
-_SHEAR_MAX = 1.0  # N that the membrane is sheared by: more wrinkles it
+SPEED = (2e-3, 40e-3)  # final speed of a slipping object without a moving finger, m/s
+_SHEAR_MAX = 1.0  # maximum shear of the membrane, N: a larger one wrinkles it
 
 
 @dataclass(frozen=True)
 class Way:
-    """A way to load what is held. `load` is what grows: a "pull", a "torque", a "shake" of the
-    hand, a "drag" past an anchored object, the "grip" that is opened under a pull, "one" finger
-    that moves, "roll": both, against each other, "squeeze" or "tap": none. `share` is the range of
-    its peak, in limits of friction (mm of way for what is moved), `rise` the time to it, s (speed
-    for what is moved, mm/s); `stays` whether the peak is held, else the load goes on growing."""
+    """Type of load on a held object.
+
+    `load` names the quantity that grows: a "pull", a "torque", a "shake" of the hand, a "drag" past
+    an anchored object, the "grip" that opens under a pull, "one" moving finger, "roll" (both
+    fingers, in opposite directions), "squeeze" or "tap" (none). `share` is the range of its peak,
+    relative to the friction limit (for moved parts the displacement, mm). `rise` is the time to the
+    peak, s (for moved parts the speed, mm/s). `stays` is true if the load stays at its peak, else
+    it keeps growing.
+    """
 
     load: str
     share: tuple[float, float]
@@ -53,9 +56,13 @@ HOLDS = {
 
 @dataclass(frozen=True)
 class SlipCase:
-    """One case. `size` m of the body (radius, half an edge), `mass` kg, `friction` of the left and
-    the right membrane against it, `grip` N on each, `offset` (2,) m of the body from the membranes'
-    middles, `angle` rad of the pull in their plane, `speed` m/s that a body that slips comes to."""
+    """One case.
+
+    Object `size`, m (radius or half an edge), and `mass`, kg. `friction` of the left and the right
+    membrane against it, and the `grip` force, N, on each. `offset` (2,), m, of the object from the
+    membrane centers. `angle`, rad, of the pull in their plane. `speed`, m/s, that a slipping object
+    reaches.
+    """
 
     seed: int
     name: str

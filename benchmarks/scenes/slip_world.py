@@ -13,28 +13,28 @@ from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane, conf
 from mjtactile.sim.scenes.world import World
 
 MESH = DEFAULT_MESH
-# m, s, m
+# initial jaw distance from the center, m; filling time, s; offset of the object meanwhile, m
 _APART = 0.05
 _FILLING = 0.3
 _AWAY = 0.06
-# N/m and kg of a jaw
+# stiffness, N/m, and mass, kg, of a jaw
 _STIFFNESS = 2e4
 _MASS = 0.1
-# N/m of half a soft body, N s/m
+# stiffness of half a soft object, N/m, and its damping, N s/m
 _SOFT = (400.0, 4000.0)
 _SOFT_DAMPING = 1.0
-_ANCHOR = 1e4  # N s/m that hold a body that is dragged past
-_TURNING = 3e-3  # m, of a contact: the arm of a torque
+_ANCHOR = 1e4  # damping that holds an object while the jaws drag past it, N s/m
+_TURNING = 3e-3  # lever arm of a torque in the contact, m
 _QUATS = {
     "left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0],
     "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0],
 }
-# s that the grip is given, m/s, m
+# settling time of the grip, s; closing speed, m/s; initial clearance, m
 _SETTLE = 0.25
 _CLOSING = 0.02
 _CLEARANCE = 1e-3
-# The test: the grip is changed by a twentieth at this rate, Hz. N/m of a finger's way and N/m for
-# each N, of two membranes over 1 kPa that press on something hard
+# Test: the grip changes by a twentieth at this rate, Hz. Stiffness of the grip: N/m of finger
+# displacement, and N/m per N, of two membranes at 1 kPa on a hard object
 _TEST_FRACTION = 0.05
 _TEST_RATE = 4.0
 _SOFT_GRIP = 220.0
@@ -54,7 +54,7 @@ class SlipWorld(World):
         timestep: float = 1 / 240,
         test: bool = False,
     ):
-        """`test`: the grip is changed a little all the while, to see what follows it."""
+        """Build the scene; `test` adds a small modulation of the grip, for the slip test."""
         spec = mujoco.MjSpec()
         configure_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
@@ -98,16 +98,17 @@ class SlipWorld(World):
         return attach_membrane(spec, design, site=site, prefix=prefix, mesh=mesh)
 
     def press(self, sensor: int) -> float:
-        """Sum of the forces, N, along the normals of what touches membrane `sensor`: what the
-        case's loads are measured by."""
+        """Return the sum of the normal contact forces on membrane `sensor`, N.
+
+        The loads of a case are measured relative to it.
+        """
         contact = self.data.contact
         touching = np.isin(contact.geom, self.sensors[sensor].vertex_geom_ids).any(axis=1) & (
             contact.efc_address >= 0
         )
         return float(self.data.efc_force[contact.efc_address[touching]].sum())
 
-    # -- what happens
-    # --------------------------------------------------------------------------------
+    # -- motion ------------------------------------------------------------------------------------
 
     def inflate(self, gauge_pressure: float) -> None:
         """Fill both chambers, with the body out of the way; seals them."""
@@ -137,7 +138,7 @@ class SlipWorld(World):
             yield
 
     def load(self, seconds: float) -> Iterator[None]:
-        """Do what the case does to what is held, for so long."""
+        """Apply the load of the case for `seconds`."""
         case = self.case
         way = self.case.way
         normal = np.array([self.press(k) for k in range(2)])

@@ -1,5 +1,7 @@
-"""Scenes that try a membrane hard: things that fall on it, rest on it, or are pinched between two.
-For benchmarks and tests."""
+"""Scenes with severe loads on a membrane, for benchmarks and tests.
+
+Objects fall on it, rest on it, or are pinched between two membranes.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, configure_options
 from mjtactile.sim.scenes.world import World
 
-# N/m and kg of the jaw that pinches
+# stiffness, N/m, and mass, kg, of the jaw that pinches
 _STIFFNESS = 2e4
 _MASS = 0.1
 
@@ -128,7 +130,7 @@ class FloatWorld(World):
 
     @property
     def angular_momentum(self) -> float:
-        """Of everything about its centre of mass, kg m^2/s."""
+        """Angular momentum of the whole system about its center of mass, kg m^2/s."""
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_subtreeVel(self.model, self.data)
         return float(np.linalg.norm(self.data.subtree_angmom[1]))
@@ -189,7 +191,7 @@ class PinchWorld(World):
 
     @property
     def drop(self) -> float:
-        """How far the body has sunk, m."""
+        """Distance the object has sunk, m."""
         return -float(self.data.qpos[self._place])
 
     def _close(self, travel: float) -> None:
@@ -203,7 +205,7 @@ class PinchWorld(World):
         self.step(round(0.1 / self.timestep))
 
 
-# m, m, s
+# height of the object during filling, m; jaw distance from the center, m; filling time, s
 _HIGH = 0.5
 _APART = 0.04
 _FILLING = 0.3

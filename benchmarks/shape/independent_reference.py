@@ -1,8 +1,9 @@
-"""Balls under an independent solver's sheet (film_reference.json), with a camera's noise on its
-markers: where the simulation has no part in it.
+"""Balls on an independent solver's membrane (film_reference.json), with camera noise on the
+markers.
 
-That sheet slides, and meets bodies with its middle: a ball's radius is that of the body less half
-of the sheet, and the force has no friction in it.
+The simulation of this package is not involved. That membrane is frictionless, and obstacles touch
+its midsurface. The effective ball radius is thus that of the indenter minus half the membrane
+thickness, and the force has no friction component.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.settings import DEFAULTS
 
-_NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: one image of `dense`
+_NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one image of `dense`, m
 _GRID = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
 ).reshape(-1, 2)
@@ -26,10 +27,10 @@ _FILM = (41, 31)
 
 
 def rows() -> list[dict[str, Any]]:
-    """What is said of each of the reference's balls.
+    """Estimate the shape of each of the reference's balls.
 
     Returns:
-        A row a ball.
+        One row per ball.
     """
     design = load_sensor("dense")
     chain = SensingPipeline(design)

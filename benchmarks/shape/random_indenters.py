@@ -1,5 +1,5 @@
-"""Bodies that `bench shape` presses into a simulated sheet, drawn from a seed: what each is, as an
-MJCF file, and what is true of it. SI units; the body comes down along -z."""
+"""Random indenters of `bench shape`: their MJCF file and their true shape. SI units; the indenter
+moves along -z."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.shape_models import SHARP
 
 _MESH = '<geom type="mesh" mesh="hull"/>'
-_SIDES = 40  # of what stands for a circle
+_SIDES = 40  # sides of the polygon that approximates a circle
 
 
 @dataclass(frozen=True)
 class Case:
-    """A body: the `family` that is right, its `name`, geoms as MJCF text, its `radius` m where it
-    has one, `curvatures` (1/m, larger first) of what is smooth, the `direction` (rad from x) of an
-    edge, of a cylinder's axis, or of what is less curved, and `at` (2,) m where it is pressed."""
+    """An indenter.
+
+    The true shape model `family`, its `name`, geoms as MJCF text, and its `radius`, m, if it has
+    one. `curvatures`, 1/m, larger first, of smooth shapes. `direction`, rad from x, of an edge, a
+    cylinder axis, or the smaller curvature. `at` (2,), m, is the position of the load.
+    """
 
     family: str
     name: str

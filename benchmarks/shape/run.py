@@ -1,13 +1,14 @@
-"""`mjtactile bench shape`: what body touches, from images alone, over bodies that nothing was tuned
-on.
+"""`mjtactile bench shape`: contact shapes estimated from images alone, on indenters not used for
+tuning.
 
-Balls, ellipsoids, lying and standing cylinders, round rims, blocks, wedges, corners and two balls
-at once, pressed into the simulated sheet of `dense` in steps, tilted and off the middle, on a mesh
-that is finer than the default's, held for some images at the end, and dragged aside by up to a
-millimetre. Each image of a press is judged twice: as part of it, which is followed from image to
-image as a session does, and by itself; those of drags count for the wrench alone. The truth is the
-body's own, and the simulator's forces and contact area; that of lines and points, which have none,
-is left out.
+Indenters are balls, ellipsoids, lying and standing cylinders, round rims, blocks, wedges, corners
+and two balls together. They are pressed into the simulated membrane of `dense` in steps, tilted and
+off the center, on a mesh finer than the default. They are held for some images at the end, then
+dragged aside by up to a millimetre.
+
+Each image of a load is evaluated twice: alone, and in a sequence that is tracked as in a session.
+Images of drags count for the wrench alone. Ground truth is the indenter's shape, and the
+simulator's forces and contact area. The area of lines and points is left out.
 """
 
 from __future__ import annotations
@@ -35,21 +36,21 @@ FIRST_SEED = 1120  # those from 1000 on have been looked at, 2000 to 2059 are ca
 BODIES, BODIES_QUICK = 20, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
-_FORCE_MIN, _MAX_FORCE = 0.06, 1.5  # N
+_FORCE_MIN, _MAX_FORCE = 0.06, 1.5  # range of evaluated forces, N
 _HELD = 4  # images
-_DRAG = 1e-3  # m at most
+_DRAG = 1e-3  # maximum drag displacement, m
 _DRAGGED = (0.5, 1.0)  # of it
 
 Say = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
-    """Press each body; a row for each image.
+    """Press each indenter; return a row for each image.
 
     Args:
-        out: A folder; not used, the table is all there is.
-        quick: Two bodies.
-        say: Told of each body.
+        out: Folder, not used; only the table is written.
+        quick: Two indenters.
+        say: Receiver of a message for each indenter.
 
     Returns:
         Rows, and their summary.
@@ -89,7 +90,7 @@ def _press(seed: int) -> list[dict[str, Any]]:
 
 
 def _stages(world: PressWorld, drag: float) -> Iterator[str]:
-    """Deeper and deeper, as far as the force allows; held there; then dragged by `drag` m."""
+    """Load in steps up to the force limit, hold, then drag by `drag`, m."""
     reached = 0.0
     for depth in _DEPTHS:
         world.press(float(depth))
@@ -108,7 +109,7 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
 def _followed(
     case: Case, view: View, finder: ContactShapeEstimator, true: Array
 ) -> dict[str, Any] | None:
-    """One image more of a press; None where nothing is felt."""
+    """Evaluate the next image of a sequence; None without contact."""
     perception = view.perception
     before = perception.state
     nodal = view.touch()
@@ -135,7 +136,7 @@ def _followed(
 
 
 def _alone(case: Case, view: View, touch: Touch) -> dict[str, Any]:
-    """What the same image says by itself."""
+    """Evaluate the same image alone."""
     start = time.thread_time()
     shape = view.perception.shape(touch)
     seconds = time.thread_time() - start
@@ -161,7 +162,7 @@ def _said(case: Case, shape: ContactShape) -> dict[str, Any]:
 
 
 def _chi2(traction: Traction, true: Array) -> float:
-    """Of the wrench, over its six numbers."""
+    """Compute chi-square of the wrench, divided by its six components."""
     off = traction.wrench - true
     return float(off @ np.linalg.solve(traction.wrench_cov, off)) / len(off)
 

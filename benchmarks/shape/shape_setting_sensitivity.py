@@ -1,8 +1,8 @@
-"""`mjtactile bench shape-sensitivity`: what the tried numbers of shapes are worth: the same presses
-told with each of them at half and at twice.
+"""`mjtactile bench shape-sensitivity`: effect of halving and doubling the tuned parameters of shape
+estimation.
 
-A ball, an ellipsoid, a block, and two close balls of which one touches later, pressed in steps and
-held; touches are recorded once, so that a change is the setting's alone.
+A ball, an ellipsoid, a block, and two close balls of which one touches later are pressed in steps
+and held. Touches are recorded once, so that a change is due to the setting alone.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
-DRAWN = (1035, 1038, 1023)  # of bodies that have been looked at: bench shape's come later
+DRAWN = (1035, 1038, 1023)  # seeds of known indenters; those of bench shape come later
 _CLOSE = "".join(
     f'<geom type="sphere" size="5e-3" pos="{x} 0 {5e-3 + later}"/>'
     for x, later in ((-3e-3, 0.0), (3e-3, 0.2e-3))
 )
-_DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3]) * 1e-3  # m
-_MAX_FORCE = 1.5  # N
+_DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3]) * 1e-3  # depths of the load, m
+_MAX_FORCE = 1.5  # force limit, N
 _HELD = 20  # images
 _SIMILAR_AREA = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """A press: the `state` after its references, and of each image the states before and after it
-    and what was felt."""
+    """A load: the `state` after its references, and for each image the states before and after it,
+    and its touch."""
 
     state: PipelineState
     images: Sequence[tuple[PipelineState, PipelineState, Touch]]
@@ -50,7 +50,8 @@ class Pressed:
 
 @dataclass(frozen=True)
 class ShapeEstimate:
-    """What one image says: the kind and area m^2 of the shape, its radius m, and the force N."""
+    """Estimate from one image: kind and area, m^2, of the shape, its radius, m, and the force,
+    N."""
 
     kind: str
     area: float
@@ -65,7 +66,7 @@ def cases() -> list[Case]:
 
 
 def record(case: Case) -> Pressed:
-    """Press it in steps, as far as the force allows, and hold it."""
+    """Press the indenter in steps up to the force limit, and hold it."""
     with TemporaryDirectory() as folder:
         indenter = Indenter("model", path=case.write(Path(folder)))
         world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
@@ -87,7 +88,7 @@ def record(case: Case) -> Pressed:
 
 
 def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
-    """What all images say with these settings."""
+    """Estimate the shape in all images with these settings."""
     chain = SensingPipeline(load_sensor("dense"), settings=settings)
     told = []
     for pressed in presses:
@@ -107,8 +108,10 @@ def _told(shape: ContactShape | None, force: float) -> ShapeEstimate:
 
 
 def change(before: Sequence[ShapeEstimate], now: Sequence[ShapeEstimate]) -> dict[str, float]:
-    """Of how many images another kind is said, an area that is 5 % off, a radius or none; how far
-    the force goes (rms, N)."""
+    """Count images with a changed kind, area (by 5 %) or existing radius.
+
+    Compute also the rms force change, N.
+    """
     pairs = list(zip(before, now, strict=True))
     same = [(old, new) for old, new in pairs if old.kind == new.kind]
     off = [new.force - old.force for old, new in pairs]
@@ -121,7 +124,7 @@ def change(before: Sequence[ShapeEstimate], now: Sequence[ShapeEstimate]) -> dic
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Every number whose source says that it was tried here."""
+    """Vary every parameter whose source states that it was tuned here."""
     del out
     presses = [record(case) for case in cases()[: 1 if quick else None]]
     usual = tell(presses, DEFAULTS)
@@ -142,9 +145,9 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """Half and twice of each number, as Markdown."""
     lines = [
-        f"Of {result['images']} images:",
+        f"Changes in {result['images']} images:",
         "",
-        "| number | default | another kind | area | radius or none | force, mN |",
+        "| parameter | default | another kind | area | radius or none | force, mN |",
         "|---|---|---|---|---|---|",
     ]
     for row in result["numbers"]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-_LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # N
+_LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # force limits of the groups, N
 _SHARP = {"edge": "edges", "point": "corners", "multiple": "two balls"}
 _SMALL, _LARGE = 4.2, 30.0  # mm, of balls whose radius is asked for
 
@@ -15,14 +15,13 @@ Row = dict[str, Any]
 
 
 def summary(rows: Iterable[Row]) -> dict[str, Any]:
-    """What the rows come to.
+    """Summarize the rows.
 
     Args:
-        rows: Of the benchmark.
+        rows: Rows of the benchmark.
 
     Returns:
-        Medians, shares and how many there were, by name: of presses that were followed, and of
-        images each alone.
+        Medians, fractions and counts by name, for tracked sequences and for single images.
     """
     listed = list(rows)
     followed = [row for row in listed if row["looked"] != "image"]
@@ -98,7 +97,7 @@ def _broad(rows: list[Row]) -> dict[str, list[Row]]:
 
 
 def _sharp(rows: list[Row]) -> dict[str, list[Row]]:
-    """Rows of sharp bodies, by what a table calls them: pressed and dragged, and both."""
+    """Group rows of sharp indenters by table name: pressed, dragged, and both."""
     pushed = [row for row in rows if row["looked"] in ("press", "drag")]
     named: dict[str, list[Row]] = {}
     for family, name in _SHARP.items():
@@ -113,7 +112,7 @@ def _sharp(rows: list[Row]) -> dict[str, list[Row]]:
 
 
 def _ends(presses: list[Row]) -> list[Row]:
-    """Of each press the first image of 0.3 N or more."""
+    """Return the first image of 0.3 N or more of each load."""
     found: dict[int, Row] = {}
     for row in presses:
         if row["force_true_N"] >= _END:
@@ -122,8 +121,10 @@ def _ends(presses: list[Row]) -> list[Row]:
 
 
 def _curvatures_cover(row: Row) -> list[bool]:
-    """Whether each curvature is within its standard deviation; of one that the family has as
-    exact, nothing is said."""
+    """Return True for each curvature that is within its standard deviation.
+
+    Curvatures that the shape model fixes are left out.
+    """
     given = zip(
         row["curvatures_per_m"],
         row["curvatures_true_per_m"],
@@ -152,34 +153,34 @@ def table(result: dict[str, Any]) -> str:
         return _part(press[key]), _part(image[key]), "none"
 
     rows = [
-        ("what", "press, followed", "one image", "nodal estimate"),
+        ("quantity", "load, tracked", "single image", "nodal estimate"),
         ("---", "---", "---", "---"),
-        ("area from 0.2 N on, smooth and faces, error: median / 90 % within", *areas("firm")),
-        ("of smooth bodies", *areas("smooth")),
-        ("of faces", *areas("flat")),
-        ("area, 0.06 to 0.2 N", *areas("light")),
-        ("68 % interval of the area has the true one, from 0.2 N on", *shares("coverage")),
-        ("68 % interval of curvatures, the same", *shares("coverage_curvature")),
+        ("area from 0.2 N, smooth objects and faces, error: median / 90 % within", *areas("firm")),
+        ("… smooth objects", *areas("smooth")),
+        ("… faces", *areas("flat")),
+        ("area, 0.06 to 0.2 N, error", *areas("light")),
+        ("68 % interval of the area contains the true one, from 0.2 N", *shares("coverage")),
+        ("the same for curvatures", *shares("coverage_curvature")),
         (
-            "radius of balls of 4.2 to 30 mm, from 0.2 N on",
+            "radius of balls of 4.2 to 30 mm, from 0.2 N, error",
             _both(press["radius"]),
             _both(image["radius"]),
             "none",
         ),
-        ("kind right at the end of a press to 0.3 N", _part(s["kind_end"]), "", "none"),
-        ("kind right, images of 0.3 N or more", *shares("kind")),
-        ("said to be unknown, of these", *shares("unknown")),
-        ("two balls at once, said to be several", _part(s["multiple"]), "", "none"),
-        ("a wedge's edge: off across it, mm, median", _number(s["edge_off_mm"]), "", "none"),
-        ("a wedge's edge: turned, deg, median", _number(s["edge_turn_deg"]), "", "none"),
+        ("correct kind at the end of a load to 0.3 N", _part(s["kind_end"]), "", "none"),
+        ("correct kind, images of 0.3 N or more", *shares("kind")),
+        ("… reported as unknown", *shares("unknown")),
+        ("two balls at once, reported as `multiple`", _part(s["multiple"]), "", "none"),
+        ("edge of a wedge: lateral error, mm, median", _number(s["edge_off_mm"]), "", "none"),
+        ("edge of a wedge: rotation error, deg, median", _number(s["edge_turn_deg"]), "", "none"),
         (
-            "normal force of smooth bodies, error, N: mean / worst",
+            "normal force of smooth objects, error, N: mean / worst",
             _newtons(s["force_smooth"]),
             "",
             _newtons(s["force_smooth_nodal"]),
         ),
         (
-            "normal force of edges, corners, two balls",
+            "normal force of edges, corners, two balls, error",
             _newtons(s["force_sharp"]),
             "",
             _newtons(s["force_sharp_nodal"]),
@@ -188,26 +189,23 @@ def table(result: dict[str, Any]) -> str:
             (f"chi-square of the wrench, {name}", f"{now:.2f}", "", f"{before:.2f}")
             for name, (now, before) in s["chi2"].items()
         ),
-        ("time of a processor, ms: the first image of a press", _number(s["first_ms"]), "", ""),
-        (
-            "images between which the force grows by half: all that may be it",
-            _number(s["look_ms"]),
-            "",
-            "",
-        ),
-        ("images of a hold", _number(s["hold_ms"]), "", ""),
+        ("processor time, ms: first image of a load", _number(s["first_ms"]), "", ""),
+        ("… force increased by half: all possible kinds fitted", _number(s["look_ms"]), "", ""),
+        ("… images of a hold", _number(s["hold_ms"]), "", ""),
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines += ["", *_independent(result["independent"])]
-    kinds = "; ".join(
-        f"{name}: " + ", ".join(f"{kind} {count}" for kind, count in said.items())
+    kinds = "\n".join(
+        f"- {name}: " + ", ".join(f"{kind} {count}" for kind, count in said.items())
         for name, said in s["kinds"].items()
     )
     mesh = " x ".join(str(count) for count in result["mesh"])
     lines += [
         "",
-        f"{s['bodies']} bodies, {s['images']} images, mesh {mesh}; in brackets how many. What was "
-        f"said at the end of presses to 0.3 N: {kinds}.",
+        f"{s['bodies']} objects, {s['images']} images, mesh {mesh}; counts in brackets. Reported "
+        "kinds at the end of loads to 0.3 N:",
+        "",
+        kinds,
     ]
     return "\n".join(lines)
 
@@ -243,21 +241,22 @@ def _mean(given: Iterable[float]) -> float:
 
 
 def _independent(balls: list[Row]) -> list[str]:
-    """Of balls of 4 to 30 mm under the sheet of another solver."""
+    """Return table rows of balls of 4 to 30 mm on another solver's membrane."""
     right = sum(row["kind"] == "smooth" for row in balls)
     radius = _errors(balls, "radius")
     place = [row["place_off_mm"] for row in balls]
     body = _errors(balls, "force", share=False)
     nodal = _errors(balls, "force_nodal", share=False)
     return [
-        f"| {len(balls)} balls of 4 to 30 mm, 2 mm deep, under an independent sheet | body | nodal "
-        "estimate, one image alone |",
+        f"| {len(balls)} balls of 4 to 30 mm, 2 mm deep, independent membrane | contact shape | "
+        "nodal estimate, single image |",
         "|---|---|---|",
-        f"| called smooth | {right} of {len(balls)} | none |",
-        f"| radius, error: median / worst | {100 * radius[0]:.1f} % / "
+        f"| classified as smooth | {right} of {len(balls)} | none |",
+        f"| radius error: median / worst | {100 * radius[0]:.1f} % / "
         f"{100 * _worst(balls, 'radius_mm', 'radius_true_mm', share=True):.0f} % | none |",
-        f"| place, mm: median / worst | {np.median(place):.2f} / {max(place):.2f} | none |",
-        f"| normal force, N: median / worst | {body[0]:.4f} / "
+        f"| position error, mm: median / worst | {np.median(place):.2f} / {max(place):.2f} | "
+        "none |",
+        f"| normal force error, N: median / worst | {body[0]:.4f} / "
         f"{_worst(balls, 'force_N', 'force_true_N'):.4f} | {nodal[0]:.4f} / "
         f"{_worst(balls, 'force_nodal_N', 'force_true_N'):.4f} |",
     ]
@@ -268,8 +267,10 @@ def _worst(rows: list[Row], name: str, true: str, *, share: bool = False) -> flo
 
 
 def _errors(rows: list[Row], name: str, *, share: bool = True) -> list[float]:
-    """Median and 90th percentile of the error, and of how many; what is unknown counts as an error
-    of all."""
+    """Return median and 90th percentile of the error, and the count.
+
+    An unknown value counts as an error of 100 %.
+    """
     unit = {"area": "mm2", "area_nodal": "mm2", "radius": "mm"}.get(name, "N")
     true = {"area_nodal": "area", "force_nodal": "force"}.get(name, name)
     if not rows:
@@ -297,7 +298,7 @@ def _median(given: Iterable[float]) -> list[float]:
 
 
 def _kinds(rows: list[Row]) -> dict[str, dict[str, int]]:
-    """Of each name, what it was said to be, and how often."""
+    """Count the estimated kinds of each indenter name."""
     found: dict[str, dict[str, int]] = {}
     for row in rows:
         said = found.setdefault(row["name"], {})

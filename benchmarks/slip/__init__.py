@@ -1,1 +1,1 @@
-"""Slips and holds by the hundred: random cases, what really slid, what was detected."""
+"""Random cases of slip and hold: true slips and detections."""

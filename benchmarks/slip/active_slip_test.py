@@ -1,9 +1,11 @@
-"""What the test adds to the signs of slip: the grip is changed by a twentieth at 4 Hz, and what
-slips follows it, so that a sign counts only where the shear does not plainly stay as it is.
+"""Active slip test, in addition to the passive slip indicators.
 
-Tried on seeds below the judged ones, of 56 slips and 92 holds, and left: the test alone (25-32
-slips within 0.4 s, 9-40 false: soft things, and loads that grow in bends, follow, too), and the
-test as a second witness (24-32, 5-9 false, a window later).
+The grip changes by a twentieth at 4 Hz, and the shear of a slipping contact follows it. An
+indicator counts unless the shear clearly stays constant.
+
+Tested on seeds below the evaluation seeds, with 56 slips and 92 holds, and rejected: the test alone
+(25-32 slips within 0.4 s, 9-40 false alarms: soft objects and loads that grow irregularly follow
+the grip as well), and the test as a second indicator (24-32, 5-9 false, a window later).
 """
 
 from __future__ import annotations
@@ -16,14 +18,14 @@ from benchmarks.slip.evaluate_case import Sample
 from mjtactile.core.types import Touch
 from mjtactile.grasp_estimation import SlipTestResult, follows
 
-WINDOW = 0.3  # s: a little more than one period
-IN_TIME = 0.4  # s, with the test
+WINDOW = 0.3  # window, s: a little more than one period
+IN_TIME = 0.4  # time limit of a detection with the test, s
 STAYS = 0.7  # of the grip's change in the shear, and two sd: less is no slip
-_ARM = 3e-3  # m, of a contact: a torque about its normal counts as a force at it
+_ARM = 3e-3  # lever arm in a contact, m, that converts a torque about its normal to a force
 
 
 def states(looks: Sequence[Sample]) -> list[str]:
-    """Say for each image "slipping" or "sticking", from it and those of the last 0.3 s alone."""
+    """Classify each image as "slipping" or "sticking", from the images of the last 0.3 s alone."""
     signs = [look.touch.slip is not None and look.touch.slip.state == "slipping" for look in looks]
     return [
         "slipping" if sign and not sticks(found) else "sticking"
@@ -32,7 +34,7 @@ def states(looks: Sequence[Sample]) -> list[str]:
 
 
 def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
-    """How the shear, force and torque, followed the grip up to each image."""
+    """Estimate up to each image how the shear, force and torque, followed the grip."""
     time = np.array([look.time for look in looks])
     normal = np.array([look.touch.force_normal for look in looks])
     shear = np.array([_shear(look.touch) for look in looks])
@@ -46,12 +48,12 @@ def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
 
 
 def sticks(found: SlipTestResult) -> bool:
-    """Whether it is plain that too little follows for a slip; False where nothing is known."""
+    """Return True if the shear clearly follows too little for a slip; False if unknown."""
     return found.share + 2 * found.sd < STAYS
 
 
 def _shear(touch: Touch) -> float:
-    """N; NaN where it is unknown."""
+    """Return the shear force including the torque, N; NaN if unknown."""
     if touch.traction is None:
         return float("nan")
     wrench = touch.traction.wrench

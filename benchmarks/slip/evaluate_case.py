@@ -1,4 +1,4 @@
-"""One case seen through both cameras: what the chain felt in each image, and what really slid."""
+"""One case viewed by both cameras: the estimate from each image, and the true slip."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ _STILL = 0.85
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One image of one finger: its `touch`, and by truth the `force` N, the share `used` of
-    friction's limit and the way `slid`, m, since everything began to slide (0 before), at `onset` s
-    (NaN: not yet)."""
+    """One image of one finger: its `touch` and the ground truth.
+
+    The true values are `force`, N, and `used`, the fraction of the friction limit. `slid`, m, is
+    the sliding distance since the whole contact began to slide (0 before), at `onset`, s (NaN: not
+    yet).
+    """
 
     time: float
     touch: Touch
@@ -50,7 +53,7 @@ class Watched:
 
 
 class _Slider:
-    """How far a membrane has slid over the body since it began to slide as a whole."""
+    """Sliding distance of a membrane over the object since its whole contact began to slide."""
 
     def __init__(self) -> None:
         self.slid = 0.0

@@ -1,8 +1,7 @@
-"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels: how many
-are detected, how soon, and how many false alarms.
+"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels.
 
-Seeds below FIRST_SEED were used in tuning and are not among them. `score` defines a
-slip, and what in time means.
+It counts detections, their latency, and false alarms. Seeds below FIRST_SEED were used in tuning
+and are excluded. `score` defines a slip and a detection in time.
 """
 
 from __future__ import annotations
@@ -34,7 +33,9 @@ CASES_QUICK = 4
 RATES = (30.0, 60.0)  # Hz, of cameras
 SENSOR = "dense"
 PARTS = ("passive", "tested")
-"""By the signs of slip alone; and with the test, which changes the grip: a run of its own."""
+"""Parts: passive slip indicators alone; and with the test, which changes the grip, in a separate
+run.
+"""
 _FINGERS = ("left", "right")
 _SEEN = 2.5  # images in which the first 0.5 mm pass, for a slip that the camera can follow
 
@@ -51,21 +52,21 @@ def run(
     parts: tuple[str, ...] = PARTS,
     say: Say = lambda _: None,
 ) -> dict[str, Any]:
-    """Watch random cases.
+    """Evaluate random cases.
 
     Args:
-        out: Gets slip.png.
+        out: Folder for slip.png.
         quick: Four cases.
-        episodes: So many of them (0: all).
-        rate: Hz of the cameras (0: the sensor's own).
-        parts: Of `PARTS`; each has rows of the table.
-        say: Is told of each case.
+        episodes: Number of cases (0: all).
+        rate: Rate of the cameras, Hz (0: the sensor's own).
+        parts: Some of `PARTS`; each has rows of the table.
+        say: Receiver of a message for each case.
 
     Returns:
         The summary of each part, with a row for each finger of each case.
 
     Raises:
-        InputError: For a part or a rate that there is not.
+        InputError: A part or a rate does not exist.
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown:
@@ -93,7 +94,7 @@ def run(
 
 
 def with_test(rows: Sequence[Row]) -> dict[str, Any]:
-    """Slips that the test says within 0.4 s of their beginning, and alarms in holds."""
+    """Count slips that the test detects within 0.4 s of their onset, and alarms in holds."""
     judged = [row for row in rows if row["outcome"] in OUTCOMES]
     slips = [row for row in judged if row["outcome"] in SLIPS]
     holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
@@ -120,8 +121,11 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row]:
-    """Both fingers of one case; one row without a finger when the simulation could not do it. With
-    `test` what the test says counts, and not the chain."""
+    """Return rows of both fingers of one case.
+
+    A failed simulation gives one row without a finger. With `test` the result of the test counts,
+    not that of the chain.
+    """
     case = plot_case(seed)
     design, chain, rest = _sensor(rate)
     try:
@@ -208,7 +212,7 @@ def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
 
 
 def _group(rows: Sequence[Row]) -> dict[str, Any]:
-    """How many slips; how many detected in time, before 0.5 mm, within 100 ms, at all."""
+    """Count slips, and those detected in time, before 0.5 mm, within 100 ms, and later."""
     names = [row["outcome"] for row in rows]
     counts = {
         "in_time": names.count("in time"),
@@ -228,7 +232,7 @@ def _quantiles(values: Sequence[float]) -> list[float]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown, next to what was asked for."""
+    """Return the result as Markdown, next to the requirements."""
 
     def share(count: int, of: int) -> str:
         return f"{100 * count / of:.0f} % ({count} of {of})" if of else "none"
@@ -239,34 +243,34 @@ def table(result: Mapping[str, Any]) -> str:
     every = result["groups"]["all slips"]
     test = result.get("with_test")
     lines = [
-        "| what | asked | measured | 95 % interval |",
+        "| quantity | required | measured | 95 % interval |",
         "|---|---|---|---|",
         "| slips detected before 0.5 mm and within 100 ms | 65 % | "
         f"{share(every['in_time'], every['slips'])} | {interval(every['in_time_interval'])} |",
         f"| holds with a false alarm | 2 % | {share(result['false'], result['holds'])} "
         f"| {interval(result['false_interval'])} |",
-        f"| precision: slips among all alarms |  | {100 * result['precision']:.0f} % "
+        f"| precision: slips among alarms |  | {100 * result['precision']:.0f} % "
         f"| {interval(result['precision_interval'])} |",
-        f"| latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} "
+        f"| detection latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} "
         f"({result['latency_ms'][1]:.0f}) |  |",
-        f"| slid by then, median (90 %), mm | 0.5 | {result['slid_mm'][0]:.2f} "
+        f"| slip distance at detection, median (90 %), mm | 0.5 | {result['slid_mm'][0]:.2f} "
         f"({result['slid_mm'][1]:.2f}) |  |",
     ]
     if test is not None:
         lines += [
-            "| with the test: slips said within 400 ms | 90 % | "
+            "| with the active test: slips detected within 400 ms | 90 % | "
             f"{share(test['in_time'], test['slips'])} | {interval(test['in_time_interval'])} |",
-            "| with the test: holds with a false alarm | 2 % | "
+            "| with the active test: holds with a false alarm | 2 % | "
             f"{share(test['false'], test['holds'])} | {interval(test['false_interval'])} |",
         ]
     lines += [
         "",
-        f"Cameras of {result['rate_Hz']:g} Hz. {result['cases']} cases, two fingers each; "
-        f"{result['between']} fingers neither slipped by 0.5 mm nor held with a margin; "
+        f"Cameras at {result['rate_Hz']:g} Hz; {result['cases']} cases, two fingers each. "
+        f"{result['between']} fingers neither slipped by 0.5 mm nor held with a margin. "
         f"{result['not_simulated']} cases could not be simulated.",
         "",
-        "| slips | fingers | both | before 0.5 mm | within 100 ms | at all | with the test, within "
-        "400 ms |",
+        "| slips | fingers | both criteria | before 0.5 mm | within 100 ms | detected | with the "
+        "active test, within 400 ms |",
         "|---" * 7 + "|",
     ]
     for name, group in result["groups"].items():
@@ -279,8 +283,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Latency of each slip that was detected, over its speed, and what became of all by kind of
-    case."""
+    """Plot the latency of each detected slip over its speed, and the outcomes by kind of case."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
     left, right = figure.subplots(1, 2)

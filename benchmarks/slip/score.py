@@ -1,12 +1,13 @@
-"""What the chain detected in one finger's case, against what really slid.
+"""Detections of the chain in one finger's case, compared with the true slip.
 
-A *slip* is a finger over which the body slides by 0.5 mm in all while everything in the contact
-slides (95 % of the friction that there can be resists the motion; it ends where less than 85 %
-does). It begins, at `onset`, when that is first so, and is detected in time when the first
-"slipping" comes before 0.5 mm and within 100 ms of it, by the times of the images. What comes more
-than 100 ms before it, while a fifth of the friction is left, is early. A *hold* never slides and
-never uses more than 85 % of the friction; "slipping" is a false alarm there. What lies between
-(creeping at the limit, slides of less than 0.5 mm) is counted, not judged.
+A *slip* is a finger over which the object slides by 0.5 mm in total while the whole contact slides.
+The whole contact slides if 95 % of the available friction resists the motion; it ends below 85 %.
+The slip begins at `onset`, when that first occurs. It is detected in time if the first "slipping"
+comes before 0.5 mm and within 100 ms, by the times of the images. It is early if it comes more than
+100 ms before onset while a fifth of the friction is left.
+
+A *hold* never slides and never uses more than 85 % of the friction. "slipping" is a false alarm
+there. Cases between (creep at the limit, slides of less than 0.5 mm) are counted, not scored.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# m, s, shares of friction, m
+# slip distance, m; time limit, s; fractions of friction; sliding distance that counts as none, m
 SLIP = 0.5e-3
 IN_TIME = 0.1
 LEFT = 0.8
@@ -32,13 +33,16 @@ OUTCOMES = (
     "between",
 )
 SLIPS = OUTCOMES[:6]
-_ROUNDING = 1e-6  # s
+_ROUNDING = 1e-6  # rounding tolerance of the time limit, s
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One image of one finger: the `state` that the chain gave (of SLIP_STATES), and by truth the
-    share of friction `used`, the way `slid`, m, and its `onset`, s (NaN: not yet)."""
+    """One image of one finger.
+
+    `state` is the chain's result (of SLIP_STATES). True values: fraction of friction `used`,
+    sliding distance `slid`, m, and its `onset`, s (NaN: not yet).
+    """
 
     time: float
     state: str
@@ -49,8 +53,11 @@ class Frame:
 
 @dataclass(frozen=True)
 class Outcome:
-    """`name` of OUTCOMES; of detected slips the `latency` s (negative: before it) and the way
-    `slid` m by then; the `speed` m/s of the first 0.5 mm."""
+    """Outcome of one finger's case.
+
+    `name` is one of OUTCOMES. Detected slips have a `latency`, s (negative: before it), and the
+    sliding distance `slid`, m, by then. `speed`, m/s, is that over the first 0.5 mm.
+    """
 
     name: str
     latency: float = float("nan")
@@ -59,7 +66,7 @@ class Outcome:
 
 
 def outcome(frames: Sequence[Frame]) -> Outcome:
-    """What became of one finger's case; `frames` from the beginning of the load on."""
+    """Score one finger's case; `frames` begin with the load."""
     detected = next((frame for frame in frames if frame.state == "slipping"), None)
     last = frames[-1]
     if last.slid < SLIP:

@@ -1,1 +1,1 @@
-"""How fast the simulation, the sensing chain and the whole loop are."""
+"""Speed of the simulation, the sensing chain and the whole loop."""

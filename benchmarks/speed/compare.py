@@ -107,12 +107,21 @@ def _processor() -> str:
     return f"{name}, {platform_support.processors()} processors"
 
 
+_LABELS = {
+    "a step": "step",
+    "drawing an image": "rendering",
+    "image to touch": "image to estimate",
+    "all": "complete grasp",
+}
+
+
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rounds = result["rounds"]
     lines = [
-        f"Before and now in turns, median of {len(rounds)}; {result['processor']}, load average "
-        f"{result['load_average']:.1f}. Core time at 30 Hz, in one thread:",
+        f"Baseline (before) and this version (now), alternating, median of {len(rounds)} runs; "
+        f"{result['processor']}, load average {result['load_average']:.1f}. Core time at 30 Hz, "
+        "one thread:",
         "",
         "| | before | now | ratio |",
         "|---|---|---|---|",
@@ -129,15 +138,16 @@ def table(result: Mapping[str, Any]) -> str:
     first = rounds[0]["now"]
     for what, by_phase in sorted(first["core"]["core_ms"].items()):
         for phase in filter(by_phase.__contains__, PHASES):
-            add(f"{what}, {phase}", "core", "core_ms", what, phase, unit="ms")
-    add("core time of a simulated second", "core", "core_s_per_s")
+            add(f"{_LABELS.get(what, what)}, {phase}", "core", "core_ms", what, phase, unit="ms")
+    add("core time per simulated second", "core", "core_s_per_s")
     for k, loop in enumerate(first["loop"]):
         for name in filter(loop["factors"].__contains__, (*PHASES, "touch to release", "all")):
-            add(f"{RATES[k]:g} Hz loop, {name}", "loop", k, "factors", name, unit="x real time")
-    add("imports of a grasp", "core", "import_s")
-    add("references of two sensors", "core", "references_s")
+            label = f"{RATES[k]:g} Hz loop, {_LABELS.get(name, name)}"
+            add(label, "loop", k, "factors", name, unit="x real time")
+    add("imports for a grasp", "core", "import_s")
+    add("reference images of two sensors", "core", "references_s")
     add("`mjtactile --help`", "help_s")
-    add("`mjtactile grasp`, all of it", "grasp_s")
+    add("`mjtactile grasp`, complete", "grasp_s")
     return "\n".join(lines) + "\n"
 
 

@@ -1,9 +1,8 @@
-"""Numbers too small for a processor's quick path, in what a sensor's chain and camera keep from
-image to image.
+"""Denormal numbers in the arrays that a sensor's chain and camera keep from image to image.
 
-A product of matrices with many of them takes up to twenty times as long on some processors (on
-others it does not, so that no time shows them); there were some in the renderer's tables and in the
-prior.
+A matrix product with many of them takes up to twenty times as long on some processors. On others it
+does not, so that a timing test cannot detect them. They occurred in the renderer's tables and in
+the prior.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of
-JSON.
+"""One timed grasp of an egg: a script for any checkout of mjtactile that prints a line of JSON.
 
-`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing
-and a step by phase, all in one thread (in the loop, world and perception have processes of their
-own and do not wait for each other's interpreter), and of the first two alone, again and again with
-the last image of the hold; with "wall", how the loop as it is keeps up with the clock. It uses only
-names that old checkouts have, too.
+Usage: `PYTHONPATH=CHECKOUT python probe.py RATE core|wall`. With "core" it prints the core time of
+an image, a rendering and a step by phase, all in one thread. (In the loop, world and perception
+have separate processes and do not wait for each other's interpreter.) The first two are also timed
+alone, repeatedly, with the last image of the hold. With "wall" it prints the ratio of simulated to
+wall time of the unchanged loop. It uses only names that old checkouts have as well.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     design = replace(design, camera=replace(design.camera, rate=rate))
     phase = ["references"]
     spent: dict[tuple[str, str], list[float]] = defaultdict(list)
-    # of each kind of call: what was called in the hold, with what
+    # last call of each kind in the hold, with its arguments
     last: dict[str, tuple[Any, ...]] = {}
 
     def timed(owner: Any, name: str, what: str) -> None:
@@ -99,7 +98,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
 
 
 class _AtOnce(ThreadPoolExecutor):
-    """Does in the caller's thread what it is given."""
+    """Executor that runs its tasks in the caller's thread."""
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         done: Future[Any] = Future()
@@ -108,7 +107,7 @@ class _AtOnce(ThreadPoolExecutor):
 
 
 def _alone(call: Any, *args: Any) -> list[float]:
-    """s of core time: the least of five bursts of ten."""
+    """Return the core time, s: the minimum of five bursts of ten calls."""
     bursts = []
     for _ in range(5):
         start = time.thread_time()

@@ -1,9 +1,8 @@
-"""`mjtactile bench speed`: how fast two membranes hold an object, with and without cameras, and
-against rigid pads.
+"""`mjtactile bench speed`: simulation speed of two membranes that hold an object.
 
-Physics in core time, ratios of one run: a shared machine gives no better number. The loop with
-cameras and perception in wall time, since that is what keeping up with the clock means, with the
-machine's load beside it.
+It runs with and without cameras, and against rigid pads. Physics is given in core time, as ratios
+of one run: a shared machine gives no better number. The loop with cameras and perception is given
+in wall time, since it must keep up with the clock, together with the machine's load.
 """
 
 from __future__ import annotations
@@ -158,10 +157,10 @@ def table(result: dict[str, Any]) -> str:
     """Markdown."""
     reference = result["rigid"][0]["ms_per_s"]
     lines = [
-        "Two sensors with sealed gas and friction hold an egg. Core time; compare the rows of "
-        "one run.",
+        "Two sensors with sealed gas and friction hold an egg. Core time; compare rows of one "
+        "run only.",
         "",
-        "| scene | step ms | ms per simulated s | x real time | against rigid pads |",
+        "| scene | step ms | ms per simulated s | x real time | time / time of rigid pads |",
         "|---|---|---|---|---|",
     ]
     for row in result["physics"]:
@@ -186,8 +185,8 @@ def table(result: dict[str, Any]) -> str:
         "",
         sensors.table(result["many"]),
         "",
-        "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop "
-        "runs it: wall time.",
+        "Complete grasp of an egg in the control loop: two cameras at 60 Hz, perception; wall "
+        "time.",
         "",
         "| accuracy | processes for perception | x real time | while the object is held | core ms "
         "per simulated s | load average |",
@@ -202,8 +201,8 @@ def table(result: dict[str, Any]) -> str:
     slow = sum(row["denormals"] for row in result["loops"])
     lines += [
         "",
-        f"Denormal numbers in what chains and cameras keep, after these grasps: {slow}. They make "
-        "products up to 20 times slower on some processors.",
+        f"Denormal numbers in the state of pipelines and cameras after these grasps: {slow}. On "
+        "some processors they make products up to 20 times slower.",
     ]
     if "compared" in result:
         lines += ["", compare.table(result["compared"])]

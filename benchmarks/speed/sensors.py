@@ -12,19 +12,20 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sim.scenes.world import World
 
 COUNTS = (1, 2, 4, 8)
-# s, Pa
+# time step, s; gauge pressure, Pa
 _TIMESTEP = 4e-3
 _GAUGE = 1000.0
-# m, kg: pressed with 0.3 N
+# radius of a ball, m, and its mass, kg: a load of 0.3 N
 _BALL = 8e-3
 _MASS = 0.03
-# s, and steps in each of the bursts
+# settling time, s; steps in each burst
 _SETTLE = 1.2
 _STEPS = 100
 
 
 def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Of each number of sensors, ms a step: `loaded` with a ball on each, `asleep` with none."""
+    """Measure a step for each number of sensors, ms: `loaded` with a ball on each, `asleep` with
+    none."""
     rows = []
     for count in counts:
         loaded = scene(count, loaded=True)
@@ -59,8 +60,8 @@ def table(rows: list[Mapping[str, Any]]) -> str:
     """Markdown."""
     one = rows[0]
     lines = [
-        f"| sensors in a scene | a step, {1e3 * _MASS:.0f} g on each, ms | over one's, each | a "
-        "step, asleep, ms |",
+        f"| sensors in a scene | step, {1e3 * _MASS:.0f} g on each, ms | time per sensor / time of "
+        "one | step, asleep, ms |",
         "|---|---|---|---|",
     ]
     lines += [

@@ -12,10 +12,10 @@ from mjtactile.core.design import SensorDesign
 
 @dataclass(frozen=True)
 class Case:
-    """One scene. SI units; `axis` and `label` place it on the map.
+    """One scene. SI units; `axis` and `label` are its position on the map.
 
     `kind`: "press" (drive `indenter` to `depth`, `shear`, `valve` step after contact), "drop" (a
-    weight of `mass` at `speed` on a rail, then at rest), "rest" (a free body on the membrane),
+    weight of `mass` at `speed` on a rail, then at rest), "rest" (a free object on the membrane),
     "pinch" (between two membranes), "hold" (a press, then `steps` more steps).
     """
 
@@ -57,7 +57,7 @@ class Case:
 
     @property
     def pressed(self) -> float:
-        """How deep to press, m: not into the glass, unless that is the case's point."""
+        """Depth of the load, m; it stays clear of the glass, unless the case tests that."""
         return self.depth if self.axis == "glass" else min(self.depth, 0.7 * self.chamber_depth)
 
 

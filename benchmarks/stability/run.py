@@ -1,13 +1,13 @@
-"""`mjtactile bench stability`: run hard cases to the end, judge them by physics, and draw the map.
+"""`mjtactile bench stability`: run hard cases to the end, check them by physics, and plot the map.
 
 A case is run twice, at its time step and at a quarter of it. Its outcome is
 
     ok        finite, no warning, settled, energy bounded, penetration bounded, force within 10 % of
               the quarter step's
-    flagged   the simulation said itself what is doubtful, or stopped with a physical reason (the
+    flagged   the simulation reported the problem itself, or stopped with a physical reason (the
               glass, sunk in)
     refused   the scene was not built, with the reason
-    FAILED    something is wrong and nothing was said
+    FAILED    an error occurred without a report
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from mjtactile.sim.scenes.world import World
 
 OUTCOMES = ("ok", "flagged", "refused", "FAILED")
 _COLOURS = {"ok": "#4c9f70", "flagged": "#e8b84a", "refused": "#8a94a6", "FAILED": "#c0392b"}
-# share of the force; N below which a share says nothing
+# relative force error; minimum force for it, N
 FORCE_ERROR = 0.10
 FORCE_FLOOR = 0.005
-PENETRATION = 0.10  # m per m of indentation
+PENETRATION = 0.10  # limit of the penetration, m per m of indentation
 _NUMERICAL = ("not finite", "MuJoCo warned")
 _ACCOUNTED = {
     "force": {"penetration", "speed", "unsettled", "small_feature", "sharp_edge", "solver"},
@@ -108,7 +108,7 @@ def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any
 
 
 def judge(case: Case) -> dict[str, Any]:
-    """Run one case and say how it went."""
+    """Run one case and return its outcome."""
     row: dict[str, Any] = {
         "axis": case.axis,
         "label": case.label,
@@ -137,7 +137,7 @@ _DEFAULT = Case("", "")
 
 
 def _compare(case: Case) -> dict[str, Any]:
-    """Run at the step and at a quarter of it; raises what the first run raises."""
+    """Run at the step and at a quarter of it; errors of the first run propagate."""
     full = measure(case)
     problems = dict(full.pop("problems"))
     if case.kind != "hold":  # a million steps are judged by themselves
@@ -145,13 +145,13 @@ def _compare(case: Case) -> dict[str, Any]:
             quarter = measure(replace(case, timestep=max(case.timestep / 4, 1.25e-4)))
         except SimulationError as error:
             quarter = {"force_N": np.nan, "flags": {}}
-            problems["force"] = f"a quarter of the step stops: {error.reason}"
+            problems["force"] = f"stop at a quarter of the time step: {error.reason}"
         full["force_quarter_N"] = quarter["force_N"]
         difference = abs(full["force_N"] - quarter["force_N"])
         if difference > FORCE_ERROR * max(abs(quarter["force_N"]), FORCE_FLOOR):
             problems["force"] = (
                 f"force {full['force_N']:.4g} N, {quarter['force_N']:.4g} N at a quarter of the "
-                "step"
+                "time step"
             )
     flags = full["flags"]
     full["problems"] = list(problems.values())
@@ -168,7 +168,7 @@ def _compare(case: Case) -> dict[str, Any]:
 
 
 def measure(case: Case) -> dict[str, Any]:
-    """Run one case once: its force, its flags, and what is wrong with it by kind of check."""
+    """Run one case once; return its force, its flags, and the failed checks by kind."""
     design = case.design(load_sensor("paper16"))
     world, expected, settled = {
         "press": _press,
@@ -251,7 +251,7 @@ def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
     )
     settled = _rest(world)
     if isinstance(world, PinchWorld) and world.drop > 5e-3:
-        world.flags["unsettled"] = "the sheet slips out"
+        world.flags["unsettled"] = "the plate slips out"
     return world, None, settled
 
 
@@ -279,6 +279,13 @@ def _force_and_energy(world: World, case: Case) -> tuple[Any, tuple[float, float
     return force, (float(energy[: count // 2].max()), float(energy[count // 2 :].max()))
 
 
+_AXES = {
+    "turned mount": "rotated mount",
+    "free on a membrane": "free object on a membrane",
+    "pinched sheet": "pinched plate",
+}
+
+
 def table(result: dict[str, Any]) -> str:
     """Markdown: outcomes by axis, then every case that is not plainly ok with its reason."""
     rows = result["cases"]
@@ -290,24 +297,32 @@ def table(result: dict[str, Any]) -> str:
     ]
     for axis in dict.fromkeys(row["axis"] for row in rows):
         counts = Counter(row["outcome"] for row in rows if row["axis"] == axis)
-        lines.append(f"| {axis} | " + " | ".join(str(counts[o] or "") for o in OUTCOMES) + " |")
+        cells = " | ".join(str(counts[o] or "") for o in OUTCOMES)
+        lines.append(f"| {_AXES.get(axis, axis)} | {cells} |")
     lines += [
         "",
-        "<details><summary>Every case that is not plainly ok</summary>",
+        "<details><summary>All cases with another outcome than ok</summary>",
         "",
-        "| case | outcome | flags | what the judge found, or why it stopped |",
+        "| case | outcome | flags | failed checks, or reason of the stop |",
         "|---|---|---|---|",
     ]
     lines += [
-        f"| {r['axis']}: {r['label']} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
+        f"| {_case(r)} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
         for r in rows
         if r["outcome"] != "ok"
     ]
     return "\n".join(lines) + "\n\n</details>\n"
 
 
+def _case(row: dict[str, Any]) -> str:
+    """Return the axis and the label of a case as shown in the table."""
+    label = row["label"].replace("off the middle", "off center")
+    return f"{_AXES.get(row['axis'], row['axis'])}: {label}"
+
+
 def _found(row: dict[str, Any]) -> str:
-    """What failed and is accounted for by a flag; without flags, why it was refused or stopped."""
+    """Describe failed checks that a flag explains; without flags, the reason for refusal or
+    stop."""
     return "; ".join(row.get("problems", ())) if row["flags"] else row["reason"]
 
 

@@ -1,1 +1,1 @@
-"""What watching costs: a grasp in Studio against the same grasp without it."""
+"""Cost of Studio: a grasp shown in Studio against the same grasp without it."""

@@ -1,6 +1,9 @@
-"""A page of headless Chromium that does all but draw: without a graphics card that takes seconds a
-frame, which says nothing about Studio. It keeps to 30 frames a second, since it shares the
-processors with the session, and notes when a frame of it got which cycle's picture."""
+"""Page of headless Chromium with all WebGL drawing disabled.
+
+Without a graphics card, drawing takes seconds per frame, which is unrelated to Studio. The page
+keeps to 30 frames per second, since it shares the processors with the session. It records the time
+at which the image of each cycle arrived.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from websockets.sync.client import connect
 from benchmarks.studio.chromium import CHROMIUM, FLAGS, page_address
 from benchmarks.studio.probe import MARK
 
-_LIMIT = 60.0  # s that it may take to come up
+_LIMIT = 60.0  # time limit for the start of the page, s
 _SCRIPT = """(() => {
     const context = WebGL2RenderingContext.prototype;
     const drawing = [
@@ -47,8 +50,10 @@ _SCRIPT = """(() => {
 
 @contextlib.contextmanager
 def check_image(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, float]]]]:
-    """A page with `url`. Gives what says which cycles' pictures it got, and when, s of the
-    clock."""
+    """Open a page with `url`.
+
+    Yield a function that returns the cycles whose images arrived, and their clock times, s.
+    """
     assert CHROMIUM is not None
     process = subprocess.Popen(
         [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "about:blank"],

@@ -36,8 +36,10 @@ FLAGS = (
 
 
 def page_address(folder: Path, limit: float) -> str:
-    """The page's own socket; waits for the browser, which keeps its things in `folder`, at most
-    `limit` s."""
+    """Return the page's own socket.
+
+    Wait at most `limit`, s, for the browser, whose profile is in `folder`.
+    """
     end = time.monotonic() + limit
     while True:
         try:

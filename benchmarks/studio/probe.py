@@ -1,6 +1,8 @@
-"""One grasp of an egg, timed, in a process of its own: `python -m benchmarks.studio.probe
-plain|studio` prints a line of JSON. With "studio" it prints Studio's address first, and begins when
-somebody looks."""
+"""One timed grasp of an egg in a separate process.
+
+`python -m benchmarks.studio.probe plain|studio` prints a line of JSON. With "studio" it first
+prints Studio's address, and starts when a page is open.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from mjtactile.studio import panel
 from mjtactile.studio.serve import watch
 from mjtactile.studio.session_bridge import SessionBridge
 
-MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
+MARK = 171  # third byte of an image whose first two bytes are the cycle number
 # of a cycle, s: of the simulation, on the clock, and of core time with its processes
 Moments = tuple[float, float, float]
 _FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
@@ -33,9 +35,9 @@ class Watched(SessionBridge):
         super().__init__()
         self.fastest = math.inf
         self.cycles: list[Moments] = []
-        # s of the clock that the page has, too: when each cycle's images were there
+        # time, s, when each cycle's images were ready, on the clock shared with the page
         self.taken: list[float] = []
-        self.spent: list[float] = []  # s of the session's thread, each cycle
+        self.spent: list[float] = []  # time of the session's thread in each cycle, s
         self.looks = 0
 
     def on_images(self) -> None:
@@ -58,8 +60,11 @@ class Watched(SessionBridge):
 
 
 def studio() -> dict[str, Any]:
-    """With Studio: how fast, what it takes of the session's thread, and when each cycle's images
-    were there."""
+    """Run with Studio.
+
+    Return its speed, its share of the session's thread, and the times when each cycle's images were
+    ready.
+    """
     show = Watched()
     upload = panel.Panel._upload
 

@@ -90,8 +90,10 @@ def _probe(kind: str) -> dict[str, Any]:
 
 
 def ages(taken: list[float], seen: list[tuple[int, float]]) -> dict[str, Any]:
-    """How old images were when the page first had them, ms: of `taken` s and pairs of cycle and
-    s."""
+    """Compute the age of images when they reached the page, ms.
+
+    `taken`: times, s, of the images; `seen`: pairs of cycle and time, s.
+    """
     first: dict[int, float] = {}
     for number, when in seen:
         first.setdefault(number, when)
@@ -118,21 +120,21 @@ def table(result: Mapping[str, Any]) -> str:
 
     return "\n".join(
         [
-            "| what | asked | aim | measured |",
+            "| quantity | required | target | measured |",
             "|---|---|---|---|",
-            f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} |",
-            "| core time of a simulated second, s: in Studio (without the page's own), and "
-            f"without |  |  | {median('core_s'):.2f}, {median('core_without_s'):.2f} |",
-            "| Studio's time on the session's thread, ms a cycle | less than 1 |  | "
+            f"| speed with Studio / speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} |",
+            "| core time per simulated second, s: with Studio (without the web page); without "
+            f"Studio |  |  | {median('core_s'):.2f}, {median('core_without_s'):.2f} |",
+            "| time of Studio on the session thread, ms per cycle | less than 1 |  | "
             f"{median('spent_ms'):.2f} |",
-            "| age of an image in the page's frame that has it, ms (9 of 10) | less than 150 | 80 "
+            "| age of an image when the page shows it, median (90 %), ms | less than 150 | 80 "
             f"| {median('late_ms'):.0f} ({median('late_90_ms'):.0f}) |",
             "",
-            f"Medians of {len(rounds)} egg grasps each way, in turns, {result['processors']} "
-            f"processors, load average {median('load'):.1f}, "
-            f"{min(one['pictures'] for one in rounds)} pictures and more. The page is headless "
-            "Chromium's on the same processors, 30 frames a second at most; it does all but draw, "
-            "since there is no graphics card.",
+            f"Medians of {len(rounds)} egg grasps with and without Studio, alternating; "
+            f"{result['processors']} processors, load average {median('load'):.1f}, at least "
+            f"{min(one['pictures'] for one in rounds)} images. The page runs in headless Chromium "
+            "on the same processors, with at most 30 frames per second. It does everything except "
+            "drawing, because there is no graphics card.",
             "",
         ]
     )

@@ -1,1 +1,1 @@
-"""What touch buys: tasks by controllers with touch, without, and one that knows the truth."""
+"""Benefit of touch: tasks by controllers with touch, without touch, and with ground truth."""

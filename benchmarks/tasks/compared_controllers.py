@@ -1,5 +1,5 @@
-"""Who is compared in `mjtactile bench tasks`."""
+"""Controllers that `mjtactile bench tasks` compares."""
 
 CONTROLLERS = ("adaptive", "gentle", "slip_aware", "touchless")
 SHOWN = (*CONTROLLERS, "oracle")
-READY = "grip over what holds against the push that was announced, too, median"
+READY = "grip force relative to that required with the announced push, median"

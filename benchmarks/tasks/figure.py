@@ -1,4 +1,4 @@
-"""What touch buys, at a glance: who holds how many, whole."""
+"""Overview figure: episodes held without damage, by controller."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 from mjtactile.report.figures import new_figure
 
 _LOOKS = {
-    "oracle": ("#999999", "knows weight and friction"),
-    "adaptive": ("#1f5fa8", "adaptive: by touch, as hard as needed"),
-    "slip_aware": ("#5fa05f", "slip_aware: by touch, harder at a slip"),
-    "gentle": ("#d08020", "gentle: by touch, always 0.6 N"),
-    "touchless": ("#c0221c", "touchless: by the servos' current"),
+    "oracle": ("#999999", "oracle: knows mass and friction"),
+    "adaptive": ("#1f5fa8", "adaptive: touch, as hard as required"),
+    "slip_aware": ("#5fa05f", "slip_aware: touch, harder at a slip"),
+    "gentle": ("#d08020", "gentle: touch, always 0.6 N"),
+    "touchless": ("#c0221c", "touchless: servo current only"),
 }
 _STEP = 0.15  # of a task's row
 
@@ -37,7 +37,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
             )
     axes.set_yticks(range(len(tasks)), tasks)
     axes.invert_yaxis()
-    axes.set(xlim=(-2, 102), xlabel="held and whole, % of episodes, with 95 % intervals")
+    axes.set(xlim=(-2, 102), xlabel="held without damage, % of episodes, with 95 % intervals")
     axes.grid(axis="x", alpha=0.3)
     axes.legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncol=2, frameon=False)
     figure.savefig(path)

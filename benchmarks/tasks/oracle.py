@@ -1,8 +1,11 @@
-"""`oracle`: `adaptive` with the truth in place of what it learns. It knows what holding takes, now
-and half a second ahead, and what happens next; its hands, its jaws and its cameras are the others'.
+"""`oracle`: the controller `adaptive` with ground truth in place of its estimates.
 
-What it cannot hold no sensing could: the draw of the task is too hard, or the simulation at fault.
-What it holds and `adaptive` does not is what sensing and learning still cost.
+It receives the required grip force, now and half a second ahead, and all coming events. Gripper,
+jaws and cameras are those of the other controllers.
+
+If it cannot hold an object, no sensing could. The sampled task is then too hard, or the simulation
+is at fault. Objects that it holds and `adaptive` does not show the remaining cost of sensing and
+estimation.
 """
 
 from __future__ import annotations
@@ -23,18 +26,19 @@ from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 
-MARGIN = 1.25  # grip over what holding takes: what the jaws miss their target by
-AHEAD = 0.5  # s: what the jaws need to follow
+MARGIN = 1.25  # ratio of grip to required force: covers the control error of the jaws
+AHEAD = 0.5  # prediction time, s: reaction time of the jaws
 PULL_ESTIMATE = (
-    0.5  # N, of who takes it: what is held with less is torn out before the pull is felt
+    # pull of a person who takes the object, N: a weaker grip loses it before the pull is detected
+    0.5
 )
 _LOOKS = 26
-_LEAST = 0.15  # N: less is not regulated
+_LEAST = 0.15  # minimum grip force that can be regulated, N
 _MAX_LEVER = 3.0  # of a torque about the grip, in the need
 
 
 def step(observation: Observation) -> Command:
-    """What a controller's file has; this one needs a simulated world."""
+    """Raise an error: a controller file needs `step`, but this one needs a simulated world."""
     raise RuntimeError("the oracle runs in `mjtactile bench tasks` alone: it looks at the truth")
 
 
@@ -47,7 +51,7 @@ class Oracle(Observer):
     def __init__(self, scenario: Scenario):
         own = load_controller("adaptive")
         self._adaptive = own
-        # what it learns is what it is told here
+        # the oracle's values replace its estimates
         module: Any = sys.modules[own.function.__module__]
         module.grip_as_needed = lambda observation, command: command
         self._scenario = scenario
@@ -80,15 +84,17 @@ class Oracle(Observer):
         self.need = max(now, ahead * self._lever)
 
     def step(self, observation: Observation) -> Command:
-        """What `adaptive` does, with this grip."""
+        """Return the command of `adaptive` with the oracle's grip force."""
         command = observation.command
         target = max(_LEAST, MARGIN * self.need)
         command = replace(command, memory={**command.memory, "target": target})
         return self._adaptive.step(replace(observation, command=command))
 
     def _plain(self, time: float, now: float) -> float:
-        """N on each finger, for a grip at the centre of mass, `time` s after the hand was up, seen
-        `now` s after it."""
+        """Return the required force on each finger, N, for a grip at the center of mass.
+
+        It holds at `time`, s after the hand was up, as predicted at `now`, s.
+        """
         judge = self._judge
         drawn = self._drawn
         if judge is None or drawn is None:

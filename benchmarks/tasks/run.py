@@ -1,7 +1,9 @@
-"""`mjtactile bench tasks`: what touch buys. All tasks that ask for it, by controllers with and
-without touch and by an oracle, over the same episodes; and the suite that others are compared with.
+"""`mjtactile bench tasks`: benefit of touch in manipulation tasks.
 
-Seeds from DEVELOP on are for tuning, those from SEED on for judging: nothing is tuned on them.
+All tasks that need touch run over the same episodes, by controllers with and without touch and by
+an oracle. The episodes are also the suite for comparison of other controllers.
+
+Seeds from DEVELOP on are for tuning. Those from SEED on are for evaluation only.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ episodes."""
 QUICK = 3
 _TURN = 10  # episodes of a task before the next one's turn
 _WEIGHED_FROM = 0.02  # kg
-_WEIGHT_SD = (0.04, 1e-3)  # of the mass, and kg: what was asked
+_WEIGHT_SD = (0.04, 1e-3)  # required sd: fraction of the mass, and constant part, kg
 
 
 def run(
@@ -53,21 +55,23 @@ def run(
     level: str = MESH,
     parts: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Evaluate each task; without images, whose errors the markers have drawn in their place, or at
-    a cheaper level.
+    """Evaluate each task without images, or at a cheaper level.
+
+    Sampled marker errors replace those of images.
 
     Args:
         out: Gets tasks_LEVEL/CONTROLLER/TASK/episodes.jsonl, the suite tasks_LEVEL/NAME.json,
             tasks_LEVEL_harsh/CONTROLLER/TASK/episodes.jsonl, what_touch_buys.png.
         quick: Three episodes each.
-        resume: Go on with what is there.
-        episodes: Of each task for each controller.
-        level: One of `LEVELS`. Each has folders of its own.
-        parts: Only these controllers run now; what others did before counts, too.
+        resume: Continue with the stored results.
+        episodes: Number for each task and controller.
+        level: One of `LEVELS`. Each has separate folders.
+        parts: Controllers to run now; earlier results of others count as well.
 
     Returns:
-        The summaries by task, of all of them together, those of the harsh worlds, how well
-        `adaptive` weighs, and how far the level agrees with the mesh's lines that lie in `out`.
+        The summaries by task, of all of them together, those of the harsh worlds, the accuracy of
+        the mass that `adaptive` estimates, and the agreement of the level with the mesh's lines in
+        `out`.
 
     Raises:
         InputError: There is no such level or controller.
@@ -143,7 +147,8 @@ def lines_of(suite: Suite, folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def _mesh_lines(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """What there is of the mesh's level: the lines in `out`, else the shipped suite's outcomes."""
+    """Return the results of the mesh level: the lines in `out`, else the shipped suite's
+    outcomes."""
     if _kept(out / folder_of(MESH)):
         return lines_of(suite_of(MESH), out / folder_of(MESH))
     known = load_suite(NAME)
@@ -154,7 +159,7 @@ def _mesh_lines(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def results(out: Path, count: int, level: str) -> dict[str, Any]:
-    """What lies in `out`: the result of `run`."""
+    """Return the result of `run` from the files in `out`."""
     lines = lines_of(suite_of(level), out / folder_of(level))
     harsh = lines_of(suite_of(level, harsh=True), out / folder_of(level, "harsh"))
     full = {} if level == MESH else _mesh_lines(out)
@@ -183,7 +188,7 @@ def together(lines: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]
 
 
 def run_one(episode: Episode) -> dict[str, Any]:
-    """The episode's line, and what the controller weighed."""
+    """Run an episode; return its line, and the mass estimated by the controller."""
     if episode.controller == "oracle":
         knows = oracle.Oracle(episode.scenario)
         return run_episode(episode, controller=knows, watching=[knows])
@@ -192,7 +197,8 @@ def run_one(episode: Episode) -> dict[str, Any]:
 
 
 class _Scale(Observer):
-    """Keeps what a controller says that it holds, at the end of the hold, beside the truth."""
+    """Observer that stores a controller's mass estimate at the end of the hold, with ground
+    truth."""
 
     sees = False
 
@@ -212,8 +218,10 @@ class _Scale(Observer):
 
 
 def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How far what `adaptive` weighed is off, from 20 g on: mean and sd, g, of the mass, and the
-    rms of the error over what was asked (1: as asked)."""
+    """Compute the errors of the mass that `adaptive` estimates, from 20 g on.
+
+    They are the mean and sd, g, and the rms of the error over the required one (1: as required).
+    """
     pairs = [
         (1e-3 * line["weighed_g"], 1e-3 * line["mass_g_true"])
         for line in lines

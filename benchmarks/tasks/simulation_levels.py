@@ -13,28 +13,29 @@ from mjtactile.evaluate.wilson import Line, wilson
 
 @dataclass(frozen=True)
 class Level:
-    """`effects` as `--effects` takes them, and what the table says of it."""
+    """Simulation level: `effects` as `--effects` takes them, and the description in the table."""
 
     effects: str
+    label: str
     about: str
 
 
 MESH = "mesh"
 LEVELS = {
     MESH: Level(
-        "-images", "the whole membrane, and the whole sensing chain on markers with drawn errors"
+        "-images", "mesh", "complete membrane; complete pipeline on markers with sampled errors"
     ),
     "film": Level(
-        "-mesh,-images", "a film in place of the mesh, and the whole sensing chain on its markers"
+        "-mesh,-images", "quasistatic", "quasi-static membrane; complete pipeline on its markers"
     ),
     "drawn": Level(
-        "-mesh,-pipeline", "a film in place of the mesh, and touch drawn with the chain's errors"
+        "-mesh,-pipeline", "synthetic", "quasi-static membrane; touch sampled with pipeline errors"
     ),
 }
 
 
 def folder_of(level: str, worlds: str = "") -> str:
-    """Where a level's lines lie: never two levels in one."""
+    """Return the folder name of a level's lines; each level has a separate one."""
     return "_".join(part for part in ("tasks", level, worlds) if part)
 
 
@@ -44,13 +45,13 @@ def agreement(
     """Compare the episodes of all tasks that one controller ended at both levels.
 
     Args:
-        controller: Whose.
-        full: By task, the lines of the mesh's level.
-        cheap: Likewise of the other.
+        controller: Name of the controller.
+        full: Lines of the mesh level by task.
+        cheap: Lines of the other level by task.
 
     Returns:
-        How many "episodes" there are, how many ended "alike" (held, dropped, crushed, ...) with its
-        95 % interval, and at each of the two levels "held" and the median "margin".
+        The number of "episodes", the number that ended "alike" (held, dropped, crushed, ...) with
+        its 95 % interval, and at each of the two levels "held" and the median "margin".
     """
     pairs = [
         (line, other)

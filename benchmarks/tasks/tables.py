@@ -1,5 +1,4 @@
-"""Markdown of `mjtactile bench tasks`: its first line says of which level of simulation all of it
-is."""
+"""Markdown of `mjtactile bench tasks`; its first line names the level of simulation."""
 
 from __future__ import annotations
 
@@ -12,13 +11,17 @@ from mjtactile.evaluate.episodes import STOPPED
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Held and whole, in percent with intervals; then grip over need, and what each task adds."""
+    """Return a Markdown table.
+
+    It lists episodes held without damage, in percent with intervals. Grip over required force, and
+    the specific results of each task follow.
+    """
     names = list(SHOWN)
     head = " | ".join(names)
     lines = [
-        f"Level `{result['level']}`: {LEVELS[result['level']].about}.",
+        f"Level `{LEVELS[result['level']].label}`: {LEVELS[result['level']].about}.",
         "",
-        f"| held and whole | {head} | adaptive less touchless, points |",
+        f"| held without damage | {head} | adaptive minus touchless, points |",
         "|---" * (len(names) + 2) + "|",
     ]
     for task, summary in result["tasks"].items():
@@ -29,7 +32,7 @@ def table(result: Mapping[str, Any]) -> str:
     lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
     for task, summary in result["harsh"].items():
         cells = [_share(summary["controllers"].get(name)) for name in names]
-        lines.append(f"| {task}, harsh worlds | {' | '.join(cells)} | {_difference(summary)} |")
+        lines.append(f"| {task}, `harsh` | {' | '.join(cells)} | {_difference(summary)} |")
     lines += [
         "",
         f"| crushed / dropped / stopped / simulation failed | {head} |",
@@ -38,20 +41,30 @@ def table(result: Mapping[str, Any]) -> str:
     for task, summary in result["tasks"].items():
         cells = [_failures(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} |")
-    lines += ["", f"| grip over need, median | {head} |", "|---" * (len(names) + 1) + "|"]
+    lines += [
+        "",
+        f"| grip force relative to required force, median | {head} |",
+        "|---" * (len(names) + 1) + "|",
+    ]
     for task, summary in result["tasks"].items():
         cells = [_value(summary["controllers"].get(name), "margin", "{:.1f}") for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} |")
-    lines += ["", f"| beside | {head} |", "|---" * (len(names) + 1) + "|"]
+    lines += ["", f"| other measures | {head} |", "|---" * (len(names) + 1) + "|"]
     for task, key, which, label, form in (
-        ("place", "impact_N_s", "median", "bump when placing, N s: median", "{:.4f}"),
-        ("place", "impact_N_s", "p95", "bump when placing, N s: 95 %", "{:.4f}"),
-        ("hand-over", "release_delay_s", "median", "let go after, s: median", "{:.2f}"),
-        ("hand-over", "release_delay_s", "p95", "let go after, s: 95 %", "{:.2f}"),
+        ("place", "impact_N_s", "median", "impact at placement, N s: median", "{:.4f}"),
+        ("place", "impact_N_s", "p95", "impact at placement, N s: 95 %", "{:.4f}"),
+        ("hand-over", "release_delay_s", "median", "release delay, s: median", "{:.2f}"),
+        ("hand-over", "release_delay_s", "p95", "release delay, s: 95 %", "{:.2f}"),
         ("bump", "margin_ready", "median", f"bump: {READY}", "{:.1f}"),
         ("hand-over", "margin_ready", "median", f"hand-over: {READY}", "{:.1f}"),
-        ("", "margin", "median", "grip over need in all tasks, median", "{:.1f}"),
-        ("", "margin", "p95", "grip over need in all tasks, 95 %", "{:.1f}"),
+        (
+            "",
+            "margin",
+            "median",
+            "grip force relative to required force, all tasks, median",
+            "{:.1f}",
+        ),
+        ("", "margin", "p95", "grip force relative to required force, all tasks, 95 %", "{:.1f}"),
     ):
         own = (result["tasks"][task] if task else every)["controllers"]
         cells = [_value(own.get(name), key, form, which) for name in names]
@@ -60,24 +73,24 @@ def table(result: Mapping[str, Any]) -> str:
     if found["things"] > 1:
         lines += [
             "",
-            f"`adaptive` weighs {found['things']} things of 20 g and more with an error of "
-            f"{100 * found['mean_share']:+.1f} % on the mean and {100 * found['sd_share']:.1f} % "
-            f"sd, {found['over_asked']:.2f} times 4 % + 1 g in the rms.",
+            f"Mass estimates of `adaptive`, {found['things']} objects of at least 20 g: mean error "
+            f"{100 * found['mean_share']:+.1f} %, sd {100 * found['sd_share']:.1f} %; rms error "
+            f"{found['over_asked']:.2f} times the required 4 % + 1 g.",
         ]
     lines += _agreement(result)
     return "\n".join(lines) + "\n"
 
 
 def _agreement(result: Mapping[str, Any]) -> list[str]:
-    """How often an episode ended at this level as it does at the mesh's."""
+    """Return table rows: fraction of episodes with the same outcome as on the mesh."""
     found = {name: one for name, one in result["agreement"].items() if one["episodes"]}
     if not found:
         return []
-    level = result["level"]
+    level = LEVELS[result["level"]].label
     lines = [
         "",
-        f"| the same episodes at both levels | ended alike | held, `{MESH}` / `{level}` | grip over"
-        f" need, median, `{MESH}` / `{level}` |",
+        f"| same episodes at both levels | same outcome | held, `{MESH}` / `{level}` | grip force "
+        f"relative to required force, median, `{MESH}` / `{level}` |",
         "|---" * 4 + "|",
     ]
     for name, one in found.items():
@@ -107,7 +120,7 @@ def _failures(group: Mapping[str, Any] | None) -> str:
 
 
 def _difference(summary: Mapping[str, Any]) -> str:
-    """Of the first controller against touchless, in points."""
+    """Format the difference of the first controller to touchless, in points."""
     for pair in summary["paired"]:
         if (pair["first"], pair["second"]) == (CONTROLLERS[0], CONTROLLERS[-1]):
             low, high = pair["difference_interval"]

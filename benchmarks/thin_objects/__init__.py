@@ -1,1 +1,1 @@
-"""Thin things pressed into a membrane at random places and speeds: is the force the same?"""
+"""Test of equal forces for thin objects pressed into a membrane at random positions and speeds."""

@@ -13,17 +13,20 @@ import mjtactile
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
-_STIFFNESS = 2e5  # N/m of the drive: gives way by 5 um at 1 N
+_STIFFNESS = 2e5  # stiffness of the drive, N/m: 5 um compliance at 1 N
 _MASS = 0.2  # kg
-_CLEARANCE = 1e-3  # m above first touch
-_STILL = 1.2  # s given to settle
+_CLEARANCE = 1e-3  # initial height above first touch, m
+_STILL = 1.2  # settling time, s
 _STATED = re.compile(r"off by (\d+)%")
 
 
 @dataclass(frozen=True)
 class Body:
-    """What is pressed: its kind of geom, MuJoCo's sizes in m, its turn about x, rad, how far, m,
-    its lowest point is below its middle, and how deep, m, it is driven below first touch."""
+    """Indenter.
+
+    Its kind of geom, MuJoCo's sizes, m, its rotation `tilt` about x, rad. `below`, m, is the
+    distance of its lowest point below its center. `depth`, m, is the target below first touch.
+    """
 
     kind: str
     size: tuple[float, ...]
@@ -74,14 +77,14 @@ FACES = {
 
 @dataclass(frozen=True)
 class Pressed:
-    """What came of a press: the true force, N, along the press, and the finger's flags."""
+    """Result of a load: the true force along its direction, N, and the finger's flags."""
 
     force: float
     flags: dict[str, str]
 
     @property
     def stated(self) -> float:
-        """By what share the flags say that the force may be off."""
+        """Relative force error stated in the flags."""
         shares = [int(s) / 100 for text in self.flags.values() for s in _STATED.findall(text)]
         return max(shares, default=0.0)
 
@@ -95,22 +98,22 @@ def press(
     timestep: float = 4e-3,
     **attaching: Any,
 ) -> Pressed:
-    """Press `body` into `dense` at 1 kPa, over the point `at` m of S, turned by `turn` rad about z.
+    """Press `body` into `dense` at 1 kPa, over the point `at`, rotated by `turn` about z.
 
     Args:
-        body: What presses.
-        at: Where, x and y in S, m.
-        speed: Of the drive, m/s.
-        turn: Rad about S's z, before it is pressed.
-        timestep: Of the scene, s.
+        body: Indenter.
+        at: Position x and y, m, frame S.
+        speed: Speed of the drive, m/s.
+        turn: Rotation about S's z, before the load, rad.
+        timestep: Time step of the scene, s.
         attaching: Further arguments of `mjtactile.attach`.
 
     Returns:
-        The force when it has settled, and what is flagged.
+        The force when it has settled, and the flags.
 
     Raises:
-        InputError: the scene was refused.
-        SimulationError: the body went through.
+        InputError: The scene was refused.
+        SimulationError: The indenter went through the membrane.
     """
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec, timestep)

@@ -1,6 +1,8 @@
-"""`mjtactile bench thin-objects`: thin things and small faces at random places and speeds, against
-the film on a grid of 81 x 61 nodes (`bench quasistatic` says how good that is; wires: 61 x 46 or 41
-x 31)."""
+"""`mjtactile bench thin-objects`: thin objects and small faces at random positions and speeds.
+
+The reference is the quasi-static membrane on a grid of 81 x 61 nodes (wires: 61 x 46 or 41 x 31);
+`bench quasistatic` gives its accuracy.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,19 @@ from mjtactile.core.types import Array
 from mjtactile.runtime.progress import Progress
 
 PLACES, PLACES_QUICK = 40, 2
-SPEEDS = (0.01, 0.03, 0.1)  # m/s
+SPEEDS = (0.01, 0.03, 0.1)  # speeds of the drive, m/s
 _GRID = (81, 61)
 _COARSER = ((61, 46), (41, 31))  # for wires, on which the finest film does not come to rest
-_AROUND = 3e-3  # m: places are as far from the middle at most, along x and along y
+_AROUND = 3e-3  # maximum distance of positions from the center along x and y, m
 _SEED = 20
 _ARC = np.radians(np.linspace(-45, 45, 13))  # of a wire, that a sheet can touch
-_FLANK = 3e-3  # m, along which the wire's flanks go on, so that no node is beside it
+_FLANK = 3e-3  # length of the flanks that extend a wire, m, so that it covers nodes
 
 Say = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
-    """Forces of all bodies at all places and speeds, and the film's."""
+    """Return the forces of all indenters at all positions and speeds, and the reference forces."""
     say = say or Progress().message
     films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
     places = PLACES_QUICK if quick else PLACES
@@ -47,8 +49,11 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
 def _compared(
     films: list[QuasistaticMembrane], body: Body, at: Array, turn: float
 ) -> dict[str, Any]:
-    """Forces, N, at each speed (None: the body went through, which is `stopped`), the film's, and
-    what the flags say. A scene that is refused ends the benchmark: none of these should be."""
+    """Return the forces, N, at each speed, the reference force, and the stated error.
+
+    None means that the indenter went through, with the reason in `stopped`. A refused scene ends
+    the benchmark: none should be refused.
+    """
     forces: list[float | None] = []
     stopped: list[str] = []
     stated = 0.0
@@ -96,8 +101,11 @@ def _film_force(film: QuasistaticMembrane, body: Body, at: Array, turn: float) -
 
 
 def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obstacle:
-    """The body as the film takes it. A lying wire goes on in flanks that a sheet does not reach:
-    between two nodes it would be missed."""
+    """Return the indenter as an obstacle of the quasi-static membrane.
+
+    A lying wire is extended by flanks that the membrane does not reach. Otherwise it could pass
+    between two nodes undetected.
+    """
     if body.kind == "box":
         return QuasistaticMembrane.obstacle("box", body.size, p_SO, R_SO)
     if not body.tilt:
@@ -118,11 +126,11 @@ def table(result: dict[str, Any]) -> str:
     """Force over the film's, by body, as Markdown."""
     speeds = ", ".join(f"{1e3 * s:.0f}" for s in result["speeds"])
     lines = [
-        f"{result['places']} places within {1e3 * _AROUND:.0f} mm of the middle, turned by any "
-        f"angle, each at {speeds} mm/s; force over that of the film.",
+        f"{result['places']} positions within {1e3 * _AROUND:.0f} mm of the center, any rotation, "
+        f"each at {speeds} mm/s. Ratios: force / force of the quasi-static membrane.",
         "",
-        "| pressed | film, N | middle | 90 % within | worst | by speed, worst | stopped | beyond "
-        "the flag's number |",
+        "| object | quasi-static membrane, N | median | 90 % within | worst | speed effect, worst "
+        "| stopped | beyond the flagged error |",
         "|---|---|---|---|---|---|---|---|",
     ]
     lines += [_line(result["rows"], name) for name in BODIES | FACES]

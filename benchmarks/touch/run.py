@@ -1,13 +1,12 @@
-"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and error bars, over random
-indenters.
+"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and standard deviations.
 
-One simulated membrane is seen by three cameras with their own markers (`SENSORS`), which
-share everything but the layout. Nothing is calibrated for an object. The truth is the simulator's
-on a mesh finer than the default's, since a coarse mesh is stiffer than rubber; its contact area is
-that of a film on the object, the centroid that of the forces. Edges, corners and two balls at once
-have rows of their own, without the shape and with it (`sharp.py`). About five minutes of a
-processor. Seeds below FIRST_SEED were used in
-tuning and are not among them.
+Random indenters load one simulated membrane. Three cameras with different marker layouts
+(`SENSORS`) view it; all else is common. Nothing is calibrated for an object. Ground truth is the
+simulation on a mesh finer than the default, since a coarse mesh is stiffer than rubber. The true
+contact area is that of a quasi-static membrane on the object, the centroid that of the forces.
+Edges, corners and two balls together have separate rows, without and with the estimated shape
+(`sharp_indenters`). It takes about five minutes of a processor. Seeds below FIRST_SEED were used in
+tuning and are excluded.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ QUIET_FRAMES = 900
 _REFERENCE_IMAGES = 10
 _PERIOD = 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
-_FORCE_MAX = 2.5  # N
+_FORCE_MAX = 2.5  # maximum force, N
 _OFF_NOMINAL_FRAMES = 20
 _FRAMES = 3  # looked at in each state; the last one counts
 
@@ -251,7 +250,7 @@ def _angle(a: Array, b: Array) -> float:
 
 
 def _quiet(frames: int) -> dict[str, Any]:
-    """Nothing touches: false alarms, and how the felt force scatters, over so many frames."""
+    """Count false alarms and measure the force noise without contact, over `frames` images."""
     _, views = _start(Indenter("sphere", 5e-3), (0.0, 0.0), 0.0, MESH_QUICK, 99)
     result = {}
     for name, view in views.items():
@@ -272,8 +271,8 @@ def _quiet(frames: int) -> dict[str, Any]:
 
 
 def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
-    """One press, with one thing at a time not as the sensor file says: shift of the force, and the
-    error bar."""
+    """Load once with a single deviation from the sensor file; return force shift and standard
+    deviation."""
     rows = []
     for name in SENSORS:
         nominal = load_sensor(name)
@@ -285,10 +284,10 @@ def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
         )
         for case, in_world in (
             ("nominal", nominal),
-            ("E +10 %", stiff),
-            ("gas +3 K after rest", nominal),
-            ("camera moved 0.1 mm after rest", nominal),
-            ("20 % of the markers gone", nominal),
+            ("modulus +10 %", stiff),
+            ("gas +3 K after the references", nominal),
+            ("camera displaced by 0.1 mm after the references", nominal),
+            ("20 % of the markers missing", nominal),
         ):
             world = PressWorld(in_world, Indenter("sphere", 8e-3), at=(3e-3, 2e-3), mesh=mesh)
             view = LayoutView(nominal, world, 7)
@@ -313,7 +312,7 @@ def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
                 and reference is not None
                 and reference.rest.gas.constant is not None
             ):
-                # a chamber 3 K warmer holds (1 + 3/T) of the p V that the sensor believes in
+                # a chamber 3 K warmer holds (1 + 3/T) of the p V assumed by the sensor
                 gas = replace(
                     reference.rest.gas,
                     constant=reference.rest.gas.constant / (1 + 3 / nominal.chamber.temperature),

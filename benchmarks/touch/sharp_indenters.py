@@ -1,5 +1,8 @@
-"""Edges, corners and two balls at once for `bench touch`: what is felt of them without a shape and
-with it (`StatefulPipeline.shape`). The bodies are those of `bench shape`, of seeds of their own."""
+"""Edges, corners and two balls together for `bench touch`, without and with the contact shape.
+
+The shape is that of `StatefulPipeline.shape`. The indenters are those of `bench shape`, with other
+seeds.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ BODIES = {"wedge": "an edge", "corner": "a corner", "two balls": "two balls at o
 FIRST_SEED = 1200
 _EACH, _EACH_QUICK = 3, 1
 _DEPTHS = (0.8e-3, 1.6e-3, 2.6e-3)
-_DRAG = 1e-3  # m at most, where it was pressed deepest
-_MAX_FORCE = 1.5  # N
+_DRAG = 1e-3  # maximum drag at the maximum depth, m
+_MAX_FORCE = 1.5  # force limit, N
 _FRAMES = 3  # looked at in each state; the last one counts
 
 
@@ -40,13 +43,13 @@ def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
 def episode(
     seed: int, case: Case, world: PressWorld, views: Mapping[str, View]
 ) -> list[dict[str, Any]]:
-    """Press deeper and deeper, and drag.
+    """Press in steps, then drag.
 
     Args:
-        seed: Of the body.
-        case: The body.
-        world: With it over the sensor.
-        views: Of each sensor, with its references.
+        seed: Seed of the indenter.
+        case: Indenter.
+        world: Scene with the indenter over the sensor.
+        views: View of each sensor, with its references.
 
     Returns:
         A row for each state and sensor.
@@ -124,22 +127,22 @@ def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
 
 
 def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
-    """Rows of the table.
+    """Return rows of the table.
 
     Args:
-        sensors: What `summary` has of each.
+        sensors: Result of `summary` for each sensor.
 
     Returns:
         Markdown.
     """
     rows = []
     for body, name in BODIES.items():
-        for suffix, label in (("", ""), ("_shape", ", shape asked for")):
+        for suffix, label in (("", ""), ("_shape", ", with contact shape")):
             shown = [
                 f"{s[body][f'mae{suffix}_N']:.4f} ({s[body][f'worst{suffix}_N']:.3f}), "
                 f"{s[body][f'chi2{suffix}']:.2f}"
                 for s in sensors.values()
             ]
-            what = f"{name}{label}: normal force, error (worst), N; chi-square of the wrench"
-            rows.append(f"| {what} | chi .6-1.6 | .8-1.2 | " + " | ".join(shown) + " |")
+            what = f"{name}{label}: normal force error (worst), N; chi-square of the wrench"
+            rows.append(f"| {what} | chi-square .6-1.6 | .8-1.2 | " + " | ".join(shown) + " |")
     return rows

@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.touch import sharp_indenters
 from mjtactile.report.figures import new_figure
 
-LIGHT = 0.03  # N, the smallest touch that is asked for
-_DIRECTION_MIN = 0.3  # N
+LIGHT = 0.03  # required detection threshold, N
+_DIRECTION_MIN = 0.3  # minimum shear force for a direction error, N
 
 
 def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
@@ -63,10 +63,10 @@ def _mean(values: Any) -> float:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown, next to what was asked for."""
+    """Return the result as Markdown, next to the requirements."""
     sensors = result["sensors"]
     lines = [
-        "| what | asked | aim | " + " | ".join(sensors) + " |",
+        "| quantity | required | target | " + " | ".join(sensors) + " |",
         "|---" * (3 + len(sensors)) + "|",
     ]
 
@@ -81,18 +81,25 @@ def table(result: Mapping[str, Any]) -> str:
         ".01 / .02",
         lambda s: f"{s['normal_mae_N']:.4f} ({s['normal_worst_N']:.3f})",
     )
-    line("… by the weak form on interpolated markers", "", "", lambda s: f"{s['weak_form_N']:.4f}")
+    line("… weak form on interpolated markers", "", "", lambda s: f"{s['weak_form_N']:.4f}")
     line(
-        "… by level 1, dF = c dA, c calibrated on a cylinder",
-        "",
-        "",
-        lambda s: f"{s['level1_N']:.4f}",
+        "… level 1: dF = c dA, c calibrated on a cylinder", "", "", lambda s: f"{s['level1_N']:.4f}"
     )
-    line("… by level 2, grid of springs", "", "", lambda s: f"{s['level2_N']:.4f}")
-    line("shear force error, N", ".03", ".015", lambda s: f"{s['shear_mae_N']:.4f}")
-    line("direction above 0.3 N, deg", "3", "1.5", lambda s: f"{s['direction_deg']:.2f}")
-    line("torque about the frame's middle, N mm", "", "", lambda s: f"{s['torque_Nmm']:.3f}")
-    line("contact centroid, mm", ".3", ".15", lambda s: f"{s['centroid_mm']:.3f}")
+    line("… level 2: grid of springs", "", "", lambda s: f"{s['level2_N']:.4f}")
+    line("shear force, mean absolute error, N", ".03", ".015", lambda s: f"{s['shear_mae_N']:.4f}")
+    line(
+        "force direction above 0.3 N, mean error, deg",
+        "3",
+        "1.5",
+        lambda s: f"{s['direction_deg']:.2f}",
+    )
+    line(
+        "torque about the frame center, mean error, N mm",
+        "",
+        "",
+        lambda s: f"{s['torque_Nmm']:.3f}",
+    )
+    line("contact centroid, mean error, mm", ".3", ".15", lambda s: f"{s['centroid_mm']:.3f}")
     line(
         "contact area, median relative error (bias), %",
         "10",
@@ -100,20 +107,20 @@ def table(result: Mapping[str, Any]) -> str:
         lambda s: f"{100 * s['area_share']:.0f} ({100 * s['area_bias_share']:+.0f})",
     )
     line(
-        "touches of 0.03-0.06 N felt",
+        "contacts of 0.03-0.06 N detected",
         "all",
         "",
         lambda s: f"{s['light_felt']} of {s['light_touches']}",
     )
     line(
-        "chi-square per dof: force x, y, z",
+        "chi-square per degree of freedom: force x, y, z",
         ".6-1.6",
         ".8-1.2",
         lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]),
     )
     lines += sharp_indenters.lines(result["sharp_sensors"])
     line(
-        "ms a frame after the surface, median (95 %)",
+        "time per image after the surface fit, median (95 %), ms",
         "3",
         "1.5",
         lambda s: f"{s['milliseconds']:.1f} ({s['milliseconds_p95']:.1f})",
@@ -123,7 +130,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 def _quiet(result: Mapping[str, Any]) -> Sequence[str]:
     lines = [
-        "| nothing touches | frames | false alarms | mean, N | sd, N (predicted) | largest, N |",
+        "| no contact | images | false alarms | mean, N | sd (reported), N | largest, N |",
         "|---" * 6 + "|",
     ]
     for name, q in result["quiet"].items():
@@ -136,8 +143,8 @@ def _quiet(result: Mapping[str, Any]) -> Sequence[str]:
 
 def _off_nominal(result: Mapping[str, Any]) -> Sequence[str]:
     lines = [
-        "| off-nominal, sphere pressed 3 mm | sensor | true, N | felt, N | error, N | error "
-        "bar (1 sd), N | status |",
+        "| deviation from the sensor file, sphere pressed 3 mm | sensor | ground truth, N | "
+        "estimate, N | error, N | standard deviation, N | status |",
         "|---" * 7 + "|",
     ]
     for row in result["off_nominal"]:
@@ -150,8 +157,8 @@ def _off_nominal(result: Mapping[str, Any]) -> Sequence[str]:
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Felt against true normal force, and the errors of normal and shear force with their error
-    bars."""
+    """Plot estimated against true normal force, and the errors of normal and shear force with their
+    standard deviations."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
     left, right = figure.subplots(1, 2)

@@ -1,1 +1,1 @@
-"""Felt wrenches and their error bars against truth, over random scenes."""
+"""Estimated wrenches and their uncertainty against ground truth, over random scenes."""

@@ -1,4 +1,4 @@
-"""One scene seen through its cameras: what was felt in each image, and what was true."""
+"""One scene viewed by its cameras: estimate and ground truth of each image."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from mjtactile.sim.scenes.indentation import PressWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.validity_checks import Flags
 
-# m, N, m over first touch where an indenter waits
+# maximum depth, m; maximum force, N; waiting height of an indenter above first touch, m
 _DEEPEST = 6e-3
 _STRONGEST = 2.5
 _ABOVE = 1e-3
-# s without a touch, s that a force is held
+# time without a touch, s; hold time of a force, s
 _QUIET = 0.2
 _HOLD = 0.3
 # taps, s of a tap's rest, s of going up and down
 _TAPS = 3
 _TAP_HOLD = 0.1
 _RHYTHM = 1.2
-# m/s of a drag and of a retreat; m that bodies are squeezed by
+# speed of a drag and of a retreat, m/s; range of the squeeze of objects, m
 _SLOW = 5e-3
 _FAST = 0.02
 _SQUEEZE = (0.5e-3, 4e-3)
-# N and share of the force by which a force at rest does not change in a step
+# maximum change of a constant force in a step: constant part, N, and fraction of the force
 _JUMP = 0.02
 _JUMP_FRACTION = 0.05
 # images between two looks at the area; N from which on there is one
@@ -42,9 +42,11 @@ _LEAST = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One image of one sensor: its `touch`, the `wrench` (6,) N, N m and the contact's `area`, m^2,
-    by truth (NaN: not looked at), and whether that wrench jumps from step to step though nothing
-    drives it: `rattles`."""
+    """One image of one sensor: its `touch` and the ground truth.
+
+    True values: `wrench` (6,), N and N m, and contact `area`, m^2 (NaN: not computed). `rattles` is
+    true if that wrench jumps between steps although no drive moves.
+    """
 
     touch: Touch
     wrench: Array

@@ -1,9 +1,9 @@
-"""`mjtactile bench uncertainty`: 10^4 images of random scenes: felt wrenches against true ones, in
-their own standard deviations.
+"""`mjtactile bench uncertainty`: 10^4 images of random scenes, wrench errors in units of their
+standard deviations.
 
-Presses, drags, taps, holds, near the frame, shaken, of three layouts at two resolutions and three
-meshes. Seeds below FIRST_SEED were used in tuning and are not among them. Each scene's rows are
-kept in a file of its own; `--resume` goes on from there.
+Scenes are presses, drags, taps, holds, near the frame, shaken. They use three layouts at two
+resolutions and three meshes. Seeds below FIRST_SEED were used in tuning and are excluded. Each
+scene's rows are stored in a separate file; `--resume` continues from there.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def run(
 
 
 def scene_rows(seed: int) -> dict[str, Any]:
-    """One scene: what it is, and a row for each image."""
+    """Evaluate one scene; return its description, and a row for each image."""
     scene = render_scene(seed)
     about = {
         "seed": seed,

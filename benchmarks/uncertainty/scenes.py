@@ -1,5 +1,5 @@
-"""Random scenes of `mjtactile bench uncertainty`, each drawn from its seed: which sensor, what
-touches it, where, and how it moves."""
+"""Random scenes of `mjtactile bench uncertainty`: sensor, indenter, position and motion of each
+seed."""
 
 from __future__ import annotations
 
@@ -13,27 +13,31 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.sim.scenes.indentation import Indenter
 
 KINDS = ("press", "edge", "press", "tap", "hold", "press", "edge", "rhythm", "press", "shaken")
-"""What happens, in turn: presses and drags anywhere, near the frame, taps, a body between two
-sensors, a press that goes up and down several times a second, a press of a sensor that hangs
-somehow and is shaken."""
+"""Kinds of scenes, in turn: loads and drags anywhere or near the frame, taps, an object between two
+sensors, a load that oscillates several times a second, a load on a rotated and shaken sensor."""
 SENSORS = ("dense", "paper16", "dense at half resolution", "paper16 at half resolution")
 FINE = ("fine", "fine at half resolution")
 FINE_FROM = 1200
-"""Of seeds from here on, in turn: the scenes before stay those of tables before `fine` came."""
+"""Seeds from here on use `FINE` in turn; earlier scenes stay those of tables before `fine`
+existed."""
 MESHES = ((13, 11), (13, 11), (17, 13), (21, 17))
 SIZES = {"sphere": (3e-3, 16e-3), "cylinder": (2.5e-3, 8e-3), "box": (5e-3, 14e-3)}
 MODELS = ("wedge", "corner", "spheres")
 _BODIES = {"sphere": (6e-3, 16e-3), "box": (8e-3, 16e-3), "rod": (3e-3, 10e-3)}
-# m from the frame that an indenter keeps; a rim that is hit is no touch of the membrane
+# minimum distance of an indenter from the frame, m; contact with the frame is not a touch of the
+# membrane
 _MARGIN = 1.5e-3
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene. `supply` Pa of the chamber, an `indenter` at `at` m with `tilt` rad, or a `body`
-    that is held; it goes to the `forces` N one after the other at `speed` m/s, is dragged by
-    `shear` m, taps to `depth` m, goes up and down to it at `frequency` Hz; the sensor is turned by
-    `mount` rad and shaken by `shake` m, Hz."""
+    """One scene.
+
+    Chamber pressure `supply`, Pa. An `indenter` at `at`, m, with `tilt`, rad, or a held `body`. It
+    applies the `forces`, N, one after the other at `speed`, m/s, and is dragged by `shear`, m. Taps
+    reach `depth`, m; oscillations reach it at `frequency`, Hz. The sensor is rotated by `mount`,
+    rad, and shaken by `shake` (amplitude, m, and frequency, Hz).
+    """
 
     seed: int
     kind: str
@@ -91,7 +95,7 @@ def render_scene(seed: int) -> Scene:
     indenter = _indenter(rng)
     half = np.array([20e-3, 15e-3]) - _MARGIN - _reach(indenter)
     at = rng.uniform(-0.6, 0.6, 2) * half
-    if kind == "edge":  # beside one of the four sides, as near as the indenter fits
+    if kind == "edge":  # next to one of the four sides, as near as the indenter fits
         side = int(rng.integers(2))
         at[side] = float(rng.choice([-1, 1])) * half[side] * rng.uniform(0.85, 1.0)
     body = list(_BODIES)[rng.integers(len(_BODIES))]
@@ -137,7 +141,7 @@ def _indenter(rng: np.random.Generator) -> Indenter:
 
 
 def _reach(indenter: Indenter) -> float:
-    """How far it goes sideways, m, where it may touch."""
+    """Return the lateral half-extent of the possible contact, m."""
     sizes = {
         "sphere": min(indenter.size, 7e-3),
         "cylinder": indenter.size,

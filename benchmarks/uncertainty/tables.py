@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 
 COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-# N by truth: from which on it is a touch, up to which there is none
+# minimum true force of a touch, N; maximum true force without a touch, N
 LEAST = 0.02
 NOTHING = 1e-3
 FAR = 5.0  # standard deviations that none may be off
 COARSE = ("sharp_edge", "small_feature")
-"""What it says of itself where the mesh is too coarse for what touches: the true force is that of
-vertices."""
+"""Flags of a mesh that is too coarse for the indenter: the true force is then that of vertices."""
 UNSURE = ("penetration", "wrinkles")
-"""What the simulation says of itself where its contact is not right: these scenes' touches are
-counted apart."""
-# N, of areas
+"""Flags of an inaccurate contact simulation; touches of these scenes are counted separately."""
+# force limits of the area groups, N
 _LIGHT = 0.06
 _STRONG = 0.5
 
@@ -26,7 +24,7 @@ Row = dict[str, Any]
 
 
 def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Of all images whose status is ok, by what there was to feel."""
+    """Summarize all images whose status is ok, grouped by type of touch."""
     rows = [
         row | {key: scene[key] for key in ("seed", "kind", "shape", "sensor", "flags")}
         for scene in scenes
@@ -89,7 +87,7 @@ def _judge(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _areas(rows: Sequence[Row]) -> dict[str, Any]:
-    """Felt over true area, single patches."""
+    """Compute the ratio of estimated to true area, for single patches."""
     seen = [row for row in rows if row["area"] and row["area_true"] and row["touching"]]
     groups = {
         "all": seen,
@@ -118,6 +116,18 @@ def _shares(ratio: np.ndarray) -> dict[str, Any]:
     }
 
 
+_LABELS = {
+    "everything that is ok": "all with status `ok`",
+    "nothing touches": "no contact",
+    "touches": "contacts",
+    "touches that nothing flags": "contacts without a flag",
+    "touches of edges and tips that the mesh is flagged for": "contacts flagged `sharp_edge` or "
+    "`small_feature`",
+    "touches that the simulation flags": "contacts flagged `penetration` or `wrinkles`",
+    "touches at rest whose true force rattles": "contacts at rest with jumps of the true force",
+}
+
+
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     status = ", ".join(f"{count} {name}" for name, count in result["status"].items())
@@ -125,21 +135,21 @@ def table(result: Mapping[str, Any]) -> str:
         f"{result['images']} images of {result['scenes']} scenes: {status}; "
         f"{len(result['failed'])} scenes could not be simulated.",
         "",
-        "| chi-square | images | scenes | "
+        "| chi-square of each component | images | scenes | "
         + " | ".join(COMPONENTS)
-        + f" | beyond {FAR:g} sd: Fz | any of six (in scenes) | worst Fz, sd |",
+        + f" | beyond {FAR:g} sd: Fz | any of six (scenes) | largest Fz error, sd |",
         "|" + "---|" * 12,
     ]
     for name, g in result["groups"].items():
         chi = " | ".join(f"{value:.2f}" for value in g["chi_square"])
         lines.append(
-            f"| {name} | {g['images']} | {g['scenes']} | {chi} | {g['far'][2]} | {g['far_any']} "
-            f"({g['far_scenes']}) | {g['worst'][2]:.1f} |"
+            f"| {_LABELS.get(name, name)} | {g['images']} | {g['scenes']} | {chi} | "
+            f"{g['far'][2]} | {g['far_any']} ({g['far_scenes']}) | {g['worst'][2]:.1f} |"
         )
     lines += [
         "",
-        "| felt contact area, one patch | images | median error | felt over true: median "
-        "(10-90 %) | within 10 % |",
+        "| contact area, one patch | images | median error | estimated/true: median (10-90 %) | "
+        "within 10 % |",
         "|---|---|---|---|---|",
     ]
     for name, a in result["areas"].items():

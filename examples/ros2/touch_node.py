@@ -60,7 +60,8 @@ class TouchNode(Node):
                 f"{name}_camera",
                 touch.age,
             )
-            if touch.traction is not None:  # else the force is not known, and touch.status says why
+            # otherwise the force is unknown; touch.status gives the reason
+            if touch.traction is not None:
                 felt = WrenchStamped()
                 values = iter(map(float, touch.traction.wrench))
                 for part in (felt.wrench.force, felt.wrench.torque):

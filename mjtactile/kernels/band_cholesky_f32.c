@@ -4,9 +4,10 @@
 
 #define INLINE static inline __attribute__((always_inline))
 
-/* The panel's triangle becomes the inverse of its factor (columns, as it was), rows below become the factor's. */
+/* Factor the diagonal block of a panel and replace it by the inverse of its factor, by columns. The
+   rows below become rows of the factor. Returns 1 if it is not positive definite. */
 static int factor_one(long height, float *panel) {
-    float inverse[PANEL][PANEL] = {{0}}; /* by rows */
+    float inverse[PANEL][PANEL] = {{0}}; /* rows of the inverse */
     for (int c = 0; c < PANEL; c++) inverse[c][c] = 1;
     for (int c = 0; c < PANEL; c++) {
         float *own = panel + c * height;
@@ -33,7 +34,8 @@ static int factor_one(long height, float *panel) {
     return 0;
 }
 
-/* Of a panel's rows `i` to `i` + 8 `blocks`, what they leave off four columns of another: what is read serves several sums. */
+/* Subtract the contribution of rows `i` to `i` + 8 `blocks` - 1 of a panel from four columns of
+   another panel. Each value read is used in several sums. */
 INLINE void take_off_four(long height, const float *panel, long down, long i, int blocks, int first, float *other) {
     Eight left[2][4];
     float *to = other + first * height + i - down;
@@ -48,7 +50,7 @@ INLINE void take_off_four(long height, const float *panel, long down, long i, in
         for (int q = 0; q < 4; q++) EIGHT(to + q * height + b * PANEL) = left[b][q];
 }
 
-/* Takes what a panel leaves off the one that begins `down` rows below. */
+/* Subtract a panel's contribution from the panel that begins `down` rows below. */
 static void take_off(long height, const float *panel, long down, float *other) {
     long i = down;
     for (; i + PANEL < height; i += 2 * PANEL)
@@ -67,7 +69,7 @@ int panels_factor(long count, long room, long height, float *panels) {
     return 0;
 }
 
-/* Sums of each of eight vectors' numbers. */
+/* Return the sum of the entries of each of eight vectors. */
 INLINE Eight sums_of(const Eight *v) {
 #if defined(__has_builtin)
 #if __has_builtin(__builtin_shufflevector)

@@ -3,12 +3,14 @@
 #include <math.h>
 #include <string.h>
 
-/* Loops are over whole vectors: behind a column's last entry the stride leaves room for seven more, which are zero. */
+/* Loops run over whole vectors. Behind the last entry of a column, the stride leaves room for seven
+   more entries, which are zero. */
 typedef double Quad __attribute__((vector_size(32), aligned(8)));
 #define QUAD(p) (*(Quad *)(p))
 #define CONST_QUAD(p) (*(const Quad *)(p))
 
-/* Factors columns j to j + 3 (fewer at the end), which are up to date, as far as they see each other. */
+/* Factor columns j to j + 3 (fewer at the end) among themselves. The contributions of all columns
+   before them are already subtracted. */
 static int factor_panel(long columns, long stride, long length, double *panel) {
     for (long p = 0; p < columns; p++) {
         double *own = panel + p * stride;
@@ -41,7 +43,8 @@ int band_cholesky(long n, long width, double *a) {
     return 0;
 }
 
-/* Columns j to j + 3 of what stands to be solved, all of which lie within n. */
+/* Solve L x = b in place. Four columns are processed together while all of their rows are within
+   n. */
 void band_forward(long n, long width, const double *L, double *x) {
     const long stride = BAND_STRIDE(width);
     long j = 0;
@@ -89,7 +92,8 @@ void band_backward(long n, long width, const double *L, double *x) {
     }
 }
 
-/* Column j of Z L = L^-T below the diagonal, from those behind it (Takahashi; Erisman & Tinney, Comm. ACM 18(3), 1975). */
+/* Compute column j of the inverse Z, Z L = L^-T, below the diagonal, from the columns behind it
+   (Takahashi; Erisman & Tinney, Comm. ACM 18(3), 1975). */
 void band_inverse(long n, long width, const double *L, double *Z) {
     const long stride = BAND_STRIDE(width);
     memset(Z, 0, n * stride * sizeof *Z);
@@ -111,7 +115,8 @@ void band_inverse(long n, long width, const double *L, double *Z) {
     }
 }
 
-/* Rows j to j + count - 1, which the rows behind them do not concern any more. */
+/* Solve rows j to j + count - 1 with the diagonal block alone. The contributions of all other rows
+   are already subtracted. */
 static void solve_block(long count, long stride, const double *panel, Lanes *x) {
     for (long p = 0; p < count; p++) {
         x[p] /= panel[p * stride];
@@ -135,7 +140,7 @@ static int all_zero(const Lanes *x) {
 void band_solve_lanes(long n, long width, const double *L, Lanes *x, long wanted) {
     const long stride = BAND_STRIDE(width);
     long first = 0;
-    while (first < n && all_zero(x + first)) first++; /* what is zero stays so */
+    while (first < n && all_zero(x + first)) first++; /* leading zeros remain zero */
     for (long j = first / 4 * 4; j < n; j += 4) {
         const long end = j + 4 + width < n ? j + 4 + width : n;
         const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;

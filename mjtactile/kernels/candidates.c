@@ -1,13 +1,15 @@
-/* Where markers may be, and which may be trusted: image/candidates.py and image/judge.py. */
+/* Marker candidates and the classification of their fits: sensing/image/candidates.py and
+   sensing/image/fit_validation.py. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define UNSETTLED 1e3 /* grey levels in the residual of a fit that did not converge: image/edges.py */
+/* residual, gray levels, that marks a fit without convergence: sensing/image/edge_fit.py */
+#define UNSETTLED 1e3
 
-/* As the dataclass MarkerSettings: one number a field, in its order. */
+/* Settings in the order of the dataclass MarkerSettings, one number per field. */
 typedef struct {
     double profile_min_radius, profile_min_blurs, min_blurs, start_blur_fraction, sure_blurs,
         blur_spread, min_motion, covered_fraction, min_peers, size_log_tolerance, min_edge_distance,
@@ -19,7 +21,7 @@ typedef struct {
 
 _Static_assert(sizeof(MarkerSettings) == 29 * sizeof(double), "as in kernels.h");
 
-/* As judge.STATUSES. */
+/* Status codes in the order of STATUSES in sensing/image/fit_validation.py. */
 enum { OK, CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT, MOVED };
 
 static void axes_of(const double *shape, double *a, double *b) {
@@ -27,7 +29,8 @@ static void axes_of(const double *shape, double *a, double *b) {
     *a = mean + half, *b = mean - half;
 }
 
-/* First-order distance of a border's point from the ellipse; the blob's outline is half a pixel further out. */
+/* Return the distance of a border point from the ellipse to first order, px. The outline of the
+   blob is half a pixel farther out. */
 static double distance(double dx, double dy, const double *inverse) {
     double p = inverse[0], q = inverse[1], s = inverse[2], ex = p * dx + q * dy, ey = q * dx + s * dy;
     double mx = p * ex + q * ey, my = q * ex + s * ey, rho2 = ex * ex + ey * ey;
@@ -43,7 +46,8 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
     if (all) return REFUSED;
     for (int64_t i = 0; i < n; points += 2 * counts[i++]) {
         double area = 0, mx = 0, my = 0, mxx = 0, mxy = 0, myy = 0, room = INFINITY, *shape = shapes + 3 * i;
-        for (int64_t k = 0; k < counts[i]; k++) {  /* Green's theorem on the polygon through the pixels' centres */
+        /* Green's theorem on the polygon through the pixel centers */
+        for (int64_t k = 0; k < counts[i]; k++) {
             const int32_t *here = points + 2 * k, *next = k + 1 < counts[i] ? here + 2 : points;
             double x = here[0], y = here[1], x2 = next[0], y2 = next[1], cross = x * y2 - x2 * y, sx = x + x2, sy = y + y2;
             area += cross, mx += cross * sx, my += cross * sy;
@@ -51,13 +55,13 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
             room = least(room, least(least(x, y), least(width - 1 - x, height - 1 - y)));
         }
         area /= 2, mx /= 6, my /= 6, mxx /= 12, mxy /= 24, myy /= 12;
-        /* a border one pixel wide has no area; it is no marker either, so that any stand-in will do */
+        /* a border one pixel wide has no area; it is not a marker, so any placeholder will do */
         int flat = fabs(area) < 0.5;
         if (flat) area = 1;
         double cx = mx / area, cy = my / area;
         double xx = flat ? 0.01 : mxx / area - cx * cx, xy = flat ? 0 : mxy / area - cx * cy, yy = flat ? 0.01 : myy / area - cy * cy;
         double root = sqrt(most(16 * (xx * yy - xy * xy), 0)), scale = 1 / sqrt(most(4 * (xx + yy) + 2 * root, 1e-12));
-        /* half a pixel more: the polygon runs inside of the blob's outline */
+        /* half a pixel more: the polygon runs inside the blob's outline */
         shape[0] = (4 * xx + root) * scale + 0.5, shape[1] = 4 * xy * scale, shape[2] = (4 * yy + root) * scale + 0.5;
         double det = shape[0] * shape[2] - shape[1] * shape[1], inverse[3] = {shape[2] / det, -shape[1] / det, shape[0] / det};
         double farthest = 0;
@@ -68,7 +72,7 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
     return 0;
 }
 
-/* Whether a border is far from its own ellipse (further if cut). */
+/* Return 1 if a border is far from its own ellipse. A cut border has another limit. */
 static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
     return misfit >= s->max_border_misfit + (cut ? s->border_misfit_fraction_cut : s->border_misfit_fraction) * b;
 }
@@ -87,7 +91,8 @@ int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, con
         if (status[i] == OK) size[fits++] = sqrt(a * b);
     }
     if (fits >= s.min_peers) {
-        /* a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged */
+        /* a border as large as the others but with another outline is a marker with glare or dirt,
+           to be flagged */
         double usual = upper_median(size, fits);
         for (int64_t i = 0; i < n; i++) {
             double a, b, own;
@@ -100,7 +105,7 @@ int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, con
     return 0;
 }
 
-/* One fit beside the candidate that it began from. */
+/* One fit and the candidate from which it started. */
 typedef struct {
     const double *center, *shape, *cov, *start, *start_shape;
     double a, b, contrast, noise, doubt, residual, blur, lost, motion, misfit;
@@ -136,7 +141,8 @@ static int reaches_border(const Fit *f, int64_t height, int64_t width, double cl
            || f->center[1] + v > height - 1 - close;
 }
 
-/* The judgement that needs the image's `common` blur, and whether it is likely no marker at all. */
+/* Return the status of a fit, given the `common` blur of the image. `keep` is 0 if the fit is
+   probably not a marker. */
 static int judge(const Fit *f, int status, double common, int64_t height, int64_t width, double min_radius,
                  const MarkerSettings *s, int64_t *keep) {
     if (f->b < s->min_blurs * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
@@ -161,13 +167,13 @@ static int judge(const Fit *f, int status, double common, int64_t height, int64_
     return status;
 }
 
-/* How far an ellipse reaches from its centre in the direction (x, y). */
+/* Return the distance from an ellipse's center to its boundary in the direction (x, y). */
 static double reach(const Fit *f, double x, double y) {
     double p = f->shape[0], q = f->shape[1], s = f->shape[2], det = p * s - q * q;
     return det / hypot(s * x - q * y, p * y - q * x);
 }
 
-/* Ellipses that come near another's edge, measured along the line of centres. */
+/* Flag ellipses close to the edge of another one, measured along the line of centers. */
 static void flag_crowded(const Fit *fits, int64_t n, double close, int64_t *status) {
     for (int64_t i = 0; i < n; i++) {
         if (status[i] != OK && status[i] != TOUCHING) continue;
@@ -198,13 +204,15 @@ int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const
         fits[i] = fit_of(i, n, centers, shapes, cov, levels, found, starts, start_shapes, misfit, cut, sign);
         some[i] = fits[i].residual;
     }
-    double usual = n ? upper_median(some, n) : 0;  /* of this image: its noise, its compression */
+    /* typical residual in this image: noise and compression */
+    double usual = n ? upper_median(some, n) : 0;
     int64_t good = 0;
     for (int64_t i = 0; i < n; i++) {
         status[i] = trust(fits + i, usual, &s);
         if (status[i] == OK) some[good++] = fits[i].blur;
     }
-    double common = good ? upper_median(some, good) : 0;  /* blur is the image's; its scatter mostly the fit's */
+    /* blur is a property of the image; its scatter is mostly fit error */
+    double common = good ? upper_median(some, good) : 0;
     for (int64_t i = 0; i < n; i++)
         status[i] = judge(fits + i, (int)status[i], common, height, width, min_radius, &s, keep + i);
     flag_crowded(fits, n, s.min_edge_distance, status);
@@ -217,7 +225,8 @@ void ellipse_axes(int64_t n, const double *shapes, const double *cov, double *se
         const double *shape = shapes + 3 * i;
         double a, b, angle = 0.5 * atan2(2 * shape[1], shape[0] - shape[2]), c = cos(angle), s = sin(angle);
         axes_of(shape, &a, &b);
-        double over = 1 / most(a - b, 1e-6 * a);  /* below, the angle is meaningless; the floor keeps its variance finite */
+        /* below, the angle is meaningless; the floor keeps its variance finite */
+        double over = 1 / most(a - b, 1e-6 * a);
         double J[5][5] = {{1, 0, 0, 0, 0}, {0, 1, 0, 0, 0}, {0, 0, c * c, 2 * c * s, s * s}, {0, 0, s * s, -2 * c * s, c * c},
                           {0, 0, -c * s * over, (c * c - s * s) * over, c * s * over}};
         semi_axes[2 * i] = a, semi_axes[2 * i + 1] = b, angles[i] = angle;

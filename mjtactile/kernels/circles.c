@@ -1,19 +1,25 @@
-/* Ellipses to circle poses with covariance; the equations are those of pose/circles.py's docstrings. */
+/* Circle poses with covariance from ellipses. Equations: docstrings of sensing/pose/circles.py. */
 #include <string.h>
 
 #include "kernels.h"
 #include "optics.h"
 #include "small_linalg.h"
 
-#define POINTS 8           /* on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics */
-#define LEAST_TILT 1e-3    /* rad; below it the normal's derivative vanishes and only its bound is left */
+/* points on an ellipse's boundary: at least five are needed; lens and glass add only few
+   harmonics */
+#define POINTS 8
+/* tilt, rad, below which the normal's derivative vanishes and only its bound remains */
+#define LEAST_TILT 1e-3
 #define FIT_STEPS 30
-#define FIT_TOLERANCE 1e-8 /* of a conic's coefficients; what is left after such a step is 1e-10 */
-#define ROUND 1e-6         /* below this (a - b) / a the angle is meaningless; the floor keeps its variance finite */
+/* tolerance of a conic's coefficients; the error after such a step is 1e-10 */
+#define FIT_TOLERANCE 1e-8
+/* for (a - b) / a below this, the angle is meaningless; the floor keeps its variance finite */
+#define ROUND 1e-6
 
 typedef struct { double c[POINTS], s[POINTS]; } Circle;
 typedef struct { double x[POINTS], y[POINTS]; } Boundary;
-typedef struct { double x0, xa, xb, y0, ya, yb; } Affine;  /* (x, y) of (1, cos, sin) */
+/* (x, y) as combinations of (1, cos, sin) */
+typedef struct { double x0, xa, xb, y0, ya, yb; } Affine;
 typedef struct { double p[3], n[3]; } Pose;
 
 static Circle unit_circle(void) {
@@ -22,7 +28,8 @@ static Circle unit_circle(void) {
     return e;
 }
 
-/* Q (3, 3) of the conic a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v = 1 in the coordinates (u, v) that the map takes to (x, y). */
+/* Compute the cone Q (3, 3) of the conic a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v = 1. The map `m`
+   takes its coordinates (u, v) to (x, y). */
 static void cone(const Affine *m, const double *conic, double Q[3][3]) {
     double over = 1 / (m->xa * m->yb - m->xb * m->ya);
     double U[3] = {m->yb * over, -m->xb * over, 0}, V[3] = {-m->ya * over, m->xa * over, 0};
@@ -37,9 +44,9 @@ static void cone(const Affine *m, const double *conic, double Q[3][3]) {
     Q[2][2] -= 1;
 }
 
-/* The affine map that boundary points almost are, and their cone. In the map's coordinates the points are nearly the unit
-   circle's; the conic's least squares are solved by the circle's own, whose harmonics are orthogonal, again and again on what
-   is left. */
+/* Fit an affine map to the boundary points, and compute their cone Q. In the map's coordinates, the
+   points are nearly on the unit circle. The least squares of the conic are solved iteratively with
+   those of the circle, whose harmonics are orthogonal, applied to the remaining residuals. */
 static Affine fit_cone(const Circle *e, const Boundary *b, double Q[3][3]) {
     Affine m = {0};
     double u[POINTS], v[POINTS], conic[5] = {1, 0, 1, 0, 0};
@@ -69,8 +76,10 @@ static Affine fit_cone(const Circle *e, const Boundary *b, double Q[3][3]) {
     return m;
 }
 
-/* The closed form: both circles of radius r on the cone. The eigenvalue l3 by the trigonometric solution of the cubic (Smith,
-   Comm. ACM 4(4), 1961), exact for the one that stands alone; the others from the 2 x 2 problem across v3. */
+/* Compute both circles of radius r on the cone in closed form. The eigenvalue l3 is the
+   trigonometric solution of the cubic (Smith, Comm. ACM 4(4), 1961). This is accurate for the one
+   that is well separated. The others follow from the 2 x 2 problem in the plane perpendicular to
+   v3. */
 static void both_circles(double Q[3][3], double r, Pose *out) {
     double a = Q[0][0], b = Q[0][1], d = Q[0][2], c = Q[1][1], e = Q[1][2], f = Q[2][2], third = (a + c + f) / 3;
     double A = a - third, C = c - third, F = f - third;
@@ -80,10 +89,12 @@ static void both_circles(double Q[3][3], double r, Pose *out) {
     A = a - l3, C = c - l3;
     double x = b * e - d * C, y = b * d - A * e, z = A * C - b * b, over = 1 / sqrt(x * x + y * y + z * z);
     x *= over, y *= over, z *= over;
-    double off = A * x * x + C * y * y + (f - l3) * z * z + 2 * (b * x * y + d * x * z + e * y * z);  /* Rayleigh */
+    /* Rayleigh quotient */
+    double off = A * x * x + C * y * y + (f - l3) * z * z + 2 * (b * x * y + d * x * z + e * y * z);
     l3 += off, A -= off, C -= off;
-    /* u, w across v3 (geometry.tangents); Q - l3 I vanishes along v3, so that its block [[A, b], [b, C]] acts on
-       (u_x, u_y) - (u_z / z) (x, y), which is (1, 0) + h x (x, y), and (0, 1) + h y (x, y) for w */
+    /* u and w are perpendicular to v3 (geometry.tangents). Q - l3 I vanishes along v3. Its block
+       [[A, b], [b, C]] therefore acts on (u_x, u_y) - (u_z / z) (x, y), which is (1, 0) + h x
+       (x, y). For w it is (0, 1) + h y (x, y). */
     double h = 1 / (z * (1 + z)), g = 1 + h * x * x, hh = h * x * y, k = 1 + h * y * y;
     double t = A * g + b * hh, s = A * hh + b * k, v = b * hh + C * k;
     double uu = g * t + hh * (b * g + C * hh), uw = g * s + hh * v, ww = hh * s + k * v;
@@ -100,8 +111,9 @@ static void both_circles(double Q[3][3], double r, Pose *out) {
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-/* A pose behind the pane, from the one `pose` without it. The pane shifts every ray along z by its own amount; seen from the
-   shifted centre that belongs to the marker's middle, each boundary point is rescaled by the ratio of its depths. */
+/* Compute a pose behind the glass from `pose`, which is the pose without glass. The glass shifts
+   each ray along z by its own amount. Relative to a center of projection with the mean shift, each
+   boundary point is rescaled by the ratio of its depths. */
 static Pose through_pane(const Camera *camera, const Circle *e, const Boundary *b, const Pose *pose, double r) {
     double shift[POINTS], middle = 0, away = dot(pose->n, pose->p), Q[3][3];
     Boundary seen;
@@ -117,13 +129,15 @@ static Pose through_pane(const Camera *camera, const Circle *e, const Boundary *
     }
     fit_cone(e, &seen, Q);
     both_circles(Q, r, both);
-    /* the eigenvectors' signs are free, so the refit may return the two solutions in the other order */
+    /* the signs of the eigenvectors are arbitrary: the refit may return the two solutions in the
+       other order */
     Pose same = both[dot(both[1].n, pose->n) > dot(both[0].n, pose->n)];
     same.p[2] += middle;
     return same;
 }
 
-/* `n`, pushed away from exactly face-on, where the ellipse does not change with the tilt. */
+/* Copy the normal to `n`. A normal exactly face-on is tilted, because there the ellipse does not
+   change with the tilt. */
 static void tilted(const Pose *pose, double *n) {
     double far = sqrt(dot(pose->p, pose->p)), view[3];
     memcpy(n, pose->n, 3 * sizeof *n);
@@ -134,7 +148,7 @@ static void tilted(const Pose *pose, double *n) {
     for (int i = 0; i < 3; i++) n[i] = LEAST_TILT * tangent[i] - view[i];
 }
 
-/* Solves A X = B for X in place of B (5, m), by Gauss with pivots. */
+/* Solve A X = B for X in place of B (5, m), by Gaussian elimination with pivoting. */
 static void solve5(double A[5][5], double B[5][5], int m) {
     for (int j = 0; j < 5; j++) {
         int best = j;
@@ -158,18 +172,21 @@ static void solve5(double A[5][5], double B[5][5], int m) {
         }
 }
 
-/* Derivatives G (`parts`, 5) of the pose (centre m, n_x, n_y at fixed n_z; the first `parts` of these) by the ellipse's
-   (u, v, a, b, angle): those of the ellipse by the pose, inverted.
+/* Compute derivatives G (`parts`, 5) of the pose by the ellipse's (u, v, a, b, angle). The pose is
+   the center, m, and (n_x, n_y) at fixed n_z; G has the first `parts` of these. It is the inverse
+   of the derivatives of the ellipse by the pose.
 
-   With e the unit circle's points, an ellipse's change moves the boundary, in units of the local radius, by e . w + e^T V e;
-   so does a change of the pose. The lens enters by its derivative at the middle. */
+   Let e be the points of the unit circle. A change of the ellipse moves the boundary by e . w + e^T
+   V e, in units of the local radius. A change of the pose has the same form. The lens enters by its
+   derivative at the center. */
 static void derivative(const Camera *camera, const Circle *e, const Boundary *bound, const Affine *m, const Pose *pose,
                        double a, double b, double angle, int parts, double G[5][5]) {
     double n[3], c = cos(angle), s = sin(angle), pz = pose->p[2], D[5][5] = {{0}}, X[5][5] = {{0}};
     tilted(pose, n);
     const double *p = pose->p;
     if (camera->thickness != 0) pz -= glass_displacement(camera, (p[0] * p[0] + p[1] * p[1]) / (p[2] * p[2]));
-    double du[2][2] = {{c / a, -s / b}, {s / a, c / b}};  /* of e: (u, v) change by one pixel */
+    /* change of e for a change of (u, v) by one pixel */
+    double du[2][2] = {{c / a, -s / b}, {s / a, c / b}};
     Lens lens = distort(camera, m->x0, m->y0);
     double by_x[2], by_y[2];
     for (int i = 0; i < 2; i++) {
@@ -179,10 +196,13 @@ static void derivative(const Camera *camera, const Circle *e, const Boundary *bo
     for (int k = 0; k < POINTS; k++) {
         double x = bound->x[k], y = bound->y[k], ec = e->c[k], es = e->s[k];
         double mx = ec * by_x[0] + es * by_x[1], my = ec * by_y[0] + es * by_y[1], mz = -(mx * x + my * y);
-        double over = (n[0] * x + n[1] * y + n[2]) / (n[0] * p[0] + n[1] * p[1] + n[2] * pz);  /* 1 / depth */
-        double along = mx * n[0] + my * n[1] + mz * n[2];  /* the boundary's motion, over depth, along the normal */
+        /* 1 / depth */
+        double over = (n[0] * x + n[1] * y + n[2]) / (n[0] * p[0] + n[1] * p[1] + n[2] * pz);
+        /* motion of the boundary along the normal, over depth */
+        double along = mx * n[0] + my * n[1] + mz * n[2];
         double moved[5] = {mx * over, my * over, mz * over, along * (x - p[0] * over), along * (y - p[1] * over)};
-        double cc = (ec * ec - es * es) * 2 / POINTS, ss = 2 * ec * es * 2 / POINTS;  /* (w, V) of what moves the points */
+        /* weights of a point's motion in (w, V) */
+        double cc = (ec * ec - es * es) * 2 / POINTS, ss = 2 * ec * es * 2 / POINTS;
         double to[5] = {2 * ec / POINTS, 2 * es / POINTS, 1.0 / POINTS + cc, 1.0 / POINTS - cc, ss};
         for (int i = 0; i < 5; i++)
             for (int j = 0; j < 5; j++) D[j][i] += to[i] * moved[j];  /* transposed */
@@ -196,7 +216,8 @@ static void derivative(const Camera *camera, const Circle *e, const Boundary *bo
     }
 }
 
-/* The ellipse's boundary in ideal coordinates, the affine map that it almost is, and its cone. */
+/* Compute an ellipse's boundary in ideal coordinates, the affine map that approximates it, and its
+   cone. */
 static Affine look(const Camera *camera, const Circle *e, const double *center, double axes[2][2], Boundary *b, double Q[3][3]) {
     if (has_lens(camera)) {
         for (int k = 0; k < POINTS; k++) {
@@ -231,7 +252,7 @@ void circle_poses(int64_t n, const double *centers, const double *semi_axes, con
         both_circles(Q, radii[i], both);
         if (camera.thickness != 0)
             for (int k = 0; k < 2; k++) both[k] = through_pane(&camera, &e, &bound, both + k, radii[i]);
-        int first = both[1].n[2] < both[0].n[2];  /* more face-on to the camera's axis */
+        int first = both[1].n[2] < both[0].n[2];  /* the pose more face-on to the camera axis */
         for (int k = 0; k < 3; k++) {
             poses[3 * i + k] = both[first].p[k], poses[3 * (n + i) + k] = both[first].n[k];
             poses[3 * (2 * n + i) + k] = both[1 - first].p[k], poses[3 * (3 * n + i) + k] = both[1 - first].n[k];

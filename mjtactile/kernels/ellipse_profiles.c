@@ -1,7 +1,8 @@
-/* Ellipses from profiles across their edges; the equations are those of sensing/image/profile_fit.py's docstring.
+/* Ellipses from profiles across their edges. Equations: docstring of sensing/image/profile_fit.py.
 
-   K profiles cross each ellipse along its normals, 17 samples each. Six filters read a profile: the levels inside and
-   outside, its area, its second moment, and, matched to a blurred edge, the edge's offset and its blur. */
+   K profiles cross each ellipse along its normals, with 17 samples each. Six filters evaluate a
+   profile: the levels inside and outside, its area, its second moment, and the offset and blur of
+   the edge. The last two are matched to a blurred edge. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,21 +10,24 @@
 #include "small_linalg.h"
 
 #define SAMPLES 17
-#define ENDS 5           /* samples at either end, for the levels */
-#define COARSE 24        /* profiles a marker of the first rounds */
-#define COARSE_STEP 0.9  /* px between their samples */
+#define ENDS 5           /* samples at each end, for the levels */
+#define COARSE 24        /* profiles per marker in the first rounds */
+#define COARSE_STEP 0.9  /* spacing of their samples, px */
 #define COARSE_ROUNDS 4
-#define NEAR 1.5         /* px: a coarse move below this ends the coarse rounds; it is right by area within two */
-#define LEAST 32         /* and most profiles a marker */
+/* change of the shape, px, below which the coarse rounds end; offsets by area are correct within
+   2 px */
+#define NEAR 1.5
+#define LEAST 32         /* minimum and (MOST) maximum number of profiles per marker */
 #define MOST 160
 #define SOFTEN_VARIANCE 0.4
-#define BILINEAR_VARIANCE (1.0 / 6) /* of linear interpolation, mean over all positions */
+/* variance of linear interpolation, px^2, mean over all positions */
+#define BILINEAR_VARIANCE (1.0 / 6)
 
 enum { INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR, FILTERS };
-#define WHOLE 24         /* samples in whole vectors of eight */
+#define WHOLE 24         /* samples, rounded up to whole vectors of eight */
 
-typedef float Eight __attribute__((vector_size(32)));  /* all filters of a sample */
-typedef float Two __attribute__((vector_size(8)));     /* neighbours in a row */
+typedef float Eight __attribute__((vector_size(32)));  /* all filters of one sample */
+typedef float Two __attribute__((vector_size(8)));     /* neighbors in a row */
 
 typedef struct {
     double step, start_blur, spacing, level_outlier, outlier_offsets, outlier_min,
@@ -34,17 +38,19 @@ _Static_assert(sizeof(Settings) == 10 * sizeof(double), "as in kernels.h");
 
 typedef struct { const float *pixels; long height, width; } Image;
 
-/* K directions on the unit circle. An ellipse is moved by the functions c, s, c^2, 2 c s, s^2 of the direction. */
+/* Directions (K) on the unit circle. A move of an ellipse is a combination of the functions c, s,
+   c^2, 2 c s and s^2 of the direction. */
 typedef struct { int count; double c[MOST], s[MOST], c2[MOST], s2[MOST]; } Fan;
 
 typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, rest_blur; Eight by_sample[SAMPLES]; } Filters;
 
-/* One marker's profiles: outward normals, |S^-1 e| = g, length of arc a profile stands for, and what the filters read. */
+/* Profiles of one marker: outward normals, |S^-1 e| = g, arc length per profile, and filter
+   results. */
 typedef struct { double det, mx[MOST], my[MOST], g[MOST], arc[MOST], read[FILTERS][MOST], inside[MOST], outside[MOST],
                  spread_in, spread_out; } Lines;
 
-/* What is kept of all markers' lines while what they have in common is found: KEPT rows of K numbers each, since whole `Lines`
-   would be a megabyte, whose pages cost more than the work. */
+/* Values of all markers that are kept while the common values are estimated: KEPT rows of K numbers
+   each. Whole `Lines` would need a megabyte, whose pages cost more time than the computation. */
 enum { KEPT = 7 };
 
 static void kept_rows(Lines *l, double *rows[KEPT]) {
@@ -76,8 +82,9 @@ static void make_fan(Fan *fan, int count) {
     }
 }
 
-/* EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, with F = Phi(-o / sigma), phi = -dF/do and
-   psi = dF/dsigma; one is even and the other odd, so that each ignores the other. */
+/* Make the filters for a sample spacing and a blur, px. EDGE and BLUR measure delta and dsigma in
+   F(o) + delta phi + dsigma psi, with F = Phi(-o / sigma), phi = -dF/do and psi = dF/dsigma. One is
+   even and the other is odd, so that they are independent. */
 static void make_filters(Filters *f, double step, double sigma) {
     double narrow = sqrt(most(sigma * sigma - 2 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE), 0.45 * 0.45)), along = 0, across = 0;
     memset(f, 0, sizeof *f);
@@ -97,13 +104,14 @@ static void make_filters(Filters *f, double step, double sigma) {
         f->bank[EDGE][j] /= along, f->bank[BLUR][j] /= across;
         f->rest_edge += f->bank[EDGE][j] * filled, f->rest_blur += f->bank[BLUR][j] * filled;
         for (int i = 0; i < FILTERS; i++) {
-            if (fabs(f->bank[i][j]) < 1e-12) f->bank[i][j] = 0;  /* else denormal as a float: a hundred cycles each on some processors */
+            /* avoid denormal floats: they take a hundred cycles each on some processors */
+            if (fabs(f->bank[i][j]) < 1e-12) f->bank[i][j] = 0;
             f->sums[i] += f->bank[i][j], f->by_sample[j][i] = (float)f->bank[i][j];
         }
     }
 }
 
-/* What EDGE reads off an edge at 1 px, for small offsets, if the blur is in fact `blur`. */
+/* Return the response of EDGE to a small offset of 1 px if the actual blur is `blur`, px. */
 static double gain(const Filters *f, double blur) {
     double sum = 0;
     for (int j = 0; j < SAMPLES; j++) sum += f->bank[EDGE][j] * exp(-0.5 * square((j - (SAMPLES - 1) / 2.0) * f->step / blur));
@@ -120,12 +128,14 @@ static void outline(Lines *l, const double *shape, const Fan *fan) {
     }
 }
 
-/* What the filters read of a profile about (u, v), samples (du, dv) apart, bilinear between the pixels. In one pass, each sample
-   from two pairs of pixels straight into all filters' sums, which stay in a register: in memory each waits for the last. */
+/* Apply the filters to a profile about (u, v) with samples (du, dv) apart, bilinear between the
+   pixels. One pass adds each sample, from two pairs of pixels, to the sums of all filters. The sums
+   stay in a register: in memory, each addition waits for the previous one. */
 static void read_within(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
     const double reach = (SAMPLES - 1) / 2.0;
     const int left = (int)(u - fabs(du) * reach), top = (int)(v - fabs(dv) * reach), w = (int)image->width;
-    const float *pixels = image->pixels + (long)top * w + left;  /* float places from here are good to 1e-6 px */
+    /* float positions relative to this pixel are accurate to 1e-6 px */
+    const float *pixels = image->pixels + (long)top * w + left;
     const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
     int place[WHOLE];
     float across[WHOLE], down[WHOLE];
@@ -145,13 +155,14 @@ static void read_within(const Image *image, double u, double v, double du, doubl
     *out = sums;
 }
 
-/* The same beyond the border, where the border's pixels go on. */
+/* Apply the filters to a profile that extends beyond the image border, where border pixels are
+   repeated. */
 static void read_beyond(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
     const long w = image->width, h = image->height;
     *out = (Eight){0};
     for (int j = 0; j < SAMPLES; j++) {
         double x = u + (j - (SAMPLES - 1) / 2.0) * du, y = v + (j - (SAMPLES - 1) / 2.0) * dv;
-        x = x > 0 ? least(x, w - 1) : 0, y = y > 0 ? least(y, h - 1) : 0;  /* not a number: somewhere */
+        x = x > 0 ? least(x, w - 1) : 0, y = y > 0 ? least(y, h - 1) : 0;  /* NaN becomes 0 */
         long i = (long)least(x, w - 2), k = (long)least(y, h - 2);
         const float *at = image->pixels + k * w + i;
         float a = (float)(x - i), b = (float)(y - k), upper = at[0] + a * (at[1] - at[0]);
@@ -162,7 +173,8 @@ static void read_beyond(const Image *image, double u, double v, double du, doubl
 static void read_profiles(Lines *l, const Image *image, const double *center, const double *shape, const Fan *fan,
                           const Filters *f) {
     const double reach = f->step * (SAMPLES - 1) / 2.0;
-    const double last_u = image->width - 1.001, last_v = image->height - 1.001;  /* whatever single precision does to a place */
+    /* margin for rounding of positions in single precision */
+    const double last_u = image->width - 1.001, last_v = image->height - 1.001;
     for (int k = 0; k < fan->count; k++) {
         double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k], far_u = fabs(l->mx[k] * reach);
         double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k], far_v = fabs(l->my[k] * reach);
@@ -175,7 +187,8 @@ static void read_profiles(Lines *l, const Image *image, const double *center, co
     }
 }
 
-/* One level of the marker, plus a gradient of the light across it, robustly; returns the sd of a profile's about them. */
+/* Fit one level of the marker plus a light gradient across it, robustly. Returns the standard
+   deviation of a profile's level about the fit. */
 static double plane(const double *ends, double *fitted, const Fan *fan, double outlier) {
     int K = fan->count;
     double middle = 0, squares = 0, p0 = 0, p1 = 0, p2 = 0, left = 0;
@@ -199,11 +212,13 @@ static double plane(const double *ends, double *fitted, const Fan *fan, double o
 static void levels(Lines *l, const Fan *fan, double outlier) {
     l->spread_in = plane(l->read[INSIDE], l->inside, fan, outlier);
     l->spread_out = plane(l->read[OUTSIDE], l->outside, fan, outlier);
-    for (int k = 0; k < fan->count; k++)  /* no contrast, no edge; the caller throws such fits away */
+    /* without contrast there is no edge; the caller rejects such fits */
+    for (int k = 0; k < fan->count; k++)
         if (fabs(l->inside[k] - l->outside[k]) < 1) l->inside[k] = l->outside[k] - 1;
 }
 
-/* The ellipse's move (w, V) that explains offsets `scaled` on the unit circle best; K directions are orthogonal. */
+/* Compute the move (w, V) of the ellipse that best fits the offsets `scaled` on the unit circle.
+   The harmonics are orthogonal on K even directions. */
 static void solve_even(const double *scaled, const Fan *fan, double *move) {
     int K = fan->count;
     double mean = 0, a = 0, b = 0;
@@ -216,7 +231,8 @@ static void solve_even(const double *scaled, const Fan *fan, double *move) {
     move[2] = mean + a, move[3] = b, move[4] = mean - a;
 }
 
-/* Centre c + S w, and the shape whose square is that of S (I + V); `move` in units of the local radius, cut at 0.4. */
+/* Apply a move: center c + S w, and the shape whose square is that of S (I + V). `move` is in units
+   of the local radius and limited to 0.4. */
 static void apply_move(double *center, double *shape, const double *move) {
     double m[5], p = shape[0], q = shape[1], s = shape[2];
     for (int i = 0; i < 5; i++) m[i] = clip(move[i], -0.4, 0.4);
@@ -228,13 +244,14 @@ static void apply_move(double *center, double *shape, const double *move) {
     shape[0] = (xx + root) * scale, shape[1] = xy * scale, shape[2] = (yy + root) * scale;
 }
 
-/* Ellipses near the edge by area, and the image's blur (px), while the window grows until it holds the blurred edge.
+/* Move the ellipses close to the edges by area, and return the blur of the image, px. The window
+   grows until it contains the blurred edge.
 
-   The blur from the second moment of the profiles' deviation from a step: the integral of (F - [o < 0]) o do is
-   (sigma^2 + d^2) / 2 for F = Phi(-(o - d) / sigma). */
+   The blur comes from the second moment of the profiles' deviation from a step. The integral of
+   (F - [o < 0]) o do is (sigma^2 + d^2) / 2 for F = Phi(-(o - d) / sigma). */
 static double approach(const Image *image, long n, double *centers, double *shapes, const Settings *s, Lines *l, Fan *fan,
                        double *work, double *step) {
-    const double step_moment = -(SAMPLES * SAMPLES - 1) / 8.0;  /* of [o < 0], in samples */
+    const double step_moment = -(SAMPLES * SAMPLES - 1) / 8.0;  /* moment of [o < 0], in samples */
     Filters f;
     double sigma = s->start_blur;
     make_fan(fan, COARSE);
@@ -259,7 +276,7 @@ static double approach(const Image *image, long n, double *centers, double *shap
             apply_move(centers + 2 * i, shape, move);
             for (int j = 0; j < 3; j++) farthest = most(fabs(shape[j] - before[j]), farthest);
         }
-        /* 1/6: what sampling takes off the second moment of a smooth step, in samples squared */
+        /* 1/6: reduction of a smooth step's second moment by sampling, samples squared */
         sigma = sqrt(clip((upper_median(work, n) + 1.0 / 6) * square(*step), 0.75 * 0.75, 16));
         int wide = sigma > 0.27 * *step * SAMPLES / 2;
         if (farthest < NEAR && !wide) break;
@@ -268,8 +285,8 @@ static double approach(const Image *image, long n, double *centers, double *shap
     return sigma;
 }
 
-/* Covariance of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1 = 2 V, of which
-   dS = (det(S) V + S V S) / trace(S) is the solution. */
+/* Compute the covariance of (u, v, p, q, s) from that of (w, V): dc = S w and S^-1 dS + dS S^-1 = 2
+   V. The solution is dS = (det(S) V + S V S) / trace(S). */
 static void covariance_of_moves(const double M[5][5], const double *shape, double *cov) {
     double p = shape[0], q = shape[1], s = shape[2], over = 1 / (p + s), det = p * s - q * q;
     double qq = q * q * over, pq = p * q * over, qs = q * s * over;
@@ -278,17 +295,19 @@ static void covariance_of_moves(const double M[5][5], const double *shape, doubl
     sandwich5(L, &M[0][0], 5, cov);
 }
 
-/* What a move (w, V) makes of the offset of the edge at profile k, px. */
+/* Return the edge offset at profile k, px, due to a move (w, V). */
 static double offset_of(const double *move, const Lines *l, const Fan *fan, int k) {
     double c = fan->c[k], s = fan->s[k];
     return (move[0] * c + move[1] * s + move[2] * c * c + 2 * move[3] * c * s + move[4] * s * s) / l->g[k];
 }
 
-/* What is common to the image: how much blur, in which directions, and what of the offsets' levels is uncertain. */
+/* Common values of the image: the blur tensor, px^2, and the gain and sums of the EDGE filter. The
+   sums determine the effect of the levels on the offsets. */
 typedef struct { double uu, uv, vv, gain, rest_edge, sum_edge; } Common;
 
-/* Motion blurs one direction more: the variance across an edge with normal m is m^T B m, with one tensor B for the image
-   (least squares over every fourth profile, each variance bounded), and what is left over per marker is defocus. */
+/* Fit one blur tensor B to the image. Motion adds blur in one direction: the variance across an
+   edge with normal m is m^T B m. Least squares use every fourth profile, with bounded variances.
+   The remainder of each marker is defocus. */
 static void blur_tensor(long count, const double *normals, const double *blurs, double bound, Common *common) {
     double N[3][3] = {{1e-9, 0, 0}, {0, 1e-9, 0}, {0, 0, 1e-9}}, r[3] = {0, 0, 0};
     for (long i = 0; i < count; i++) {
@@ -299,7 +318,7 @@ static void blur_tensor(long count, const double *normals, const double *blurs, 
             for (int k = 0; k < 3; k++) N[j][k] += a[j] * a[k];
         }
     }
-    for (int j = 0; j < 3; j++)  /* Gauss */
+    for (int j = 0; j < 3; j++)  /* Gaussian elimination */
         for (int i = j + 1; i < 3; i++) {
             double factor = N[i][j] / N[j][j];
             for (int k = j; k < 3; k++) N[i][k] -= factor * N[j][k];
@@ -310,15 +329,17 @@ static void blur_tensor(long count, const double *normals, const double *blurs, 
     common->uu = (r[0] - N[0][1] * common->uv - N[0][2] * common->vv) / N[0][0];
 }
 
-/* The ellipse moved by robust least squares to the edge's offsets `delta` (K) px along its normals, and its covariance.
+/* Move the ellipse by robust least squares to the edge offsets `delta` (K), px, along its normals.
+   Also compute its covariance.
 
-   An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V = sym(S^-1 dS). */
+   An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V =
+   sym(S^-1 dS). */
 static void settle(const Lines *l, const Fan *fan, const Settings *s, const double *delta, const Common *common,
                    double blur_variance, double *center, double *shape, double *cov, double *found, long n) {
     int K = fan->count;
     double scaled[MOST], left[MOST], weight[MOST], move[5], mean = 0, A[5][5] = {{0}}, r[5] = {0}, inverse[5][5];
     for (int k = 0; k < K; k++) scaled[k] = delta[k] * l->g[k];
-    solve_even(scaled, fan, move);  /* unweighted: only to see what does not belong */
+    solve_even(scaled, fan, move);  /* unweighted: only to find outliers */
     for (int k = 0; k < K; k++) {
         left[k] = delta[k] - offset_of(move, l, fan, k);
         mean += fabs(left[k]);
@@ -348,30 +369,35 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
     apply_move(center, shape, move);
     arc /= K, size /= K, in /= K, out /= K, over2 /= K;
     double motion = hypot((common->uu - common->vv) / 2, common->uv) * kappa;
-    /* Profiles read some of the same pixels: neighbours at distance d correlate as the autocorrelation of softening and
-       interpolation together, nearly a Gaussian. The factor is the sum over all neighbours. */
+    /* Profiles have pixels in common. Neighbors at distance d correlate by the autocorrelation of
+       softening and interpolation together, which is nearly Gaussian. The factor is the sum over
+       all neighbors. */
     double shared = 1, variance = squares / total * (K / (K - 5.0));
     for (int j = 1; j < 5; j++) shared += 2 * exp(-square(arc * j) / (4 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE)));
     variance *= (K - 5) / most(K - 5 * shared, 1);
-    /* how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast */
+    /* effect of level noise on an offset: d(delta)/d(inside), d(delta)/d(outside), px per unit of
+       contrast */
     double gain_in = common->rest_edge, gain_out = common->sum_edge - common->rest_edge;
     double level = (square(gain_in * l->spread_in) + square(gain_out * l->spread_out)) * over2 * shared / K * size * size;
     double doubt = square(s->motion_sd_fraction * motion * size);
     for (int i = 0; i < 5; i++)
         for (int j = 0; j < 5; j++) inverse[i][j] *= s->covariance_factor * variance * shared * arc;
-    /* an error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g */
+    /* a level error moves all offsets together, V = I g; an error of its gradient moves the center,
+       w = g */
     inverse[0][0] += 2 * level, inverse[1][1] += 2 * level;
     inverse[2][2] += level + doubt, inverse[4][4] += level + doubt, inverse[2][4] += level, inverse[4][2] += level;
     inverse[3][3] += doubt;
     covariance_of_moves(inverse, shape, cov);
     double sd = sqrt(most(blur_variance, 0.3));
     found[0] = sqrt(most(sd * sd - SOFTEN_VARIANCE - BILINEAR_VARIANCE, square(s->sharpest)));
-    found[n] = sqrt(variance) * fabs(in - out) / (sqrt(2 * PI) * sd);  /* as grey levels at the edge's slope */
+    /* gray levels at the slope of the edge */
+    found[n] = sqrt(variance) * fabs(in - out) / (sqrt(2 * PI) * sd);
     found[2 * n] = K, found[3 * n] = 1 - total / (arc * K), found[4 * n] = motion;
 }
 
-/* The edge's offsets (K) px of one marker, the blur's pull inwards along the curved edge taken out: the 50 % level of an edge
-   of curvature kappa lies further in by kappa / 2 times the blur's variance along its tangent. */
+/* Compute the edge offsets (K), px, of one marker, corrected for blur along the curved edge. The 50
+   % level of an edge with curvature kappa is further inward by kappa / 2 times the blur variance
+   along its tangent. */
 static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Common *common, double defocus, double *delta) {
     for (int k = 0; k < fan->count; k++) {
         double over = 1 / (l->inside[k] - l->outside[k]), x = l->mx[k], y = l->my[k];
@@ -381,7 +407,8 @@ static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Comm
     }
 }
 
-/* Profiles of all markers, and of every fourth one its normal and the blur sd across the edge. */
+/* Evaluate the profiles of all markers. Every fourth profile also gives its normal and the blur's
+   standard deviation across the edge. */
 static void look(const Image *image, long n, const double *centers, const double *shapes, const Settings *s, const Fan *fan,
                  const Filters *f, double sigma, Lines *l, double *kept, double *normals, double *blurs) {
     for (long i = 0; i < n; i++) {
@@ -411,12 +438,13 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     double *work = malloc(n * sizeof *work);
     if (!work) return NO_MEMORY;
     double step, sigma = approach(&picture, n, centers, shapes, &s, &lines, &fan, work, &step);
-    for (long i = 0; i < n; i++) {  /* perimeters, to a percent */
+    for (long i = 0; i < n; i++) {  /* perimeters, accurate to a percent */
         const double *a = shapes + 3 * i;
         work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
     }
     double profiles = 8 * ceil(upper_median(work, n) / s.spacing / 8);
-    make_fan(&fan, profiles > LEAST ? (int)least(profiles, MOST) : LEAST);  /* also where it is not a number */
+    /* NaN also gives LEAST */
+    make_fan(&fan, profiles > LEAST ? (int)least(profiles, MOST) : LEAST);
     make_filters(&f, s.step * most(1, sigma / s.start_blur), sigma);
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;

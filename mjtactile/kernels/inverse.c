@@ -1,4 +1,5 @@
-/* Tractions from markers: one linearisation, and one step with it. The equations are those of sensing/force/inverse_fem.py. */
+/* Tractions from markers: one linearization, and one step with it. Equations:
+   sensing/force/inverse_fem.py. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -8,17 +9,19 @@
 #include "small_linalg.h"
 #include "splines.h"
 
-#define PRODUCTS 16 /* splines that do not vanish at a marker */
+#define PRODUCTS 16 /* nonzero splines at a marker */
 
 /* Products of splines at a marker, and their slopes. */
 typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } Seat;
 
-/* What the whitened markers see, r rows: first the positions, three to a marker, then, where `tilts` are, two slopes each. A row
-   is the force on the spline's values, or those on its slopes by x and y. */
+/* Observation of the membrane by the whitened markers, r rows. The positions come first, three rows
+   per marker. With `tilts`, two slopes per marker follow. A row has the weights of the splines'
+   values, or those of their slopes by x and y. */
 typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Sight;
 
-/* The nodes of tractions (jx, jy): generalised forces of one pascal at each, (nx, jx) and (ny, jy), and the lower triangular
-   roots of the prior's correlation along x and along y. */
+/* Nodes of tractions (jx, jy). `load_x` (nx, jx) and `load_y` (ny, jy) give the generalized forces
+   of 1 Pa at each node. `root_x` and `root_y` are the lower triangular roots of the prior's
+   correlation along x and y. */
 typedef struct { long jx, jy; const double *load_x, *load_y, *root_x, *root_y; } Nodes;
 
 static void take_seats(const Sheet *s, long markers, const double *material, Seat *seats) {
@@ -35,7 +38,8 @@ static void take_seats(const Sheet *s, long markers, const double *material, Sea
     }
 }
 
-/* Row r: its 48 entries, and where in (n, 3) the k-th spline's stand. */
+/* Compute row r: its 48 entries, in the order of the returned seat's splines; `place` gives their
+   positions in (n, 3). */
 static const Seat *row_of(const Sight *sight, long r, double (*row)[3]) {
     const long positions = 3 * sight->markers, m = r < positions ? r / 3 : (r - positions) / 2;
     const Seat *seat = sight->seats + m;
@@ -62,7 +66,8 @@ static double see(const Sheet *s, const Sight *sight, long r, const double *x) {
     return sum;
 }
 
-/* out (p, t) = left (p, q) middle (q, r) right^T (t, r); `half` is room for a row (t). */
+/* Compute out (p, t) = left (p, q) middle (q, r) right^T (t, r); `half` is workspace for a row
+   (t). */
 static void sandwich(long p, long q, long r, long t, const double *left, const double *middle, const double *right, double *half,
                      double *out) {
     memset(out, 0, p * t * sizeof *out);
@@ -78,7 +83,7 @@ static void sandwich(long p, long q, long r, long t, const double *left, const d
     }
 }
 
-/* As `sandwich` with left^T (q, p) and right (r, t). */
+/* Compute `sandwich` with left^T (q, p) and right (r, t). */
 static void sandwich_transposed(long p, long q, long r, long t, const double *left, const double *middle, const double *right,
                                 double *half, double *out) {
     memset(out, 0, p * t * sizeof *out);
@@ -92,9 +97,10 @@ static void sandwich_transposed(long p, long q, long r, long t, const double *le
     }
 }
 
-/* -- one linearisation -------------------------------------------------------------------------------------------------- */
+/* -- one linearization ------------------------------------------------------------------------- */
 
-/* Eight motions x (n, 3) as what they say of the nodes' tractions: through the loads, and the root of the prior's covariance. */
+/* Map eight motions x (n, 3) to the tractions of the nodes: through the transposed loads and the
+   transposed root of the prior's covariance. */
 static void half_of(const Sheet *s, const Nodes *nodes, const double *prior, const Lanes *x, Lanes *rows, Lanes *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     for (int k = 0; k < 3; k++) {
@@ -109,7 +115,8 @@ static void half_of(const Sheet *s, const Nodes *nodes, const double *prior, con
                     if (nodes->load_y[j * jy + b] != 0) out[a * jy + b] += nodes->load_y[j * jy + b] * rows[j];
         }
         for (long at = 0; at < count; at++) out[at] *= prior[k * count + at];
-        for (long a = 0; a < jx; a++) { /* root_x^T (lower) and root_y (lower): what is behind is not needed any more */
+        /* root_x^T (lower) and root_y (lower): rows behind are no longer needed */
+        for (long a = 0; a < jx; a++) {
             memset(rows, 0, jy * sizeof *rows);
             for (long i = a; i < jx; i++)
                 for (long b = 0; b < jy; b++) rows[b] += nodes->root_x[i * jx + a] * out[i * jy + b];
@@ -169,9 +176,9 @@ int64_t solve_lower(int64_t n, int64_t k, const double *factor, double *x) {
     return 0;
 }
 
-/* -- one step ------------------------------------------------------------------------------------------------------------- */
+/* -- one step ---------------------------------------------------------------------------------- */
 
-/* Solves L L^T x = b for x in place of b; L (n, n) by rows. */
+/* Solve L L^T x = b for x in place of b; L (n, n) by rows. */
 static void solve_dense(long n, const double *L, double *x) {
     for (long i = 0; i < n; i++) {
         double sum = x[i];
@@ -184,7 +191,8 @@ static void solve_dense(long n, const double *L, double *x) {
     }
 }
 
-/* The prior covariance times what the nodes are told, P Load^T x: tractions (3, jx, jy). */
+/* Compute the tractions (3, jx, jy) that displacements x imply: prior covariance times transposed
+   loads, P Load^T x. */
 static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, const double *x, double *work, double *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     double *told = work, *half = told + count, *room = half + count;
@@ -216,7 +224,8 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
         return NO_MEMORY;
     }
     take_seats(&s, markers, material, seats);
-    together(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed); /* against the state without tractions, c - K^-1 r */
+    /* relative to the state without tractions, c - K^-1 r */
+    together(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed);
     together(&s, c, x);
     for (long m = 0; m < markers; m++) {
         double off[3] = {data[3 * m], data[3 * m + 1], data[3 * m + 2]};
@@ -232,7 +241,7 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     }
     for (long r = 3 * markers; r < sight.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &sight, r, relaxed);
     memcpy(noise, misfit, sight.rows * sizeof *noise);
-    solve_dense(sight.rows, innovation, noise); /* what is left for the whitened markers' noise */
+    solve_dense(sight.rows, innovation, noise); /* remaining noise of the whitened markers */
     memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, modes * sizeof *drift_found);
     for (long r = 0; r < sight.rows; r++) {
         double row[PRODUCTS][3];
@@ -253,18 +262,20 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     return 0;
 }
 
-/* -- what it means ------------------------------------------------------------------------------------------------------ */
+/* -- results ----------------------------------------------------------------------------------- */
 
-#define WRENCH 6 /* of the lanes of a row */
+#define WRENCH 6 /* used lanes of a row */
 
-/* The tractions' prior root times rows (6, 3 J) that add tractions on `areas` at `p` (J, 3) up to force and torque about the
-   origin; `out` (3 J), `room` (2 count + jx + jy). */
+/* Multiply the root of the traction prior by rows (6, 3 J). The rows sum tractions on `areas` at
+   `p` (J, 3) to force and torque about the origin. `out` (3 J); `room` (2 count + jx + jy) is
+   workspace. */
 static void wrench_rows(const Nodes *nodes, const double *prior, const double *p, const double *areas, double *room, Lanes *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     double *row = room, *half = row + count;
     for (int a = 0; a < WRENCH; a++)
         for (int k = 0; k < 3; k++) {
-            const int arm = 6 - a - k; /* of the torque a - 3 that the force k has; a force adds to itself */
+            /* axis of the lever arm of force k for torque a - 3; a force is summed directly */
+            const int arm = 6 - a - k;
             if (a < 3 ? a != k : a - 3 == k) continue;
             for (long i = 0; i < count; i++)
                 row[i] = areas[i] * prior[k * count + i] * (a < 3 ? 1 : (a - 2) % 3 == k ? -p[3 * i + arm] : p[3 * i + arm]);
@@ -273,7 +284,7 @@ static void wrench_rows(const Nodes *nodes, const double *prior, const double *p
         }
 }
 
-/* sum += by row x, in chains that need not wait for each other. */
+/* Add `by` times row x to the sum, in four independent chains. */
 static void add_product(double by, long n, const double *row, const Lanes *x, Lanes *sum) {
     Lanes a = {0}, b = {0}, c = {0}, d = {0};
     long k = 0;
@@ -285,7 +296,7 @@ static void add_product(double by, long n, const double *row, const Lanes *x, La
     *sum += by * (a + b + c + d);
 }
 
-/* seen (r) = L^-1 half own, with L (r, r) and half (r, m) by rows. */
+/* Compute seen (r) = L^-1 half own, with L (r, r) and half (r, m) by rows. */
 static void whitened(long r, long m, const double *half, const Lanes *own, const double *L, Lanes *seen) {
     for (long i = 0; i < r; i++) {
         Lanes sum = {0};

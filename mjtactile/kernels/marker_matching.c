@@ -1,4 +1,5 @@
-/* Which detected circle is which marker: pose/identity.py. Unknown places are NaN. */
+/* Assignment of detected circles to markers: sensing/pose/marker_matching.py. Unknown positions are
+   NaN. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -6,9 +7,9 @@
 #include "optics.h"
 #include "small_linalg.h"
 
-#define ROUNDS 3 /* match, learn how the neighbourhood moved, match again */
+#define ROUNDS 3 /* rounds: match, estimate the motion of the neighborhood, match again */
 
-/* As the dataclass IdentitySettings. */
+/* Settings in the order of the dataclass IdentitySettings. */
 typedef struct { double gate, displacement_tolerance, neighbours, height_weight, shift_resolution; } IdentitySettings;
 
 _Static_assert(sizeof(IdentitySettings) == 5 * sizeof(double), "as in kernels.h");
@@ -19,15 +20,17 @@ static int known(const double *xy) { return isfinite(xy[0]) && isfinite(xy[1]); 
 
 static double squared_distance(const double *a, const double *b) { return square(a[0] - b[0]) + square(a[1] - b[1]); }
 
-static double median(double *values, int64_t n) { /* of the middle two, their mean; moves them about */
+/* mean of the two central values if n is even; reorders the values */
+static double median(double *values, int64_t n) {
     double high = upper_median(values, n), low = -INFINITY;
     if (n % 2) return high;
     for (int64_t i = 0; i < n / 2; i++) low = most(low, values[i]);
     return (low + high) / 2;
 }
 
-/* Median displacement (m, 2) of each marker's nearest neighbours with a known one in `moved`; where there are none, the
-   median of all; zero if nothing is known. `work` (m + 2 k). */
+/* Compute the median displacement (m, 2) of each marker's nearest neighbors with a known one in
+   `moved`. Without such neighbors it is the median of all, and zero if nothing is known. `work`
+   (m + 2 k). */
 static void smooth(const Scene *scene, const double *moved, double *out, double *work) {
     double common[2] = {0, 0};
     for (int axis = 0; axis < 2; axis++) {
@@ -47,7 +50,8 @@ static void smooth(const Scene *scene, const double *moved, double *out, double 
     }
 }
 
-/* Pairs that are each other's nearest and closer than `gate`: `ids` (n), -1 for none. `back` (m), `shift` (m, 2) or NULL. */
+/* Find the pairs that are each other's nearest and closer than `gate`: `ids` (n), -1 for none.
+   `back` (m), `shift` (m, 2). */
 static void mutual_nearest(const Scene *scene, const double *shift, double gate, int64_t *ids, int64_t *back, double *nearest) {
     for (int64_t j = 0; j < scene->m; j++) back[j] = -1, nearest[j] = INFINITY;
     for (int64_t i = 0; i < scene->n; i++) {
@@ -66,8 +70,9 @@ static void mutual_nearest(const Scene *scene, const double *shift, double gate,
         if (ids[i] >= 0 && back[ids[i]] != i) ids[i] = -1;
 }
 
-/* Offset of all circles against where they are expected, up to half a pitch: the densest place among the offsets of every circle
-   to its nearest marker. `offsets` (n, 2), `work` (n). */
+/* Estimate the common offset of all circles from their expected positions, up to half a pitch. It
+   is the densest point among the offsets of every circle to its nearest marker. `offsets` (n, 2),
+   `work` (n). */
 static void common_shift(const Scene *scene, double same, double *out, double *offsets, double *work) {
     int64_t count = 0, densest = -1, most_near = 0;
     out[0] = out[1] = 0;
@@ -95,7 +100,8 @@ static void common_shift(const Scene *scene, double same, double *out, double *o
     }
 }
 
-/* Displacements (m, 2) of the markers matched so far; drops matches that do not move with their neighbours. Returns how many. */
+/* Compute the displacements (m, 2) of the markers matched so far, and drop matches that do not move
+   with their neighbors. Returns the number of dropped matches. */
 static int64_t drop_inconsistent(const Scene *scene, const IdentitySettings *s, int64_t *ids, double *moved, double *common,
                                  double *work) {
     int64_t wrong = 0;
@@ -125,7 +131,8 @@ static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, d
         mutual_nearest(scene, shift, s->gate * scene->pitch, ids, back, work);
         int64_t matched = 0, wrong = drop_inconsistent(scene, s, ids, moved, shift, work);
         for (int64_t i = 0; i < n; i++) matched += ids[i] >= 0;
-        /* all found where they are expected, and none left over, needs no common offset: a whole grid cannot hide a shift */
+        /* no common offset is needed if all are at their expected positions and none is left over:
+           a whole grid cannot hide a shift */
         if (!wrong && matched == (tried ? fewest : all)) break;
         if (wrong) smooth(scene, moved, shift, work);
     }
@@ -149,7 +156,7 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
     for (int64_t j = 0; j < m; j++)
         for (int axis = 0; axis < 2; axis++) moved[2 * j + axis] = expected[2 * j + axis] - layout[2 * j + axis];
     smooth(&scene, moved, shift, work);
-    for (int64_t j = 0; j < m; j++)  /* a marker whose place is not known: from its neighbours' */
+    for (int64_t j = 0; j < m; j++)  /* a marker at an unknown position: from its neighbors */
         for (int axis = 0; axis < 2; axis++)
             own[2 * j + axis] = known(expected + 2 * j) ? expected[2 * j + axis] : layout[2 * j + axis] + shift[2 * j + axis];
     for (int64_t i = 0; i < n; i++) ids[i] = -1, places += known(found + 2 * i);
@@ -158,7 +165,9 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
     return 0;
 }
 
-/* Where the circle at `p`, C, stands if it is `factor` times as large as assumed: as much farther from where its rays meet. */
+/* Return the coordinate along `axis`, frame S, of the circle at `p`, frame C, if it is `factor`
+   times as large as assumed. Its distance from the intersection of its rays grows by that
+   factor. */
 static double farther(const double *p, int axis, double factor, double shift, const double *origin) {
     double apex = axis == 2 ? shift : 0;
     return (p[axis] - apex) * factor + apex + origin[axis];

@@ -1,17 +1,18 @@
-/* What a membrane needs before every step: gas volume, rubber, contact that remembers. The equations are in the docstrings of
-   sim/sensor/chamber.py, rubber.py, relaxing.py, facets.py and stiction.py. */
+/* Membrane computations before every MuJoCo step: gas volume, rubber, and contact with memory.
+   Equations: docstrings of chamber.py, neo_hookean_flex.py, stress_relaxation.py,
+   curvature_standoff.py and stiction.py in sim/sensor. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
 
-#define ROW 21          /* of a triangle in MuJoCo's `flex_stiffness` */
-#define FLATTEST 1e-2   /* least det C: a triangle that collapses keeps a finite stress */
-#define UNSTRAINED 1e-6 /* of tr E: below, the moduli are those of no strain */
-#define SMALLEST 1e-24  /* in place of zero in a denominator or under a root */
+#define ROW 21          /* entries of a triangle in MuJoCo's `flex_stiffness` */
+#define FLATTEST 1e-2   /* minimum of det C: a collapsing triangle keeps a finite stress */
+#define UNSTRAINED 1e-6 /* tr E below which the moduli are those without strain */
+#define SMALLEST 1e-24  /* replaces zero in a denominator or under a root */
 
-/* Whether all are numbers of one of `limit` things. */
+/* Return 1 if all numbers are valid indices below `limit`. */
 static int are_below(int64_t limit, int64_t count, const int64_t *numbers) {
     for (int64_t i = 0; i < count; i++)
         if (numbers[i] < 0 || numbers[i] >= limit) return 0;
@@ -50,7 +51,8 @@ void apply_gas_load(int64_t k, const double *gradient, const double *moved, doub
     spring[0] = stiffness, rest[0] = rest[1] = length - offset;
 }
 
-/* MuJoCo's contacts where they lie: sim/sensor/contact_list.py. In the order of its `layout`. */
+/* Fields of MuJoCo's contacts, which are read in place (sim/sensor/contact_list.py), in the order
+   of `layout`. */
 enum { STRIDE, DIST, MARGIN, FRAME, FRICTION, DIM, GEOMS, FLEXES, FIRST_ROW };
 
 typedef struct { double dist, margin; const double *frame, *friction; const int32_t *geoms, *flexes; int32_t dim, row; } Contact;
@@ -63,7 +65,8 @@ static Contact contact_of(int64_t k, int64_t list, const int64_t *layout) {
 #undef FIELD
 }
 
-/* Its rows that are forces: one along the normal, two along the surface; torques behind them do not count here. */
+/* Return the number of a contact's force rows: one along the normal, two along the surface. Rows of
+   torques behind them are not used. */
 static int force_rows(const Contact *c) { return c->dim < 3 ? c->dim : 3; }
 
 int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *force, int64_t n,
@@ -77,7 +80,8 @@ int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, in
             int side[2];
             for (int e = 0; e < 2; e++) side[e] = (c.geoms[e] >= own[0] && c.geoms[e] <= own[1]) || c.flexes[e] == own[2];
             if (!side[0] && !side[1]) continue;
-            double sign = side[1] ? 1 : -1;  /* MuJoCo's force acts on the second; the rows of `frame` are its axes */
+            /* MuJoCo's force acts on the second geom; the rows of `frame` are its axes */
+            double sign = side[1] ? 1 : -1;
             for (int axis = 0; axis < force_rows(&c); axis++)
                 for (int i = 0; i < 3; i++) loads[3 * m + i] += sign * force[c.row + axis] * c.frame[3 * axis + i];
         }
@@ -85,7 +89,8 @@ int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, in
     return 0;
 }
 
-/* ln c, the square of the thickness's stretch, by two Newton steps: core/neo_hookean.py. */
+/* Return c / det C, with the squared thickness stretch c. ln c comes from two Newton steps:
+   core/neo_hookean.py. */
 static double thickness_over_area(double log_det, double poisson) {
     double half = poisson / (1 - 2 * poisson), x = log_det * (-poisson / (1 - poisson));
     for (int i = 0; i < 2; i++) {
@@ -121,7 +126,8 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
     return 0;
 }
 
-/* W over the shear modulus of neo-Hookean rubber at C11, C22, C12: core/neo_hookean.py. `q` = c / det C. */
+/* Return the energy W over the shear modulus of neo-Hookean rubber at C11, C22, C12:
+   core/neo_hookean.py. `q` = c / det C. */
 static double energy(const double *C, double q, double poisson) {
     double det = fmax(C[0] * C[1] - C[2] * C[2], FLATTEST), c = q * det, log_volume = log(c * det) / 2;
     return (C[0] + C[1] + c - 3 - 2 * log_volume) / 2 + poisson / (1 - 2 * poisson) * log_volume * log_volume;
@@ -145,7 +151,7 @@ int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const d
             C[0] += stretch2 * g[x] * g[x], C[1] += stretch2 * g[3 + x] * g[3 + x], C[2] += stretch2 * g[x] * g[3 + x];
         }
         double q = thin ? thin[t] : thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
-        if (softening > 0) { /* else nobody asks for the energy */
+        if (softening > 0) { /* the energy is needed only for softening */
             double W = shear * energy(C, q, poisson);
             most[t] = fmax(most[t], W), by *= 1 - softening * erf((most[t] - W) / softening_energy);
         }
@@ -180,14 +186,16 @@ int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const d
 
 enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5 }; /* MuJoCo's mjtGeom */
 
-/* Sum of the principal curvatures of a geom where its surface has the unit normal n, in its frame. */
+/* Return the sum of a geom's principal curvatures, 1/m, where its surface has the unit normal n, in
+   its frame. */
 static double curvature(int32_t kind, const double *size, const double *n, double end) {
     double axial = fabs(n[2]);
     if (kind == SPHERE) return 2 / size[0];
     if (kind == CAPSULE) return (axial < 0.1 ? 1 : 2) / size[0];
     if (kind == CYLINDER) return (axial < end) / size[0];
     if (kind != ELLIPSOID) return 0;
-    double length2 = 0, over = 0, bent = 0, root = 0;  /* of the gradient of half of sum (x/a)^2 where the normal is this one */
+    /* squared length of the gradient of half of sum (x/a)^2, at the point with this normal */
+    double length2 = 0, over = 0, bent = 0, root = 0;
     for (int i = 0; i < 3; i++) root += size[i] * size[i] * n[i] * n[i];
     for (int i = 0; i < 3; i++) {
         double slope2 = n[i] * n[i] / root, square = size[i] * size[i];
@@ -213,7 +221,7 @@ int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout
         if (v < 0 || v >= count) continue;
         if (other >= geoms) return REFUSED;
         double bend = 0, n[3] = {0};
-        if (other >= 0) {  /* else it is a flex */
+        if (other >= 0) {  /* otherwise it is a flex */
             for (int i = 0; i < 3; i++)
                 for (int j = 0; j < 3; j++) n[i] += axes[9 * other + 3 * j + i] * c.frame[j];
             bend = curvature(kinds[other], sizes + 3 * other, n, end);
@@ -256,7 +264,8 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, i
         found++;
         goal[v] = fmax(c.margin - c.dist, 0);
         if (c.dim < 3) continue;
-        double axes[2][3], sign = second ? 1 : -1;  /* in S; MuJoCo's signs are those of the second geom */
+        /* axes in S; MuJoCo's signs are those of the second geom */
+        double axes[2][3], sign = second ? 1 : -1;
         for (int a = 0; a < 2; a++)
             for (int i = 0; i < 3; i++) {
                 const double *W = c.frame + 3 + 3 * a;

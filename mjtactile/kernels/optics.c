@@ -2,7 +2,7 @@
 #include "small_linalg.h"
 
 #define STEPS 30
-#define UNDISTORT_NEAR 1e-7  /* one more Newton step from here is exact to about 1e-13 */
+#define UNDISTORT_NEAR 1e-7  /* residual from which one more Newton step is exact to about 1e-13 */
 
 int has_lens(const Camera *c) { return c->k1 != 0 || c->k2 != 0 || c->p1 != 0 || c->p2 != 0 || c->k3 != 0; }
 
@@ -24,7 +24,7 @@ void undistort(const Camera *c, double x_d, double y_d, double *x, double *y) {
         det = l.xx * l.yy - l.xy * l.xy;
         u -= (l.yy * x_off - l.xy * y_off) / det, v -= (l.xx * y_off - l.xy * x_off) / det;
         residual = most(fabs(x_off), fabs(y_off));
-        if (!(residual > UNDISTORT_NEAR)) break;  /* the step just made squares it */
+        if (!(residual > UNDISTORT_NEAR)) break;  /* the last step squares it */
     }
     int good = residual <= UNDISTORT_NEAR && det > 0 && isfinite(u) && isfinite(v);
     *x = good ? u : NAN, *y = good ? v : NAN;
@@ -38,7 +38,8 @@ double glass_displacement(const Camera *c, double tan2) {
 void refract(const Camera *c, const double *p, double *x_out, double *y_out) {
     double t = c->thickness, n2 = c->index * c->index, z = p[2] > (t > 0 ? c->distance + t : 0) ? p[2] : NAN, scale = 1 / z;
     if (t != 0 && n2 != 1) {
-        double rho = hypot(p[0], p[1]), x = rho / (z - t + t / c->index);  /* the paraxial solution */
+        /* the paraxial solution */
+        double rho = hypot(p[0], p[1]), x = rho / (z - t + t / c->index);
         for (int i = 0; i < STEPS; i++) {
             double root = 1 / sqrt(n2 + (n2 - 1) * x * x);
             double step = ((z - t + t * root) * x - rho) / (z - t + t * n2 * root * root * root);

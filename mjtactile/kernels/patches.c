@@ -1,22 +1,24 @@
-/* One patch of contact on the grid of nodes and on the fine grid: touch/patches.py, Eq. F13. */
+/* One contact patch on the grid of nodes and on the fine grid: sensing/touch/patches.py, Eq.
+   F13. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
 #include "small_linalg.h"
 
-/* As the dataclass PatchSettings: one number a field, in its order. */
+/* Settings in the order of the dataclass PatchSettings, one number per field. */
 typedef struct {
     double smoothing, separate_fraction, area_disc, area_power, area_pressure, area_blend, core_fraction, min_fraction;
 } PatchSettings;
 
 _Static_assert(sizeof(PatchSettings) == 8 * sizeof(double), "as in kernels.h");
 
-/* Nodes (nx, ny), of which the inner ones carry forces, and `refine` cells of the fine grid (na, nb) to one of theirs. */
+/* Nodes (nx, ny), of which the inner ones carry forces, and `refine` cells of the fine grid
+   (na, nb) per node spacing. */
 typedef struct {
     int64_t nx, ny, refine, na, nb;
-    const double *position; /* (3, na, nb) m */
-    const int32_t *owner;   /* (na, nb): number of the patch that a point belongs to; NULL: all to this one */
+    const double *position; /* (3, na, nb), m */
+    const int32_t *owner;   /* (na, nb): patch of each point; NULL: all belong to this one */
     int32_t number;
 } Grid;
 
@@ -24,7 +26,7 @@ static int64_t fine_of(const Grid *g, int64_t i, int64_t j) { return (i * g->nb 
 
 static int is_mine(const Grid *g, int64_t fine) { return !g->owner || g->owner[fine] == g->number; }
 
-/* Curved area that a point of the fine grid stands for; none on the frame itself. */
+/* Return the curved area of a point of the fine grid, m^2; zero on the frame. */
 static double cell(const Grid *g, int64_t at) {
     int64_t a = at / g->nb, b = at % g->nb, all = g->na * g->nb;
     if (a == 0 || b == 0 || a == g->na - 1 || b == g->nb - 1) return 0;
@@ -38,8 +40,9 @@ static double cell(const Grid *g, int64_t at) {
     return sqrt(most(aa * bb - ab * ab, 0)) / 4;
 }
 
-/* Area of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from the second moment of nodal pressures,
-   of which a node's own extent is the least. */
+/* Estimate the area of a patch that carries `force`, N, over a chamber at `gauge`, Pa. It combines
+   an estimate from the force with one from the second moment of nodal pressures. That moment is at
+   least the extent of one node. */
 static double area_of(const Grid *g, const double *pressing, const double *node_area, double core, double force, double gauge,
                       double node_variance, const PatchSettings *s) {
     int64_t inner = g->ny - 2, all = g->na * g->nb;
@@ -68,8 +71,8 @@ static void sift(const double *field, int64_t *heap, int64_t count, int64_t at) 
     }
 }
 
-/* Marks in `inside` where the field is strongest, as many cells as make up `area`, one at least; their number. The place of the
-   n-th of them is then `heap[all positive - 1 - n]`. */
+/* Mark the cells of the strongest field in `inside`, as many as fill `area`, at least one; return
+   their number. The n-th of them is `heap[*positive - 1 - n]`. */
 static int64_t strongest(const Grid *g, const double *field, double area, int64_t *heap, int64_t *positive, uint8_t *inside) {
     int64_t all = g->na * g->nb, count = 0, taken = 0;
     for (int64_t at = 0; at < all; at++)
@@ -88,7 +91,8 @@ static int64_t strongest(const Grid *g, const double *field, double area, int64_
     return taken;
 }
 
-/* Second moments of the strongest cells about their mean, weighted by their areas, as semi-axes and the first one's angle. */
+/* Compute the area of the strongest cells, and the semi-axes and first angle from their
+   area-weighted second moments about their mean. */
 static void axes_of_cells(const Grid *g, const int64_t *places, int64_t count, double *found) {
     double total = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
     int64_t all = g->na * g->nb;

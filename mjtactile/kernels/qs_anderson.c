@@ -4,7 +4,7 @@
 #include <string.h>
 
 #define NEAR_SINGULAR 1e-7
-#define MOST_LEARNT 10 /* of a step, beyond which nothing is learnt */
+#define MOST_LEARNT 10 /* maximum coefficient of a previous step; above it, steps are not mixed */
 
 long film_learn_room(long all) { return (2 * MEMORY + 2) * all; }
 
@@ -21,7 +21,7 @@ static double dot(const float *a, const float *b, long n) {
     return (double)sum;
 }
 
-/* Solves A y = b in place, symmetric and positive, of order n <= MEMORY. */
+/* Solve A y = b in place for a symmetric positive definite A of order n <= MEMORY. */
 static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
     double trace = 0;
     for (long k = 0; k < n; k++) trace += A[k][k];

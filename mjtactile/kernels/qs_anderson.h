@@ -1,10 +1,11 @@
-/* Anderson's mixing of a film's steps (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
+/* Anderson mixing of the solver's steps (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
 #ifndef MJTACTILE_FILM_LEARN_H
 #define MJTACTILE_FILM_LEARN_H
 
-#define MEMORY 4 /* steps that the next one learns from */
+#define MEMORY 4 /* previous steps that determine the next one */
 
-/* Steps are of `all` numbers, of which the first `places` say how alike two are. `known` of `MEMORY` are kept. */
+/* History of steps of `all` numbers, of which the first `places` enter the least squares. `known`
+   of `MEMORY` steps are stored. */
 typedef struct {
     long all, places, known, newest;
     float *steps, *changes, *last, *now;
@@ -13,8 +14,9 @@ typedef struct {
 long film_learn_room(long all);
 Learnt film_learn_in(long all, long places, float **room);
 static inline void film_forget(Learnt *l) { l->known = l->newest = 0; }
-/* `now`, the step that was made, becomes the one that would have ended at rest had the last steps changed in proportion, and is kept
-   as such; `last` is what it was. `fresh`: nothing before it counts. Returns whether they differ. */
+/* Replace the present step `now` by the step that would have ended in equilibrium if the last steps
+   had changed in proportion. It is stored as such; `last` keeps the original. `fresh`: ignore
+   previous steps. Returns 1 if both differ. */
 int film_learn(Learnt *l, int fresh);
 
 #endif

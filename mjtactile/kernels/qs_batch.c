@@ -1,10 +1,11 @@
-/* Films of many environments at rest, shared out among threads: each takes the next one that nobody has yet. */
+/* Equilibria of membranes in many environments, distributed among threads. Each thread takes the
+   next environment that is still free. */
 #include <string.h>
 
 #include "qs_workspace.h"
 #include "kernels.h"
 
-/* One environment's fields, or nothing where there are none. */
+/* Return one environment's fields, or NULL if there are none. */
 static const double *own(const double *fields, long e, long size) { return fields ? fields + e * size : 0; }
 
 static void begin_at(double *to, const double *from, long size) {

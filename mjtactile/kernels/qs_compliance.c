@@ -1,9 +1,10 @@
-/* How a film's sheet gives in the plane to forces in the plane while its heights are free. */
+/* In-plane compliance of a membrane for in-plane forces, with free heights. */
 #include <string.h>
 
 #include "band_cholesky_f64.h"
 
-/* Place among all unknowns, x, y and height of a node together, of one in the plane. */
+/* Return the index of an in-plane unknown among all unknowns: x, y and height of a node
+   together. */
 static long place_of(long in_plane) { return 3 * (in_plane / 2) + in_plane % 2; }
 
 int64_t film_compliance(int64_t columns, int64_t rows, const double *factor, int64_t roomy, double *room, double *compliance) {

@@ -1,4 +1,4 @@
-/* Bodies as a film's nodes see them, and what a film that rests on them bears. */
+/* Obstacles at a membrane's nodes, and contact loads of a membrane in equilibrium on them. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,16 +7,19 @@
 #include "qs_workspace.h"
 #include "small_linalg.h"
 
-#define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
-#define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
-#define LEAN_OVER 0.3      /* spacings */
-#define HALF_A_CELL 0.55    /* of a spacing: nodes have moved apart */
-#define NEAREST_EDGE 0.95   /* of a spacing */
-#define SAME 1e-9           /* m */
-#define STRAIGHT 1e-12      /* m, off a line */
-#define SLOPING (30 * SAME) /* over which the lowest place is surely at the end */
-#define NEARBY 5e-4         /* m above the sheet: more than it moves by while it comes to rest */
-#define ROUND_ABOUT 1       /* nodes: what lowers one that touches, and where bodies end beside it */
+/* factor on curvature times spacing^2: excess height of a smooth obstacle on the grid */
+#define CORRECTION (1 / 24.)
+#define THIN 5 /* points sampled on each side of a node for obstacles thinner than the spacing */
+#define LEAN_OVER 0.3      /* distance for the inclination of a thin obstacle, spacings */
+#define HALF_A_CELL 0.55    /* limit of half a cell, spacings: nodes have moved apart */
+#define NEAREST_EDGE 0.95   /* maximum distance of an edge from its node, spacings */
+#define SAME 1e-9           /* tolerance for equal heights, m */
+#define STRAIGHT 1e-12      /* tolerance for three points on a line, m */
+/* height difference above which the lowest point is certainly at the end, m */
+#define SLOPING (30 * SAME)
+#define NEARBY 5e-4 /* distance above the membrane, m: more than its motion until equilibrium */
+/* margin around the contact, nodes: for the height correction and for edges next to it */
+#define ROUND_ABOUT 1
 
 long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + FILM_FLOORS * FILM_PLANES; }
 
@@ -27,7 +30,8 @@ Seen film_seen_in(const Film *f, double **room) {
     s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
     s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
     s.planes = film_take(room, FILM_FLOORS * FILM_PLANES);
-    s.touching = (uint8_t *)film_take(room, n / 8), s.wanted = (uint8_t *)film_take(room, n / 8); /* lines are whole eights */
+    /* lines are multiples of eight */
+    s.touching = (uint8_t *)film_take(room, n / 8), s.wanted = (uint8_t *)film_take(room, n / 8);
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
     return s;
 }
@@ -41,7 +45,7 @@ void film_unpad(const Film *f, long fields, const double *from, double *to) {
     for (long i = 0; i < fields * f->columns; i++) memcpy(to + i * f->rows, from + i * f->line, f->rows * sizeof *to);
 }
 
-/* -- bodies ------------------------------------------------------------------------------------------------------------ */
+/* -- obstacles --------------------------------------------------------------------------------- */
 
 static int any_thin(const Film *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
@@ -49,7 +53,8 @@ static int any_thin(const Film *f, const Bodies *bodies) {
     return 0;
 }
 
-/* How far a body goes on along an axis from a place on it, below and above, up to a spacing; in parts of one. */
+/* Measure the extent of an obstacle along an axis from a point on it, below and above, up to one
+   spacing. `parts` counts fractions of the spacing. */
 static void reaches_along(const Film *f, const Bodies *bodies, double x, double y, int axis, int parts[2]) {
     const double step[2] = {axis ? 0 : f->dx / (2. * THIN + 1), axis ? f->dy / (2. * THIN + 1) : 0};
     double height, slope[2];
@@ -62,9 +67,11 @@ static void reaches_along(const Film *f, const Bodies *bodies, double x, double 
     }
 }
 
-/* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
-   cell, along the axis across which the body is thin; the end of one that goes on to the next node is an edge. Returns the axis that
-   it was found along, 1 or 2, or 0; `taken`: along which the node before has it already; `away`: its middle. */
+/* Move an obstacle that is thinner than the spacing and passes between nodes under the nearest
+   node. Its height is that of the lowest point on the cross of the node's cell, along the axis
+   across which it is thin. The end of an obstacle that continues to the next node is an edge.
+   Returns the axis along which it was found, 1 or 2, or 0. `taken`: axes along which the previous
+   node already has it. `away`: offset of its center, spacings. */
 static int see_between(const Film *f, const Bodies *bodies, double x, double y, int taken,
                        double *height, double slope[2], double *away) {
     int found = 0;
@@ -89,15 +96,15 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
     return found;
 }
 
-/* Whether there is but one body, whose lower side bends one way. */
+/* Return 1 if there is only one obstacle and its lower side bends in one direction only. */
 static int is_one_convex(const Bodies *bodies) {
     if (bodies->count != 1) return 0;
     const int kind = (int)film_body_of(bodies, 0)->kind;
     return kind != BODY_TRIANGLES && kind != BODY_HEIGHTS;
 }
 
-/* Whether a convex body is a plane that slopes along an axis, all across the places that see_ridge looks at: it is where three of
-   them lie on a line. */
+/* Return 1 if a convex obstacle is a plane that slopes along an axis, across all points that
+   see_ridge samples. This holds if three of them are on a line. */
 static int slopes_evenly(const Film *f, const Bodies *bodies, double x, double y, int axis) {
     double at[3], by[2];
     const double wide = (THIN + 2) / (2. * THIN + 1) * (axis ? f->dy : f->dx);
@@ -106,7 +113,8 @@ static int slopes_evenly(const Film *f, const Bodies *bodies, double x, double y
     return fabs(at[0] + at[2] - 2 * at[1]) < STRAIGHT && fabs(at[2] - at[0]) > SLOPING;
 }
 
-/* A ridge or a tip that passes through a node's cell beside the node is what the sheet meets there, with no slope across it. */
+/* Find a ridge or a tip that passes through a node's cell next to the node. The membrane meets it
+   there, with zero slope across it. Returns the axes. */
 static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, int taken,
                      double *height, double slope[2]) {
     const int convex = is_one_convex(bodies);
@@ -115,7 +123,8 @@ static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, in
         double low = INFINITY, by[2] = {0, 0}, at;
         int where = 0;
         if (taken & (1 << axis) || (convex && slopes_evenly(f, bodies, x, y, axis))) continue;
-        for (int part = -THIN - 2; part <= THIN + 2; part++) { /* cells overlap: nodes have moved apart */
+        /* cells overlap: nodes have moved apart */
+        for (int part = -THIN - 2; part <= THIN + 2; part++) {
             const double off = part / (2. * THIN + 1);
             if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
             if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
@@ -139,7 +148,8 @@ void see_touch(const Film *f, const double *force, Seen *seen) {
         }
 }
 
-/* Nodes that a body may be over, wherever between their neighbours they are. */
+/* Extend the box to all nodes that may be under an obstacle, for any position between their
+   neighbors. */
 static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
     const double reach = b->reach + f->numbers.half_thickness, sides[2] = {f->numbers.length_x, f->numbers.length_y}, by[2] = {f->dx, f->dy};
     const long counts[2] = {f->columns, f->rows};
@@ -150,7 +160,8 @@ static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
     }
 }
 
-/* What was moved under a node though the next node, towards where it is, has it: its end. */
+/* Remove an obstacle that was moved under a node if the next node in its direction has it: this is
+   its end. */
 static void drop_ends(const Film *f, Seen *seen) {
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
@@ -171,7 +182,8 @@ static void see_nothing(const Film *f, Seen *seen) {
 
 void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
     const long ends[4] = {0, f->columns, 0, f->rows};
-    if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return; /* what is sharp is thin */
+    /* a sharp obstacle is also thin */
+    if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return;
     for (int k = 0; k < 4; k += 2) {
         seen->box[k] = (long)most(seen->box[k] - ROUND_ABOUT, ends[k]);
         seen->box[k + 1] = (long)least(seen->box[k + 1] + ROUND_ABOUT, ends[k + 1]);
@@ -180,7 +192,7 @@ void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
     seen->narrow = 1;
 }
 
-/* Where nodes are in the plane, of those of line `i` that are in the box. */
+/* Compute the in-plane positions of the nodes of line `i` in the box. */
 static void place_nodes(const Film *f, const double *x, const Seen *seen, long i, double *at_x, double *at_y) {
     for (long j = seen->box[2]; j < seen->box[3]; j++) {
         at_x[j] = (double)i * f->dx - f->numbers.length_x / 2 + x[i * f->line + j];
@@ -188,7 +200,8 @@ static void place_nodes(const Film *f, const double *x, const Seen *seen, long i
     }
 }
 
-/* Bodies are asked at nodes that touch or may soon, and at those next to them, from which curvature and edges are seen. */
+/* Mark the nodes at which obstacles are evaluated: nodes in contact, nodes that may soon be, and
+   their neighbors, for curvature and edges. */
 static void want_nodes(const Film *f, const double *x, Seen *seen) {
     double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
     const double *z = x + 2 * f->count;
@@ -205,14 +218,14 @@ static void want_nodes(const Film *f, const double *x, Seen *seen) {
     }
 }
 
-/* Heights of all bodies over the nodes where they are now. */
+/* Compute the heights of all obstacles at the present positions of the nodes. */
 void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
     int sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= film_body_of(bodies, b)->least == 0;
     for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, film_body_of(bodies, b), seen->box);
     if (!seen->narrow) see_nothing(f, seen);
-    const int all = thin || seen->floors < 0; /* what is thin may be between nodes */
+    const int all = thin || seen->floors < 0; /* thin obstacles may be between nodes */
     if (!all) want_nodes(f, x, seen);
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
@@ -221,7 +234,7 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
-            int axis = 0; /* kept in `edge`, which is found later */
+            int axis = 0; /* stored in `edge`, which is computed later */
             double away = 0;
             const int off_all = lowest(f, bodies, at_x, at_y, seen->obstacle + k, slope);
             const int taken = (i && ((int)seen->edge[k - f->line] & 1)) | (j && ((int)seen->edge[k - 1] & 2)) << 1;
@@ -244,13 +257,14 @@ static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
     return !lowest(f, bodies, x, y, &height, slope);
 }
 
-/* By how much what is thin drifts across an axis while it goes along it, in spacings over a spacing. */
+/* Return the inclination of a thin obstacle: its drift across an axis per distance along it,
+   spacings per spacing. */
 static double lean_of(const Film *f, const Bodies *bodies, const double at[2], int axis) {
     const double spacing[2] = {f->dx, f->dy};
     double lean = 0, ends = 0;
     int across[2];
     reaches_along(f, bodies, at[0], at[1], !axis, across);
-    if (across[0] + across[1] > 2 * THIN) return 0; /* it is wide here */
+    if (across[0] + across[1] > 2 * THIN) return 0; /* the obstacle is wide here */
     for (int side = -1; side <= 1; side += 2) {
         double sum = 0, hits = 0, place[2];
         place[axis] = at[axis] + side * LEAN_OVER * spacing[axis];
@@ -263,8 +277,8 @@ static double lean_of(const Film *f, const Bodies *bodies, const double at[2], i
     return ends > 0 ? lean / ends : 0;
 }
 
-/* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
-   +y and -y; negative where both are on. */
+/* Find the edges of obstacles between a node on an obstacle and its neighbors at +x, -x, +y and -y
+   that are not: the fraction of the distance. It is negative if both are on an obstacle. */
 void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Seen *seen) {
     const long count = f->count, i = k / f->line, j = k % f->line;
     const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + seen->away[k],
@@ -277,7 +291,8 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
         double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
         if (thin) way[side < 2] += lean_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
-        if (thin && on_a_body(f, bodies, at[0] + way[0], at[1] + way[1])) continue; /* it goes on, under the next line of nodes */
+        /* the obstacle continues under the next line of nodes */
+        if (thin && on_a_body(f, bodies, at[0] + way[0], at[1] + way[1])) continue;
         double low = 0, high = 1;
         for (int half = 0; half < halves; half++) {
             const double middle = (low + high) / 2;
@@ -286,7 +301,8 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
         }
         seen->edge[side * count + k] = low;
     }
-    for (int axis = 0; axis < 2; axis++) { /* what lies between nodes on both sides is taken to lie about its own */
+    /* an obstacle between nodes on both sides is centered about its own node */
+    for (int axis = 0; axis < 2; axis++) {
         double *one = seen->edge + 2 * axis * count + k, *other = one + count;
         if (*one >= 0 && *other >= 0) *one = *other = (*one + *other) / 2;
     }
@@ -297,8 +313,9 @@ double rises_over_edge(const Film *f, const Seen *seen, const double *z, long k,
     return z[k + film_next(f, side)] - z[k] - (side % 2 ? -along : along);
 }
 
-/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body rises to the next node over what is
-   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. */
+/* Compute the edge springs. The membrane bends over an edge a fraction s of the spacing beyond the
+   last node on the obstacle. It rises to the next node over the remaining 1 - s and pulls more by
+   that ratio. The spring acts in addition to the membrane. */
 double find_springs(const Film *f, const double *z, Seen *seen) {
     double which = 0;
     memset(seen->spring, 0, 4 * f->count * sizeof *seen->spring);
@@ -307,7 +324,8 @@ double find_springs(const Film *f, const double *z, Seen *seen) {
         const double links[4] = {seen->along_x[k], seen->along_x[k - f->line], seen->along_y[k], seen->along_y[k - 1]};
         for (int side = 0; side < 4; side++) {
             const double share = least(seen->edge[side * f->count + k], NEAREST_EDGE);
-            if (share <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue; /* it leaves the face before the edge */
+            /* the membrane leaves the face before the edge */
+            if (share <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue;
             seen->spring[side * f->count + k] = most(links[side], 0) * share / (1 - share);
             which += 4. * k + side;
         }
@@ -315,14 +333,16 @@ double find_springs(const Film *f, const double *z, Seen *seen) {
     return which;
 }
 
-/* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
+/* Compute the obstacle heights from the last slopes. `level` is a height minus the contribution of
+   its slopes. */
 void follow_bodies(const Film *f, const double *x, Seen *seen) {
     for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++)
         seen->obstacle[k] = seen->level[k] + seen->slope[k] * x[k] + seen->slope[f->count + k] * x[f->count + k];
 }
 
-/* A sheet that bends at its nodes alone is held off a round body by half of what the body drops over half a spacing, which is
-   taken off; where the body ends beside a node, nothing is known of its curvature. */
+/* Compute the height correction for round obstacles. A membrane that bends only at its nodes is
+   held off a round obstacle, and the excess is subtracted. Next to an obstacle's end, its curvature
+   is unknown. */
 void lower_round_bodies(const Film *f, Seen *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
@@ -335,7 +355,8 @@ void lower_round_bodies(const Film *f, Seen *seen) {
             if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
             if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
             const double steep = 1 + square(seen->slope[k]) + square(seen->slope[f->count + k]);
-            seen->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
+            /* surface curvature: independent of the slope */
+            seen->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep));
         }
 }
 
@@ -361,7 +382,8 @@ void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, 
     *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.polytropic_exponent * absolute / volume;
 }
 
-/* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
+/* Compute the wrench about the origin of S and the contact area. Each node contributes its cell
+   times the ratio of its force to the force of full contact. */
 void add_up(const Film *f, const double *x, const double *force,
                    double *found, const Seen *seen) {
     const double *h = seen->obstacle;
@@ -391,7 +413,8 @@ void add_up(const Film *f, const double *x, const double *force,
             } else {
                 double wide[4];
                 for (int side = 0; side < 4; side++) wide[side] = seen->edge[side * f->count + k] >= 0 ? seen->edge[side * f->count + k] : 0.5;
-                share = (wide[0] + wide[1]) * (wide[2] + wide[3]); /* to the edges, for there are no nodes beyond */
+                /* up to the edges, because there are no nodes beyond */
+                share = (wide[0] + wide[1]) * (wide[2] + wide[3]);
             }
             found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
         }

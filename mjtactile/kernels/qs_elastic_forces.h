@@ -1,9 +1,11 @@
-/* Elastic forces of the sheet on its grid, in the numbers REAL (film_sheet.c takes this in for each kind). A cell is seen at its
-   four corners; a corner's tangents are the cell's two edges that meet there. What corners give is gathered on edges, of which a
-   node's force is a difference. Loops go along a line of nodes in whole vectors: lines are padded, and cells that are none weigh
-   nothing. */
+/* Elastic forces of the membrane on its grid, in the number type REAL (qs_sheet.c includes this
+   file for each type). A cell is evaluated at its four corners. The tangents of a corner are the
+   two edges of the cell that meet there. Contributions of the corners are summed on edges; a node's
+   force is a difference of edges. Loops run along a line of nodes in whole vectors: lines are
+   padded, and padding cells have zero weight. */
 
-/* Metric against the free sheet, and second Piola-Kirchhoff stress times thickness. `root` is 1 / sqrt(det C). */
+/* Metric relative to the free membrane, and second Piola-Kirchhoff stress times thickness. `root`
+   is 1 / sqrt(det C). */
 typedef struct { REAL C11, C22, C12, root, S11, S22, S12; } TYPE(Strained);
 
 typedef struct {
@@ -40,24 +42,27 @@ INLINE TYPE(Strained) TYPE(strained)(const TYPE(Numbers) *o, REAL C11, REAL C22,
     return s;
 }
 
-/* A line of edges: tangents, their squares times lambda2, and the heights of the nodes that they start at. */
+/* A line of edges: tangents, their squares times lambda2, and the heights of their first nodes. */
 typedef struct { REAL *g[3], *C, *z; } TYPE(Edges);
 
-/* What the edges of a line bear: elastic forces and the volume's slopes, of three and two displacements; along y also what corners
-   give their nodes of the volume's slope by the height, low and high; links' stiffness. */
+/* Loads on the edges of a line: elastic forces and volume gradients, of three and two
+   displacements. Along y also the corners' contributions to the volume gradient by height, low and
+   high. Then the stiffness of links. */
 typedef struct { REAL *force[3], *volume[2], *low, *high, *link; } TYPE(Loads);
 
 #define LOADS 8
 typedef struct {
-    TYPE(Edges) across, along[2];               /* to the next line; on this line and on the next */
-    TYPE(Loads) before, low, high, left, right; /* across: of the cells before; along: of this line and of the next */
-    REAL *weight, *area, *tension, *turn, *root; /* the last two: the least of cells */
+    TYPE(Edges) across, along[2]; /* edges to the next line; on this line and on the next */
+    /* across: from the cells before; along: of this line and of the next */
+    TYPE(Loads) before, low, high, left, right;
+    REAL *weight, *area, *tension, *turn, *root; /* the last two: minima over cells */
 } TYPE(Lines);
 
 #define LINES (3 * 5 + 5 * LOADS + 5)
 typedef struct { REAL *next; long line; } TYPE(Room);
 
-INLINE REAL *TYPE(a_line)(TYPE(Room) *room) { /* with room before its first, and behind its last */
+/* with room before its first and behind its last entry */
+INLINE REAL *TYPE(a_line)(TYPE(Room) *room) {
     REAL *here = room->next + 8;
     room->next += room->line + 16;
     return here;
@@ -78,7 +83,7 @@ INLINE TYPE(Loads) TYPE(loads_in)(TYPE(Room) *room) {
     return l;
 }
 
-/* From nodes `from` to nodes `to`, which lie along x or y. */
+/* Compute the edges from nodes `from` to nodes `to`, along x or y. */
 INLINE void TYPE(see_edges)(const double *const from[3], const double *const to[3], double over, int axis, REAL lambda2, long line,
                             const TYPE(Edges) *e) {
     REAL *restrict g0 = e->g[0], *restrict g1 = e->g[1], *restrict g2 = e->g[2], *restrict C = e->C, *restrict z = e->z;
@@ -90,7 +95,7 @@ INLINE void TYPE(see_edges)(const double *const from[3], const double *const to[
     }
 }
 
-/* One corner: its stress times weight, and what it adds to sums and links. */
+/* One corner: its stress times weight, and its contributions to sums and links. */
 typedef struct { REAL S11, S22, S12, xx, yy, turn, tension, area, root; } TYPE(Corner);
 
 INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], const REAL g2[3], REAL C11, REAL C22, REAL weight,
@@ -108,7 +113,7 @@ INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], c
     return c;
 }
 
-/* The cells between a line and the next. */
+/* Compute the cells between a line and the next. */
 INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean, int parts) {
     const TYPE(Numbers) o = TYPE(numbers_of)(f);
     const int first = parts & FILM_PLANE ? 0 : 2, last = parts & FILM_HEIGHTS ? 3 : 2;
@@ -133,7 +138,8 @@ INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean
             l->right.force[k][j] = o.over_y * ((lr.S22 + hr.S22) * right[k] + lr.S12 * low[k] + hr.S12 * high[k]);
         }
         if (parts & FILM_PLANE) {
-            const REAL wx = weight * o.over_x, wy = weight * o.over_y; /* a corner's volume is its height times its shadow */
+            /* volume of a corner: its height times its projected area */
+            const REAL wx = weight * o.over_x, wy = weight * o.over_y;
             const REAL zll = l->along[0].z[j], zhl = l->along[0].z[j + 1], zlr = l->along[1].z[j], zhr = l->along[1].z[j + 1];
             for (int k = 0; k < 2; k++) {
                 const REAL sign = k ? -1 : 1;
@@ -180,7 +186,8 @@ static void TYPE(see_all)(const Film *f, const TYPE(Lines) *l) {
     else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS | FILM_PLANE | FILM_LINKS);
 }
 
-/* What a line's edges leave on its nodes: what comes in less what goes out. Edges across it are added up for the line behind. */
+/* Compute the forces on a line's nodes from its edges: incoming minus outgoing. Edges across the
+   line are stored for the line behind. */
 INLINE void TYPE(gather)(const Film *f, REAL *restrict before, const REAL *restrict low, const REAL *restrict high,
                          const REAL *restrict along, REAL *restrict to) {
     const long line = f->line;
@@ -194,7 +201,7 @@ INLINE void TYPE(gather)(const Film *f, REAL *restrict before, const REAL *restr
     for (long j = f->rows - 1; j < line; j++) to[j] = 0;
 }
 
-/* Triangles of cells that the outline cuts: eight at a time what each does, then added up. */
+/* Triangles of cut cells: contributions of eight at a time, which are then summed. */
 typedef REAL TYPE(Vector) __attribute__((vector_size(LANES * sizeof(REAL)), aligned(8)));
 typedef struct { TYPE(Vector) elastic[3][3], gradient[3][3], link[3]; } TYPE(Borne);
 
@@ -253,7 +260,7 @@ INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGrou
         const REAL fair = (REAL)LEAST_TENSION * (stressed[n] > 0 ? stressed[n] : 0);
         xx[n] = S11[n] > fair ? S11[n] : fair, yy[n] = S22[n] > fair ? S22[n] : fair;
     }
-    for (int a = 0; a < 3; a++) /* of the side from a corner to the next */
+    for (int a = 0; a < 3; a++) /* link of the side from a corner to the next */
         to->link[a] = -flat * (xx * bx[a] * bx[(a + 1) % 3] + yy * by[a] * by[(a + 1) % 3]);
 }
 
@@ -333,7 +340,7 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
             for (long j = 0; j < line; j++) to->along_y[here + j] = l.left.link[j];
         for (int k = 0; k < 3; k++) at[k] = next[k];
     }
-    for (int k = 0; k < 3; k++) /* the frame's */
+    for (int k = 0; k < 3; k++) /* zero on the frame */
         for (int end = 0; end < 2; end++) {
             const long here = k * count + end * (f->columns - 1) * line;
             memset(to->elastic + here, 0, line * sizeof *to->elastic), memset(to->gradient + here, 0, line * sizeof *to->gradient);

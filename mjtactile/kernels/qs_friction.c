@@ -1,5 +1,6 @@
-/* A film in a scene that moves: where its bodies are, where it rests on them, what sticks and slides; film_push.c has what that pushes.
-   sim/sensor/quasistatic_sensor.py says what each array is; frame S unless a name says W. */
+/* A quasi-static membrane in a moving scene: poses of the obstacles, equilibrium on them, sticking
+   and sliding. Its forces on MuJoCo are in qs_joint_forces.c. Arrays:
+   sim/sensor/quasistatic_sensor.py. Frame S unless a name contains W. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,21 +11,27 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define AWAY 10.0       /* m, where what is not near is put */
-#define LEAST 1e-4      /* N, below which nothing sticks */
-#define CLOSE 8e-6      /* m that a body may go before the film is solved for again; meanwhile it is a spring */
-#define LEVER 0.01      /* m, by which a turn counts as a way */
-#define CHANGED 0.1     /* share of the nodes that may come and go before the grip is found anew */
-#define BOUNDS 7        /* numbers: m^2 within which a geom is near; middle and half sizes of a box about it, m, its own frame */
+#define AWAY 10.0       /* position of geoms that are not near, m */
+#define LEAST 1e-4      /* force below which nothing sticks, N */
+/* obstacle motion up to which the last solution is kept, m; in between, the membrane is a linear
+   spring */
+#define CLOSE 8e-6
+#define LEVER 0.01      /* lever arm that converts a rotation into a distance, m */
+/* fraction of contact nodes that may change before the sticking stiffness is computed again */
+#define CHANGED 0.1
+/* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
+   its bounding box, in its own frame */
+#define BOUNDS 7
 
-/* Python's fields are of nodes alone, the film's own are padded. */
+/* Return the grid without padding: Python's fields have nodes only. */
 static Film plain(Film f) {
     f.rows = (long)f.numbers.nodes_y, f.columns = (long)f.numbers.nodes_x, f.count = f.columns * f.rows;
     f.inner_rows = f.rows - 2, f.inner = (f.columns - 2) * f.inner_rows;
     return f;
 }
 
-/* How far the body's point at `middle` has gone, and its turn, from a pose to another. */
+/* Compute the displacement of the obstacle's point at `middle`, and the obstacle's rotation, from
+   one pose to another. */
 static void motion(const double *R0, const double *p0, const double *R1, const double *p1, const double *middle, double moved[6]) {
     double turn[9], R0t[9], off[3], was[3];
     for (int i = 0; i < 3; i++)
@@ -36,14 +43,15 @@ static void motion(const double *R0, const double *p0, const double *R1, const d
     moved[3] = (turn[7] - turn[5]) / 2, moved[4] = (turn[2] - turn[6]) / 2, moved[5] = (turn[3] - turn[1]) / 2;
 }
 
-/* A number where another was; whether that changes it. */
+/* Replace a number; return 1 if it changes. */
 static int put(double value, double *where) {
     const int changes = *where != value;
     *where = value;
     return changes;
 }
 
-/* Poses of the geoms into the film's bodies; returns the body of the nearest, or -1, how many are near, and whether any has moved. */
+/* Write the poses of the geoms into the membrane's obstacles. Returns the MuJoCo body of the
+   nearest geom, or -1. `near`: number of near MuJoCo bodies; `moved`: 1 if any geom has moved. */
 static long look(long geoms, const int64_t *geom, const int64_t *body_of, const double *bounds, const double *geom_xpos,
                  const double *geom_xmat, const double *R, const double *p, double *rows, double *near, int *moved) {
     long nearest = -1, other = -1;
@@ -67,7 +75,8 @@ static long look(long geoms, const int64_t *geom, const int64_t *body_of, const 
     return nearest;
 }
 
-/* Stiffness of the nodes that touch, as one body, against x, y and a turn about `middle`. 1: none. */
+/* Compute the stiffness of the contact nodes, which move as one rigid set, against x, y and
+   rotation about `middle`. Returns 1 if memory runs out. */
 static int find_grip(const Film *f, const double *x, const double *force, const double *compliance, const double *middle, uint8_t *held,
                      Memory *m) {
     long count = 0, *node = malloc(f->inner * sizeof *node);
@@ -91,7 +100,7 @@ static int find_grip(const Film *f, const double *x, const double *force, const 
         const double off_y = ka % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + ka] - middle[1];
         b[3 * a] = a % 2 == 0, b[3 * a + 1] = a % 2, b[3 * a + 2] = a % 2 ? off_x : -off_y;
     }
-    for (long a = 0; a < n; a++) { /* Cholesky, and forward: K = (L^-1 B)^T (L^-1 B) */
+    for (long a = 0; a < n; a++) { /* Cholesky and forward substitution: K = (L^-1 B)^T (L^-1 B) */
         for (long c = 0; c <= a; c++) {
             double sum = A[a * n + c];
             for (long k = 0; k < c; k++) sum -= A[a * n + k] * A[c * n + k];
@@ -112,7 +121,8 @@ static int find_grip(const Film *f, const double *x, const double *force, const 
     return 0;
 }
 
-/* Middle and radius of the contact, and by how much (2) its nodes have gone in the plane since the last solution. */
+/* Compute center and radius of the contact, and the in-plane displacement `shift` (2) of its nodes
+   since the last solution. */
 static void find_middle(const Film *f, const double *x, const double *force, const double *x_before, const uint8_t *before,
                         Memory *m, double shift[2]) {
     double sum[3] = {0}, total = 0, kept = 0;
@@ -137,8 +147,9 @@ static void find_middle(const Film *f, const double *x, const double *force, con
     m->radius = radius / total;
 }
 
-/* After a solution: where the contact is, `shift` as `find_middle` has it, and how its nodes are gripped, if enough of them are others
-   than those of `touched` (2, count), which has nodes of the last grip and of the last solution. 1: no memory. */
+/* Update the contact after a solution: its center, `shift` as in `find_middle`, and the sticking
+   stiffness. The latter is updated if enough nodes differ from those of `touched` (2, count): nodes
+   of the last sticking stiffness, and of the last solution. Returns 1 if memory runs out. */
 static int hold_anew(const Film *f, const Given *g, const double *x, const double *force, const double *compliance, double *x_before,
                      uint8_t *touched, Memory *m, double shift[2]) {
     uint8_t *was = touched + f->count;
@@ -150,7 +161,8 @@ static int hold_anew(const Film *f, const Given *g, const double *x, const doubl
     return others && g->friction > 0 && find_grip(f, x, force, compliance, m->middle, touched, m);
 }
 
-/* Against a press: of the sheet's tension about a disc, and of gas and bulge in series that it displaces. */
+/* Return the stiffness against indentation, N/m: tension of the membrane about a disc, plus gas and
+   bulge in series for the displaced volume. */
 static double normal_stiffness(const Given *g, const double *found) {
     const double radius = sqrt(most(found[AREA], square(g->spacing)) / PI), wide = log(most(g->half / radius, 1.2));
     const double lifted = PI * (square(g->half) - square(radius)) / (2 * wide);
@@ -174,7 +186,8 @@ static void release(Memory *m) {
     memset(m->wrench, 0, sizeof m->wrench), memset(m->strain, 0, sizeof m->strain), memset(m->shear, 0, sizeof m->shear);
 }
 
-/* Whether all bodies are above the film: the boxes about them, which turn with them, above its highest node. */
+/* Return 1 if all obstacles are above the membrane: their bounding boxes, which rotate with them,
+   are above its highest node. */
 static int is_clear(const Film *f, const double *x, long geoms, const double *body, const double *bounds) {
     double top = 0;
     for (long k = 0; k < f->count; k++) top = most(top, x[2 * f->count + k]);
@@ -201,8 +214,9 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
     (void)nbody, (void)ngeom;
     int has_moved;
     const long near = look(geoms, geom, body_of, bounds, geom_xpos, geom_xmat, R, p, body, &m->near, &has_moved);
-    const int again = m->time == g->time; /* of the same moment */
-    if (again && !has_moved && m->gas_observed == settings[0] && m->sealed_seen == settings[1]) return 0; /* who looks twice changes nothing */
+    const int again = m->time == g->time; /* same time instant */
+    /* a repeated update changes nothing */
+    if (again && !has_moved && m->gas_observed == settings[0] && m->sealed_seen == settings[1]) return 0;
     m->gas_observed = settings[0], m->sealed_seen = settings[1];
     const int same_gas = m->gas == settings[0] && m->sealed == settings[1];
     m->solved = 0;

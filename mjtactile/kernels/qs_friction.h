@@ -1,29 +1,32 @@
-/* What is remembered of a film in a scene that moves, what it is given, and turns of its frame. */
+/* State and inputs of a quasi-static membrane in a moving scene, and rotations of its frame. */
 #ifndef MJTACTILE_FILM_HOLD_H
 #define MJTACTILE_FILM_HOLD_H
 
-/* What is remembered, all of it doubles; film_memory.py knows the places. */
+/* State between updates, all doubles. sim/sensor/quasistatic_state.py has the indices. */
 typedef struct {
-    double body;                    /* that touches, plus one; 0: nothing does */
-    double wrench[6];               /* of it on the film about the origin of S */
+    double body;                    /* MuJoCo body in contact, plus one; 0: none */
+    double wrench[6];               /* wrench on the membrane about the origin of S */
     double middle[3], radius, slides;
-    double strain[3], shear[3];     /* m, m, rad; N, N, N m of the body on the film */
+    /* shear displacement, m, m, rad, and load, N, N, N m, of the obstacle on the membrane */
+    double strain[3], shear[3];
     double near, status, lost, solved;
     double grip[9], gripped, normal;
-    double R[9], p[3];              /* of the body at the last look */
-    double R_rest[9], p_rest[3];    /* and at the last solution */
-    double gas, sealed;             /* of that */
-    double moved[6];                /* m of the body's origin and rad, since the look before */
-    double time;                    /* s, of the last look */
-    double slid;                    /* m over the film since it touched */
-    double gas_observed, sealed_seen;   /* at the last look */
+    double R[9], p[3];              /* pose of the obstacle at the last update */
+    double R_rest[9], p_rest[3];    /* pose of the obstacle at the last solution */
+    double gas, sealed;             /* gas settings at the last solution */
+    /* displacement of the obstacle's origin, m, and rotation, rad, since the previous update */
+    double moved[6];
+    double time;                    /* time of the last update, s */
+    double slid;                    /* sliding distance over the membrane since first touch, m */
+    double gas_observed, sealed_seen;   /* gas settings at the last update */
 } Memory;
 
-/* Given: friction, Pa/m^3 of bulge and gas, time step s, half width of the frame m, spacing of
-   nodes m, time s, how far the film reaches from the middle of its frame m. */
+/* Inputs: friction coefficient; stiffness of bulge and gas, Pa/m^3; time step, s; half width of the
+   frame, m; spacing of nodes, m; time, s; reach of the membrane from the center of its frame, m. */
 typedef struct { double friction, bulge, gas, step, half, spacing, time, reach; } Given;
 
-static inline void times(const double *A, const double *B, int transpose, double *out) { /* 3 x 3; A^T B */
+/* Compute the 3 x 3 product A B, or A^T B. */
+static inline void times(const double *A, const double *B, int transpose, double *out) {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             double sum = 0;

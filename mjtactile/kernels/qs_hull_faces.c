@@ -1,18 +1,21 @@
-/* A hull's planes as heights over the frame's plane, made once for all places: its lower side is the largest of those that face
-   down, and it is where that is below the least of those that face up, and within those that stand upright. */
+/* Planes of a convex hull as heights over the frame's plane, computed once for all positions. The
+   lower side is the maximum of the planes that face down. The hull is there only if this is below
+   the minimum of the planes that face up, and inside the upright planes. */
 #include <math.h>
 
 #include "qs_workspace.h"
 #include "small_linalg.h"
 
-#define UPRIGHT 1e-12 /* of a unit normal, along z */
+#define UPRIGHT 1e-12 /* z component of a unit normal up to which a plane is upright */
 
 enum { DOWN, UP, NEITHER };
 
-/* Planes of one way: z = c + a x + b y, or inside where that is positive; lists of c, a and b. */
+/* Planes that face in the same direction, as lists of c, a and b: z = c + a x + b y. Upright planes
+   are positive inside. */
 typedef struct { long count; const double *c, *a, *b; } Planes;
 
-/* Which way a plane (n, d) of a body faces, and its three numbers in S. */
+/* Compute the three numbers of an obstacle's plane (n, d) in S. Returns the direction in which it
+   faces. */
 static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbers) {
     double n[3];
     for (int k = 0; k < 3; k++) n[k] = b->R[3 * k] * plane[0] + b->R[3 * k + 1] * plane[1] + b->R[3 * k + 2] * plane[2];
@@ -23,7 +26,7 @@ static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbe
     return way;
 }
 
-/* How many planes go each way, in whole fours, and then these. */
+/* Write the number of planes in each direction, in multiples of four, and then the planes. */
 static void make_faces(const FilmBody *b, const double *rows, double *out) {
     const long count = (long)b->number, stride = film_faces_stride(b);
     long filled = 0;
@@ -35,7 +38,7 @@ static void make_faces(const FilmBody *b, const double *rows, double *out) {
             for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = numbers[k];
             filled++;
         }
-        for (; (filled - first) % FILM_SIDE; filled++) /* the last is there again */
+        for (; (filled - first) % FILM_SIDE; filled++) /* repeat the last plane */
             for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = out[FILM_SIDE + k * stride + filled - 1];
         out[way] = (double)(filled - first);
     }
@@ -49,7 +52,8 @@ void film_faces(const Bodies *bodies, double *faces) {
     }
 }
 
-/* The largest, or with `sign` -1 the negative least, of planes over a place, and which it is. */
+/* Return the maximum of planes over a position, or with `sign` -1 the negative minimum; `which` is
+   the index of that plane. */
 static double largest(Planes planes, double sign, double x, double y, long *which) {
     double top[FILM_SIDE], at[FILM_SIDE];
     for (int k = 0; k < FILM_SIDE; k++) top[k] = -INFINITY, at[k] = 0;

@@ -4,10 +4,14 @@
 
 #include "band_cholesky_f32.h"
 
-#define HALF 0.70710678f /* a pair's even and odd parts are its sum and difference over sqrt(2) */
-enum { EVEN, ODD };      /* along x; along y it is the other way round. A lopsided outline has all in what is even */
+/* the even and odd part of a pair is its sum and difference over sqrt(2) */
+#define HALF 0.70710678f
+/* parity of x displacements; y displacements have the opposite parity. An asymmetric outline has
+   all unknowns in the even part */
+enum { EVEN, ODD };
 
-typedef struct { long half, order, panels, height; } Halves; /* nodes of half a line, unknowns, panels and their height */
+/* nodes of half a line, unknowns, panels and their height */
+typedef struct { long half, order, panels, height; } Halves;
 
 static Halves halves_of(const Film *f) {
     Halves h = {.half = f->lopsided ? f->inner_rows : (f->inner_rows + 1) / 2};
@@ -28,7 +32,8 @@ long film_plane_room(const Film *f) {
     return 2 * apart_of(&h);
 }
 
-/* Of a displacement along `axis` of a node: its unknown, and by how much of the node's that is, for what is even or odd. */
+/* Return the index of a node's displacement along `axis` among the unknowns of the even or odd
+   part. `share` is its factor. */
 static long unknown_of(const Film *f, const Halves *h, long node, int axis, int kind, double *share) {
     const long i = node / f->line, j = node % f->line, mirrored = f->lopsided ? f->rows : f->rows - 1 - j;
     const int odd = axis == 0 ? kind == ODD : kind == EVEN;
@@ -36,7 +41,7 @@ static long unknown_of(const Film *f, const Halves *h, long node, int axis, int 
     return ((i - 1) * h->half + (j < mirrored ? j : mirrored) - 1) * 2 + axis;
 }
 
-/* Of a pair of nodes: what is even, or odd, of their stiffness in the plane. */
+/* Add the even or odd part of the in-plane stiffness of a pair of nodes. */
 static void add_pair(const Film *f, const Halves *h, const Stencil *s, int pair, long node, int kind, float *factor) {
     const long ends[2] = {node, node + film_pair(f, pair)};
     for (int end = 0; end < (pair == PAIR_OWN ? 1 : 2); end++)
@@ -60,7 +65,8 @@ int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
             add_pair(f, &h, s, pair, node, EVEN, factor), add_pair(f, &h, s, pair, node, ODD, factor + size);
         }
     for (int kind = EVEN; kind <= ODD; kind++)
-        for (long k = 0; k < h.panels * PANEL; k++) { /* what is odd vanishes on the middle line, and behind the last there is nothing */
+        /* odd unknowns vanish on the center line, and there is nothing behind the last one */
+        for (long k = 0; k < h.panels * PANEL; k++) {
             float *diagonal = factor + kind * size + k * h.height + k % PANEL;
             if (*diagonal == 0) *diagonal = 1;
         }

@@ -1,15 +1,16 @@
-/* Steps of a film in the plane, with the stiffness of the sheet at rest: constant, and the same mirrored along y, so that what
-   is even and what is odd are solved apart, each on half of the nodes. Single precision. */
+/* In-plane steps of a membrane, with its stiffness without contact, in single precision. This
+   stiffness is constant and symmetric under a mirror along y. Even and odd parts are therefore
+   solved separately, each on half of the nodes. */
 #ifndef MJTACTILE_FILM_PLANE_H
 #define MJTACTILE_FILM_PLANE_H
 #include "qs_stiffness_stencil.h"
 
-/* Numbers of the factor, and of what stands to be solved. */
+/* Return the number of floats of the factor, and of the unknowns' workspace. */
 long film_plane_size(const Film *film);
 long film_plane_room(const Film *film);
-/* 1: not positive definite. */
+/* Factor the stiffness. Returns 1 if it is not positive definite. */
 int film_plane_factor(const Film *film, const Stencil *stencil, float *factor);
-/* `residual` (2, count) becomes the step that it asks for. */
+/* Replace `residual` (2, count) by the step that it requires. */
 void film_plane_solve(const Film *film, const float *factor, float *residual, float *room);
 
 #endif

@@ -1,4 +1,4 @@
-/* See film_step.h, and film_solve.c for what its steps do together. */
+/* Parts of a solution step: see qs_step.h; qs_solve.c combines them. */
 #include "qs_step.h"
 
 #include <math.h>
@@ -7,13 +7,15 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define RELEASED 2.0       /* Pa that may pull at a node before it is let go */
-#define ATTACHED 2e-7      /* m that a node may be in a body before it is held */
-#define LONGEST_SHIFT 5e-4 /* m, of a step in the plane */
-#define LOOKS 3            /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
+#define RELEASED 2.0       /* pull on a node above which it is released, Pa */
+#define ATTACHED 2e-7      /* depth of a node in an obstacle above which it is held, m */
+#define LONGEST_SHIFT 5e-4 /* maximum in-plane step, m */
+/* steps that evaluate the obstacles; later ones follow their slopes, otherwise nodes at an edge
+   alternate */
+#define LOOKS 3
 #define EDGE_HALVES 20
-#define SHORT 2e-4         /* m */
-#define FINE 1e-8          /* m, of a tolerance that wants double precision */
+#define SHORT 2e-4         /* height step below which nodes may be released, m */
+#define FINE 1e-8          /* tolerance below which double precision is used, m */
 
 static long doubles_of(const Film *f) { return film_seen_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
 
@@ -104,7 +106,7 @@ void check_image(const Film *f, const Bodies *bodies, double lifted, int step, W
         for (long k = 0; k < f->count; k++) w->seen.obstacle[k] += lifted;
 }
 
-/* -- heights ----------------------------------------------------------------------------------------------------------- */
+/* -- heights ----------------------------------------------------------------------------------- */
 
 int widen_window(const Film *f, double near, Work *w) {
     const double *z = w->x + 2 * f->count;
@@ -189,7 +191,8 @@ double largest_of(const float *values, long n) {
     return (double)(largest[0] + nothing[0]);
 }
 
-/* Which nodes touch where heights have moved and contacts push as they do; returns whether others did before. */
+/* Update the nodes in contact from the heights, and after a step also from the contact forces.
+   Returns 1 if the set changed. */
 static int decide_contact(const Film *f, const Bodies *bodies, double loose, int after_step, int may_release, Work *w) {
     const double *z = w->x + 2 * f->count;
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
@@ -223,14 +226,14 @@ int settle_heights(const Film *f, const Settings *set, const Bodies *bodies, dou
         }
         step_heights(f, z, fresh, w);
         if (sets == most_sets - 1) return 0;
-        /* after a long step forces say little of who will let go */
+        /* after a long step, forces do not indicate the nodes to release */
         if (!(other = decide_contact(f, bodies, loose, 1, largest_of(w->moved, f->count) < SHORT, w))) return 0;
         stiffen_edges(f, z, -1, w);
     }
     return 0;
 }
 
-/* -- in the plane ------------------------------------------------------------------------------------------------------ */
+/* -- in the plane ------------------------------------------------------------------------------ */
 
 double step_plane(const Film *f, Work *w) {
     const long n = f->count;

@@ -1,5 +1,5 @@
-/* What films push in a scene that moves, by MuJoCo's degrees of freedom, and how they hold bodies that are free.
-   Frame S unless a name says W. */
+/* Forces of membranes on MuJoCo's degrees of freedom in a moving scene, and stiffness with which
+   they hold free bodies. Frame S unless a name contains W. */
 #include <math.h>
 #include <string.h>
 
@@ -7,11 +7,13 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define TILT 0.25       /* of stiffness times radius^2: a disc on an even bed */
-#define SHARE 0.75      /* of stiffness times step that damps a free body; every step is stable from 0.5 on, where a heavy one swings on */
+#define TILT 0.25       /* tilt stiffness over stiffness times radius^2: a disc on an even bed */
+/* fraction of stiffness times step that damps a free body; from 0.5 on, every step is stable, but a
+   heavy body oscillates on */
+#define SHARE 0.75
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
 
-/* The generalized force of a force and a torque, W, at `at` on a body, added to `out`. */
+/* Add the generalized force of a force and a torque, frame W, at `at` on a MuJoCo body to `out`. */
 static void apply(long body, double sign, const double *F, const double *T, const double *at, const int32_t *parent, const int32_t *joints,
                   const int32_t *first, const int32_t *type, const int32_t *dof, const double *anchor, const double *axis,
                   const double *xpos, const double *xmat, double *out) {
@@ -35,8 +37,9 @@ static void apply(long body, double sign, const double *F, const double *T, cons
         }
 }
 
-/* How stiffly what touches is held, by the degrees of freedom of the free joint that carries it: G^T K G, and their velocity
-   against the film. `R_SB`, `p_SB`: of that joint's body, with which what touches is taken to go. */
+/* Compute the stiffness G^T K G of the hold on the body in contact, in the degrees of freedom of
+   the free joint that carries it. Also compute their velocity relative to the membrane. `R_SB`,
+   `p_SB`: pose of that joint's body; the body in contact is assumed to move with it. */
 static void hold_of(const Given *g, const Memory *m, long dof, const double *R_SB, const double *p_SB, double *hold, const double *R) {
     double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3], off[3], swing[3], moved[3];
     const double tilt = TILT * m->normal * square(most(m->radius, g->spacing / 4));
@@ -82,7 +85,7 @@ int64_t film_push(const double *given, const double *memory, int64_t carrier, in
     for (int i = 0; i < 3; i++) at[i] += xpos[3 * carrier + i];
     apply(carrier, 1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
     apply(body, -1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
-    long carried = body; /* by a free joint: its own, or that of a body which it is jointed to */
+    long carried = body; /* body with the free joint: this one, or one to which it is jointed */
     while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
     if (carried <= 0) return 1;
     double R_SB[9], p_SB[3], apart[3];
@@ -93,10 +96,12 @@ int64_t film_push(const double *given, const double *memory, int64_t carrier, in
     return 1;
 }
 
-/* All films' pushes (films, nv) and holds (films, 43) into `applied` and `damping` (nv). */
+/* Add the forces (films, nv) and holds (films, 43) of all membranes to `applied` and `damping`
+   (nv). */
 int64_t film_add(int64_t nv, int64_t films, const double *pushes, const double *holds, double step, const double *inertia,
                  const double *velocity, double *base, double *left, double *applied, const double *undamped, double *damping) {
-    if (memcmp(applied, left, nv * sizeof *left)) memcpy(base, applied, nv * sizeof *base); /* somebody else wrote */
+    /* forces were written by others */
+    if (memcmp(applied, left, nv * sizeof *left)) memcpy(base, applied, nv * sizeof *base);
     memcpy(applied, base, nv * sizeof *base);
     memcpy(damping, undamped, nv * sizeof *damping);
     for (long k = 0; k < films; k++)
@@ -113,7 +118,8 @@ int64_t film_add(int64_t nv, int64_t films, const double *pushes, const double *
             for (int i = 0; i < 6; i++) against[i] += holds[43 * l + 37 + i];
         }
         if (dof < 0 || !first) continue;
-        for (int a = 0; a < 6; a++) { /* at least the stiffness, by Gershgorin in coordinates with an inertia of one */
+        /* at least the stiffness, by Gershgorin in coordinates with an inertia of one */
+        for (int a = 0; a < 6; a++) {
             double sum = 0;
             for (int b = 0; b < 6; b++) sum += fabs(K[6 * a + b]) / sqrt(inertia[dof + b]);
             sum *= SHARE * step * sqrt(inertia[dof + a]);

@@ -1,11 +1,13 @@
-/* How a film at rest answers changes of its bodies, nearly: by one step of its heights. */
+/* Approximate response of a membrane in equilibrium to changes of its obstacles: one height
+   step. */
 #include <math.h>
 #include <string.h>
 
 #include "qs_step.h"
 #include "kernels.h"
 
-/* Where a film that is at rest on bodies makes a step of its heights: all that this takes but the bodies' own change. */
+/* Prepare a height step of a membrane in equilibrium on obstacles: everything except the change of
+   the obstacles. */
 static int begin_answer(const Film *f, const Settings *set, const Bodies *bodies, Work *w) {
     const double *z = w->x + 2 * f->count;
     see_touch(f, w->force, &w->seen), look_narrowly(f, bodies, &w->seen);
@@ -40,7 +42,8 @@ int64_t film_answer(const double *numbers, const double *law, int64_t columns, i
         check_image(&f, &changed, 0, 0, &w);
         for (long k = 0; k < n; k++) {
             const double rise = (s->obstacle[k] - s->lower[k] - was[k]) / steps[a];
-            s->obstacle[k] = z[k] + (isfinite(rise) ? rise : 0), s->lower[k] = 0; /* a step is from where the film is */
+            /* the step begins at the present heights */
+            s->obstacle[k] = z[k] + (isfinite(rise) ? rise : 0), s->lower[k] = 0;
         }
         step_heights(&f, z, a == 0, &w);
         for (long i = 0; i < columns; i++)

@@ -1,11 +1,13 @@
-/* Where no body can be: a convex one is above each of its tangent planes, and everything above its reach. */
+/* Lower bounds of the obstacles: a convex obstacle is above each of its tangent planes, and every
+   obstacle is above the limit of its reach. */
 #include <math.h>
 #include <string.h>
 
 #include "qs_workspace.h"
 #include "small_linalg.h"
 
-#define SPREAD 0.15 /* of the frame's sides: how far from the contact's middle tangents are taken */
+/* distance of the tangent points from the contact center, fraction of the frame's sides */
+#define SPREAD 0.15
 
 static const double TAKEN_AT[FILM_TANGENTS][2] = {{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}};
 
@@ -17,8 +19,9 @@ static int is_convex(const FilmBody *b) {
     }
 }
 
-/* Planes z = p[0] + p[1] x + p[2] y below the heights of one body: a level one, and tangents about `middle`. Heights are a body's own
-   less what the sheet's half thickness is along z there, which is bounded, but for those whose offset is convex itself. */
+/* Compute planes z = p[0] + p[1] x + p[2] y below the heights of one obstacle: a horizontal one,
+   and tangents about `middle`. A height is that of the obstacle minus the membrane's half thickness
+   along z. That term is replaced by its bound, unless the offset surface itself is convex. */
 static void planes_below(const Film *f, const FilmBody *b, const double *pool, const double middle[2], double *planes) {
     const double half_sides[2] = {f->numbers.length_x / 2, f->numbers.length_y / 2}, out = f->numbers.half_thickness;
     const int offset_is_convex = b->kind == BODY_SPHERE || b->kind == BODY_CAPSULE;

@@ -1,4 +1,4 @@
-/* The lowest of all bodies over a place. */
+/* Lowest obstacle over a position. */
 #ifndef MJTACTILE_FILM_LOWEST_H
 #define MJTACTILE_FILM_LOWEST_H
 #include <math.h>
@@ -6,7 +6,8 @@
 #include "qs_workspace.h"
 #include "small_linalg.h"
 
-/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
+/* Compute the lowest height, and its slopes, of all obstacles over a position. Returns 1 if there
+   is none. */
 static inline int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {
     double found = INFINITY, at, by[2] = {0, 0};
     const double *next = bodies->faces;

@@ -9,7 +9,8 @@
 #define SHELL 0.3
 #define LEAST_SCALE 0.1f
 
-static long height_of(const Film *f) { return f->line + PANEL; } /* a line is a whole number of panels, and reaches the next */
+/* a line is a whole number of panels, and reaches the next */
+static long height_of(const Film *f) { return f->line + PANEL; }
 
 long film_heights_size(const Film *f) { return 8 + f->count * height_of(f) + f->count * f->line; }
 
@@ -27,16 +28,18 @@ Heights film_heights_in(const Film *f, const RestHeights *rest, float **room) {
     return h;
 }
 
-/* What a curved sheet adds where it is bent further: it must stretch, as a shell does, Y (k_x l_y^2 + k_y l_x^2)^2 for a wave
-   (l_x, l_y) of length one on curvatures k; here for the mean of all waves. Speeds up the steps and changes nothing else. */
+/* Return the additional stiffness of a curved membrane against further bending. It must stretch, as
+   a shell does: Y (k_x l_y^2 + k_y l_x^2)^2 for a wave (l_x, l_y) of length one on curvatures k.
+   Here it is the mean over all waves. It accelerates convergence and does not affect the result. */
 static double shell_at(const Film *f, const double *z, long k) {
     const double bend_x = (z[k + f->line] + z[k - f->line] - 2 * z[k]) / square(f->dx);
     const double bend_y = (z[k + 1] + z[k - 1] - 2 * z[k]) / square(f->dy);
     return SHELL * f->numbers.shell * f->dx * f->dy * (square(bend_x) + square(bend_y)) / 2;
 }
 
-/* Line `i` of the stiffness; of its links to the lines before and behind it, and of its own, these shares count. `block` is where its
-   panels are. What is held has a row and a column of its own. */
+/* Factors of the terms in line `i` of the stiffness: its links to the lines before and behind it,
+   and its own terms. `block` holds its panels. A node that is fixed or in contact has a row and a
+   column of its own. */
 typedef struct { double before, behind, own; } Shares;
 
 static int is_free(const Film *f, const uint8_t *touching, long i, long j) {
@@ -110,7 +113,7 @@ int film_heights_factor(const Film *f, const double *z, const Seen *seen, Height
     return panels_factor((last - first + 1) * line / PANEL, 0, height, h->window);
 }
 
-/* Line `i` of all right-hand sides, turned by half a turn, onto or from its place in `mirrored`. */
+/* Rotate line `i` of all right-hand sides by half a turn, to or from its place in `mirrored`. */
 static void turn_line(const Film *f, const Heights *h, int many, long i, int back, int adds) {
     for (int m = 0; m < many; m++) {
         float *one = h->solved + m * h->apart + i * f->line;

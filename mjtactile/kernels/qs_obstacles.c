@@ -1,4 +1,5 @@
-/* Lower sides of bodies, seen along the film's z from below: the first point of a vertical line that lies in the body. */
+/* Lower sides of obstacles along the membrane's z from below: the first point of a vertical line in
+   the obstacle. */
 #include "quasistatic.h"
 
 #include <math.h>
@@ -7,16 +8,16 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define FAR 1.0          /* m below everything: where lines start */
-#define SHARP 1.0 /* where a rim that is rounded by less than the spacing ends as an edge does */
+#define FAR 1.0          /* start of the lines below everything, m */
+#define SHARP 1.0 /* slope at which a rim counts as an edge if its radius is below the spacing */
 #define FLANK 2.0
 #define MOST_APPROACHES 50
-#define NEAR 1e-13 /* m */
-#define TIP 1e-12  /* m */
+#define NEAR 1e-13 /* distance from the surface at which the iteration ends, m */
+#define TIP 1e-12  /* tolerance of a cone's tip, m */
 #define LANES 4
-#define LEVEL 1e-12 /* of a plane's normal, below which a line goes along it */
+#define LEVEL 1e-12 /* component of a plane's normal along a line, below which they are parallel */
 
-/* A vertical line in the body's frame: `from` + t `along`, t is the height in S. */
+/* A vertical line in the obstacle's frame: `from` + t `along`; t is the height in S. */
 typedef struct { double from[3], along[3]; } Line;
 
 static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -31,7 +32,8 @@ static Line line_in_body(const FilmBody *b, double x, double y) {
     return line;
 }
 
-/* Slopes of a surface whose outward normal `n` (body's frame) points down; 1 where it does not. */
+/* Compute the slopes of a surface whose outward normal `n` (obstacle's frame) points down. Returns
+   1 if it does not. */
 static int slopes_of(const FilmBody *b, const double *n, double slope[2]) {
     double world[3];
     for (int k = 0; k < 3; k++) world[k] = dot3(b->R + 3 * k, n);
@@ -40,7 +42,7 @@ static int slopes_of(const FilmBody *b, const double *n, double slope[2]) {
     return 0;
 }
 
-/* Smaller root of a t^2 + 2 b t + c; 1 where there is none. */
+/* Compute the smaller root of a t^2 + 2 b t + c. Returns 1 if there is none. */
 static int first_root(double a, double b, double c, double *t) {
     double inside = b * b - a * c;
     if (!(inside > 0) || !(fabs(a) > 1e-300)) return 1;
@@ -56,7 +58,7 @@ static int ball(const double *middle, double radius, const Line *line, double *t
     return 0;
 }
 
-/* Side of a cylinder about the body's z, as far as |z| <= half. */
+/* Intersect a line with the side of a cylinder about the obstacle's z, up to |z| <= half. */
 static int side(double radius, double half, const Line *line, double *t, double *n) {
     const double *o = line->from, *d = line->along;
     if (first_root(d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - radius * radius, t)) return 1;
@@ -91,7 +93,8 @@ static int ellipsoid(const FilmBody *b, const Line *line, double *t, double *n) 
     return 0;
 }
 
-/* Ends of a solid of revolution: a disc of `radius` at `z`, whose outside is towards `sign`. */
+/* Intersect a line with the end of a solid of revolution: a disc of `radius` at `z`, whose outside
+   is towards `sign`. */
 static int end_disc(double z, double sign, double radius, const Line *line, double *t, double *n) {
     if (fabs(line->along[2]) < 1e-12) return 1;
     *t = (z - line->from[2]) / line->along[2];
@@ -115,7 +118,8 @@ static int cylinder(const FilmBody *b, const Line *line, double *t, double *n) {
     return isinf(found);
 }
 
-/* Tip at the origin, body towards +z: radius sizes[0] at height sizes[1]. */
+/* Intersect a line with a cone. Its tip is at the origin and it opens towards +z: radius sizes[0]
+   at height sizes[1]. */
 static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
     const double wide = b->sizes[0] / b->sizes[1], *o = line->from, *d = line->along;
     const double w2 = wide * wide;
@@ -126,7 +130,7 @@ static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
         for (int sign = -1; sign <= 1; sign += 2) {
             t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(most(inside, 0))) / a : -c / (2 * h);
             const double z = o[2] + t_part * d[2];
-            if (!(z >= -TIP && z <= b->sizes[1])) continue; /* rounding leaves a tip on either side */
+            if (!(z >= -TIP && z <= b->sizes[1])) continue; /* rounding puts a tip on either side */
             n_part[0] = o[0] + t_part * d[0], n_part[1] = o[1] + t_part * d[1], n_part[2] = -w2 * z;
             if (z < TIP) n_part[2] = -1;
             keep_lower(t_part, n_part, &found, n);
@@ -136,8 +140,8 @@ static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
     return isinf(found);
 }
 
-/* Where the line enters all of `count` half-spaces n x <= d, rows (n, d): the last that it enters before the first that it leaves.
-   Four side by side, without branches: a hull has a hundred. */
+/* Intersect a line with all of `count` half-spaces n x <= d, rows (n, d): the last entry before the
+   first exit. Four are processed together, without branches: a hull has a hundred. */
 static int planes(const double *rows, long count, const Line *line, double *t, double *n) {
     double enter[LANES], leave[LANES], which[LANES], beside[LANES];
     const double *d = line->along, *o = line->from;
@@ -145,7 +149,7 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
     for (long first = 0; first < count; first += LANES) {
         double own[4 * LANES];
         const double *row = rows + 4 * first;
-        if (first + LANES > count) { /* the last is there again */
+        if (first + LANES > count) { /* repeat the last plane */
             for (long i = 0; i < LANES; i++) memcpy(own + 4 * i, rows + 4 * (first + i < count ? first + i : count - 1), 4 * sizeof *own);
             row = own;
         }
@@ -176,20 +180,22 @@ static int box(const FilmBody *b, const Line *line, double *t, double *n) {
     return planes(rows, 6, line, t, n);
 }
 
-/* z >= (k_x x^2 + k_y y^2) / 2 in the body's frame, sizes are k_x, k_y and how far out it goes. */
+/* Intersect a line with z >= (k_x x^2 + k_y y^2) / 2 in the obstacle's frame. The sizes are k_x,
+   k_y and the reach. */
 static int quadric(const FilmBody *b, const Line *line, double *t, double *n) {
     const double kx = b->sizes[0], ky = b->sizes[1], *o = line->from, *d = line->along;
     const double a = (kx * d[0] * d[0] + ky * d[1] * d[1]) / 2, c = (kx * o[0] * o[0] + ky * o[1] * o[1]) / 2 - o[2];
     const double h = (kx * o[0] * d[0] + ky * o[1] * d[1] - d[2]) / 2;
     if (fabs(a) < 1e-12 * fabs(h)) *t = -c / (2 * h);
     else if (h * h < a * c) return 1;
-    else *t = c / (-h + sqrt(h * h - a * c)); /* the root that is there without tilt */
+    else *t = c / (-h + sqrt(h * h - a * c)); /* the root that exists without tilt */
     const double x = o[0] + *t * d[0], y = o[1] + *t * d[1];
     n[0] = kx * x, n[1] = ky * y, n[2] = -1;
     return !(x * x + y * y <= square(b->sizes[2]));
 }
 
-/* Distance to a flat disc of radius sizes[0] and half height sizes[1] whose rims are rounded by sizes[2]; normal in `n`. */
+/* Return the distance to a flat disc of radius sizes[0] and half height sizes[1] whose rims are
+   rounded by sizes[2]. The normal is in `n`. */
 static double rounded_disc(const FilmBody *b, const double *x, double *n) {
     const double r = hypot(x[0], x[1]), round = b->sizes[2];
     const double across = r - (b->sizes[0] - b->sizes[2]), up = fabs(x[2]) - (b->sizes[1] - b->sizes[2]);
@@ -199,7 +205,8 @@ static double rounded_disc(const FilmBody *b, const double *x, double *n) {
     return out + least(most(across, up), 0) - round;
 }
 
-/* The distance along a line is convex: Newton's steps from outside come to the surface and never beyond. */
+/* Intersect a line with the disc. The distance along a line is convex: Newton steps from outside
+   reach the surface and never pass it. */
 static int disc(const FilmBody *b, const Line *line, double *t, double *n) {
     const double reach = b->sizes[0] + b->sizes[1];
     double x[3];
@@ -215,7 +222,8 @@ static int disc(const FilmBody *b, const Line *line, double *t, double *n) {
     return 1;
 }
 
-/* The lowest of the triangles (count, 3, 3), in the body's frame, that are over the place; frame S only without a rotation. */
+/* Find the lowest of the triangles (count, 3, 3), in the obstacle's frame, over the position. Frame
+   S only without a rotation. */
 static int triangles(const double *corners, long count, const Line *line, double *t, double *n) {
     double found = INFINITY;
     for (long i = 0; i < count; i++) {
@@ -238,13 +246,14 @@ static int triangles(const double *corners, long count, const Line *line, double
     return isinf(found);
 }
 
-/* Heights at the film's own nodes, bilinear between them; what is not finite is nothing. */
+/* Interpolate heights at the membrane's own nodes bilinearly. Values that are not finite mean no
+   obstacle. */
 static int heights(const Film *film, const double *field, double x, double y, double *t, double slope[2]) {
     const double at_x = (x + film->numbers.length_x / 2) / film->dx, at_y = (y + film->numbers.length_y / 2) / film->dy;
     const long i = (long)clip(floor(at_x), 0, film->columns - 2), j = (long)clip(floor(at_y), 0, film->rows - 2);
     const double *here = field + i * film->rows + j, u = at_x - i, v = at_y - j;
     const double a = here[0], b = here[film->rows], c = here[1], d = here[film->rows + 1];
-    if (!isfinite(a + b + c + d)) { /* at an edge: the nearest node's */
+    if (!isfinite(a + b + c + d)) { /* next to an edge, use the nearest node */
         const double nearest = here[(u > 0.5) * film->rows + (v > 0.5)];
         *t = nearest, slope[0] = slope[1] = 0;
         return !isfinite(nearest);
@@ -254,7 +263,8 @@ static int heights(const Film *film, const double *field, double x, double y, do
     return 0;
 }
 
-/* Beyond which a body counts as ended: at a flank that a sheet meets at its edge alone, and at a rim rounder than no cell can be. */
+/* Return the slope beyond which an obstacle counts as ended: at a flank that a membrane meets only
+   at its edge, and at a rim whose radius is below the spacing. */
 static double steepest_of(const Film *film, const FilmBody *b) {
     switch ((int)b->kind) {
     case BODY_DISC: return b->sizes[2] < most(film->dx, film->dy) ? SHARP : INFINITY;
@@ -270,7 +280,7 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
     const double out = film->numbers.half_thickness;
     const Line line = line_in_body(b, x, y);
     const double *own = pool ? pool + (long)b->first : 0;
-    int missed, exact = 0; /* exact: `out` is in it already */
+    int missed, exact = 0; /* exact: `out` is already included */
     switch ((int)b->kind) {
     case BODY_SPHERE: missed = ball(origin, b->sizes[0] + out, &line, &t, n), exact = 1; break;
     case BODY_CAPSULE: missed = capsule(b, out, &line, &t, n), exact = 1; break;
@@ -282,7 +292,7 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
     case BODY_CONE: missed = cone(b, &line, &t, n); break;
     case BODY_CONVEX: missed = planes(own, (long)b->number, &line, &t, n); break;
     case BODY_TRIANGLES: missed = triangles(own, (long)b->number, &line, &t, n); break;
-    case BODY_PLANE: /* solid on the far side, whichever way its normal points */
+    case BODY_PLANE: /* solid on the far side, for either direction of its normal */
         n[0] = n[1] = 0, n[2] = line.along[2] > 0 ? -1 : 1;
         t = -line.from[2] / line.along[2], missed = !isfinite(t);
         break;

@@ -1,29 +1,35 @@
-/* How a film at rest answers small changes of its bodies, by the implicit function theorem: what touches goes on to touch, and
-   the residuals stay zero. The tangent is that of the sheet and the gas, with the heights of what touches eliminated by the
-   bodies' slopes, factored once. How residuals hang on the bodies is found by differences near what touches, which want no
-   solution; so is what the tangent leaves out (how corrections and edges move with the nodes), by a second sweep. */
+/* Response of a membrane in equilibrium to small changes of its obstacles, by the implicit function
+   theorem: nodes in contact stay in contact, and the residuals stay zero. The tangent is that of
+   membrane and gas, with the heights in contact eliminated by the obstacles' slopes. It is factored
+   once. Residuals depend on the obstacles by differences near the contact, which need no solution.
+   A second sweep adds the terms that the tangent omits: corrections and edges that move with the
+   nodes. */
 #include <math.h>
 #include <string.h>
 
 #include "qs_tangent.h"
 #include "kernels.h"
 
-#define AT_ONCE (LANES - 1)  /* changes that are solved together; the last lane is the gas's */
+#define AT_ONCE (LANES - 1) /* changes that are solved together; the last lane is that of the gas */
 #define SWEEPS 2
 #define SWEEPS_AT_EDGES 3
-#define FINE_HALVES 36       /* edges are wanted to less than a difference of 1e-6 m shows */
-#define ELSEWHERE 1e-4       /* m off a body, where a film does not rest on it */
-#define BEHIND_MOST 10       /* times that may be behind what is thin, which is moved under nodes */
+/* bisections of an edge: more accurate than a difference of 1e-6 m resolves */
+#define FINE_HALVES 36
+/* distance from an obstacle, m, at which a membrane is not in equilibrium on it */
+#define ELSEWHERE 1e-4
+/* factor on this distance behind a thin obstacle, which is moved under nodes */
+#define BEHIND_MOST 10
 
 int64_t film_derive_room(const double *numbers) {
     const Film f = film_of(numbers, 0);
     return film_tangent_room(&f);
 }
 
-/* -- bodies ------------------------------------------------------------------------------------------------------------ */
+/* -- obstacles --------------------------------------------------------------------------------- */
 
-/* What bodies do to nodes (4, count), on the lines where they are seen: forces, and how far what touches is off its body. Returns
-   the force on nodes that are on none. */
+/* Compute the effect of the obstacles on nodes (4, count), on the lines near them: forces, and
+   distance of nodes in contact from their obstacle. Returns the force on nodes without an
+   obstacle. */
 static double press(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
     Seen *w = &t->seen;
     const long count = f->count;
@@ -32,7 +38,7 @@ static double press(const Film *f, const Bodies *bodies, const double *x, const 
     for (long k = w->box[0] * f->line; k < w->box[1] * f->line; k++) {
         if (!w->touching[k]) continue;
         find_edges(f, bodies, x, k, FINE_HALVES, w);
-        if (isfinite(w->obstacle[k])) continue; /* else it is on the very edge */
+        if (isfinite(w->obstacle[k])) continue; /* otherwise the node is exactly on the edge */
         missed += force[k];
         w->obstacle[k] = t->obstacle[k], w->slope[k] = t->slope[k], w->slope[count + k] = t->slope[count + k];
     }
@@ -53,7 +59,8 @@ static double press(const Film *f, const Bodies *bodies, const double *x, const 
     return missed;
 }
 
-/* Whether bodies are where the film says: not off what bears its force, nor behind it. */
+/* Return 1 if the obstacles do not match the equilibrium: away from the nodes that carry its force,
+   or behind it. */
 static int is_elsewhere(const Film *f, const double *x, const double *force, double missed, const Tangent *t) {
     const double *z = x + 2 * f->count;
     double total = 0, off = ELSEWHERE * missed, deepest = 0;
@@ -64,7 +71,7 @@ static int is_elsewhere(const Film *f, const double *x, const double *force, dou
     return off > ELSEWHERE / 2 * total || deepest > (total > 0 ? BEHIND_MOST : 1) * ELSEWHERE;
 }
 
-/* Where lane `lane` of what was found so far takes the film, near bodies, by `step` of its change. */
+/* Move the membrane near obstacles by `step` of the change found so far in lane `lane`. */
 static void move(const Film *f, const double *x, const double *force, double step, int lane, Tangent *t) {
     const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 3; c++)
@@ -82,9 +89,10 @@ static void find_residuals(const Film *f, const Change *change, int lane, const 
             t->residual[k][lane] = (float)((t->pressed_on[k] - t->base[k]) / change->step);
 }
 
-/* -- all of it --------------------------------------------------------------------------------------------------------- */
+/* -- complete derivative ----------------------------------------------------------------------- */
 
-/* What is found next, of residuals `rhs` that what is free has: all displacements but the heights that go with slopes, in `given`. */
+/* Solve for the next displacements, `given`, from the residuals `rhs` of the free unknowns, and add
+   them to `found`. Heights in contact follow the slopes. */
 static void solve(const Film *f, Tangent *t) {
     const long count = f->count;
     const double *v = t->fields.gradient;
@@ -109,7 +117,7 @@ static void solve(const Film *f, Tangent *t) {
     }
 }
 
-/* One sweep: what the present residuals ask for. */
+/* Do one sweep: solve for the present residuals. */
 static void sweep(const Film *f, Tangent *t, int last) {
     const long count = f->count, first = first_line(f, &t->seen), behind = behind_lines(f, &t->seen);
     const uint8_t *touching = t->seen.touching;
@@ -146,7 +154,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
     }
 }
 
-/* The plane's share of a node, m^2, where the film is. */
+/* Return the projected area of a node's cell, m^2, at the present displacements. */
 static double cell_of(const Film *f, const double *x, long k) {
     double cell = 0;
     for (int corner = 0; corner < 4; corner++) {
@@ -161,14 +169,15 @@ static double cell_of(const Film *f, const double *x, long k) {
     return cell;
 }
 
-/* What is added up (FOUND) where bodies were last seen and pressed on, on a film at `x`. */
+/* Compute the sums (FOUND) for a membrane at `x` on the last evaluated obstacles. */
 static void find_sums(const Film *f, const double *x, const double *force, Tangent *t, double *found) {
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++)
         if (t->seen.touching[k]) t->seen.cell[k] = cell_of(f, x, k);
     add_up(f, x, force, found, &t->seen);
 }
 
-/* How these change by lane `lane` of what was found, with the tension's change. */
+/* Compute the derivatives of these sums by lane `lane` of the result, given the change of the
+   tension. */
 static void sums_by(const Film *f, const Change *change, int lane, double tension, const double *x, const double *force, Tangent *t,
                     double *by) {
     double found[FOUND] = {0};
@@ -181,7 +190,8 @@ static void sums_by(const Film *f, const Change *change, int lane, double tensio
     by[VOLUME] = bulge, by[TENSION] = tension, by[PRESSURE] = pressure;
 }
 
-/* Lanes of what was found, as Python has them: displacements (many, 3, nodes) and forces (many, nodes). */
+/* Write lanes of the result in Python's layout: displacements (many, 3, nodes) and forces
+   (many, nodes). */
 static void handover(const Film *f, const Eight *found, long many, double *by_x, double *by_force) {
     const long nodes = f->columns * f->rows;
     for (int c = 0; c < 4; c++)
@@ -193,8 +203,8 @@ static void handover(const Film *f, const Eight *found, long many, double *by_x,
             }
 }
 
-/* Where the film is: what touches and how, pressure, tension, and how these hang on displacements. Returns the number of sweeps; 0:
-   it does not rest on these bodies. */
+/* Evaluate the equilibrium: contact, pressure, tension, and their dependence on displacements.
+   Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
 static int begin(const Film *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
     see_touch(f, force, &t->seen), look_narrowly(f, bodies, &t->seen);
@@ -202,7 +212,8 @@ static int begin(const Film *f, const Settings *set, const Bodies *bodies, const
     const SheetSums sums = film_sheet(f, x, FILM_ALL, 0, f->columns - 1, &t->fields);
     t->tension = sums.tension;
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
-    memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle); /* of what touches beside its body's very edge */
+    /* default for nodes in contact exactly at the edge of their obstacle */
+    memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle);
     if (is_elsewhere(f, x, force, press(f, bodies, x, force, t, t->base), t)) return 0;
     t->sums[PRESSURE] = t->pressure, t->sums[TENSION] = t->tension;
     find_sums(f, x, force, t, t->sums);

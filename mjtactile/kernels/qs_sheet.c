@@ -1,4 +1,5 @@
-/* The sheet of a film: elastic forces (film_cells.h), in double and in single precision, and their stiffness. */
+/* The membrane: elastic forces (qs_elastic_forces.h), in double and in single precision, and its
+   link stiffness. */
 #include "qs_sheet.h"
 
 #include <math.h>
@@ -8,14 +9,17 @@
 #include "qs_cut_cells.h"
 #include "small_linalg.h"
 
-#define INLINE static inline __attribute__((always_inline)) /* else loops over them are no vectors */
+/* otherwise loops over them are not vectorized */
+#define INLINE static inline __attribute__((always_inline))
 #ifdef __clang__
-#define VECTORS _Pragma("clang loop vectorize(assume_safety) interleave(disable)") /* lines do not overlap */
+/* lines do not overlap */
+#define VECTORS _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
 #else
 #define VECTORS _Pragma("GCC ivdep")
 #endif
 #define LEAST_DET 1e-2
-#define LEAST_TENSION 0.3 /* of the mean of both directions, in the stiffness that steps are made with */
+/* minimum stress in the stiffness of the steps, fraction of the mean of both directions */
+#define LEAST_TENSION 0.3
 
 Film film_of(const double *numbers, const double *law) {
     Film film = {.law = law};

@@ -1,10 +1,12 @@
-/* The film at rest on bodies: see film.h, and mjtactile/film for the equations.
+/* Equilibrium of the membrane on obstacles: see quasistatic.h. Equations:
+   docs/theory/quasistatic_membrane.md.
 
-   Unknown are displacements of the nodes and the contact's forces along z. A step solves twice, each time with a matrix that is
-   good enough: for the heights with a film's under the sheet's local tension (film_heights.h), plus what tension and gas add when
-   the whole sheet moves (rank two), and in the plane with the stiffness of the sheet at rest (film_plane.h). Residuals are exact,
-   so that where the steps end does not depend on the matrices. Matrices and forces are in single precision, which leaves some
-   nanometres; places are not. */
+   Unknowns are the displacements of the nodes and the contact forces along z. A step has two
+   solves, each with an approximate matrix. The heights use the local tension of the membrane
+   (qs_normal_solver.h), plus the rank-two term of tension and gas when the whole membrane moves.
+   The in-plane displacements use the stiffness without contact (qs_inplane_solver.h). Residuals are
+   exact, so that the result does not depend on the matrices. Matrices and forces are in single
+   precision, with an error of some nanometers; positions are not. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,22 +15,28 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-#define PATIENCE 8         /* steps after which RELEASED and ATTACHED (film_step.c) grow, up to MOST_LOOSE times: on flat faces nodes
-                              come and go for next to nothing */
+/* Steps after which RELEASED and ATTACHED (qs_iteration.c) grow, up to MOST_LOOSE times: on flat
+   faces, nodes alternate for negligible differences. */
+#define PATIENCE 8
 #define MOST_LOOSE 10
-#define MOST_SETS 4        /* of nodes that touch, tried in a step */
-#define QUICK 3            /* steps that do so */
-#define FAR 2e-4           /* m that heights go in a first step from far away */
-#define NEAR 2e-4          /* m, of what may touch soon */
-#define FIRST_STEP 1e-4    /* m, that the first step is thought to come after */
+#define MOST_SETS 4        /* maximum number of contact sets tried in a step */
+#define QUICK 3            /* steps that try several sets */
+#define FAR 2e-4           /* height change in a first step from far away, m */
+#define NEAR 2e-4          /* distance of nodes that may soon be in contact, m */
+#define FIRST_STEP 1e-4    /* assumed size of the step before the first one, m */
 #define MOST_TREND 2.0
-#define LEAST_EXPLAINED 0.5  /* of the gaps between bodies and the sheet, squared */
-#define LEAST_SHARE 0.05     /* by which steps are thought to shrink at best; they do so by 0.3 at last, which far from rest comes sooner */
+/* minimum explained fraction of the squared gaps between obstacles and membrane */
+#define LEAST_EXPLAINED 0.5
+/* assumed minimum shrink ratio of the steps; it tends to 0.3, which is reached sooner far from
+   equilibrium */
+#define LEAST_SHARE 0.05
 #define LEAST_SHARE_FAR 0.3
-#define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
+/* minimum ratio of a cell's projected area; below, the membrane is inverted */
+#define LEAST_TURN 0.05
 #define JUMPS 16
 
-/* Goes on as the film last went, `trend` (4, nodes) of displacements and forces, as far as the bodies that touch did. */
+/* Extrapolate the last change of the membrane, `trend` (4, nodes) of displacements and forces, by
+   the ratio that fits the motion of the obstacles in contact. */
 static void go_on(const Film *f, const double *trend, Work *w) {
     const long n = f->count, nodes = f->columns * f->rows;
     const Seen *s = &w->seen;
@@ -41,7 +49,7 @@ static void go_on(const Film *f, const double *trend, Work *w) {
             const double went = trend[2 * nodes + node] - s->slope[k] * trend[node] - s->slope[n + k] * trend[nodes + node];
             along += gap * went, trends += square(went), gaps += square(gap);
         }
-    const double share = along / trends; /* not finite where nothing went on */
+    const double share = along / trends; /* not finite without a previous change */
     if (!(fabs(share) < MOST_TREND && along * share > LEAST_EXPLAINED * gaps)) return;
     for (long i = 0; i < 3 * f->columns; i++)
         for (long j = 0; j < f->rows; j++) w->x[i * f->line + j] += share * trend[i * f->rows + j];
@@ -53,7 +61,7 @@ static void go_on(const Film *f, const double *trend, Work *w) {
     follow_bodies(f, w->x, &w->seen);
 }
 
-/* Writes padded fields, and, into `change`, what that changed. */
+/* Write padded fields in Python's layout, and their change into `change`. */
 static void handover(const Film *f, long fields, const double *from, double *to, double *change) {
     for (long i = 0; i < fields * f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
@@ -62,7 +70,8 @@ static void handover(const Film *f, long fields, const double *from, double *to,
         }
 }
 
-/* Heights and plane by one step; the larger of both, or NaN. `wider`: the window is another. */
+/* Do one step of heights and in-plane displacements. Returns the larger of both, or NaN. `wider`:
+   the window has changed. */
 static double step_both(const Film *f, const Settings *set, const Bodies *bodies, int step, int wider, Work *w, double *lift,
                         int *changed) {
     const long n = f->count;
@@ -81,7 +90,7 @@ static double step_both(const Film *f, const Settings *set, const Bodies *bodies
     return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
 }
 
-/* Returns a status. */
+/* Iterate to equilibrium. Returns a status. */
 static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found,
                         Work *w) {
     const long n = f->count;
@@ -89,7 +98,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     int far = 0;
     Learnt *l = &w->learnt;
     film_forget(l);
-    const int narrow = trend && !f->lopsided; /* second tries see all; beyond a window the sheet is what it is when turned */
+    /* a second attempt uses all lines; a window requires symmetry under half a turn */
+    const int narrow = trend && !f->lopsided;
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
     see_touch(f, w->force, &w->seen), find_floors(f, bodies, &w->seen);
     for (int step = 0; step < (int)set->max_steps; step++) {
@@ -97,7 +107,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
         const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
         if (misplaced) return misplaced;
         if (!step && trend) go_on(f, trend, w);
-        /* a first step's window has no factor yet, also where it is whole from the beginning and nothing touches */
+        /* the window of a first step has no factor yet, even if it is complete and nothing is in
+           contact */
         const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
         see_sheet(f, set, FILM_HEIGHTS, w);
         if (w->sums.least_turn < LEAST_TURN) return INVERTED;
@@ -107,7 +118,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
         if (isnan(last)) return NUMERICAL_FAILURE;
         found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = w->pressure, found[VOLUME] = w->sums.volume;
         found[STRETCHED_AREA] = w->sums.area, found[TENSION] = w->sums.tension;
-        /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
+        /* the last two steps give the shrink ratio; the remaining error is the sum of all following
+           steps */
         if (!step) far = lift > FAR;
         const double shrinks = clip(last / last_before, far ? LEAST_SHARE_FAR : LEAST_SHARE, 0.9);
         if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
@@ -120,7 +132,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
     return NOT_CONVERGED;
 }
 
-/* Too large a jump: from rest, with bodies that come in smaller ones. */
+/* Solve after a jump that was too large: start without contact, and bring the obstacles in by
+   smaller jumps. */
 static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
     film_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
     see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
@@ -134,13 +147,13 @@ static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodi
     return status;
 }
 
-/* Whether what was found is what a film can tell of. */
+/* Check that a result is within the model's range. Returns a status. */
 static int can_be(const Film *f, const Bodies *bodies, const Work *w) {
     if (f->numbers.neo_hookean != 0 && (w->sums.least_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
     return goes_through(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
 }
 
-/* Numbers of the faces of the hull that has most, of the bodies from one to before another. */
+/* Return the maximum number of face values of a hull, for obstacles `from` to `to` - 1. */
 static long most_faces(const double *body, long from, long to) {
     long found = 0;
     for (long b = from; b < to; b++) {

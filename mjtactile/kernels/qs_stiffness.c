@@ -1,4 +1,5 @@
-/* How stiff a film's sheet is: at rest, as all its solutions take it, and where a state is. */
+/* Stiffness of a membrane: without contact, as used by all of its solutions, and at a given
+   state. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -6,7 +7,8 @@
 #include "qs_step.h"
 #include "kernels.h"
 
-/* The sheet's stiffness at `x`, less that of a gas, in memory of its own, to be freed by `block[0]`; 1: there is none left. */
+/* Compute the membrane's stiffness at `x`, minus that of a gas, in new memory, to be freed by
+   `block[0]`. Returns 1 if memory runs out. */
 static int stiffness_at(const Film *f, const double *x, double pressure, Stencil *stencil) {
     float *room = malloc(film_stencil_size(f) * sizeof *room);
     if (!room) return 1;

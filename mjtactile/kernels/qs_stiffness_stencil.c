@@ -7,12 +7,13 @@
 
 #define LEAST_DET 1e-2f
 
-/* One corner of eight cells: its tangents, the other ends of its edges along x and y, and the energy's derivatives by tangents. */
+/* One corner of eight cells: its tangents and height, its inverse edge lengths, and the energy's
+   derivatives by tangents. */
 typedef struct {
     Eight g[2][3], height;
-    float over[2];           /* of the edges, 1/m, signed */
-    Eight by[2][2][3][3];    /* second, of tangent a's component k and tangent b's l */
-    Eight tension_by[2][3];  /* of the mean tension */
+    float over[2];           /* inverse edge lengths along x and y, 1/m, signed */
+    Eight by[2][2][3][3];    /* second derivatives by tangent a's component k and tangent b's l */
+    Eight tension_by[2][3];  /* derivatives of the mean tension */
 } Corner;
 
 long film_stencil_size(const Film *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
@@ -24,7 +25,7 @@ Stencil film_stencil_in(const Film *f, float **room) {
     return s;
 }
 
-/* Of places, which are doubles, eight differences or heights. */
+/* Convert eight differences or heights from double to single precision. */
 static Eight eight_of(Lanes value) { return __builtin_convertvector(value, Eight); }
 
 static Lanes lanes_at(const double *from) {
@@ -37,7 +38,7 @@ static Eight eight_at(const double *from) { return eight_of(lanes_at(from)); }
 
 static void add_at(float *to, Eight value) { EIGHT(to) += value; }
 
-/* c/det C of the law and its slope, by 1 / sqrt(det C). */
+/* Return c/det C of the law, and its slope by 1 / sqrt(det C). */
 static Eight law_and_slope(const Film *f, Eight root, Eight *slope) {
     const Eight t = (root - (float)f->numbers.law_middle) * (float)f->numbers.law_per_unit;
     Eight value = (float)f->law[FILM_LAW - 1] - 0 * t, by = 0 * t;
@@ -46,7 +47,8 @@ static Eight law_and_slope(const Film *f, Eight root, Eight *slope) {
     return value;
 }
 
-/* The law at a corner: stress times thickness `S` (11, 22, 12), and its derivatives `D` by strains e11, e22 and 2 e12 (Eq. F10). */
+/* Compute the law at a corner: stress times thickness `S` (11, 22, 12), and its derivatives `D` by
+   strains e11, e22 and 2 e12 (Eq. F10). */
 static void strain(const Film *f, Corner *c, Eight weight) {
     const float M = (float)f->numbers.modulus, nu = (float)f->numbers.poisson, l = (float)f->numbers.lambda2;
     Eight C[3] = {0}, S[3], D[3][3], root;
@@ -82,7 +84,7 @@ static void strain(const Film *f, Corner *c, Eight weight) {
     const Eight stress[2][2] = {{S[0], S[2]}, {S[2], S[1]}}, none = {0};
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < 3; k++) {
-            /* strains by tangent a's component k, and the stress that these make */
+            /* strains by tangent a's component k, and the resulting stress */
             const Eight e[3] = {a ? none : c->g[0][k], a ? c->g[1][k] : none, c->g[1 - a][k]};
             Eight made[3];
             for (int n = 0; n < 3; n++) made[n] = weight * (D[n][0] * e[0] + D[n][1] * e[1] + D[n][2] * e[2]);
@@ -92,7 +94,7 @@ static void strain(const Film *f, Corner *c, Eight weight) {
         }
 }
 
-/* Less what the gas does, whose volume here is height times (g1 x g2)_z. */
+/* Subtract the term of the gas, whose volume here is height times (g1 x g2)_z. */
 static void push(Corner *c, Eight pressure, Eight turn_by[2][3]) {
     c->by[0][1][0][1] -= pressure * c->height, c->by[0][1][1][0] += pressure * c->height;
     c->by[1][0][1][0] -= pressure * c->height, c->by[1][0][0][1] += pressure * c->height;
@@ -107,7 +109,7 @@ static void add_block(const Stencil *to, int pair, long node, int turned, Eight 
         for (int m = 0; m < 3; m++) add_at(to->block[pair] + (3 * k + m) * to->apart + node, turned ? block[m][k] : block[k][m]);
 }
 
-/* Corner (ci, cj) of the cells from (i, j) on. */
+/* Add corner (ci, cj) of the cells from (i, j) on. */
 static void add_corner(const Film *f, const double *x, double pressure, long i, long j, int ci, int cj, const Stencil *to) {
     const long count = f->count, line = f->line, node = (i + ci) * line + j + cj;
     const long end[2] = {(i + 1 - ci) * line + j + cj, (i + ci) * line + j + 1 - cj};
@@ -122,12 +124,13 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
     push(&c, weight * (float)pressure, turn_by);
     const int pairs[2] = {PAIR_BESIDE, PAIR_UP};
     for (int a = 0; a < 2; a++) {
-        Eight there[3][3], between[3][3]; /* at the edge's end, and between the corner and it */
+        /* blocks at the end of the edge, and between the corner and it */
+        Eight there[3][3], between[3][3];
         for (int k = 0; k < 3; k++)
             for (int m = 0; m < 3; m++) {
                 there[k][m] = c.over[a] * c.over[a] * c.by[a][a][k][m];
                 between[k][m] = -there[k][m] - c.over[0] * c.over[1] * c.by[1 - a][a][k][m] + (k == 2 ? turn_by[a][m] : 0 * weight);
-                /* the corner moves against both ends; its height alone does not */
+                /* the corner moves relative to both ends; its height alone does not */
                 own[k][m] += there[k][m] + c.over[0] * c.over[1] * c.by[1 - a][a][k][m];
                 own[k][m] -= (k == 2 ? turn_by[a][m] : 0 * weight) + (m == 2 ? turn_by[a][k] : 0 * weight);
                 if (a) across[k][m] = c.over[0] * c.over[1] * c.by[0][1][k][m];
@@ -143,8 +146,8 @@ static void add_corner(const Film *f, const double *x, double pressure, long i, 
     add_block(to, ci == cj ? PAIR_FALLING : PAIR_RISING, i * line + j + (ci == cj), !ci, across);
 }
 
-/* Of two corners of eight triangles: the energy's second derivatives by their displacements, less what the gas does, whose volume
-   is the corners' mean height times (g1 x g2)_z. */
+/* Compute the energy's second derivatives by the displacements of two corners of eight triangles,
+   minus the term of the gas. Its volume is the corners' mean height times (g1 x g2)_z. */
 static void between_corners(const CutGroup *cut, const Corner *c, double pressure, int a, int b, Eight block[3][3]) {
     const Eight own[2] = {eight_at(cut->by_x[a]), eight_at(cut->by_y[a])}, other[2] = {eight_at(cut->by_x[b]), eight_at(cut->by_y[b])};
     const Eight push = (float)pressure * eight_at(cut->area), third = push / 3;
@@ -168,7 +171,7 @@ static void add_entries(const Film *f, const Stencil *to, long node, long other,
 
 static void add_cuts(const Film *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
     Corner c = {.over = {0}};
-    Lanes g[2][3] = {{{0}}}, height = {0}; /* small triangles' are differences of large numbers */
+    Lanes g[2][3] = {{{0}}}, height = {0}; /* differences of large numbers for small triangles */
     for (int a = 0; a < 3; a++)
         for (int n = 0; n < LANES; n++) {
             for (int p = 0; p < 2; p++)
@@ -237,6 +240,6 @@ void film_stencil_band(const Film *f, const Stencil *s, double *band) {
                 for (int l = pair == PAIR_OWN ? k : 0; l < 3; l++)
                     band[(first + k) * stride + other + l - first - k] = film_block(s, pair, k, l, node);
         }
-    for (long k = 0; k < 3 * f->inner; k++) /* what an outline holds has a row of its own */
+    for (long k = 0; k < 3 * f->inner; k++) /* a node fixed by an outline has a row of its own */
         if (band[k * stride] == 0) band[k * stride] = 1;
 }

@@ -1,5 +1,6 @@
-/* Several steps of a scene whose sensors are films, without going back to Python: films, their pushes, the goals of jaws and lift,
-   and MuJoCo's own step, which is called by its address. sim/batched_quasistatic_step.py says what each array is. */
+/* Several steps of a scene with quasi-static membranes, without a return to Python: membranes,
+   their forces, the goals of jaws and lift, and MuJoCo's own step, which is called by its address.
+   Arrays: sim/batched_quasistatic_step.py. */
 #include <math.h>
 #include <string.h>
 
@@ -10,7 +11,7 @@ enum { FOLLOW = 34, PUSH = 19, HOLD = 43, TOLD = 4 };
 enum { RAN, UNSOLVED, HURRIES, BROKE };
 enum { OPENING_GOAL, OPENING, LIFT_GOAL, LIFT, JAW_STEP, REACH, LIFT_STEP, OFFSET };
 
-/* Arguments of another kernel, as 64 bits each: numbers, or addresses. */
+/* Return an argument of another kernel, stored in 64 bits: numbers, or addresses (`AT`). */
 static double number(int64_t word) {
     double value;
     memcpy(&value, &word, sizeof value);
@@ -64,7 +65,7 @@ int64_t film_steps(int64_t count, const int64_t *mujoco, double time, double ste
         for (int64_t f = 0; f < films; f++) {
             const int64_t *w = follows + FOLLOW * f;
             const int64_t *p = pushes + PUSH * f;
-            ((double *)(intptr_t)w[18])[6] = time; /* given */
+            ((double *)(intptr_t)w[18])[6] = time; /* `time` of Given */
             const int64_t code = follow(w);
             if (code < 0) return code;
             const double *memory = (const double *)(intptr_t)w[30];

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#define SLIDE 1e-6 /* m, by which slopes are asked for their own */
+#define SLIDE 1e-6 /* shift of the nodes for derivatives of the slopes, m */
 
 long film_tangent_room(const Film *f) {
     const long singles = film_stencil_size(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
@@ -24,7 +24,8 @@ Tangent film_tangent_in(const Film *f, double *room) {
     t.residual = (Eight *)film_take(&room, PANEL / 2 * 4 * n), t.borne = (Eight *)film_take(&room, PANEL / 2 * 3 * n);
     t.given = (Eight *)film_take(&room, PANEL / 2 * 3 * n), t.found = (Eight *)film_take(&room, PANEL / 2 * 4 * n);
     memset(t.base, 0, 8 * n * sizeof *t.base), memset(t.residual, 0, 4 * n * sizeof *t.residual);
-    memset(t.rhs, 0, rows_of(f) * sizeof *t.rhs); /* rows of what an outline holds stay so: 0 times what is no number is none */
+    /* rows of nodes fixed by an outline stay zero: 0 times NaN is NaN */
+    memset(t.rhs, 0, rows_of(f) * sizeof *t.rhs);
     memset(t.at, 0, (3 * n + 8) * sizeof *t.at), memset(t.slope, 0, 2 * n * sizeof *t.slope);
     return t;
 }
@@ -34,7 +35,8 @@ static void add_entry(const Film *f, float *band, long m, int k, long n, int l, 
     if (m >= 0 && n >= 0 && row >= column) band[column * panels_height(FILM_WIDTH(f)) + row - column / PANEL * PANEL] += (float)value;
 }
 
-/* Heights of what touches go with the slopes: their rows and columns are added to those in the plane. */
+/* Eliminate the heights in contact, which follow the slopes: their rows and columns are added to
+   the in-plane ones. */
 static void eliminate(const Film *f, const Tangent *t, int pair, long node, float K[3][3]) {
     const long other = node + film_pair(f, pair);
     for (int k = 0; k < 3; k++)
@@ -62,7 +64,8 @@ static void add_pairs(const Film *f, const Tangent *t) {
                 eliminate(f, t, pair, node, K);
                 for (int k = 0; k < 3; k++) {
                     float *column = t->band + (first + k) * height - (first + k) / PANEL * PANEL + other;
-                    const int below = pair != PAIR_OWN; /* written out: as a loop it becomes masked vectors, at three times the time */
+                    /* unrolled: as a loop it becomes masked vectors, at three times the time */
+                    const int below = pair != PAIR_OWN;
                     if (below || k == 0) column[0] += K[k][0];
                     if (below || k <= 1) column[1] += K[k][1];
                     column[2] += K[k][2];
@@ -70,9 +73,10 @@ static void add_pairs(const Film *f, const Tangent *t) {
             }
 }
 
-/* What bends the force of a contact as the node that bears it slides: force times the body's curvature, by differences. */
+/* Add the change of a contact force as its node slides: force times the obstacle's curvature, by
+   differences. */
 static void add_bends(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
-    double *bend = t->pressed_on; /* slopes' derivatives: by x (2, count), then by y */
+    double *bend = t->pressed_on; /* derivatives of the slopes: by x (2, count), then by y */
     const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int axis = 0; axis < 2; axis++) {
         double *moved = t->x + axis * count;
@@ -81,7 +85,8 @@ static void add_bends(const Film *f, const Bodies *bodies, const double *x, cons
         for (int c = 0; c < 2; c++)
             for (long k = c * count + from; k < c * count + to; k++) bend[2 * axis * count + k] = (t->seen.slope[k] - t->slope[k]) / SLIDE;
         for (long k = from; k < to; k++)
-            if (isinf(t->seen.obstacle[k])) bend[2 * axis * count + k] = bend[(2 * axis + 1) * count + k] = 0; /* it slid off */
+            /* the node slid off the obstacle */
+            if (isinf(t->seen.obstacle[k])) bend[2 * axis * count + k] = bend[(2 * axis + 1) * count + k] = 0;
         memcpy(moved + from, x + axis * count + from, most(to - from, 0) * sizeof *x);
     }
     for (long k = from; k < to; k++) {
@@ -113,10 +118,12 @@ static void add_springs(const Film *f, const Tangent *t) {
 int film_tangent_make(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long height = panels_height(FILM_WIDTH(f));
     memset(t->band, 0, band_of(f) * sizeof *t->band);
-    for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1; /* behind the last */
+    /* rows behind the last one */
+    for (long k = 3 * f->inner; k < panels_of(f) * PANEL; k++) t->band[k * height + k % PANEL] = 1;
     film_stencil(f, x, t->pressure, &t->stiffness);
     add_pairs(f, t), add_springs(f, t), add_bends(f, bodies, x, force, t);
-    for (long k = 0; k < 3 * f->inner && f->inside; k++) /* what an outline holds has a row of its own */
+    /* a node fixed by an outline has a row of its own */
+    for (long k = 0; k < 3 * f->inner && f->inside; k++)
         if (t->band[k * height + k % PANEL] == 0) t->band[k * height + k % PANEL] = 1;
     return panels_factor(panels_of(f), 0, height, t->band);
 }

@@ -1,16 +1,20 @@
-/* Whether a body goes through the sheet between its nodes, where none of them can tell. */
+/* Check for obstacles that pass through the membrane between its nodes, where no node detects
+   them. */
 #include <math.h>
 
 #include "qs_lowest_obstacle.h"
 #include "qs_workspace.h"
 #include "small_linalg.h"
 
-#define BEHIND 1.5          /* spacings */
+#define BEHIND 1.5          /* distance behind the membrane, spacings */
 #define BEHIND_UNSEEN 0.2
-#define BEHIND_TIP 0.65     /* a cone of 45 degrees, whose force is a third too small at worst, is up to 0.6; steeper ones slip aside */
+/* a cone of 45 degrees, whose force is at worst a third too small, is up to 0.6; steeper ones slip
+   aside */
+#define BEHIND_TIP 0.65
 
-/* Whether a body is behind the sheet, by more than so many spacings, over a place in the cell of node `k`, where the sheet is flat
-   and no body is below `floor`. */
+/* Return 1 if an obstacle is behind the membrane, by more than `behind` spacings, over a position
+   in the cell of node `k`. The membrane is taken as flat there, and no obstacle is below
+   `floor`. */
 static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
                      double behind) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
@@ -19,7 +23,8 @@ static int is_behind(const Film *f, const Bodies *bodies, const double *x, const
     int touches = 0;
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
     if (z - floor <= BEHIND_UNSEEN * spacing) return 0;
-    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0; /* the rim is asked instead */
+    /* the rim is checked instead */
+    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0;
     for (long i = -1; i <= 2 && !touches; i++)
         for (long j = -1; j <= 2; j++) {
             const long near = k + i * f->line + j;
@@ -30,7 +35,7 @@ static int is_behind(const Film *f, const Bodies *bodies, const double *x, const
     return z - height > much;
 }
 
-/* At the middles of the cells. */
+/* Check the centers of the cells. */
 static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
     const long first = seen->box[2], last = (long)least(seen->box[3], f->rows - 1);
     double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
@@ -49,7 +54,7 @@ static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double
     return 0;
 }
 
-/* At the bodies' own ends. */
+/* Check the ends of the obstacles. */
 static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
     for (long b = 0; b < bodies->count; b++) {
         const FilmBody *one = film_body_of(bodies, b);

@@ -1,4 +1,5 @@
-/* What a film's kernels share: their room, the bodies as nodes see them, and the gas. */
+/* Common parts of the kernels of a quasi-static membrane: workspace, obstacles at the nodes, and
+   gas. */
 #ifndef MJTACTILE_FILM_WORK_H
 #define MJTACTILE_FILM_WORK_H
 #include "quasistatic.h"
@@ -6,46 +7,51 @@
 
 enum { CONVERGED, NOT_CONVERGED, RIM_CONTACT, GLASS_CONTACT, INVERTED, NUMERICAL_FAILURE, TUNNELLING, OVERSTRETCHED };
 
-/* What is found, one row an environment. */
+/* Results, one row per environment. */
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
        LAST_STEP, FOUND };
 
-typedef struct { double gas, sealed, tolerance, max_steps, again, below_rim; } Settings; /* gas: p V^gamma if sealed, else the pressure
-    held; again: from rest, in small steps, where a start from elsewhere ends nowhere; below_rim: m that bodies may be below the frame's
-    rim, which bears them there */
+/* Settings of a solution. gas: p V^gamma if sealed, otherwise the constant gauge pressure, Pa.
+   again: retry without contact and in small steps if another start fails. below_rim: depth of
+   obstacles, m, down to which the frame's rim supports them. */
+typedef struct { double gas, sealed, tolerance, max_steps, again, below_rim; } Settings;
 
-typedef struct { long count; const double *body, *pool, *faces; } Bodies; /* faces: see `film_faces`; 0: there are none */
+/* faces: see `film_faces`; 0: none */
+typedef struct { long count; const double *body, *pool, *faces; } Bodies;
 
 static inline const FilmBody *film_body_of(const Bodies *bodies, long number) {
     return (const FilmBody *)(bodies->body + number * FILM_BODY);
 }
 
-#define FILM_WAYS 3  /* that a plane can face: down, up and neither */
-#define FILM_SIDE 4  /* planes that are looked at side by side */
-/* What a solution keeps of hulls, whose poses stay, one after the other, in so many numbers of each body; and what `film_body_height`
-   says of one, by its own. */
+#define FILM_WAYS 3  /* directions in which a plane can face: down, up and neither */
+#define FILM_SIDE 4  /* planes that are processed together */
+/* Face values of hulls, one hull after the other, stored for a solution, in which poses are
+   constant. `film_faces_of` is the number of values of one obstacle. `film_faces_height` gives the
+   result of `film_body_height` for a hull from its own values. */
 static inline long film_faces_stride(const FilmBody *body) { return (long)body->number + FILM_WAYS * (FILM_SIDE - 1); }
 static inline long film_faces_of(const FilmBody *body) { return body->kind == BODY_CONVEX ? FILM_SIDE + 3 * film_faces_stride(body) : 0; }
 void film_faces(const Bodies *bodies, double *faces);
 int film_faces_height(const Film *film, const FilmBody *body, const double *faces, double x, double y, double *height, double slope[2]);
 
-#define FILM_FLOORS 32   /* bodies at most of which it is known where they cannot be */
-#define FILM_TANGENTS 5  /* of each */
-#define FILM_PLANES (3 * (FILM_TANGENTS + 1)) /* numbers of these, and of a level one */
+#define FILM_FLOORS 32   /* maximum number of obstacles with lower bounds */
+#define FILM_TANGENTS 5  /* tangent planes of each */
+#define FILM_PLANES (3 * (FILM_TANGENTS + 1)) /* numbers of these, and of a horizontal plane */
 
-/* Bodies as nodes see them, and what touches them. Fields (count). */
+/* Obstacles at the nodes, and nodes in contact. Fields (count). */
 typedef struct {
-    double *obstacle, *level, *slope, *lower; /* heights, see `follow_bodies`, slopes (2, count), correction */
-    double *away;                             /* (2, count) m, from a node to what is thin and was moved under it */
-    double *edge, *spring;                    /* see `find_edges` and `find_springs`, (4, count) */
-    double *along_x, *along_y;                /* the sheet's links, see film_sheet.h */
-    double *cell;                             /* m^2 of the plane that a node stands for */
+    /* heights, see `follow_bodies`, slopes (2, count), correction */
+    double *obstacle, *level, *slope, *lower;
+    double *away; /* (2, count), m: from a node to a thin obstacle that was moved under it */
+    double *edge, *spring;                    /* (4, count): see `find_edges` and `find_springs` */
+    double *along_x, *along_y;                /* links of the membrane, see qs_sheet.h */
+    double *cell;                             /* projected area of a node's cell, m^2 */
     double *planes;                           /* (FILM_FLOORS, FILM_PLANES), see `find_floors` */
-    long floors;                              /* bodies that have some; -1: it is not known */
+    long floors; /* number of obstacles with lower bounds; -1: unknown */
     uint8_t *touching;
-    uint8_t *wanted;                          /* whether a body may be where the sheet, or that of a neighbour, soon is */
-    long box[4];                              /* of nodes, lines and places on them, beyond which there is no body: from, to behind */
-    int narrow;                               /* beyond which bodies are not looked at */
+    uint8_t *wanted; /* 1 if an obstacle may soon be at the membrane here, or at a neighbor */
+    /* lines and nodes on them beyond which there is no obstacle: first, last plus one, for each */
+    long box[4];
+    int narrow;                               /* 1 if obstacles are not evaluated beyond the box */
 } Seen;
 
 static inline double *film_take(double **from, long n) {
@@ -55,39 +61,46 @@ static inline double *film_take(double **from, long n) {
 }
 
 long film_seen_size(const Film *film);
-Seen film_seen_in(const Film *film, double **room); /* nothing seen yet */
+Seen film_seen_in(const Film *film, double **room); /* initially empty */
 
-/* Between Python's fields of nodes alone and padded ones; `fields` of them, one after the other. */
+/* Convert between Python's fields of nodes only and padded ones; `fields` of them, one after the
+   other. */
 void film_pad(const Film *film, long fields, const double *from, double *to);
 void film_unpad(const Film *film, long fields, const double *from, double *to);
 
-/* What touches is what bears a force; the box begins as what holds it, and grows with what is seen of bodies. */
+/* Mark nodes with a contact force as in contact. The box begins with these nodes and grows with the
+   obstacles. */
 void see_touch(const Film *film, const double *force, Seen *seen);
-/* From now on bodies are looked at near what touches only, where that is all they are seen by: neither thin nor sharp. */
+/* Restrict the evaluation of obstacles to nodes near the contact, if they are neither thin nor
+   sharp. */
 void look_narrowly(const Film *film, const Bodies *bodies, Seen *seen);
-/* Planes below which the bodies are not, by tangents about what touches; they are used as long as bodies stay where they are, or are
-   lifted. */
+/* Compute planes below all obstacles, by tangents about the contact. They are valid while the
+   obstacles stay in place, or are lifted. */
 void find_floors(const Film *film, const Bodies *bodies, Seen *seen);
-/* The height (count) below which no body is, at each of some places. */
+/* Compute the height (count) below which there is no obstacle, at each of some positions. */
 void floor_at(const Seen *seen, long count, const double *x, const double *y, double *floor);
-/* Of bodies: heights and slopes over the nodes where they are; where they end beside a node, to 2^-halves; corrections. */
+/* Evaluate the obstacles: heights and slopes over the nodes at their present positions; edges next
+   to a node, to 2^-halves; heights from the last slopes; corrections. */
 void see_bodies(const Film *film, const Bodies *bodies, const double *x, Seen *seen);
 void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);
 void follow_bodies(const Film *film, const double *x, Seen *seen);
 void lower_round_bodies(const Film *film, Seen *seen);
-/* Whether a body is behind the sheet between its nodes: by more than they can tell, or where none of them touches. */
+/* Return 1 if an obstacle is behind the membrane between its nodes: by more than they can detect,
+   or where none of them is in contact. */
 int goes_through(const Film *film, const Bodies *bodies, const double *x, const Seen *seen);
 int against_the_frame(const Film *film, const Settings *set, const Seen *seen);
-/* Springs of a sheet that bends over edges, (4, count) by the side of the node on the body; returns a number that tells which. */
+/* Compute the springs of a membrane that bends over edges, (4, count) by the side of the node on
+   the obstacle. Returns a number that identifies the set of springs. */
 double find_springs(const Film *film, const double *z, Seen *seen);
-/* How much farther than the face, drawn on, the node at a side of `k` is. */
+/* Return the height of the node at a side of `k` above the extended face. */
 double rises_over_edge(const Film *film, const Seen *seen, const double *z, long k, int side);
-static inline long film_next(const Film *film, int side) { /* +x, -x, +y, -y */
+static inline long film_next(const Film *film, int side) { /* sides: +x, -x, +y, -y */
     return side < 2 ? (side ? -film->line : film->line) : side == 2 ? 1 : -1;
 }
 
 void gas_of(const Film *film, const Settings *set, double bulge, double *pressure, double *stiffness);
-/* Wrench about S and the area that touches, into `found`, whose pressure and tension are known. */
+/* Compute the wrench about the origin of S and the contact area in `found`, whose pressure and
+   tension are known. */
 void add_up(const Film *film, const double *x, const double *force, double *found, const Seen *seen);
 
 #endif

@@ -1,4 +1,4 @@
-/* Triangles painted where they are the nearest: run/scene_picture.py. */
+/* Triangles painted where they are the nearest: report/software_renderer.py. */
 #include "kernels.h"
 #include "small_linalg.h"
 

@@ -1,5 +1,5 @@
-/* Blurred discs and closed curves in an image; the equations are those of sim/rendering/renderer.py's docstrings. For the
-   simulated camera alone. */
+/* Blurred discs and closed curves in an image, for the simulated camera only. Equations: docstrings
+   of sim/rendering/renderer.py. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,41 +7,48 @@
 #include "optics.h"
 #include "small_linalg.h"
 
-#define RIM 32          /* points of a circle sent through pane and lens */
-#define HARMONICS 15    /* that they tell */
-#define NOTHING_PX 1e-6 /* a harmonic below this is none */
-#define NODES_MOST 1e5  /* of a rim: more than the largest image's whole length has */
-#define FAR_PX 1e5      /* what is as far, or as large, is no part of an image */
+#define RIM 32          /* points of a circle that are projected through glass and lens */
+#define HARMONICS 15    /* harmonics that these points determine */
+#define NOTHING_PX 1e-6 /* amplitude below which a harmonic is neglected, px */
+/* maximum number of nodes of a rim: more than the full length of the largest image needs */
+#define NODES_MOST 1e5
+#define FAR_PX 1e5      /* distance or size that is outside of every image, px */
 
-/* What a point of a curve adds to the pixels around it, (bins, taps) and (bins, taps + 1): the pixel at i - taps / 2 + 1 from
-   the point's whole pixel, for each part of a pixel. `across` is h, `down` the rise of its integral from a row to the next. */
+/* Contribution of a curve point to the pixels around it, (bins, taps) and (bins, taps + 1): the
+   pixel at i - taps / 2 + 1 from the point's whole pixel, for each part of a pixel. `across` is h,
+   `down` the increase of its integral from row to row. */
 typedef struct { long bins, taps; const float *across, *down; } Brush;
 
 typedef struct { float *pixels; long height, width; } Picture;
 
-/* The part of the image that a curve can change, and in it how coverage rises from each row to the next. */
+/* Part of the image that a curve can change, and in it the increase of coverage from each row to
+   the next. */
 typedef struct { long left, top, width, height, room; float *rise; } Patch;
 
 typedef struct { double c[HARMONICS + 1][RIM], s[HARMONICS + 1][RIM]; } Waves;
 
-typedef struct { double x[RIM], y[RIM], x0, x1, y0, y1; } Rim;  /* and its bounds */
+/* rim points, px, and their bounds */
+typedef struct { double x[RIM], y[RIM], x0, x1, y0, y1; } Rim;
 
 typedef struct { double x_cos[HARMONICS + 1], x_sin[HARMONICS + 1], y_cos[HARMONICS + 1], y_sin[HARMONICS + 1];
                  int last; } Series;
 
-/* The whole pixel of a place, and the part of a pixel beyond it, to the nearest of the bins. */
+/* Return the whole pixel of a position. `bin` is the part of a pixel beyond it, rounded to the
+   nearest bin. */
 static long whole(double place, long bins, long *bin) {
     long rounded = (long)floor(place * bins + 0.5), pixel = (long)floor((double)rounded / bins);
     *bin = rounded - pixel * bins;
     return pixel;
 }
 
-/* Room for a curve within these bounds; 1: no memory, else it may have no pixels at all. */
+/* Allocate the patch of a curve within these bounds, which may have no pixels. Returns 1 if memory
+   runs out. */
 static int open_patch(Patch *patch, const Picture *image, const Brush *brush, double x0, double x1, double y0, double y1) {
     double reach = brush->taps / 2 + 2, low_x = floor(x0 - reach), low_y = floor(y0 - reach);
     double high_x = ceil(x1 + reach), high_y = ceil(y1 + reach);
     patch->width = patch->height = 0;
-    if (!(high_x > 0 && high_y > 0 && low_x < image->width && low_y < image->height)) return 0;  /* nor what is not a number */
+    /* also for NaN */
+    if (!(high_x > 0 && high_y > 0 && low_x < image->width && low_y < image->height)) return 0;
     patch->left = (long)most(low_x, 0), patch->top = (long)most(low_y, 0);
     patch->width = (long)least(high_x, image->width) - patch->left;
     patch->height = (long)least(high_y, image->height) - patch->top;
@@ -64,7 +71,8 @@ static inline void dab(float *restrict row, long stride, const float *restrict a
     }
 }
 
-/* Adds `weight` (dx) at the curve's point x, y. What rises above the image is in its first row already. */
+/* Add `weight` (dx) at the curve's point x, y. Contributions above the image are added to its first
+   row. */
 static void add_point(const Patch *patch, const Brush *brush, double x, double y, float weight) {
     long taps = brush->taps, bin_x, bin_y;
     if (!(fabs(x) < FAR_PX && fabs(y) < FAR_PX)) return;
@@ -83,7 +91,7 @@ static void add_point(const Patch *patch, const Brush *brush, double x, double y
     }
 }
 
-/* Adds the coverage, of whichever sign, to the image. */
+/* Add the coverage, of either sign, to the image. */
 static void close_patch(const Patch *patch, const Picture *image) {
     for (long v = 0; v < patch->height; v++) {
         const float *restrict rise = patch->rise + v * patch->width;
@@ -112,7 +120,7 @@ int64_t fill_curve(int64_t count, const double *nodes, const double *weights, in
     return 0;
 }
 
-/* The circle's points, and the waves that tell their harmonics. */
+/* Compute the circle's points, and the waves that give their harmonics. */
 static Waves make_waves(void) {
     Waves w;
     for (int m = 0; m <= HARMONICS; m++)
@@ -123,9 +131,9 @@ static Waves make_waves(void) {
     return w;
 }
 
-/* A disc's rim in the image, px; not a number where it is not seen whole. */
+/* Project a disc's rim into the image, px. `x0` is NaN if the rim is not completely visible. */
 static Rim look(const Camera *camera, const Waves *w, const double *p, const double *n, double radius) {
-    /* geometry.tangents */
+    /* tangents as in geometry.tangents */
     double sign = copysign(1, n[2]), h = -1 / (sign + n[2]), mixed = n[0] * n[1] * h;
     double a[3] = {1 + sign * n[0] * n[0] * h, sign * mixed, -sign * n[0]}, b[3] = {mixed, sign + n[1] * n[1] * h, -n[1]};
     Rim rim = {.x0 = INFINITY, .x1 = -INFINITY, .y0 = INFINITY, .y1 = -INFINITY};
@@ -155,7 +163,7 @@ static Series harmonics(const Waves *w, const Rim *rim) {
     return f;
 }
 
-/* Adds the disc's rim by the trapezium rule with K nodes. */
+/* Add the disc's rim by the trapezoidal rule with K nodes. */
 static void add_rim(const Patch *patch, const Brush *brush, const Series *f, long K) {
     double c1 = 1, s1 = 0, turn_c = cos(2 * PI / K), turn_s = sin(2 * PI / K), held;
     for (long k = 0; k < K; k++) {
@@ -181,7 +189,8 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
     memcpy(&camera, camera_, sizeof camera);
     for (int64_t i = 0; i < n; i++) {
         Rim rim = look(&camera, &waves, p_CM + 3 * i, n_C + 3 * i, radii[i]);
-        if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;  /* and holds none */
+        /* the patch then holds no memory */
+        if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;
         if (patch.height <= 0) continue;
         Series f = harmonics(&waves, &rim);
         double nodes = most(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px;

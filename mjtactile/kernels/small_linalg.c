@@ -1,7 +1,7 @@
 #include "small_linalg.h"
 
 double upper_median(double *values, long n) {
-    /* Hoare's selection of rank n / 2; what cannot be compared (NaN) ends up anywhere */
+    /* Hoare's selection of rank n / 2; NaN may end up at any position */
     long low = 0, high = n - 1, rank = n / 2;
     if (n <= 0) return NAN;
     while (low < high) {

@@ -1,4 +1,4 @@
-/* Small things that several kernels need. */
+/* Small functions that several kernels need. */
 #ifndef MJTACTILE_SMALL_H
 #define MJTACTILE_SMALL_H
 #include <math.h>
@@ -13,8 +13,10 @@ static inline double clip(double x, double low, double high) { return x < low ? 
 static inline double square(double x) { return x * x; }
 static inline double cube(double x) { return x * x * x; }
 
-double upper_median(double *values, long n);  /* moves them about */
-int invert_spd5(const double A[5][5], double out[5][5]);  /* 1: not positive definite, and `out` is NaN */
-void sandwich5(double G[5][5], const double *cov, int parts, double *out);  /* (parts, parts) G cov G^T */
+double upper_median(double *values, long n);  /* reorders the values */
+/* 1: not positive definite, and `out` is NaN */
+int invert_spd5(const double A[5][5], double out[5][5]);
+/* out (parts, parts) = G cov G^T */
+void sandwich5(double G[5][5], const double *cov, int parts, double *out);
 
 #endif

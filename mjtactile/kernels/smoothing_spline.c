@@ -1,4 +1,5 @@
-/* The smoothing spline through markers and what is measured of it; the equations are those of sensing/surface/surface.py. */
+/* Smoothing spline through markers, and measurements of it. Equations:
+   sensing/surface/surface.py. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,18 +8,18 @@
 #include "small_linalg.h"
 #include "splines.h"
 
-#define PRODUCTS 16 /* splines that do not vanish at a point */
+#define PRODUCTS 16 /* nonzero splines at a point */
 
 typedef struct { double length_x, length_y, distance, slope_model_sd, slope_sd_max, slope_off, outlier_sd,
                  outlier_min, outliers_leave; } Settings;
 
 _Static_assert(sizeof(Settings) == 9 * sizeof(double), "as in kernels.h");
 
-/* A marker: where it is, its weight 1/sd, the product splines there and their slopes. */
+/* One marker: position, weight 1/sd, product splines at it, and their slopes. */
 typedef struct { double p[3], variance, weight; const double *normal; long first; double z[PRODUCTS], z_x[PRODUCTS],
                  z_y[PRODUCTS]; int used; } Marker;
 
-/* The normal equations of n coefficients, nx to a row; matrices are bands. */
+/* Normal equations of n coefficients, nx per row; matrices are bands. */
 typedef struct { long nx, ny, n, width, size; const double *prior; double *heights, *factor, *inverse, *right, *c; } System;
 
 static long place(const System *s, const Marker *m, int k) { return m->first + k / 4 * s->nx + k % 4; }
@@ -29,7 +30,7 @@ static double dot(const System *s, const Marker *m, const double *row, const dou
     return sum;
 }
 
-/* Adds w row row^T and w row b. */
+/* Add w row row^T to the matrix, and w row b to the right-hand side. */
 static void add(const System *s, const Marker *m, const double *row, double w, double b, double *matrix) {
     for (int k = 0; k < PRODUCTS; k++) {
         long at = place(s, m, k);
@@ -39,7 +40,7 @@ static void add(const System *s, const Marker *m, const double *row, double w, d
     }
 }
 
-/* row^T Z row */
+/* Return row^T Z row. */
 static double variance_of(const System *s, const Marker *m, const double *row, const double *Z) {
     double sum = 0;
     for (int k = 0; k < PRODUCTS; k++) {
@@ -61,8 +62,9 @@ static int solve(const System *s, const double *matrix) {
     return 0;
 }
 
-/* Fits heights, and again without the worst marker while one is far off what all others predict. Leave one out: residual /
-   (1 - leverage), variance / (1 - leverage); Cook & Weisberg 1982, 2.2. */
+/* Fit the heights. Repeat without the worst marker while one is far from the prediction of all
+   others. Leave-one-out: residual / (1 - leverage), variance / (1 - leverage); Cook & Weisberg
+   1982, 2.2. */
 static int fit_heights(const System *s, long n, Marker *markers, const Settings *o) {
     long left = n;
     while (1) {
@@ -80,7 +82,8 @@ static int fit_heights(const System *s, long n, Marker *markers, const Settings 
             Marker *m = markers + i;
             if (!m->used) continue;
             double rest = most(1 - variance_of(s, m, m->z, s->inverse) * square(m->weight), 1e-6);
-            double off = fabs(m->p[2] - dot(s, m, m->z, s->c)) / rest;  /* m */
+            /* leave-one-out residual, m */
+            double off = fabs(m->p[2] - dot(s, m, m->z, s->c)) / rest;
             double excess = least(off / o->outlier_min, off * m->weight * sqrt(rest) / o->outlier_sd);
             if (excess > worst) worst = excess, out = m;
         }
@@ -89,7 +92,8 @@ static int fit_heights(const System *s, long n, Marker *markers, const Settings 
     }
 }
 
-/* slope_sd_of, with the model's own. */
+/* Return the standard deviation of a slope as slope_sd_of (sensing/surface/slope_noise.py),
+   including that of the model. */
 static double slope_sd(const Marker *m, double z_x, double z_y, const Settings *o) {
     double over = 1 / sqrt(1 + z_x * z_x + z_y * z_y), z = m->p[2] + o->distance;
     double far = sqrt(square(m->p[0]) + square(m->p[1]) + z * z);
@@ -98,15 +102,16 @@ static double slope_sd(const Marker *m, double z_x, double z_y, const Settings *
     return hypot(o->slope_model_sd, aspect_sd / sqrt(sine2) / most(over * over, 1e-6));
 }
 
-/* Adds the slopes that are known well enough and near what heights predict; returns how many markers have them. The squares of
-   slopes in units of their sd need `weights` (n), zero for those that do not count. */
+/* Add the slopes that are accurate enough and near the prediction of the heights; return the number
+   of their markers. `weights` (n) scale slope residuals by their sd; they are zero for slopes that
+   are not used. */
 static long add_slopes(const System *s, long n, const Marker *markers, const Settings *o, double *weights, double (*slopes)[2]) {
     long count = 0;
     for (long i = 0; i < n; i++) {
         const Marker *m = markers + i;
         double z_x = dot(s, m, m->z_x, s->c), z_y = dot(s, m, m->z_y, s->c), sd = slope_sd(m, z_x, z_y, o);
         slopes[i][0] = -m->normal[0] / m->normal[2], slopes[i][1] = -m->normal[1] / m->normal[2];
-        /* false for what is not a number: an unknown slope is not used */
+        /* false for NaN: an unknown slope is not used */
         int near = fabs(slopes[i][0] - z_x) < o->slope_off && fabs(slopes[i][1] - z_y) < o->slope_off;
         int use = m->used && sd < o->slope_sd_max && near;
         weights[i] = use ? 1 / sd : 0;
@@ -133,7 +138,7 @@ static double squares(const System *s, long n, const Marker *markers, const doub
     return sum;
 }
 
-/* Markers that are finite, with their splines; returns how many. */
+/* Read the markers that are finite, with their splines; return their number. */
 static long read_markers(long n, const double *p, const double *variance, const double *normals, const System *s,
                          const Settings *o, Marker *markers) {
     long count = 0;
@@ -171,7 +176,8 @@ int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const
         if (!failed && n_S) tilted = add_slopes(&s, good, markers, &o, weights, slopes);
         if (!failed && tilted) failed = solve(&s, s.heights);
         for (long i = 0; i < good; i++) used += markers[i].used;
-        /* what the splines cannot follow (the edge of a contact) shows as residuals larger than their noise: Birge 1932 */
+        /* features that the splines cannot follow (the edge of a contact) give residuals larger
+           than their noise: Birge 1932 */
         double sum = failed ? 0 : squares(&s, good, markers, tilted ? weights : NULL, slopes);
         found[0] = most(1, sum / most(used + 2 * tilted, 1)), found[1] = used;
     }
@@ -179,7 +185,7 @@ int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const
     return failed;
 }
 
-/* out (m, q) = left (m, k) right (k, q) */
+/* Compute out (m, q) = left (m, k) right (k, q). */
 static void multiply(long m, long k, long q, const double *left, const double *right, double *restrict out) {
     memset(out, 0, m * q * sizeof *out);
     for (long i = 0; i < m; i++)
@@ -187,7 +193,7 @@ static void multiply(long m, long k, long q, const double *left, const double *r
             for (long l = 0; l < q; l++) out[i * q + l] += left[i * k + j] * right[j * q + l];
 }
 
-/* out (k, q) += left^T (m, k) (values (m, p) right^T (q, p)); `half` (q) is room. */
+/* Compute out (k, q) += left^T (m, k) (values (m, p) right^T (q, p)); `half` (q) is workspace. */
 static void add_transposed(long m, long k, long p, long q, const double *left, const double *values, const double *right,
                            double *half, double *restrict out) {
     for (long i = 0; i < m; i++) {
@@ -202,7 +208,7 @@ static void add_transposed(long m, long k, long p, long q, const double *left, c
     }
 }
 
-/* x^T (L L^T)^-1 x; moves x. */
+/* Return x^T (L L^T)^-1 x; overwrites x. */
 static double seen_variance(long n, long width, const double *L, double *x) {
     double sum = 0;
     band_forward(n, width, L, x);
@@ -238,13 +244,14 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *f
         area += weights[i] * stretch;
         z_x[i] *= weights[i] / stretch, z_y[i] *= weights[i] / stretch;
     }
-    memset(gradient, 0, n * sizeof *gradient);  /* of the area by the coefficients */
+    memset(gradient, 0, n * sizeof *gradient);  /* derivatives of the area by the coefficients */
     add_transposed(qy, ny, qx, nx, quad_y, z_x, slope_x, half, gradient);
     add_transposed(qy, ny, qx, nx, slope_y, z_y, quad_x, half, gradient);
     double area_var = seen_variance(n, width, factor, gradient);
     for (long i = 0; i < n; i++) volume += volume_c[i] * c[i], gradient[i] = volume_c[i];
     double volume_var = seen_variance(n, width, factor, gradient);
-    /* noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2 */
+    /* noise increases the area of a flat membrane, to second order: E = trace(stiffness covariance)
+       / 2 */
     band_inverse(n, width, factor, inverse);
     double rough = trace_of_product(n, width, stiffness, inverse) / 2;
     found[0] = area, found[1] = volume;

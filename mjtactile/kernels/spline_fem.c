@@ -11,10 +11,12 @@
 #define GAUSS 2    /* points in each interval */
 #define LOCAL 16   /* splines on a cell */
 #define LEAST_DET 1e-3
-#define NUDGE 1e-3 /* of the mean diagonal: how far an indefinite stiffness (wrinkles) is pushed, tenfold until it is definite */
+/* increment, fraction of the mean diagonal, for an indefinite stiffness (wrinkles); tenfold until
+   it is definite */
+#define NUDGE 1e-3
 _Static_assert(sizeof(SheetNumbers) == 8 * sizeof(double), "as in kernels.h");
 
-typedef struct { double weight; Local at; } Line; /* of Gauss points along the other axis */
+typedef struct { double weight; Local at; } Line; /* line of Gauss points along the other axis */
 
 typedef struct { double z, g1[3], g2[3], normal[3]; } Point; /* height, tangents, area vector */
 
@@ -22,8 +24,8 @@ typedef struct { double S11, S22, S12; } Stress;
 
 typedef struct { double D11, D22, D12, D16, D26, D66; } Moduli;
 
-/* How the sheet's own coordinates go with places on an opening that is no rectangle: their derivatives by x and y, and the area
-   of the opening over theirs. */
+/* Derivatives of the parametric coordinates by position on a non-rectangular opening, and area of
+   the opening over area in these coordinates. */
 typedef struct { double x_by_X, x_by_Y, y_by_X, y_by_Y, area; } Turn;
 _Static_assert(sizeof(Turn) == 5 * sizeof(double), "as in kernels.h");
 
@@ -57,7 +59,7 @@ static void make_lines(Line *lines, double length, long spans) {
     }
 }
 
-/* What an x-line sees of a component: the spline's values across it, and its slopes. */
+/* Evaluate one component on an x-line: values of the spline across it, and its slopes. */
 static void cross_line(const Sheet *s, const Line *line, const double *c, double *value, double *slope) {
     for (long j = 0; j < s->ny; j++) value[j] = slope[j] = 0;
     for (int a = 0; a < 4; a++) {
@@ -70,7 +72,7 @@ static void cross(const double *a, const double *b, double *out) {
     out[0] = a[1] * b[2] - a[2] * b[1], out[1] = a[2] * b[0] - a[0] * b[2], out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-/* Tangents by the sheet's own coordinates become those by places. */
+/* Convert tangents by parametric coordinates to tangents by position. */
 static void turn(const Turn *t, Point *p) {
     for (int k = 0; k < 3; k++) {
         const double by_x = p->g1[k] - (k == 0), by_y = p->g2[k] - (k == 1);
@@ -79,7 +81,7 @@ static void turn(const Turn *t, Point *p) {
     }
 }
 
-/* 1: no memory. `c` (3, n). */
+/* Evaluate the deformation `c` (3, n) at the Gauss points. Returns 1 if memory runs out. */
 static int look(const Sheet *s, const double *c, const Turn *turns, Look *l) {
     l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
@@ -115,13 +117,14 @@ static void forget(Look *l) { free(l->x), free(l->points); }
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-/* Right Cauchy-Green tensor C11, C22, C12 against the free sheet. */
+/* Compute the right Cauchy-Green tensor C11, C22, C12 relative to the free membrane. */
 static void strain(const Sheet *s, const Point *p, double *C) {
     double by = s->numbers.lambda2;
     C[0] = by * dot(p->g1, p->g1), C[1] = by * dot(p->g2, p->g2), C[2] = by * dot(p->g1, p->g2);
 }
 
-/* q (row 0) or q' (row 1) of sensing/constitutive_law.py at this strain, from its table; beyond its ends the ends. */
+/* Return q (row 0) or q' (row 1) of sensing/constitutive_law.py at this strain, from its table;
+   constant beyond its ends. */
 static double law(const Sheet *s, const double *C, int row) {
     const SheetNumbers *o = &s->numbers;
     double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;
@@ -149,8 +152,8 @@ static Moduli moduli(const Sheet *s, const double *C, double scale) {
                     q / 2 - slope * A12 * A12};
 }
 
-/* Adds to `out` (3, n) the integral of `value` times the splines plus `along` times their slopes by x and `across` times those
-   by y; each (3, ny) holds one x-line already summed along y. */
+/* Add to `out` (3, n) the integral of `value` times the splines plus `along` times their slopes by
+   x. Each (3, ny) holds one x-line, already summed along y. */
 static void add_line(const Sheet *s, const Line *line, const double *value, const double *along, double *out) {
     for (int k = 0; k < 3; k++)
         for (int a = 0; a < 4; a++) {
@@ -202,12 +205,14 @@ int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entri
     return failed ? NO_MEMORY : 0;
 }
 
-/* The stiffness of one Gauss point: its row (k, i) is d1B_k T1_i + d2B_k T2_i + B_k U_i, by components j and splines l. */
+/* Stiffness of one Gauss point: its row (k, i) is d1B_k T1_i + d2B_k T2_i + B_k U_i, by components
+   j and splines l. */
 typedef double Rows[3][3][LOCAL];
 
-/* dP_a,i / dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j (Eq. F10), and of the gas d(g1 x g2) = du,1 x g2 + g1 x du,2: component t of
-   the tangents stands where row i and column j leave it, with the sign of ijt. On a closed frame that is symmetric: the rows of
-   the later component tell both. */
+/* Compute dP_a,i / dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j (Eq. F10), and for the gas d(g1 x g2) =
+   du,1 x g2 + g1 x du,2. Component t of the tangents appears at row i and column j, with the sign
+   of ijt; t is the remaining index. On a closed frame this is symmetric: the rows of the later
+   component have both. */
 static void point_rows(const Point *p, const Stress *S, const Moduli *D, double w, double push, const double *B, const double *B1,
                        const double *B2, Rows T1, Rows T2, Rows U) {
     for (int i = 0; i < 3; i++)
@@ -230,7 +235,8 @@ static void point_rows(const Point *p, const Stress *S, const Moduli *D, double 
         }
 }
 
-/* Rows are whole vectors: what is above the diagonal is not used. */
+/* Add a Gauss point to its cell. Rows are whole vectors: entries above the diagonal are not
+   used. */
 static void add_point(const Rows T1, const Rows T2, const Rows U, const double *B, const double *B1, const double *B2,
                       double (*cell)[3][LOCAL]) {
     for (int k = 0; k < LOCAL; k++)
@@ -255,7 +261,7 @@ static void add_cell(const Sheet *s, long first_x, long first_y, double (*cell)[
         }
 }
 
-/* The tangent at constant pressure. */
+/* Assemble the tangent at constant pressure. */
 static void assemble(const Sheet *s, const Look *l, double scale, double pressure, double *band) {
     memset(band, 0, 3 * s->n * BAND_STRIDE(s->width) * sizeof *band);
     for (long cx = 0; cx < s->nx - 1; cx++)

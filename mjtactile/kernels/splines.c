@@ -7,7 +7,8 @@
 
 static double knot(long i, long spans) { return i < 0 ? 0 : i > spans ? spans : i; }
 
-/* De Boor's recursion (Piegl & Tiller, The NURBS Book, A2.2) in units of an interval, and the slopes from degree two. */
+/* Evaluate the splines by De Boor's recursion (Piegl & Tiller, The NURBS Book, A2.2) in units of an
+   interval, and their slopes from degree two. */
 Local splines_at(double length, long spans, double x) {
     const double step = length / spans, u = clip((x + length / 2) / step, 0, spans);
     const long k = u < spans ? (long)u : spans - 1;
@@ -28,7 +29,7 @@ Local splines_at(double length, long spans, double x) {
         double fall = r < 3 ? two[r] / (knot(k + r + 1, spans) - knot(k + r - 2, spans)) : 0;
         at.value[r] = n[r], at.slope[r] = 3 * (rise - fall) / step;
     }
-    /* the first and the last spline of all are left out */
+    /* the first and the last of all splines are omitted */
     if (k == 0) {
         memmove(at.value, at.value + 1, 3 * sizeof *at.value), memmove(at.slope, at.slope + 1, 3 * sizeof *at.slope);
         at.first++, at.value[3] = at.slope[3] = 0;

@@ -1,11 +1,14 @@
-/* Clamped cubic B-splines on even intervals, as core/bspline.py's Cubic: those that vanish at both ends. */
+/* Clamped cubic B-splines on even intervals, as Cubic in core/bspline.py: those that vanish at both
+   ends. */
 #ifndef MJTACTILE_SPLINES_H
 #define MJTACTILE_SPLINES_H
 
-typedef struct { long first; double value[4], slope[4]; } Local; /* the four from `first` on; all others are zero */
+/* the four from `first` on; all others are zero */
+typedef struct { long first; double value[4], slope[4]; } Local;
 
 #define FEWEST_SPANS 3 /* four splines do not vanish in an interval */
 
-Local splines_at(double length, long spans, double x); /* x from -length / 2 to length / 2, cut to that */
+/* x from -length / 2 to length / 2, clipped to it */
+Local splines_at(double length, long spans, double x);
 
 #endif

@@ -1,4 +1,4 @@
-/* What a sensing chain would say of a wrench: sim/sensing_error_model.py has the model. */
+/* Wrench that a sensing chain would estimate. Model: sim/sensing_error_model.py. */
 #include <math.h>
 
 #include "kernels.h"
@@ -15,14 +15,15 @@ static void at_load(int64_t loads, const double *load, const double *table, doub
     for (int k = 0; k < COLUMNS; k++) row[k] = low[k] + share * (high[k] - low[k]);
 }
 
-static void spread_out(const double *spread, const double *normals, double *out) { /* lower triangle */
+/* lower triangle */
+static void spread_out(const double *spread, const double *normals, double *out) {
     for (int i = 0; i < 6; i++) {
         out[i] = 0;
         for (int k = 0; k <= i; k++) out[i] += spread[6 * i + k] * normals[k];
     }
 }
 
-static double lasting(const double *row, int part) { /* variance */
+static double lasting(const double *row, int part) { /* variance of the persistent part */
     return most(square(row[SD + part]) - square(row[FRESH + part]), 0);
 }
 
@@ -34,7 +35,8 @@ int64_t draw_errors(int64_t loads, const double *load, const double *table, cons
     double fresh[6], fast[6];
     spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
     const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(most(1 - kept * kept, 0));
-    const double factor = exp(row[BETWEEN] * (settings[GRASP] - row[BETWEEN])); /* its square is one in the mean */
+    /* the mean of its square is one */
+    const double factor = exp(row[BETWEEN] * (settings[GRASP] - row[BETWEEN]));
     const int out = settings[UNIFORM] < row[OUTLIERS];
     for (int i = 0; i < 6; i++) {
         slow[i] = kept * slow[i] + new *fresh[i];

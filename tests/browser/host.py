@@ -1,6 +1,8 @@
-"""`mjtactile studio`, watched from within: for each line that it is sent it prints one of JSON,
-which says where each widget was in the last frame (px), what was written, under which the mouse
-was, and what the session has."""
+"""`mjtactile studio` with a reporter of its internal state.
+
+For each line on stdin it prints one line of JSON: positions of the widgets in the last frame, px,
+the written texts, the widget under the mouse, and the session's values.
+"""
 
 import json
 import os
@@ -16,7 +18,7 @@ from mjtactile.studio import control_window, panel, playback, serve, session_bri
 _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
 _WHOLE = panel.finger_lines
-_PERIOD = 0.05  # s
+_PERIOD = 0.05  # minimum frame period, s
 _PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
 MODULES = (panel, control_window, playback)
 frame = {
@@ -62,7 +64,7 @@ class Noting:
 
 
 class Clerk(plugin.ViewerPlugin):
-    """Keeps what the windows said in each frame."""
+    """Plugin that records the texts and widgets of the windows in each frame."""
 
     def __init__(self, source, shown, app):
         self.show = source
@@ -71,8 +73,10 @@ class Clerk(plugin.ViewerPlugin):
 
     @messages.handler
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
-        """Nothing but what is there, unless for a picture to look at: without a graphics card it
-        takes seconds a frame."""
+        """Turn off render effects, unless an image is requested.
+
+        Without a graphics card they take seconds per frame.
+        """
         if not _PICTURE:
             event.viewer.render_flags.flags = [0] * len(event.viewer.render_flags.flags)
 
@@ -137,7 +141,7 @@ def answer():
         panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(
             line.strip(), panel.finger_lines
         )
-        # whatever another thread has begun to write: a line of its own
+        # start a new line: another thread may have written part of one
         sys.stdout.write("\n" + json.dumps(frame) + "\n")
         sys.stdout.flush()
 

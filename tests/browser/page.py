@@ -1,8 +1,8 @@
-"""Headless Chromium by its DevTools protocol: a page, its pictures, and nothing else.
+"""Headless Chromium controlled by its DevTools protocol: a page and its screenshots.
 
-Without a graphics card a frame of a 3-D scene takes seconds of all processors, and a page would
-draw one after the other while everything else waits. So a page that is `sparing` draws when a
-picture is taken, and is as it is otherwise.
+Without a graphics card a frame of a 3-D scene takes seconds of all processors. A page would draw
+one after the other while everything else waits. A `sparing` page therefore draws only for
+screenshots, and is otherwise unchanged.
 """
 
 import base64
@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from benchmarks.studio.chromium import CHROMIUM, FLAGS, page_address
 
-LIMIT = 180  # s; for whatever is waited for, on a computer that does other things, too
+LIMIT = 180  # time limit of any wait, s, for a computer with other load
 _SPARING = """(() => {
     let drawing = false;
     window.toDraw = 0;
@@ -37,7 +37,7 @@ _SPARING = """(() => {
 
 
 class Page:
-    """What can be seen and done on a page."""
+    """Page of the browser, with its inputs and screenshots."""
 
     def __init__(self, socket, *, sparing=False):
         self._socket = socket
@@ -58,7 +58,7 @@ class Page:
         return answer["result"]
 
     def run(self, script):
-        """What an expression in JavaScript gives there."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self._ask("Runtime.evaluate", expression=script, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")

@@ -90,7 +90,7 @@ class Studio:
         self._open.close()
 
     def ask(self, line="say"):
-        """What the last frame of the windows was."""
+        """Return the state of the windows in the last frame."""
         self.process.stdin.write(line + "\n")
         self.process.stdin.flush()
         while not (answer := self.process.stdout.readline()).startswith("{"):
@@ -105,11 +105,12 @@ class Studio:
         return found
 
     def press(self, label, share=0.5):
-        """Press the widget and let go, each when the last was seen; `share` of its width is where.
+        """Press the widget and release it, each after the previous action has arrived.
 
-        A window that grows by a line moves what is below between a look and a press. Then something
-        else is pressed, or nothing: it is let go of beside all windows, which is no click, and the
-        widget is looked for again.
+        `share` is the position along its width. A window that grows by a line moves the widgets
+        below between a query and a press. Then another widget or none is pressed. In that case the
+        mouse is released outside all windows, which is not a click, and the widget is located
+        again.
         """
         end = time.monotonic() + LIMIT
         while True:
@@ -127,7 +128,7 @@ class Studio:
         self.until(lambda f: f["active"] != label, f"{label!r} is let go of")
 
     def _come_to(self, label, share, end):
-        """Where the widget is, with the mouse over it."""
+        """Move the mouse to the widget and return its position."""
         while True:
             found = self.until(lambda f: label in f["places"], f"there is {label!r}")
             left, top, right, bottom = found["places"][label]
@@ -143,7 +144,7 @@ class Studio:
             time.sleep(0.2)
 
     def is_up(self):
-        """Whether somebody looks and a cycle is shown."""
+        """Wait until a page is open and shows a cycle; return its state."""
         before = self.ask()["frames"]
         return self.until(
             lambda f: f["frames"] > before + 1 and f["number"] >= 0 and f["places"],
@@ -184,7 +185,7 @@ def studio(tmp_path_factory):
 
 
 def is_dark(bgr):
-    """Where the colours begin: violet, nothing is pushed in."""
+    """Return True where the colour map starts: violet, zero indentation."""
     return bgr[:, :, 1] < 60
 
 
@@ -218,7 +219,7 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
     )
     if PICTURE:
         cv2.imwrite(PICTURE, later)
-    # what moves in it has moved
+    # the scene has changed
     assert (np.abs(first[SCENE].astype(int) - later[SCENE]).max(axis=2) > 24).mean() > 0.02
     height, width = membrane.shape[:2]
     assert is_dark(membrane[: height // 6]).mean() > 0.9  # the frame's edge stays
@@ -259,8 +260,8 @@ def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
 
 
 def test_a_second_page_watches_and_strangers_change_nothing(studio):
-    """Studio gives the windows to one page at a time and the scene to all; other web sites, and
-    what speaks no HTTP, get none."""
+    """Studio serves its windows to one page at a time and the scene to all, but rejects other web
+    sites and clients that do not use HTTP."""
     address = f"ws://localhost:{studio.port}"
     own = Origin(f"http://localhost:{studio.port}")
     with connect(f"{address}/state?sid=second", origin=own) as second:

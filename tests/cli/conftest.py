@@ -1,5 +1,7 @@
-"""The command line as a user meets it: in a folder of its own, as a process or, far quicker, as the
-function that the process calls."""
+"""Fixtures that run the command line in a separate folder.
+
+It runs as a process or, far faster, as the function that the process calls.
+"""
 
 import subprocess
 import sys

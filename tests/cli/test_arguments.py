@@ -1,6 +1,8 @@
-"""Every value may begin with a minus: numbers, pairs, ranges, effects to switch off. A parser that
-takes `-3.2,1.7` for an option says "expected one argument"; any other complaint (of a value that
-makes no sense there) is the command's own."""
+"""Option values may start with a minus: numbers, pairs, ranges, effects to switch off.
+
+A parser that takes `-3.2,1.7` for an option reports "expected one argument". Other errors (of a
+value that is invalid there) come from the command.
+"""
 
 import argparse
 

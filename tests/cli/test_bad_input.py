@@ -35,7 +35,7 @@ ROBOT = (
 
 
 def bad_object(before, after, *words):
-    """The egg's file with one thing changed, and words that the message must have."""
+    """Return the egg's file with one change, and words that the message must contain."""
     return "--object", "a.xml", EGG.replace(before, after), ["a.xml", *words]
 
 

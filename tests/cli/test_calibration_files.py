@@ -1,5 +1,5 @@
-"""Calibration files that a rig file names: wrong ones are one line, `doctor` says how the others
-stand, commands find them."""
+"""Calibration files named in a rig file: errors take one line, `doctor` reports the status of the
+others, and commands find them."""
 
 import json
 

@@ -18,7 +18,7 @@ from mjtactile.export.episode import find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
-DRAWN = "--effects=-images,-mesh,-pipeline"  # the quickest level: what is asked here is no physics
+DRAWN = "--effects=-images,-mesh,-pipeline"  # the fastest level: these tests do not check physics
 COMMON = [
     "--controller",
     "quick.py",
@@ -58,7 +58,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
         file.write('{"episode": 1, "contr')  # a line that was cut off
     monkeypatch.chdir(tmp_path)
     assert main(["evaluate", *COMMON, "--out", "one"]) == 2
-    assert "--out: holds an evaluation already; --resume goes on with it" in capsys.readouterr().err
+    assert "--out: already holds an evaluation; --resume continues it" in capsys.readouterr().err
     summary = json.loads(
         mjtactile(
             "evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json"
@@ -89,7 +89,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     capsys.readouterr()
     assert main(["evaluate", *COMMON[:-1], "8", "--out", "one", "--resume"]) == 2
-    assert "was begun with another options: scenario" in capsys.readouterr().err
+    assert "was started with different options: scenario" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,8 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
         again[name] == line[name]
         for name in ("outcome", "hold_force_true_N", "peak_force_N", "slip_mm_true", "frames")
     )
-    (kept,) = find_episodes(tmp_path / "one")  # what --record kept, and `export` takes
+    # the recording kept by --record, an input of `export`
+    (kept,) = find_episodes(tmp_path / "one")
     first = kept.recording
     second = load_recording(tmp_path / "again" / "recording")
     assert (

@@ -50,7 +50,7 @@ def test_press_feels_what_the_load_cell_reads(capsys):
     )
     shape = result["shape"]
     assert shape["kind"] == "smooth"
-    assert 13 < shape["radius_mm"] < 19  # what a sheet that bends at 13 x 11 vertices tells of 16
+    assert 13 < shape["radius_mm"] < 19  # estimate of a radius of 16 on a mesh of 13 x 11 vertices
     low, high = shape["area_interval_mm2"]
     assert 0 < low < shape["area_mm2"] < high
     assert "13 x 11" in result["flags"]["shape"]

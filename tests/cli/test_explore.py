@@ -1,4 +1,4 @@
-"""`mjtactile explore`: an egg on the stage, going on, fusing, and what is refused in one line."""
+"""`mjtactile explore`: an egg on the stage, resumed runs, fusion, and one-line errors."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_an_egg_is_touched_and_gone_on_with(capsys, tmp_path):
     three = json.loads(capsys.readouterr().out)
     assert three["patches"] == 3 and len((out / "touched.jsonl").read_text().splitlines()) == 3
     assert three["touched"][0]["place_mm"] == pytest.approx(one["touched"][0]["place_mm"])
-    # three touches of an egg of 32 x 32 x 40 mm: what is asked of twelve
+    # three touches of an egg of 32 x 32 x 40 mm meet the requirement for twelve
     assert three["surface_error_mm_true"] < 0.7
     assert max(touch["force_N"] for touch in three["touched"]) < 0.6
     assert main(["explore", "--input", str(out), "--json"]) == 0

@@ -1,5 +1,5 @@
-"""`mjtactile record --rig stage`, then `mjtactile fit`: the sensor file that comes out loads, and
-says what it could not know."""
+"""`mjtactile record --rig stage`, then `mjtactile fit`: the fitted sensor file loads, and lists the
+parameters that could not be identified."""
 
 import json
 

@@ -1,5 +1,4 @@
-"""A run that is stopped half-way says so in one line, exits with 3, and leaves a recording that can
-be read."""
+"""An interrupted run reports so in one line, exits with 3, and leaves a readable recording."""
 
 import json
 import signal
@@ -12,7 +11,7 @@ import pytest
 
 from mjtactile.recording.reader import load_recording
 
-WAIT = 600  # s for the run to get going, on a computer that is robbed of most of its time
+WAIT = 600  # time limit for the start of the run on a heavily loaded computer, s
 
 
 @pytest.mark.parametrize(
@@ -51,8 +50,8 @@ def test_what_was_recorded_is_kept(tmp_path, stop):
 
 
 def test_a_run_that_is_killed_leaves_whole_cycles(tmp_path):
-    """No handler runs on SIGKILL: what the writer had finished is there, each line with its
-    images."""
+    """After SIGKILL the recording holds all finished cycles, each with its images, although no
+    handler runs."""
     process = subprocess.Popen(
         [sys.executable, "-m", "mjtactile", "grasp", "--out", "result"],
         cwd=tmp_path,

@@ -14,9 +14,9 @@ from mjtactile.cli import main
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
 
-WAIT = 300  # s on a busy computer
+WAIT = 300  # time limit on a busy computer, s
 
-# Writes far more than a pipe or a terminal takes in, then says that it came to its end.
+# Write far more than a pipe or a terminal buffers, then report the end.
 CHATTER = """
 import os, sys
 from pathlib import Path

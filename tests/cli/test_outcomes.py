@@ -12,8 +12,7 @@ from tests.emulated_host import controller_text
 
 DENSE = resources.find("paper16", "models/sensors", ".toml").read_text()
 
-# Closes to `OPENING` m at 60 mm/s, pushes with up to `FORCE` N, lifts, holds, and ends; it feels
-# nothing.
+# Close to `OPENING` m at 60 mm/s, push with up to `FORCE` N, lift, hold, and end, without touch.
 BLIND = """
 from dataclasses import replace
 
@@ -144,7 +143,7 @@ def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, 
     assert wrench.shape == (len(recording), 2, 6)
     np.testing.assert_allclose(-wrench[..., 2], recording.column("force_normal_true"), atol=1e-12)
     position = recording.column("object_position_true")
-    # m; the seed's scatter
+    # scatter of the seed, m
     assert position.shape == (len(recording), 3) and np.abs(position[0] - [0, 0, 0.03]).max() < 3e-3
     np.testing.assert_allclose(
         np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9

@@ -23,7 +23,7 @@ def test_quick_figures_and_table(capsys, tmp_path):
     assert result["fig6"]["summary"]["mean_mm"] < 0.39  # the paper's
     solid = result["fig5b"]["solid"]
     sponge = result["fig5b"]["sponge"]
-    # where no contact is told yet, nothing is known of either
+    # before a contact is detected, both are unknown
     kept = [abs(d) for d in solid["own_deformation_mm"] if d is not None]
     given = [d for d in sponge["own_deformation_mm"] if d is not None]
     # a solid keeps its shape to 0.2 mm (bending of the reconstruction at sharp edges), the sponge

@@ -15,7 +15,8 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory):
-    """Images of the flat, the inflated and the pressed membrane, and what was true of the last."""
+    """Render images of the flat, the inflated and the loaded membrane, with ground truth of the
+    last."""
     folder = tmp_path_factory.mktemp("frames")
     world = PressWorld("dense", Indenter("sphere", 16e-3))
     view = Renderer(world.design, seed=0)
@@ -59,7 +60,7 @@ def test_from_frames_to_surface_and_force(capsys, frames, tmp_path):
         calibration_file,
     )
     assert calibration["residual_px"] < 0.05  # centre noise of 0.02 px, averaged over six images
-    # "dense" is rendered as its file says: camera and radii come out unchanged within noise
+    # "dense" is rendered from its own file: camera and radii must be recovered within noise
     assert max(map(abs, calibration["offset_mm"])) < 0.02
     np.testing.assert_allclose(calibration["radius_mm"], 1.0, atol=2e-3)
 

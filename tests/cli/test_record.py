@@ -45,7 +45,7 @@ def test_nothing_is_commanded(folder):
         np.ptp(recording.column("command_opening", 1)) == 0
         and np.ptp(recording.column("command_lift_height", 1)) == 0
     )
-    assert np.ptp(recording.column("opening", 1)) < 1e-4  # m; the jaws stand
+    assert np.ptp(recording.column("opening", 1)) < 1e-4  # range, m; the jaws do not move
     assert [phase for phase, *_ in recording.phases()][-1] == "done"
 
 
@@ -89,7 +89,7 @@ def test_its_page_feels_it_again(folder, tmp_path, capsys):
     said = load_recording(folder).column("force_normal")[:, 0]
     # as written, two digits
     assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)
-    assert "hyperelasticity" in page.text  # what was simulated
+    assert "hyperelasticity" in page.text  # list of simulated effects
 
 
 def test_a_recording_is_over_when_it_is_over(folder, tmp_path, capsys):

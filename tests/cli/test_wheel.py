@@ -1,5 +1,8 @@
-"""What an index hands out works outside the checkout: the source distribution builds, its wheel is
-one that an index takes, and in a fresh environment it grasps an egg."""
+"""Packages of an index work outside the checkout.
+
+The source distribution builds, and its wheel has a tag that an index accepts. In a fresh
+environment it grasps an egg.
+"""
 
 import contextlib
 import importlib.metadata
@@ -22,13 +25,15 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 # of one worker: it builds the wheel once
 pytestmark = [pytest.mark.slow(25), pytest.mark.xdist_group("a wheel")]
 BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
-"""What the lock has for building; a wheel brings its compiled chain along."""
-GLIBC = (2, 17)  # what the tag manylinux_2_17 promises
+"""Packages of the lock that only the build needs; a wheel contains its compiled library."""
+GLIBC = (2, 17)  # version guaranteed by the tag manylinux_2_17
 
 
 def run(*command, code=0, variables=(), **options):
-    """What a command prints to stdout and stderr, without anything of this checkout or environment
-    on Python's path."""
+    """Return a command's stdout and stderr.
+
+    Python's path holds nothing of this checkout or environment.
+    """
     environment = {
         key: value
         for key, value in os.environ.items()
@@ -58,9 +63,12 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wheel(source, tmp_path_factory):
-    """Built of the source distribution, not of the checkout. The library that this processor runs
-    is the checkout's, which its set-up compiled of the same sources by the same command (its name
-    has their hash); the others are compiled here."""
+    """Build the wheel from the source distribution, not from the checkout.
+
+    The library for this processor is copied from the checkout, whose set-up compiled it from the
+    same sources with the same command (its name contains their hash). The others are compiled
+    here.
+    """
     folder = tmp_path_factory.mktemp("wheel")
     cache = tmp_path_factory.mktemp("cache")
     (cache / "mjtactile").mkdir()
@@ -72,8 +80,11 @@ def wheel(source, tmp_path_factory):
 
 
 def link_locked(site):
-    """All that a run needs of the lock, in another environment. pip has unpacked it for this one:
-    to let it do so again takes longer than all else here."""
+    """Link all run-time packages of the lock into another environment.
+
+    pip has unpacked them for this one. Unpacking them again would take longer than the whole
+    test.
+    """
     for line in (CHECKOUT / "requirements.lock").read_text().splitlines():
         if line.startswith(("#", *BUILD_ONLY)):
             continue
@@ -81,7 +92,7 @@ def link_locked(site):
         distribution = importlib.metadata.distribution(name)
         assert distribution.version == version, name
         for file in distribution.files:
-            if ".." in file.parts or (site / file).exists():  # scripts; what two packages bring
+            if ".." in file.parts or (site / file).exists():  # scripts, and files in two packages
                 continue
             (site / file).parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):  # bytecode that was cleaned away
@@ -111,8 +122,8 @@ def test_the_source_distribution_has_what_a_checkout_needs(source):
 
 
 def test_an_index_takes_the_wheel(wheel):
-    """Its tag is one of those that an index accepts, and no library in it needs a newer system than
-    the tag says."""
+    """The wheel's tag is one that an index accepts, and no library in it needs a newer system than
+    the tag states."""
     tag = build.PLATFORMS[build.this_platform()][1]
     assert wheel.name.endswith(f"-py3-none-{tag}.whl")
     with zipfile.ZipFile(wheel) as archive:
@@ -128,7 +139,7 @@ def test_an_index_takes_the_wheel(wheel):
             assert glibc_needed(library) <= GLIBC, name
     top = {name.partition("/")[0] for name in names}
     assert {name for name in top if not name.endswith(".dist-info")} == {"mjtactile"}
-    # the command stays, to say where the benchmarks are
+    # the command is kept, to report the location of the benchmarks
     assert "mjtactile/commands/bench.py" in names
 
 
@@ -147,7 +158,8 @@ def test_a_library_has_no_instructions_but_of_its_set(wheel, tmp_path, instructi
 
 @pytest.mark.parametrize("target", [name for name in build.PLATFORMS if "x86_64" not in name])
 def test_another_platforms_wheel_is_made_here(tmp_path, target):
-    """Of the checkout, and with another processor's library; nothing of this platform's."""
+    """A wheel for another platform builds from the checkout, with a library for its processor
+    only."""
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
     run(*pip, "--wheel-dir", tmp_path, CHECKOUT, variables={"MJTACTILE_WHEEL": target})
     (made,) = tmp_path.iterdir()
@@ -190,8 +202,8 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
     )
     _, said = run(mjtactile, "bench", "speed", cwd=work, code=2)
     assert said == (
-        "mjtactile: benchmarks are not in the installed package: they are the folder 'benchmarks' "
-        "of the project's source, and run from a checkout of it (pip install --editable .)\n"
+        "mjtactile: benchmarks are not in the installed package; run them from a checkout of the "
+        "project's source, folder 'benchmarks' (pip install --editable .)\n"
     )
     grasp = (mjtactile, "grasp", "--sensor", "paper16", "--json", "--out", "egg")
     summary = json.loads(run(*grasp, cwd=work)[0])

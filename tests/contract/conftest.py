@@ -1,4 +1,4 @@
-"""What the contract tests share."""
+"""Fixtures and helpers of the contract tests."""
 
 import pytest
 

@@ -1,9 +1,9 @@
-"""The whole path of a user with two fingers that are not as their sensor file says: measure,
-calibrate, measure again.
+"""Complete calibration of two fingers that differ from their sensor file: measure, calibrate,
+measure again.
 
-On the emulated specimens of `models/rigs/emulated_specimen.toml`, over ptys and streams. What the
-user has: a printed board, a load cell, a caliper, a pressure of zero. The test plays the person who
-reads the instruments, in the emulated world.
+It runs on the as-built sensors of `models/rigs/emulated_specimen.toml`, over ptys and streams. The
+user has a printed board, a load cell, a caliper and a pressure of zero. The test simulates the
+person who reads the instruments, in the emulated world.
 """
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
@@ -33,8 +33,9 @@ from tests.emulated import at_pace
 
 pytestmark = pytest.mark.clock
 
-RATE = 15.0  # Hz; half of what the emulated cameras give: two processors draw and look at them
-ERROR_MAX = 0.02  # N, of the felt force on each finger, after calibration
+# image rate, Hz; half of the emulated cameras' rate: two processors render and evaluate the images
+RATE = 15.0
+ERROR_MAX = 0.02  # maximum force error on each finger after calibration, N
 
 
 def write_rig(folder):
@@ -68,8 +69,7 @@ def write_rig(folder):
     return path
 
 
-# -- the force felt, and the force that is
-# --------------------------------------------------------------------------------
+# -- force estimates and ground truth -------------------------------------------------------------
 
 
 class Brief:
@@ -89,7 +89,7 @@ class Brief:
 
 @contextlib.contextmanager
 def emulated_session(path):
-    """A session with references of a freshly emulated rig, its emulator, and what it said."""
+    """Yield a session with references on a new emulated rig, its emulator, and its messages."""
     rig_file = load_rig_file(path)
     said = []
     design = load_sensor(path.parent / "slower.toml")
@@ -107,7 +107,8 @@ def emulated_session(path):
 
 
 def grasp_error(path):
-    """Mean felt less true force on each finger, N, while an egg is held; what the session said."""
+    """Return the mean force error on each finger, N, while an egg is held, and the session's
+    messages."""
     errors = []
     with emulated_session(path) as (session, emulator, said):
 
@@ -182,12 +183,12 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     assert left.valve.offset == pytest.approx(30, abs=3) and right.valve.offset == pytest.approx(
         -30, abs=3
     )
-    # a shift and the lens's centre are told apart by the board
+    # the board separates a shift from the lens center
     assert left.frame.p_SC[0] == pytest.approx(4e-4, abs=1.5e-4)
     assert left.frame.scale.mean() == pytest.approx(
         1.02, abs=2e-3
     ) and left.frame.stiffness == pytest.approx(1.15, abs=0.05)
-    # with lens and zero right, what is left is the model's
+    # with lens and zero calibrated, only the model error remains
     assert left.force.scale == pytest.approx(1.0, abs=0.05)
     after, said = grasp_error(path)
     assert not [text for text in said if text.startswith("calibration of")]

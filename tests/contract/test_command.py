@@ -54,7 +54,7 @@ def rig(request):
 
 
 def go(rig, command, time):
-    """Send it through the limits, again and again for `time` s; what was sent last."""
+    """Send `command` through the limits each period for `time` s; return the last command sent."""
     last = replace(command, opening=rig.gripper.state().opening, lift_height=0.0)
     for _ in range(round(time / PERIOD)):
         last = rig.gripper.command(rig.limits.apply(command, last, PERIOD))
@@ -99,9 +99,9 @@ def test_with_no_force_the_jaws_close_on_nothing(rig):
     before = rig.gripper.state().opening
     go(rig, Command(rig.limits.opening[0], 0.0), 1.0)
     after = rig.gripper.state()
-    assert after.opening == pytest.approx(before, abs=5e-4)  # a hand may sag that nothing drives
+    assert after.opening == pytest.approx(before, abs=5e-4)  # an unpowered gripper may sag
     if rig.name != "stub":
-        assert abs(after.effort) < 0.02  # N; a servo's current is rounded to 1 mA
+        assert abs(after.effort) < 0.02  # effort in N; the servo current is rounded to 1 mA
 
 
 @pytest.mark.parametrize("name", ["sim", EMULATED])
@@ -191,8 +191,7 @@ def test_a_replay_does_not_invent_a_limit():
     assert ReplayGripper(tape).command(Command(0.05, 1.0)).force_limit is None
 
 
-# -- what is refused, and what the limits do of themselves
-# --------------------------------------------------------------------------------
+# -- rejected commands, and clamping by the limits ----------------------------------------
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "4", True])

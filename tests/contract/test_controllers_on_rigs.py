@@ -1,7 +1,7 @@
-"""The shipped controllers, as they are, on simulated, emulated and replayed rigs.
+"""Tests of the shipped controllers, unmodified, on simulated, emulated and replayed rigs.
 
-The emulated rig runs in real time beside other work, so that its time-outs are set generously here;
-none is asserted.
+The emulated rig runs in real time next to other work. Its time-outs are therefore generous, and no
+test asserts one.
 """
 
 from dataclasses import replace
@@ -31,8 +31,8 @@ FIRMER = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.p
 
 
 class Gentle:
-    """The shipped controller, or one made of it, until it enters the phase `until`; keeps what was
-    felt in every cycle."""
+    """Shipped controller, or one derived from it, run until the phase `until`. It stores the
+    measured forces of every cycle."""
 
     def __init__(self, until: str, name: str | Path = "gentle"):
         self.controller = load_controller(str(name))
@@ -94,7 +94,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
         rig.close()
     assert gentle.wanted[-1].phase == "hold"
     true, hand, egg = moments[len(gentle.felt) - 1]  # afterwards the object was set down again
-    # what the controller calls settled
+    # the controller's criterion for a settled grip
     assert np.mean(gentle.felt[-1]) == pytest.approx(0.6, abs=0.08)
     # one image, one cycle old; 16 markers are good to 20-30 mN (docs/validation/accuracy.md)
     assert gentle.felt[-1] == pytest.approx(true, abs=0.05)
@@ -107,9 +107,12 @@ def test_gentle_lifts_an_egg(name, tmp_path):
 @pytest.mark.xdist_group("its air")
 @pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_path, monkeypatch):
-    """From 0.6 to 2 kPa while the egg hangs between the fingers. Images have their true times: with
-    half a second of delay that there is none of, as `patient_rig_file` says, gauge and image are of
-    different moments, and force is up to 0.1 N off while the air moves."""
+    """The controller raises the pressure from 0.6 to 2 kPa while the egg hangs between the fingers.
+
+    Images keep their true capture times. `patient_rig_file` would assume half a second of delay
+    that does not exist. Pressure reading and image would then belong to different times, and the
+    force error would reach 0.1 N while the pressure changes.
+    """
     monkeypatch.setattr(opencv, "_STALE_PERIODS", 18.0)  # this computer is slow, the camera is not
     heights = []
     truths = []
@@ -155,8 +158,11 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
 @pytest.mark.xdist_group("a task")
 @pytest.mark.clock
 def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
-    """The same file that runs in simulation. The robot is told a place 20 mm high, and there is
-    none: it goes on down until the table carries."""
+    """The task file of the simulation also runs on the emulated rig.
+
+    The task specifies a place 20 mm high that does not exist: the gripper moves down until the
+    table carries the object.
+    """
     rig = build_emulated_rig(
         patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
     )

@@ -1,7 +1,7 @@
-"""Chains in processes beside a simulated world: the same errors, nobody waits for one that hangs,
-and one that is gone is said.
+"""Tests of sensing chains in processes next to a simulated world: errors are the same, a hanging
+chain delays nothing, and a lost one is reported.
 
-Time-outs are far beyond what anything takes; none is asserted.
+Time-outs are far longer than any step takes; no test asserts one.
 """
 
 import os
@@ -28,7 +28,7 @@ NAMES = "left", "right"
 
 
 class Feels:
-    """In place of a chain: one that counts, and says what it got."""
+    """Stand-in for a chain: counts its calls and returns its input."""
 
     def __init__(self):
         self.state = 0
@@ -101,7 +101,7 @@ def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
     pool = PerceptionPool(2)
     try:
         with pool.at_work([Feels(), Hangs(until)], NAMES) as both:
-            # the second time it is not waited for at all
+            # the second call does not wait for it
             for now, disk_wait_time in ((1.0, 3.0), (2.0, 1e9)):
                 left, right = both.perceive([IMAGE, IMAGE], now, disk_wait_time)
                 assert left.status == "ok" and right.status == (
@@ -145,7 +145,8 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
 
 
 class Killing(Observer):
-    """Kills what this process has started, in the first cycle that holds the object in the air."""
+    """Observer that kills the child processes in the first cycle that holds the object in the
+    air."""
 
     def __init__(self):
         self.phases = []

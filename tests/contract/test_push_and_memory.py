@@ -1,5 +1,8 @@
-"""On the emulated rig, as a person has it: a board with wings is squeezed until they lean on the
-fingers' frames, which no membrane feels; then the controller eats the memory."""
+"""Test of an unsensed force and of exhausted memory on the emulated rig.
+
+A board with wings is squeezed until the wings push on the finger frames, which no membrane
+measures. Then the controller uses up the memory.
+"""
 
 import json
 import sys
@@ -13,8 +16,9 @@ from tests.emulated_host import host, shipped_with
 
 pytestmark = pytest.mark.clock
 
-# where its wings meet the frames' rims, 20 to 23 mm from the middle, bulges of 2.8 mm are pressed in
-# by 1 mm on 16 x 16 mm, which takes chambers of 24 mL to 2.4 kPa: the valves vent at 3
+# The wings meet the frame rims 20 to 23 mm from the center. There the board indents bulges of 2.8
+# mm by 1 mm over 16 x 16 mm. This raises the chambers of 24 mL to 2.4 kPa; the valves vent at 3
+# kPa.
 BOARD = """<mujoco model="board"><custom><numeric name="break_force_N" data="50"/>
 <text name="material" data="solid"/></custom><worldbody><body name="object" pos="0 0 0.031">
 <freejoint/>
@@ -22,7 +26,7 @@ BOARD = """<mujoco model="board"><custom><numeric name="break_force_N" data="50"
 <geom type="box" size="0.0168 0.004 0.031" pos="0 0.0245 0" mass="0.005"/>
 <geom type="box" size="0.0168 0.004 0.031" pos="0 -0.0245 0" mass="0.005"/>
 </body></worldbody></mujoco>"""
-SQUEEZED = 1.0  # s: the watch wants 0.3 s, after the jaws have got there
+SQUEEZED = 1.0  # time in s; the monitor needs 0.3 s after the jaws have stopped
 GREEDY = f"""
 def _hold(observation, command, felt):
     if command.memory["phase_time"] > {SQUEEZED}:
@@ -53,6 +57,6 @@ def test_servos_that_push_a_frame_are_said_and_a_step_that_eats_the_memory_is_re
     finally:
         emulator.close()
     assert recording.columns["state"][-1] == "latched"
-    # N: the servos are told 6, of which membranes pressed in by 1.3 mm feel about 1
+    # force in N: the limit of the servos is 6; membranes indented by 1.3 mm measure about 1
     said = json.loads(output)["flags"]["unsensed_force"]
     assert 2.0 < float(said.split("carry ")[1].split(" N")[0]) < 8.0, said

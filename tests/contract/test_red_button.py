@@ -1,5 +1,8 @@
-"""Studio's red button on the emulated rig, without a page: pressed while an egg is held in the air,
-the hand sets it down, torque goes off, the chambers are vented."""
+"""Test of Studio's red button on the emulated rig, without a page.
+
+The button is pressed while an egg is held in the air: the gripper sets the egg down, torque goes
+off, and the chambers are vented.
+"""
 
 import math
 
@@ -19,7 +22,7 @@ pytestmark = pytest.mark.clock
 
 
 class Pressed(SessionBridge):
-    """Somebody presses it as soon as the egg is held."""
+    """Bridge that presses the red button as soon as the egg is held."""
 
     def __init__(self):
         super().__init__()
@@ -52,7 +55,7 @@ def test_the_red_button_while_holding_sets_down_lets_go_and_vents(emulator, tmp_
         run_grasp(scenario, [show], controller=controller)
     truth = emulator.truth()
     assert not any(truth["torque"].values()) and set(truth["valve"].values()) == {"vent"}
-    # m, of its middle: it stands where it stood
+    # height of the egg's center, m: the egg stands at its initial place
     assert truth["object_height"] == pytest.approx(0.031, abs=0.003)
-    assert max(lift for _, lift in show.states) > 0.03  # m; it had been in the air
+    assert max(lift for _, lift in show.states) > 0.03  # height in m; the egg was in the air
     assert show.states[-1][0] in ("safe", "latched") and show.states[-1][1] < 2e-3

@@ -1,8 +1,8 @@
-"""One suite for every rig: what control and controllers rely on holds for the shipped gripper, an
-arm, three fingers, the emulated and a replayed rig alike.
+"""Tests that apply to every rig: the assumptions of control and controllers hold for the shipped
+gripper, an arm, three fingers, the emulated and a replayed rig.
 
-The emulated rig runs in real time beside other work, so that its time-outs are set generously here;
-none is asserted.
+The emulated rig runs in real time next to other work. Its time-outs are therefore generous, and no
+test asserts one.
 """
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
@@ -33,11 +33,11 @@ from mjtactile.sensing.pipeline import SensingPipeline
 from tests.patient import DESIGN, SIMULATED, patient_rig_file
 
 CYCLES = 12
-# of one worker: it takes long to start; what takes long on it has a worker and one of its own
+# group for one worker, since the emulator starts slowly; slow tests on it have groups of their own
 ONE_EMULATOR = pytest.mark.xdist_group("an emulated rig")
 
 
-PRESSURE = 1100.0  # Pa, that the controller below commands: from 1000 in three cycles
+PRESSURE = 1100.0  # pressure that the controller below commands, Pa: from 1000 in three cycles
 
 
 class Nothing:
@@ -126,7 +126,7 @@ def test_the_loop_runs_on_it(rig, tmp_path):
     time = recording.columns["time"]
     captured = np.array([list(t) for t in recording.columns["image_time"]])
     assert (np.diff(time) > 0).all()
-    assert (captured <= time[:, None]).all()  # nothing is seen before it was captured, on one clock
+    assert (captured <= time[:, None]).all()  # capture precedes its use, on one clock
     assert (np.diff(captured, axis=0) >= 0).all()
     openings = recording.columns["command_opening"]
     running = np.array([state == "running" for state in recording.columns["state"]])[1:]
@@ -182,7 +182,7 @@ def test_every_reading_says_when_it_was_taken(rig):
         # bit for bit
         return
     for reading in readings:
-        # s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
+        # age in s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
         assert 0 <= reading.age <= 1.0
         assert before - 1.0 <= reading.time <= after
         # one clock for all of them; rounding of the sum
@@ -194,8 +194,7 @@ def test_closing_twice_does_no_harm(rig):
     rig.close()
 
 
-# -- what only some rigs have
-# --------------------------------------------------------------------------------
+# -- features of some rigs only ------------------------------------------------------------
 
 
 def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path):

@@ -1,5 +1,8 @@
-"""A controller that reads shapes has them in a run, and so has whoever asks for them of a scenario:
-the same bits, beside the world or in a process. Nobody else has them."""
+"""Tests of contact shapes in a run: a controller that reads shapes gets them, and so does a
+scenario that requests them.
+
+The bits are the same next to the world and in another process. Other runs have no shapes.
+"""
 
 from dataclasses import replace
 
@@ -72,8 +75,8 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
         np.testing.assert_array_equal(with_shapes[key], in_a_process[key])
     known = np.argwhere(np.isfinite(with_shapes["shape_radius"]))
     cycle, finger = known[-1]
-    # in a sealed chamber that a touch has squeezed, too, the bodies stand where they are: an egg of
-    # 32 mm, on a mesh of 13 x 11, between whose vertices a ball sinks by 0.2 mm on each side
+    # positions are right even in a sealed chamber that contact has compressed: an egg of 32 mm on a
+    # mesh of 13 x 11. A ball sinks by 0.2 mm between its vertices on each side
     both = recordings[0].column("shape_place")[cycle, :, 2]
     assert recordings[0].column("opening")[cycle, 0] - both.sum() == pytest.approx(0.032, abs=7e-4)
     kept = recorded_shape(recordings[0], cycle, finger)

@@ -1,8 +1,10 @@
-"""Whatever ends or fails while an object is held in the air, on the emulated rig: it is set down,
-torque is off, the chambers are vented, the recording can be read, and the process is gone.
+"""Tests of signals and failures while an object is held in the air, on the emulated rig.
 
-A part of all combinations; all of them, in half an hour: `MJTACTILE_SIGNALS=all pytest
-tests/contract/test_signals.py`.
+In each case the object is set down, torque is off, the chambers are vented, the recording is
+readable, and the process has ended.
+
+The default runs a subset of all combinations. All of them take half an hour: `MJTACTILE_SIGNALS=all
+pytest tests/contract/test_signals.py`.
 """
 
 import itertools
@@ -48,7 +50,7 @@ SOME = [
     (INT, "twice, 50 ms", "connecting"),
 ]
 ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
-# nobody who sends these wants it quicker when they come again
+# a repetition of these signals does not request a faster stop
 REPEATED = itertools.product((XCPU, signal.SIGALRM, signal.SIGUSR1), ("each second",), PHASES)
 CASES = [*itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES), *REPEATED] if ALL else SOME
 # the others also in tests/unit/runtime/test_failures.py
@@ -151,7 +153,7 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
         resource.prlimit(running.process.pid, resource.RLIMIT_FSIZE, (1, 1))
         resource.prlimit(running.process.pid, resource.RLIMIT_NOFILE, (3, 3))
         assert wait_for(lambda: not any(emulator.truth()["torque"].values()), WAIT)
-        termios.tcflow(writer, termios.TCOON)  # Ctrl-Q: now it may say how it went
+        termios.tcflow(writer, termios.TCOON)  # Ctrl-Q: resume the output
         output, _ = running.ends()
         assert running.process.returncode == 0
         running.has_set_down()

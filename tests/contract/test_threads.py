@@ -1,7 +1,7 @@
-"""Sensing chains in threads and processes: the same numbers, the same errors, and nobody waits for
-one that hangs.
+"""Tests of sensing chains in threads and processes: numbers and errors are the same, and a hanging
+chain delays nothing.
 
-Time-outs are far beyond what anything takes; none is asserted.
+Time-outs are far longer than any step takes; no test asserts one.
 """
 
 import json
@@ -128,7 +128,7 @@ def test_one_that_hangs_is_unknown_until_it_answers():
         return felt(image, now)
 
     with Perceivers([chain(felt), chain(hangs)], NAMES, 2) as both:
-        # the second time it is not waited for at all
+        # the second call does not wait for it
         for now, disk_wait_time in ((1.0, 0.01), (2.0, 1e9)):
             left, right = both.perceive([IMAGE, IMAGE], now, disk_wait_time)
             assert left.status == "ok" and right.status == (

@@ -1,4 +1,4 @@
-"""Every example runs, is short, and says what is true."""
+"""Tests that every example runs, is short, and prints correct results."""
 
 import os
 import runpy
@@ -21,7 +21,7 @@ from mjtactile.sim import ground_truth
 from tests.fake_run import write_fake_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-LONGEST = 95  # lines of at most 100 columns: one screen, with what it says of itself
+LONGEST = 95  # lines of at most 100 columns: one screen, docstring included
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
@@ -55,10 +55,10 @@ def test_touch_in_my_scene(capsys):
 def test_turn_an_edge(capsys):
     example = run("turn_an_edge")
     assert example.before.kind == "edge"
-    # along the rows of a sheet of 21 x 16 vertices, which bends there alone, an edge may be called
-    # smooth: a sharp one then, of less than 10 mm of radius
+    # along its rows a mesh of 21 x 16 vertices bends only there, and an edge may be classified as
+    # smooth; its radius is then below 10 mm
     assert example.after.kind == "edge" or example.after.curvatures[0] > 100
-    # the sheet of 21 x 16 vertices knows an edge to about two degrees
+    # the mesh of 21 x 16 vertices resolves the edge angle to about two degrees
     assert abs(example.angle) < np.radians(4)
     assert example.before.area_interval[0] < example.before.area < example.before.area_interval[1]
     assert "left" in capsys.readouterr().out
@@ -80,8 +80,8 @@ def test_touch_in_robosuite(capsys):
     example = run("touch_in_robosuite", "robosuite")
     felt = example.seen["force_normal"]
     true = [-finger.ground_truth_wrench()[2] for finger in example.env.fingers]
-    assert np.min(felt) > 0.8  # it closes until 1 N is felt on the average
-    # an image is up to 33 ms old and the arm is on its way up: the mean of both fingers moves least
+    assert np.min(felt) > 0.8  # the gripper closes until the mean estimate is 1 N
+    # an image is up to 33 ms old and the arm moves up: the mean of both fingers changes least
     assert np.mean(felt) == pytest.approx(np.mean(true), rel=0.1)
     # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the cube's middle at 0.82
     assert example.seen["cube_pos"][2] > 0.86
@@ -92,7 +92,7 @@ def test_touch_in_robosuite(capsys):
 @pytest.mark.filterwarnings("ignore")  # dm_control's own
 def test_touch_in_dm_control(capsys):
     example = run("touch_in_dm_control", "dm_control")
-    # at rest the membrane carries the weight; 8 mN is what an image's noise makes of it
+    # at equilibrium the membrane carries the weight; image noise is 8 mN
     assert example.seen["touch/force_normal"] == pytest.approx(9.81 * 0.05, abs=0.025)
     assert example.seen["touch/force_normal"].shape == (1,)
     assert "felt 0." in capsys.readouterr().out
@@ -187,7 +187,7 @@ def test_read_a_log_with_pandas(monkeypatch, tmp_path):
 def test_calibrate_and_use_a_finger(capsys):
     example = run("calibrate_and_use_a_finger")
     left, right = np.nanmax(np.abs(example.forces - example.true[: len(example.forces)]), axis=0)
-    # N: the same images through the same chain, but for what a file of decimal numbers rounds
+    # force difference in N: same images, same chain; only decimal rounding in the file remains
     assert left < 1e-9
     assert right > 0.01  # a lens 3 % off matters
     assert np.nanmax(example.true) > 0.3 and "left finger calibrated" in capsys.readouterr().out
@@ -216,7 +216,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     )
     (work / "rig.toml").write_text(rig)
     environment = os.environ | {
-        "MJTACTILE_TIME_SCALE": "6",  # it gives up on images that are 0.15 s old
+        "MJTACTILE_TIME_SCALE": "6",  # the rig rejects images older than 0.15 s
         "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]),
     }
     process = subprocess.run(
@@ -244,14 +244,13 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     )
     assert process.returncode == 0, process.stderr
     said = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
-    assert "ok" in said  # markers were found in what it hands out
-    # as it says itself, on a computer with much else to do
+    assert "ok" in said  # markers were detected in the images of the example
+    # stale images may occur on a busy computer
     assert all("stale" in status for status in said - {"ok"})
 
 
 def test_train_a_policy_finds_what_a_teacher_did():
-    """A teacher that is linear in what is seen is found again; what never changed gets no
-    weight."""
+    """The fit recovers a linear teacher; an input that never changed gets no weight."""
     example = run("train_a_policy")
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0]

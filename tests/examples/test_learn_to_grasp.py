@@ -1,4 +1,4 @@
-"""The learner's file does what the learner would do."""
+"""Test that the learner's file acts as the learner does."""
 
 import functools
 import runpy
@@ -13,7 +13,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def test_the_ten_lines_of_the_page_learn(tmp_path, monkeypatch):
-    """As they stand, but for sixteen steps in place of a hundred thousand."""
+    """The code on the page learns, unchanged except for 16 steps instead of 100 000."""
     learner = pytest.importorskip("stable_baselines3")
     page = (CHECKOUT / "docs/how-to/train.md").read_text()
     lines = page.split("```python\n")[2].partition("```")[0]

@@ -1,8 +1,8 @@
-"""The ROS 2 node, against the message definitions of ROS 2 Humble; the node's own library is not
-installed here.
+"""Tests of the ROS 2 node against the message definitions of ROS 2 Humble; the node's own library
+is not installed here.
 
-In place of its classes stand ones with the fields of the definitions and no others, whose values
-are then put on the wire and read back by rosbags. What feels and moves is a replayed grasp.
+Stand-in classes have exactly the fields of the definitions. rosbags serializes their values and
+reads them back. A replayed grasp supplies touch and motion.
 """
 
 import runpy
@@ -78,7 +78,7 @@ def to_wire(store, message):
 
 @pytest.fixture
 def ros(monkeypatch):
-    """Modules as the node imports them; what it publishes is kept in `sent`."""
+    """Provide the modules that the node imports; `sent` stores the published messages."""
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     sent = []

@@ -1,2 +1,2 @@
-"""The sensing chain's stages in numpy, as they were before they were compiled: what the kernels are
-compared with."""
+"""Stages of the sensing chain in numpy, in their form before compilation: the reference for the
+kernels."""

@@ -73,8 +73,8 @@ def moments(
 
 
 def _distance(xy: Array, center: Array, shape: Array, counts: NDArray[np.int64]) -> Array:
-    """First-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from their
-    ellipses; the blob's outline is half a pixel further out than they are."""
+    """Compute the first-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from
+    their ellipses. The blob's outline is half a pixel outside these points."""
     own = np.concatenate([center.T, ellipse.inverse_shape(shape).T]).repeat(counts, axis=1)
     dx, dy = xy - own[:2]
     p, q, s = own[2:]
@@ -108,7 +108,7 @@ def implausible(
 
 
 def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
-    """Which borders are far from their own ellipses (further if cut)."""
+    """Return True for borders far from their own ellipses; cut borders have a larger tolerance."""
     b = ellipse.axes_from_shape(found.shape)[0][:, 1]
     return (
         found.misfit
@@ -125,8 +125,8 @@ def judge(
     min_radius_px: float,
     s: MarkerSettings,
 ) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
-    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted
-    or not."""
+    """Return the status (N,) of each fit, and True (N,) if it is likely a marker, trusted or
+    not."""
     axes, _ = ellipse.axes_from_shape(fit.shape)
     a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
@@ -180,8 +180,8 @@ def judge(
 
 
 def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.bool_]:
-    """Which ellipses (N,) come within `close` px of another's edge, measured along the line of
-    centres."""
+    """Return True (N,) for ellipses within `close` px of another's edge, measured along the line of
+    centers."""
     if len(center) < 2:
         return np.zeros(len(center), dtype=bool)
     near = KDTree(center).query_pairs(2 * a.max() + close, output_type="ndarray")

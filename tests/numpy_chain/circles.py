@@ -1,18 +1,18 @@
-"""The reference for mjtactile/kernels/circles.c, in numpy: the corrected closed form of the paper's
-Eq. 3-5, with covariance.
+"""Reference in numpy for mjtactile/kernels/circles.c: the corrected closed form of the paper's Eq.
+3-5, with covariance.
 
-With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues
-l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
-l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
+Q is the circle's cone in ideal normalized coordinates (x^T Q x = 0 on the boundary). Its
+eigenvalues are l1 >= l2 > 0 > l3, with eigenvectors v1, v3 (v3 away from the camera). With sin psi
+= sqrt((l1 - l2)/(l1 - l3)) and cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
-    C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),   n = s sin psi v1 - cos psi v3,   s = +1 or -1
+    C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),
+    n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Departures from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M; the sign
-belongs to the sine term alone; C is the centre in space, not only its image, so that no sine rule
-is needed; n faces the camera.
+Departures from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M.
+The sign belongs to the sine term alone. C is the center in space, not only its image, so that no
+sine rule is needed. n faces the camera.
 
-Arrays inside have the markers on their last axis, which makes every step one pass over contiguous
-memory.
+Arrays inside have the markers on their last axis: every step is one pass over contiguous memory.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.sensing.image import ellipse
 
-# on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics
+# points on an ellipse's boundary: at least five; lens and glass add few harmonics
 _POINTS = 8
 _MIN_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
-# of a conic's coefficients; what is left after such a step is 1e-10
+# largest number of steps for a conic's coefficients; a step below the tolerance leaves 1e-10
 _FIT_STEPS = 30
 _FIT_TOLERANCE = 1e-8
 _E = np.stack(
@@ -50,10 +50,11 @@ _TO_MOTION = np.linalg.pinv(
 def estimate_poses(
     ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike
 ) -> CirclePoses:
-    """Poses of N circles of `radius` (scalar or (N,)) m from their ellipses in distorted pixels.
+    """Estimate poses of N circles of `radius` (scalar or (N,)) m from their ellipses in distorted
+    pixels.
 
-    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are
-    those of `camera`. Raises InputError for a radius that is not positive or not one per ellipse.
+    Of the two solutions, `n_C` is the more face-on one to the camera axis. Lens and glass are those
+    of `camera`. Raises InputError for a radius that is not positive or not one per ellipse.
     """
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     r = _radii(radius, len(ellipses))
@@ -90,8 +91,8 @@ def estimate_poses(
 def pose_covariances(
     ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array
 ) -> tuple[Array, Array]:
-    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3)
-    that `ellipses` have been found to have: of either of a circle's two poses."""
+    """Compute covariances (N, 3, 3) of the centers `p_CM` (N, 3), m^2, and of the unit normals
+    `n_C` (N, 3) estimated from `ellipses`. The pose may be either of a circle's two poses."""
     if not len(ellipses):
         return np.zeros((0, 3, 3)), np.zeros((0, 3, 3))
     a, b = ellipses.semi_axes_px.T
@@ -103,7 +104,7 @@ def pose_covariances(
     n = _tilted(n_C, p_CM)
     G = _derivative(camera, ellipses, xy, affine[:, 0], p_CM, n, parts=5)
     cov = G @ ellipses.cov @ G.transpose(0, 2, 1)
-    # (n_x, n_y) move at fixed n_z; what lies along n is no turn
+    # (n_x, n_y) move at fixed n_z; the component along n is not a rotation
     turn = (np.eye(3) - n[:, :, None] * n[:, None])[:, :, :2]
     return cov[:, :3, :3], turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)
 
@@ -142,9 +143,9 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
     l3 = l3 + off
     A = A - off
     C = C - off
-    # u, w across v3 (geometry.tangents); Q - l3 I vanishes along v3, so that its block [[A, b], [b,
-    # C]] acts on (u_x, u_y) - (u_z/z) (x, y), which is (1, 0) + h x (x, y), and (0, 1) + h y (x, y)
-    # for w
+    # u, w across v3 (geometry.tangents). Q - l3 I vanishes along v3: its block [[A, b], [b, C]]
+    # acts on (u_x, u_y) - (u_z/z) (x, y). This is (1, 0) + h x (x, y), and (0, 1) + h y (x, y) for
+    # w
     h = 1 / (z * (1 + z))
     g = 1 + h * x * x
     hh = h * x * y
@@ -176,15 +177,16 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
-    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without
-    the pane."""
+    """Compute cones Q (N, 3, 3) in ideal normalized coordinates of ellipses in distorted pixels,
+    without the glass."""
     p, q, s = shape.T
     return _cones(camera, center_px, np.array([[p, q], [q, s]]))[2]
 
 
 def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array, Array, Array]:
-    """Boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2, N) e;
-    the affine map (2, 3, N) of (1, e) that they almost are; and the cones Q (N, 3, 3)."""
+    """Compute boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2,
+    N) e. Also return their approximate affine map (2, 3, N) of (1, e), and the cones Q (N, 3,
+    3)."""
     if not any(camera.distortion):
         scale = np.array([[1 / camera.fx], [1 / camera.fy]])
         affine = np.empty((2, 3, len(center_px)))
@@ -204,11 +206,11 @@ def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array,
 
 
 def _fit(xy: Array) -> tuple[Array, Array]:
-    """Affine map (2, 3, N) and cones (N, 3, 3) of boundary points `xy` (2, K, N).
+    """Fit the affine map (2, 3, N) and cones (N, 3, 3) to boundary points `xy` (2, K, N).
 
-    In the coordinates of the affine map the points are nearly the unit circle's; the conic's least
-    squares are then solved by the *circle's* pseudo-inverse, again and again on what is left, which
-    converges like (distance)^k.
+    In the coordinates of the affine map the points are close to the unit circle. The conic's least
+    squares then uses the *circle's* pseudo-inverse, repeated on the residual. It converges like
+    (distance)^k.
     """
     affine = _TO_AFFINE @ xy
     (x0, xa, xb), (y0, ya, yb) = affine
@@ -229,8 +231,11 @@ def _fit(xy: Array) -> tuple[Array, Array]:
 
 
 def _cone(affine: Array, conic: Array) -> Array:
-    """Q (N, 3, 3) of the conic (a, b, c, e, f) (5, N or 1), a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v
-    = 1, in the coordinates (u, v) that `affine` (2, 3, N) takes to ideal ones."""
+    """Compute Q (N, 3, 3) of the conic (a, b, c, e, f) (5, N or 1).
+
+    The conic is a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v = 1. `affine` (2, 3, N) maps its
+    coordinates (u, v) to ideal ones.
+    """
     (x0, xa, xb), (y0, ya, yb) = affine
     a, b, c, e, f = conic
     over = 1 / (xa * yb - xb * ya)
@@ -254,11 +259,11 @@ def _cone(affine: Array, conic: Array) -> Array:
 def _through_glass(
     camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
 ) -> tuple[Array, Array]:
-    """Both solutions (2, N, 3) behind the pane, from those `p`, `n` without it and boundary points
-    `xy` (2, K, N).
+    """Compute both solutions (2, N, 3) behind the glass, from those `p`, `n` without it and
+    boundary points `xy` (2, K, N).
 
-    The pane shifts every ray along z by its own amount; seen from the shifted centre that belongs
-    to the marker's middle, each boundary point is rescaled by the ratio of its depths. Its depth
+    The glass shifts every ray along z by its own amount. Seen from the shifted center of the
+    marker's central ray, each boundary point is rescaled by the ratio of its depths. Its depth
     comes from the first estimate.
     """
     x, y = xy
@@ -266,8 +271,7 @@ def _through_glass(
     middle = shift.mean(axis=0)
     away = (n * p).sum(axis=2)
     nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
-    # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z -
-    # middle)
+    # point on a ray that starts at `shift`, seen from `middle`: x (Z - shift)/(Z - middle)
     scale = 1 + (middle - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
     seen = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
     both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
@@ -289,13 +293,14 @@ def _derivative(
     n: Array,
     parts: int,
 ) -> Array:
-    """Derivatives (N, parts, 5) of the pose (centre m, n_x, n_y at fixed n_z; the first `parts` of
-    these five) by the ellipse's five parameters: those of the ellipse by the pose, inverted.
+    """Compute derivatives (N, parts, 5) of the pose by the ellipse's five parameters: those of the
+    ellipse by the pose, inverted.
 
-    With e the unit circle's points, R diag(a, b) e the boundary's offsets in distorted pixels, an
-    ellipse's change moves the boundary, in units of the local radius, by e . w + e^T V e; so does a
-    change of the pose. `xy` (2, K, N) are the ideal boundary points; the lens enters by its
-    derivative at the `middle` (2, N).
+    The pose is the center, m, and n_x, n_y at fixed n_z; the result has the first `parts` of these
+    five. Let e be the unit circle's points and R diag(a, b) e the boundary's offsets in distorted
+    pixels. An ellipse's change moves the boundary, in units of the local radius, by e . w + e^T V
+    e. So does a change of the pose. `xy` (2, K, N) are the ideal boundary points. The lens enters
+    by its derivative at the `middle` (2, N).
     """
     x, y = xy
     nx, ny, nz = n.T

@@ -1,7 +1,7 @@
 """Blurred discs by quadrature, whole patches at a time: the renderer's discs in numpy.
 
-By Green's theorem along y instead of x, so that what is tabulated and summed is another integral of
-the same image.
+Green's theorem is applied along y instead of x. The tabulated and summed integral is therefore
+another one of the same image.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def render_discs(
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
 
     `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs
-    that are behind the camera, not wholly beyond the pane or not finite are left out.
+    behind the camera, not entirely beyond the glass or not finite are left out.
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
     angle = np.arange(_SAMPLES) * (2 * np.pi / _SAMPLES)
@@ -64,11 +64,11 @@ def render_discs(
 
 
 def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
-    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and
+    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by glass and
     lens, to `coverage`.
 
-    Gauss-Legendre quadrature with four nodes per two pixels along each straight side; a stripe of
-    rows at a time, to which only the nodes near it count.
+    Gauss-Legendre quadrature uses four nodes per two pixels along each straight side. It processes
+    one stripe of rows at a time, with the nodes near it.
     """
     node, weight = np.polynomial.legendre.leggauss(4)
     panels = max(camera.width, camera.height) // 2
@@ -114,16 +114,16 @@ def _resampling(count: int) -> tuple[Array, Array]:
 
 
 def _coverage(xy: Array, rise: Array, size: Sequence[int], blur_px: float) -> Floats:
-    """Blurred area coverage (N, size_y, size_x) of the insides of N closed curves, `size` pixels
-    (x, y), by Green's theorem.
+    """Compute the blurred area coverage (N, size_y, size_x) of the interiors of N closed curves by
+    Green's theorem; `size` is in pixels (x, y).
 
     `xy` (N, 2, K) px are quadrature nodes along each curve, `rise` (N, K) the weight times dy. With
     the point spread function h(x) h(y), h = pixel * Gaussian, and H its integral,
 
-        coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = - closed integral of
-        H(u - x) h(v - y) dy.
+        coverage(u, v) = integral over the interior of h(u - x) h(v - y) dx dy
+                       = - closed integral of H(u - x) h(v - y) dy.
 
-    The integrand is smooth, so that the rule converges exponentially for a smooth curve; it is a
+    The integrand is smooth, so that the rule converges exponentially for a smooth curve. It is a
     product of a function of u and one of v, so that the sum over nodes is a matrix product. The
     sign is the curve's orientation.
     """

@@ -1,4 +1,4 @@
-"""Of ellipses, what only the references need."""
+"""Functions of ellipses that only the references need."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ def conic_from_shape(center: Array, shape: Array) -> Array:
 
 
 def covariance_of_moves(cov: Array, shape: Array) -> Array:
-    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1
-    = 2 V, of which dS = (det(S) V + S V S)/trace(S) is the solution."""
+    """Compute the covariance (N, 5, 5) of (u, v, p, q, s) from that of (w, V).
+
+    The relations are dc = S w and S^-1 dS + dS S^-1 = 2 V. The second has the solution dS = (det(S)
+    V + S V S)/trace(S).
+    """
     p, q, s = shape.T
     over = 1 / (p + s)
     det = p * s - q * q

@@ -15,11 +15,11 @@ _ROUNDS = 3  # match, learn how the neighbourhood moved, match again
 def match(
     p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity
 ) -> Ids:
-    """Marker ids (N,) of circles at `p_SM` (N, 3) m, -1 where there is none.
+    """Return marker ids (N,) of circles at `p_SM` (N, 3) m, -1 for circles without a match.
 
-    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout`
-    (M, 3) m the flat membrane's, which says who is whose neighbour. No id is given twice. NaN rows
-    of `p_SM` match nothing.
+    `expected` (M, 3) m are predicted positions (NaN: unknown, then from the neighbours). `layout`
+    (M, 3) m is the flat membrane's layout, which defines the neighbours. No id is assigned twice.
+    NaN rows of `p_SM` match nothing.
     """
     found = np.asarray(p_SM, dtype=float)[:, :2]
     layout = np.asarray(layout, dtype=float)[:, :2]
@@ -57,10 +57,10 @@ def match(
 
 
 def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
-    """Median displacement (M, 2) of each marker's nearest `neighbours` with a known one (NaN:
-    unknown) in `moved`.
+    """Return the median displacement (M, 2) of each marker's nearest `neighbours` with a known one
+    in `moved` (NaN: unknown).
 
-    Where there are none, the median of all; zero if nothing is known.
+    Without known neighbours it is the median of all; without any known displacement it is zero.
     """
     near = moved[order[:, : s.neighbours]]
     if np.isfinite(near.sum()):
@@ -82,8 +82,10 @@ def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
 
 
 def _common_shift(found: Array, expected: Array, pitch: float, s: IdentitySettings) -> Array:
-    """Offset (2,) of all circles against where they are expected, up to half a pitch: the densest
-    place among the offsets of every circle to its nearest marker."""
+    """Return the offset (2,) of all circles from their expected positions, up to half a pitch.
+
+    It is the densest point among the offsets of every circle to its nearest marker.
+    """
     found = found[np.isfinite(found).all(axis=1)]
     offset = found - expected[np.argmin(_squared_distances(found, expected), axis=1)]
     offset = offset[(offset**2).sum(axis=1) < pitch * pitch]

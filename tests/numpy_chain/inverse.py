@@ -22,7 +22,8 @@ from tests.numpy_chain.sheet import Sheet, State
 
 @dataclass(frozen=True, eq=False)
 class _Gain:
-    """As the product's, dense, with the markers' motion (r, 3 n) and their response (r, 3 J)."""
+    """Dense version of the gain in sensing/force, with the markers' motion (r, 3 n) and their
+    response (r, 3 J)."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -50,12 +51,12 @@ class _Gain:
         lost: bool,
         correlation: float,
     ) -> bool:
-        """Whether it can be used near `c`, for these markers."""
+        """Return True if the gain is valid near `c` for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
 
 
 class DenseInverse(InverseMembrane):
-    """As its base, from whose `Sheet` it takes the basis alone."""
+    """Dense version of its base class; it takes only the basis from the base's `Sheet`."""
 
     def __init__(self, design: SensorDesign):
         super().__init__(design)
@@ -91,8 +92,8 @@ class DenseInverse(InverseMembrane):
     def _step(
         self, c: Array, markers: Markers, seen: Array, rest: InverseRest, gain: _Gain, count: int
     ) -> Shape:
-        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
-        markers show beyond that."""
+        """Take one Gauss-Newton step from `c`: the membrane relaxes, and tractions and drift
+        explain the remaining marker offsets."""
         data = seen - self._material[markers.ids]
         state = self._dense.state(c, rest.stiffness_scale)
         pressure, _ = self._dense.gas_pressure(state, rest.gas)
@@ -105,7 +106,7 @@ class DenseInverse(InverseMembrane):
             )
             misfit = np.concatenate([misfit, off.T.ravel()])
         misfit = misfit + gain.moved @ residual.ravel()
-        # what is left for the whitened markers' noise
+        # residual attributed to the noise of the whitened markers
         noise = cho_solve((gain.innovation, True), misfit, check_finite=False)
         traction = self._times(noise @ gain.response, gain.prior).reshape(3, -1)
         drift = noise @ gain.drift  # in sd
@@ -210,8 +211,8 @@ class DenseInverse(InverseMembrane):
         weights: Array,
         unit: Array,
     ) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (r, 1 + modes), and, by the gas, as pressure
-        and as a load."""
+        """Compute the effect of one standard deviation of drift: on the whitened markers (r, 1 +
+        modes), and through the gas, as pressure and as a load."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
         pressure = self._dense.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
@@ -229,8 +230,8 @@ class DenseInverse(InverseMembrane):
 
 
 def half_of(prior: LoadPrior, rows: Array, sd: Array) -> Array:
-    """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they
-    see."""
+    """Multiply `rows` (m, 3 J) by the covariance's root: half half^T is the covariance of their
+    values."""
     by_x, by_y = prior.root
     return (by_x.T @ (rows * sd).reshape(-1, len(by_x), len(by_y)) @ by_y).reshape(rows.shape)
 

@@ -61,26 +61,25 @@ def stiffness(
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# How far, as a share of the force along the normal, friction may aim beyond its cone, times the
-# coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
-# along it is also sliding up it); at 0.1 friction drops below the cone's edge whenever sliding
-# slows down.
+# Limit of the friction target beyond its cone, times the coefficient, as a fraction of the normal
+# force. At 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding along it
+# is also sliding up it). At 0.1 friction drops below the cone's edge whenever sliding slows down.
 _EXCESS = 0.25
-_WAIT = 5e-3  # s; twice a longer step is too long
+_WAIT = 5e-3  # time step, s; two longer steps are too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
 _LEAST = 1e-24  # in place of zero in a denominator or under a root
 _TWO = np.array([[1], [2]])  # the rows of friction after that of the normal
 
 
 class _Contacts(NamedTuple):
-    """What the last step's `n` contacts with friction did, as seen by the vertices; vectors by
-    components in their planes."""
+    """The `n` contacts with friction of the last step, per vertex; vectors by components in their
+    tangent planes."""
 
     vertices: NDArray[np.int64]
     axes: Array  # (2, 3, n) the planes' axes in S
     friction: Array  # (2, n) N on the vertex
-    velocity: Array  # (2, n) m/s of the vertex over what it touches, after the step
-    travel: Array  # (2, n) m, what it has moved by since the last look
+    velocity: Array  # relative velocity after the step (2, n), m/s
+    travel: Array  # displacement since the last update (2, n), m
     limit: Array  # (n,) N, of friction
     excess: Array  # (n,) N beyond it, see `_EXCESS`
     mass: Array  # (n,) kg: friction changes by this times a change of velocity over a step's length
@@ -90,7 +89,7 @@ class _Contacts(NamedTuple):
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
-    A vertex that touches two things at once remembers what one of them held.
+    A vertex in contact with two geoms at once remembers only one of the contacts.
     """
 
     def __init__(
@@ -116,19 +115,19 @@ class Stiction:
         self._waits = False
         # every other step will do while nothing slides, for half the price
         self._may_wait = self._step < _WAIT
-        # what all coordinates have moved by since the last look, in steps
+        # displacement of all coordinates since the last update, divided by the step
         self._travel = np.zeros(model.nv)
-        self._give = np.zeros(self._count)  # m that the margin is advanced by
-        self._held = np.zeros((3, self._count))  # N, friction on the vertex, in S
-        # m over what it sticks to, since it began to stick
+        self._give = np.zeros(self._count)  # advance of the margin, m
+        self._held = np.zeros((3, self._count))  # friction on the vertex, N, frame S
+        # displacement relative to the touched surface since sticking started, m
         self._shift = np.zeros((3, self._count))
         self._slides = np.zeros(self._count, bool)
         model.flg_surfacevel = True
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the
-        vertices should touch."""
+        """Update the memory from the contacts of the last step; `stand_off` (k,) m is the contact
+        distance of the vertices."""
         time = float(self._data.time)
         before = self._time
         if time == before:
@@ -140,7 +139,7 @@ class Stiction:
         )
         if self._waits:
             return
-        if time < before:  # somebody has put back the clock
+        if time < before:  # the clock was set back
             self._forget()
         rows, sides, vertices = self._find()
         if len(rows):
@@ -207,13 +206,12 @@ class Stiction:
         )
 
     def _take_friction(self, c: _Contacts) -> None:
-        """Set the surface velocities with which friction begins the next step as it ended the last
-        one.
+        """Set the surface velocities with which friction starts the next step at its last value.
 
         A row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and
-        v' after the step, and s of the surface. A vertex that sticks should have v' = 0 and a
-        friction that also takes it back to where it began to stick; one that slides, nearly the
-        velocity that it has, with friction on the edge of the cone.
+        v' after the step, and s of the surface. A sticking vertex should have v' = 0 and a friction
+        force that also returns it to its initial sticking point. A sliding vertex should nearly
+        keep its velocity, with friction on the edge of the cone.
         """
         step = self._step
         slides = (_dot(c.friction, c.friction) >= (_ON_CONE * c.limit) ** 2) & (
@@ -221,7 +219,8 @@ class Stiction:
         )
         stops = self._slides[c.vertices] & ~slides
         held = c.friction
-        # what they slid with: the velocity was foreseen too large, friction came out too small
+        # friction while sliding: the predicted velocity was too large, and friction came out too
+        # small
         if stops.any():
             held = np.where(stops, _shorten(_in_plane(self._held, c), c.limit), held)
         shift = _in_plane(self._shift, c)

@@ -1,10 +1,10 @@
-"""As sensing/touch/patches.py, in numpy: the reference of its compiled stages.
+"""Reference in numpy for the compiled stages of sensing/touch/patches.py.
 
-The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure
-survives such a blur. It gives the area of a disc that is pressed uniformly, which is too large
-where the blur is larger than the contact; there the force tells more, since a sheet on a ball
-carries its own tension's pressure beside the gas's. The outline encloses the strongest pressure,
-that much of it.
+The inverse cannot resolve pressure more sharply than its grid, but the second moment of a pressure
+survives such a blur. It gives the area of a uniformly loaded disc. This area is too large where the
+blur exceeds the contact. There the force is the better measure: a membrane on a ball carries the
+pressure of its own tension in addition to the gas pressure. The outline encloses the highest
+pressure, over that area.
 """
 
 from __future__ import annotations
@@ -102,9 +102,11 @@ def _area(
     estimator: InverseMembrane,
     s: PatchSettings,
 ) -> float:
-    """Area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from
-    the second moment of nodal pressures (J,) at `p` (jx, jy, 3), of which a node's own extent is
-    the least."""
+    """Estimate the area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa.
+
+    It combines the force with the second moment of nodal pressures (J,) at `p` (jx, jy, 3). The
+    extent of one node is the minimum of that moment.
+    """
     p = p[..., :2].reshape(-1, 2)
     share = pressure * estimator.node_area
     share /= share.sum()
@@ -118,7 +120,7 @@ def _area(
 
 
 def _strongest(field: Array, cells: Array, area: float) -> NDArray:
-    """Where (a, b) the `field` is strongest, as many cells as make up `area` m^2; one at least."""
+    """Select the cells (a, b) with the highest `field`, `area` m^2 in total; at least one."""
     order = np.argsort(field, axis=None)[::-1]
     filled = np.cumsum(cells.ravel()[order])
     count = max(1, min(int(np.searchsorted(filled, area)), int(np.count_nonzero(field))))

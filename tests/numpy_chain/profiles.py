@@ -1,13 +1,14 @@
-"""The reference for the kernel of mjtactile/kernels/ellipse_profiles.c: the same estimator in numpy.
+"""Reference in numpy for the kernel of mjtactile/kernels/ellipse_profiles.c: the same estimator.
 
-K profiles cross each ellipse along its normals; one `cv2.remap` reads them all, one matrix product
-turns each into a few numbers (levels, area, offset of the edge by a matched filter, width), and one
-batched 5 x 5 solve moves the ellipses. Offsets are first found by area (right even two pixels
-away), then by the matched filter (near the Cramer-Rao bound close to the edge).
+K profiles cross each ellipse along its normals. One `cv2.remap` reads them all. One matrix product
+reduces each to a few numbers (levels, area, offset of the edge by a matched filter, width), and one
+batched 5 x 5 solve moves the ellipses. Offsets first come from the area (right even two pixels
+away), then from the matched filter (near the Cramer-Rao bound close to the edge).
 
-A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa:
-curvature of the edge); sigma is measured from the profiles themselves and the bias removed. To
-first order in kappa sigma: `edges` is for the small markers where that is not enough.
+A disc blurred by a Gaussian of standard deviation sigma has its 50 % level further in by kappa
+sigma^2/2 (kappa: curvature of the edge). Sigma is measured from the profiles, and the bias is
+removed. This holds to first order in kappa sigma; `edges` is for the small markers where that is
+not enough.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ _COARSE_STEP = 0.9
 _COARSE_COUNT = 24
 _COARSE_ROUNDS = 4
 _NEAR = 1.5  # px: a coarse move below this ends the coarse rounds; it is right by area within two
-# Softening before bilinear interpolation makes the image smooth enough for it: without, offsets
-# depend on where the edge lies within a pixel, by 2 um of depth in the paper's geometry.
+# Softening before bilinear interpolation makes the image smooth enough for it. Without it, offsets
+# depend on the position of the edge within a pixel, by 2 um of depth in the paper's geometry.
 _BILINEAR_VARIANCE = 1 / 6  # of linear interpolation, mean over all positions
 _NEIGHBOURS = -(np.arange(1.0, 5.0)[:, None] ** 2)
 _LEVEL_MOVES = np.diag([2.0, 2.0, 1.0, 0.0, 1.0])
@@ -49,10 +50,12 @@ INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR = range(6)
 
 @dataclass(frozen=True)
 class _Fan:
-    """K directions on the unit circle, and all that hangs on nothing else: points `e` (2, K);
-    functions (5, K) e, e e^T that move an ellipse, their products `pairs` (K, 25), and their
-    pseudo-inverse `solve` (K, 5); `plane` (K, 3) takes from values their mean and their gradient,
-    `one` (3, K) turns these to values; `mean` (K,) is the mean."""
+    """K directions on the unit circle, and all quantities that depend only on them.
+
+    Points `e` (2, K). Functions (5, K) e, e e^T that move an ellipse, their products `pairs` (K,
+    25), and their pseudo-inverse `solve` (K, 5). `plane` (K, 3) maps values to their mean and
+    gradient, `one` (3, K) maps these to values; `mean` (K,) gives the mean.
+    """
 
     e: NDArray
     basis: NDArray
@@ -90,14 +93,16 @@ def _fan(count: int) -> _Fan:
 
 @dataclass(frozen=True)
 class _Outline:
-    """N ellipses at the fan's K parameters: outward normals `m` (2, N, K), `arc` per profile (N, K)
-    px, and g = |S^-1 e| (N, K) 1/px; m = S^-1 e/g, the arc is det(S) g dt, the curvature
-    1/(det(S)^2 g^3)."""
+    """N ellipses at the fan's K parameters.
+
+    Outward normals `m` (2, N, K), m = S^-1 e/g. `arc` per profile (N, K) px, the arc length det(S)
+    g dt. g = |S^-1 e| (N, K) 1/px. The curvature is 1/(det(S)^2 g^3).
+    """
 
     m: NDArray
     arc: NDArray
     g: NDArray
-    det: NDArray  # (N, 1) of S, px^2
+    det: NDArray  # determinant of S (N, 1), px^2
 
 
 def fit(
@@ -155,13 +160,13 @@ def _approach(
 
 
 def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray, NDArray]:
-    """Each marker's blur sd (N,) px, how far (N, K) px the blur along the curved edge moves its 50
-    % level inwards: kappa/2 times the blur's variance along the edge's tangent, and the part of it
-    (N,) px that motion adds.
+    """Return each marker's blur (N,), the inward shift (N, K) of its 50 % level, and the part of
+    the blur (N,) that motion adds, all px.
 
-    `blur` (N, K) is the sd across the edge. Motion blurs one direction more: the variance across an
-    edge with normal m is m^T B m, with one tensor B for the image (least squares), and what is left
-    over per marker (defocus).
+    Blur along the curved edge causes the shift: kappa/2 times the blur's variance along the edge's
+    tangent. `blur` (N, K) is the standard deviation across the edge. Motion blurs one direction
+    more: the variance across an edge with normal m is m^T B m. One tensor B holds for the image
+    (least squares); the remainder per marker is defocus.
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
@@ -198,7 +203,7 @@ def _common_blur(numbers: NDArray, over: NDArray, delta: NDArray, step: float, f
     """
     # the weights' own sum is zero: the outside level drops out
     second = numbers[SECOND] * over - _STEP_MOMENT
-    # 1/6: what sampling takes off the second moment of a smooth step, in samples squared
+    # 1/6: reduction of the second moment of a smooth step by sampling, in samples squared
     squared = (middle((2 * second - delta * delta) @ fan.mean) + 1 / 6) * step * step
     return min(max(squared, 0.75**2), 4.0**2) ** 0.5
 
@@ -212,8 +217,8 @@ def _filter_bank(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
     o = _offsets(step)
     z = o / sigma
     phi = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) / sigma
-    # matched to what the pixels hold: half of the softening's and interpolation's blur is in the
-    # samples' noise already
+    # matched to the pixels: half of the blur by softening and interpolation is already in the
+    # samples' noise
     narrow = np.sqrt(max(sigma**2 - 2 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE), 0.45**2))
     edge = np.exp(-0.5 * (o / narrow) ** 2)
     pair = np.stack([edge / (edge @ phi), (phi * z) / ((phi * z) @ (phi * z))])
@@ -226,18 +231,18 @@ def _filter_bank(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
 
 
 def _filters(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
-    """Filter columns (J, 6), what EDGE and BLUR read off a unit step of sd `sigma` at 0, and the
-    columns' sums.
+    """Return the filter columns (J, 6), the EDGE and BLUR readings of a unit step of standard
+    deviation `sigma` at 0, and the columns' sums.
 
-    EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, F = Phi(-o/sigma), phi =
-    -dF/do, psi = dF/dsigma; one is even and the other odd, so that each ignores the other.
+    EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, with F = Phi(-o/sigma),
+    phi = -dF/do, psi = dF/dsigma. One is even and the other odd, so that each ignores the other.
     """
     return _filter_bank(step, sigma)
 
 
 def _gain(step: float, sigma: float, blur: float) -> float:
-    """What EDGE of the filters for `sigma` reads off an edge at 1 px, for small offsets, if the
-    blur is in fact `blur`."""
+    """Return the EDGE reading of the filters for `sigma` per px of edge offset, for small offsets
+    and an actual blur of `blur`."""
     z = _offsets(step) / blur
     return float(_filters(step, sigma)[0][:, EDGE] @ np.exp(-0.5 * z * z)) / (
         np.sqrt(2 * np.pi) * blur
@@ -263,7 +268,7 @@ def _read(
     step: float,
     sigma: float,
 ) -> NDArray:
-    """What the filters read off the profiles across the ellipses, outwards: (6, N, K)."""
+    """Apply the filters to the profiles across the ellipses, outwards: (6, N, K)."""
     offsets = _offsets(step)
     (u, v), (p, q, s) = center.T, shape.T
     place = np.array([[u, p, q], [v, q, s]], np.float64).transpose(0, 2, 1) @ fan.one
@@ -298,17 +303,17 @@ def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArr
 def _settle(
     center: Array, shape: Array, delta: NDArray, line: _Outline, fan: _Fan, s: ProfileSettings
 ) -> tuple[Array, Array, Array, NDArray, NDArray]:
-    """Ellipses moved by robust least squares to the edge's offsets `delta` (N, K) px along the
+    """Move ellipses by robust least squares to the edge offsets `delta` (N, K) px along the
     normals.
 
     An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V =
-    sym(S^-1 dS): one basis for all ellipses, so that all normal matrices are one product. Also
-    returns the inverse normal matrices (N, 5, 5) of (w, V), the weights (N, K), and what is left of
+    sym(S^-1 dS). One basis serves all ellipses, so that all normal matrices are one product. Also
+    returns the inverse normal matrices (N, 5, 5) of (w, V), the weights (N, K), and the residual of
     `delta`.
     """
     over = 1 / line.g
     scaled = delta * line.g
-    # unweighted: only to see what does not belong
+    # unweighted: only to detect outliers
     left = delta - ((scaled @ fan.solve) @ fan.basis) * over
     t = (
         left
@@ -345,9 +350,9 @@ def _result(
     spacing = line.arc.mean(axis=1).astype(float)
     size = line.g.mean(axis=1).astype(float)
     variance = spread / total * (count / (count - 5))
-    # Profiles read some of the same pixels: neighbours at distance d correlate as the
-    # autocorrelation of softening and interpolation together, nearly a Gaussian. The factor is the
-    # sum over all neighbours.
+    # Profiles share some pixels. Neighbours at distance d correlate as the autocorrelation of
+    # softening and interpolation together, nearly a Gaussian. The factor is the sum over all
+    # neighbours.
     reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
     shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
     variance *= (count - 5) / np.maximum(count - 5 * shared, 1)

@@ -15,8 +15,7 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force.spline_fem import Gas
 
-# nodes in each interval of the spline: what is integrated varies over markers, several intervals
-# wide
+# nodes in each interval of the spline: the integrands vary over markers, several intervals wide
 _GAUSS = 2
 # blocks of the lower triangle
 _LOWER = (np.array([0, 1, 2, 1, 2, 2]), np.array([0, 1, 2, 0, 0, 1]))
@@ -28,10 +27,13 @@ _NUDGE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Deformation at the Gauss points: positions `x` (3, qx, qy) m, tangents `g1`, `g2` = dx/dX,
-    dx/dY, area vector `normal` = g1 cross g2, second Piola-Kirchhoff force `S` (3, qx, qy) = S11,
-    S22, S12 N/m, bulge `volume` m^3, and the `strain` (3, qx, qy) = C11, C22, C12 against the free
-    sheet, for moduli, which `scale` multiplies."""
+    """Deformation at the Gauss points.
+
+    Positions `x` (3, qx, qy) m. Tangents `g1`, `g2` = dx/dX, dx/dY. Area vector `normal` = g1 cross
+    g2. Second Piola-Kirchhoff force `S` (3, qx, qy) = S11, S22, S12 N/m. Bulge `volume` m^3. The
+    `strain` (3, qx, qy) = C11, C22, C12 relative to the free membrane, for the moduli, which
+    `scale` multiplies.
+    """
 
     x: Array
     g1: Array
@@ -143,7 +145,7 @@ class Sheet:
         K += self._pairs(w * (D22 * two + D66 * one + D26 * both + same * S22), (0, 0), (1, 1))
         K += self._pairs(w * (D12 * mixed + D66 * crossed + sides + same * S12), (1, 0), (0, 1))
         K += self._pairs(w * (D12 * crossed + D66 * mixed + sides + same * S12), (0, 1), (1, 0))
-        # gas: d(g1 x g2) = du,1 x g2 + g1 x du,2; component k of the tangents stands in block i, j
+        # gas: d(g1 x g2) = du,1 x g2 + g1 x du,2; component k of the tangents enters block i, j
         # with the sign of ijk
         third = np.array([2, 1, 0])  # of the blocks (1, 0), (2, 0), (2, 1)
         push = gauge_pressure * w * np.array([1.0, -1.0, 1.0])[:, None, None]

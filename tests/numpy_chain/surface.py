@@ -97,7 +97,7 @@ class _Terms:
 
 
 class SurfaceFitter:
-    """As the product's."""
+    """Surface fit of the package, in numpy."""
 
     def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
         self.settings = settings
@@ -118,7 +118,7 @@ class SurfaceFitter:
         wy = self.basis_y.weights
         self.weights = wy[:, None] * wx
         self.volume_c = self.quad_y[0].T @ self.weights @ self.quad_x[0]
-        # what `Spline.surface` wants covariances of (single precision is plenty): slopes
+        # gradients for the covariances of `Spline.surface` (single precision suffices): slopes
         # everywhere, area, volume
         stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
         gradients = [stiffness_root, np.zeros(len(stiffness_root)), self.volume_c.ravel()]
@@ -131,7 +131,7 @@ class SurfaceFitter:
     def fit_spline(
         self, p_SM: ArrayLike, cov_p: ArrayLike | None = None, n_S: ArrayLike | None = None
     ) -> Spline:
-        """As the product's."""
+        """Fit a spline to marker positions, as the package's method does."""
         p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         variance = (
             np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
@@ -169,8 +169,8 @@ class SurfaceFitter:
     def _solve_without_outliers(
         self, rows: Array, z: Array, sd: Array
     ) -> tuple[Spline, _Terms, NDArray[np.bool_]]:
-        """Fit heights `z` (N,), and again without the worst marker while one is far off what all
-        others predict."""
+        """Fit heights `z` (N,). Repeat without the worst marker while one is far from the
+        prediction of all others."""
         fits = np.ones(len(z), bool)
         A = rows / sd[:, None]
         b = z / sd
@@ -213,8 +213,8 @@ class SurfaceFitter:
         if fault:  # the prior is positive definite: only absurd weights come here
             raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
         c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
-        # what the splines cannot follow (the edge of a contact) shows as residuals larger than
-        # their noise: Birge 1932
+        # features that the splines cannot follow (the edge of a contact) appear as residuals larger
+        # than their noise: Birge 1932
         squares = c @ terms.normal @ c - 2 * (c @ terms.right) + terms.square
         misfit = max(1.0, squares / max(terms.rows, 1))
         return Spline(

@@ -1,4 +1,4 @@
-"""What `attach`, the object loader and the world refuse, and how they say it."""
+"""Tests of input that `attach`, the object loader and the world reject, and of the messages."""
 
 import mujoco
 import numpy as np

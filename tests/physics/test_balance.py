@@ -48,8 +48,8 @@ def forces(world, count=30):
 
 def test_servo_and_both_membranes_agree(held):
     contact, servo = forces(held)
-    # friction in the slides is viscous and nothing moves; what is left is the solver's tolerance
-    # and slow creep
+    # friction in the slides is viscous and nothing moves; the solver's tolerance and slow creep
+    # remain
     assert -contact[0, 2] == pytest.approx(servo, rel=0.01)
     assert -contact[1, 2] == pytest.approx(servo, rel=0.01)
     assert contact[0, 2] == pytest.approx(contact[1, 2], rel=0.01)
@@ -227,7 +227,7 @@ def test_sealed_membrane_at_rest_gains_no_energy():
         world.step(40)
         speeds.append(np.abs(world.data.qvel).max())
     assert all(later <= earlier + 1e-7 for earlier, later in zip(speeds, speeds[1:], strict=False))
-    assert speeds[-1] < 1e-6  # m/s; both bounds are the solver's own noise
+    assert speeds[-1] < 1e-6  # speed in m/s; both bounds are solver noise
 
 
 def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
@@ -273,7 +273,7 @@ def test_two_membranes_hold_a_sheet_by_friction():
     # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by
     # micrometres
     assert left[0] - right[0] == pytest.approx(world.weight, rel=0.03)
-    assert world.drop < 3e-4  # m: the sheets shear under 2 g
+    assert world.drop < 3e-4  # drop in m: the membranes shear under 2 g
 
 
 def test_an_object_rests_on_nothing_but_a_membrane():
@@ -291,7 +291,10 @@ def test_an_object_rests_on_nothing_but_a_membrane():
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
-    """Up to 2 m/s: the blow is felt, the energy goes, and the force at rest is the weight."""
+    """A weight that strikes the membrane with up to 2 m/s loses its energy and is finally carried.
+
+    The impact appears in the force; the equilibrium force is the weight.
+    """
     from benchmarks.scenes.stress_scenes import Body, DropWorld
 
     world = DropWorld(

@@ -1,5 +1,5 @@
-"""Contact: converged force, penetration, which model touches, and what is said about features finer
-than the mesh."""
+"""Tests of contact: converged force, penetration, selection of the contact model, and the flag of
+features finer than the mesh."""
 
 import mujoco
 import numpy as np
@@ -25,9 +25,9 @@ def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
     return np.array(rows).T, world
 
 
-# Forces at 33 x 27 vertices without stand-off. By indenter and place, m. Regenerate: `pressed(...)`
-# with facets.SHARE = 0. An independent solver says 0.2562 and 0.4847 (frictionless; 1-3 % more
-# where it sticks) for the first.
+# Forces, N, by indenter and position, m, at 33 x 27 vertices without stand-off. Regenerate:
+# `pressed(...)` with facets.SHARE = 0. For the first, an independent solver gives 0.2562 and 0.4847
+# (frictionless; 1-3 % more with sticking contact).
 FINE = {
     ("sphere:8", (0.0, 0.0)): (0.2569, 0.4929),
     ("sphere:15", (0.0, 0.0)): (0.3355, 0.6945),
@@ -39,8 +39,8 @@ FINE = {
 @pytest.mark.parametrize("case", FINE)
 def test_default_force_is_the_converged_one(case):
     (force, depth), _ = pressed(case[0], at=case[1])
-    # 3 % is what is wanted, and kept by all eight; friction remembers the way, and the last bits of
-    # a processor make 1 %
+    # the requirement is 3 %, and all eight cases meet it; friction depends on the path, and the
+    # last bits of a processor change the force by 1 %
     np.testing.assert_allclose(force, FINE[case], rtol=0.04)
     assert (depth < 0.03 * np.array(DEPTHS)).all()  # the project's bound
 
@@ -101,10 +101,13 @@ def test_vertices_feel_whatever_has_a_shape_that_is_known():
 
 
 def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
-    """The truth, and the statement: a 1 mm pin's force is about 0.161 N (an independent solver says
-    0.190 for St. Venant-Kirchhoff's law at 2 mm, and 0.0685 for 0.0808 at 1 mm with this one: the
-    same ratio is taken), vertices are within a tenth of it, triangles too hard, and the flag owns
-    up to it."""
+    """The force of a 1 mm pin between the vertices has an error within the stated one.
+
+    The ground truth is about 0.161 N. An independent solver gives 0.190 for St. Venant-Kirchhoff's
+    law at 2 mm. At 1 mm it gives 0.0808 with that law and 0.0685 with this one; the same ratio is
+    applied. Vertices are within a tenth of the ground truth. Triangles are too stiff, and the flag
+    states it.
+    """
     for contact, low, high in (("auto", -0.1, 0.1), ("elements", 0.0, 1.0)):
         (force, _), world = pressed("cylinder:0.5", (2e-3,), at=(1.1e-3, 1.2e-3), contact=contact)
         assert (
@@ -127,7 +130,7 @@ def test_a_large_smooth_object_is_not_flagged():
     assert not world.flags
 
 
-# Of flat ends at 33 x 27 vertices, 2 mm deep
+# Forces of flat ends at 33 x 27 vertices, 2 mm deep, N
 EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 
@@ -156,5 +159,5 @@ def test_actuator_contact_and_torque_agree():
     np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())
     middle = ground_truth.contact_forces(world, 0)[1].mean(axis=0)
     lever = np.abs(torque - np.cross(middle, force))[:2] / abs(force[2])
-    # m: the force acts within half a vertex spacing of the middle of the contact
+    # lever in m: the force acts within half a vertex spacing of the contact's center
     assert lever.max() < 1.5e-3

@@ -1,5 +1,5 @@
-"""Effects as switches: off leaves nothing behind, on does what physics says; gates and the run's
-own error estimate."""
+"""Tests of effects as switches: an effect that is off has no influence, one that is on follows
+physics. Also tests of gates and of the run's own error estimate."""
 
 from dataclasses import replace
 
@@ -54,7 +54,7 @@ def test_all_off_writes_its_load_once():
     sensor.open_valve(500.0)
     world.step()
     dofs = sensor._tendon.dofs
-    world.data.qfrc_applied[dofs] = 7e-6  # whoever wrote again would wipe this out
+    world.data.qfrc_applied[dofs] = 7e-6  # a second write would erase this
     world.step(3)
     assert (world.data.qfrc_applied[dofs] == 7e-6).all()
 
@@ -82,8 +82,8 @@ def test_without_friction_a_drag_meets_no_shear():
 
 
 def test_gravity_of_the_sheet_is_its_weight():
-    """The sheet's weight, density x volume x g, is what a flat sensor's frame carries less without
-    it."""
+    """Without the gravity effect, the frame of a flat sensor carries less by the membrane's weight,
+    density x volume x g."""
     masses = [
         press_world(effects).model.body_mass.sum() for effects in (PHYSICS, PHYSICS - {"gravity"})
     ]
@@ -175,7 +175,7 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
     def on(design=DENSE, **kwargs):
         return "shadows" in choose(design, egg, **kwargs).on
 
-    # the slopes beside an egg alone move 3 mN at 0.4 N (docs/reference/effects.md)
+    # the slopes next to an egg alone change the force by 3 mN at 0.4 N (docs/reference/effects.md)
     assert on(force_error=0.002)
     low = replace(DENSE.camera, distance=0.010)
     # rays of 15 degrees

@@ -1,5 +1,5 @@
-"""A sensor whose sheet is a film: what it bears is what the mesh bears, statics hold, and light and
-heavy things stay where friction holds them."""
+"""Tests of a sensor with the quasi-static membrane: it carries the same load as the mesh, statics
+hold, and light and heavy objects stay where friction holds them."""
 
 import mujoco
 import numpy as np
@@ -56,9 +56,10 @@ def test_shear_sticks_and_then_slides_at_coulombs_limit():
     force = [
         ground_truth.contact_force(pressed(FILM, 1.5e-3, shear), 0) for shear in (1e-4, 2e-4, 3e-3)
     ]
-    # what sticks is linear; its nodes are the same, and move by 0.1 mm
+    # sticking contact is linear; its nodes are the same, and move by 0.1 mm
     assert force[1][0] == pytest.approx(2 * force[0][0], rel=1e-3)
-    # the body rides up on the sheet, and friction's limit is an ellipse with the torque: 2.7 %
+    # the indenter rises on the membrane, and the friction limit is an ellipse with the torque: 2.7
+    # %
     assert force[2][0] == pytest.approx(-DENSE.membrane.friction * force[2][2], rel=0.04)
 
 
@@ -92,8 +93,8 @@ def pieces_of(radius, mass):
 
 
 def membrane_interval(add, gap, timestep=2e-3, seconds=1.0):
-    """A body of what `add` adds between two inflated films that look at each other along y, `gap` m
-    apart; weight sets in slowly."""
+    """Hold a body, added by `add`, between two inflated membranes that face each other along y,
+    `gap` m apart. Its weight sets in slowly."""
     spec = mujoco.MjSpec()
     configure_options(spec, timestep)
     spec.option.gravity = [0.0, 0.0, 0.0]
@@ -129,7 +130,7 @@ def membrane_interval(add, gap, timestep=2e-3, seconds=1.0):
 )
 def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     world = membrane_interval(ball_of(0.01, mass), gap)
-    world.step(100)  # what hangs 1.2 mm low settles for longer
+    world.step(100)  # a ball that hangs 1.2 mm low settles for longer
     carried = []
     heights = []
     for _ in range(100):
@@ -141,21 +142,21 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
                 for k, s in enumerate(world.sensors)
             )
         )
-    # in 0.1 s; what is heavy still swings, damped by three quarters of stiffness times step (a creep
-    # of 10 um/s would be seen), and rocks, by up to 0.011 rad/s, within the 8 um in which the film is
-    # not solved for again. What is light is at rest
+    # creep in 0.1 s. A heavy ball still swings, damped by three quarters of stiffness times step (a
+    # creep of 10 um/s would be visible). It also rocks by up to 0.011 rad/s, within the 8 um in
+    # which the membrane is not solved again. A light ball is in equilibrium
     swings = mass > 0.1
     crept = np.mean(heights[50:]) - np.mean(heights[:50])
     assert abs(crept) < (1e-6 if swings else 1e-9)
-    assert np.abs(world.data.qvel[:3]).max() < (1e-3 if swings else 1e-8)  # m/s
+    assert np.abs(world.data.qvel[:3]).max() < (1e-3 if swings else 1e-8)  # speed, m/s
     assert np.abs(world.data.qvel[3:]).max() < (2e-2 if swings else 1e-8)  # rad/s
-    # a swing of 0.14 mm/s, the most seen, that turns round in these 0.2 s: 1.4e-4 of the weight
+    # a swing of 0.14 mm/s, the maximum observed, that reverses in these 0.2 s: 1.4e-4 of the weight
     assert np.mean(carried) == pytest.approx(mass * G, rel=2e-4)
 
 
 def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
     """Without that, strawberries swung ever more between films, until they were dropped."""
-    whole, pieces = (  # N s/m, before weight sets in
+    whole, pieces = (  # damping in N s/m, before weight sets in
         membrane_interval(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
         for of in (ball_of, pieces_of)
     )
@@ -177,7 +178,7 @@ def test_forces_of_the_user_stay():
     assert world.data.qpos[2] > height + 1e-5
     world.data.qfrc_applied[2] = 0.0
     world.step(100)
-    # what sticks is elastic: of 34 um nothing is left
+    # sticking is elastic: nothing of 34 um remains
     assert world.data.qpos[2] == pytest.approx(height, abs=3e-7)
 
 
@@ -196,7 +197,8 @@ def test_what_a_film_cannot_rest_on_is_refused():
 
 
 def next_to_sensor(height):
-    """A ball of 30 mm over one side of the frame, `height` m above it; the film beside it."""
+    """Place a ball of 30 mm over one side of the frame, `height` m above it and next to the
+    membrane."""
     spec = mujoco.MjSpec()
     configure_options(spec, 2e-3)
     site = spec.worldbody.add_site(name="s")
@@ -218,12 +220,12 @@ def test_what_lies_on_the_rim_is_borne_and_said():
     above, on = (next_to_sensor(height)[1] for height in (4e-4, 0.0))
     assert above.failure() is None and "rim_contact" not in above.flags()
     assert on.failure() is None and "frame's rim" in on.flags()["rim_contact"]
-    assert on.wrench[2] < above.wrench[2] < -0.1  # N
+    assert on.wrench[2] < above.wrench[2] < -0.1  # force, N
 
 
 def test_what_is_far_below_the_rim_stops_it_when_it_stays():
     world, sensor = next_to_sensor(-1e-3)
-    assert sensor.failure() is None  # a thing that falls past the frame does so for some steps
+    assert sensor.failure() is None  # an object that falls past the frame is there for some steps
     assert "rim" in sensor.flags()["quasistatic"]
     with pytest.raises(SimulationError, match="rim"):
         world.step(30)

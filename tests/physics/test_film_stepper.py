@@ -21,7 +21,8 @@ def hand(task="lift"):
 
 
 def test_steps_in_one_go_are_those_one_by_one():
-    """Bit for bit, through closing, grip and lift; and what is seen of each step on the way."""
+    """Batched steps equal single steps bit for bit, through closing, grip and lift; so do the
+    observations of each step."""
     found = []
     for ahead in (True, False):
         rig, world = hand()
@@ -46,7 +47,8 @@ def test_steps_in_one_go_are_those_one_by_one():
         np.testing.assert_array_equal(ours, theirs)
     # where the scene is looked at, forces are those of after the step
     assert (fast_forces == slow_forces).mean() > 0.99
-    assert found[0][3].shape == (631, 2) and found[0][3][-1].max() < -0.9  # N: it is held
+    # force in N: the object is held
+    assert found[0][3].shape == (631, 2) and found[0][3][-1].max() < -0.9
 
 
 @pytest.mark.parametrize("task", ["bump", "shake"])
@@ -79,7 +81,8 @@ def test_what_happens_to_it_does_so_in_the_same_steps(task):
 
 
 def test_what_is_filled_weighs_what_it_should_in_the_end():
-    """As step by step: its mass grows in steps of a hundredth of a second."""
+    """A filled object has the same final mass in batched and single steps; its mass grows in steps
+    of a hundredth of a second."""
     masses = []
     for ahead in (True, False):
         rig, world = hand("pour")
@@ -103,8 +106,11 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
 @pytest.mark.parametrize("leak", [0.0, 1e-12])
 @pytest.mark.parametrize("ahead", [True, False])
 def test_looking_changes_nothing(leak, ahead):
-    """To the bit, of tight gas and of one that leaks, before and while something touches and is
-    lifted; in one go and step by step."""
+    """Reading the scene does not change a bit of the result.
+
+    This holds for sealed and leaking gas, before and during contact and lift, in batched and single
+    steps.
+    """
     found = []
     for looks in (False, True):
         rig, world = hand()
@@ -126,7 +132,7 @@ def test_looking_changes_nothing(leak, ahead):
         rig.close()
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    assert found[0][1][2] < -0.2  # N: it is held
+    assert found[0][1][2] < -0.2  # force in N: the object is held
 
 
 def test_what_goes_wrong_ends_it_in_that_step():

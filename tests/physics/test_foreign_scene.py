@@ -1,4 +1,4 @@
-"""A sensor in a scene that somebody else wrote: their options, contact bits, keyframes and
+"""Tests of a sensor in a third-party scene with its own options, contact bits, keyframes and
 files."""
 
 import mujoco

@@ -84,8 +84,8 @@ def test_stiffness_is_the_response_of_the_next_step(chamber, step):
     change = 1e-5 * VOLUME
     slope = (pressure(-change) - pressure(change)) / (2 * change)
     # `advance` lets gas flow before and after the change, the stiffness during it: exp(-x/2)
-    # against (1 - exp(-x))/x, x^2/24 with x = 0.47 at 8 ms; where nothing leaks, only the curvature
-    # of the law is left
+    # against (1 - exp(-x))/x. They differ by x^2/24 with x = 0.47 at 8 ms. Without a leak only the
+    # curvature of the law remains
     assert closed(0.0, **chamber).stiffness(step) == pytest.approx(
         slope, rel=0.02 if "leak_conductance" in chamber else 1e-6
     )

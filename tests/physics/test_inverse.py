@@ -17,10 +17,10 @@ from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sensing.touch.patches import find_patches, together
 from tests.numpy_chain.inverse import half_of, moments
 
-SUPPLY = 1000.0  # Pa
+SUPPLY = 1000.0  # gauge pressure, Pa
 OBLIQUE = np.array([0.15, -0.05, -0.6])
 PLACE = (0.004, -0.002)
-RIM = 0.0065  # m, radius of a flat face, which presses at its rim
+RIM = 0.0065  # radius of a flat face that presses at its rim, m
 PAIR = ((-0.009, 0.002), (0.009, -0.002))
 
 
@@ -109,7 +109,7 @@ def test_tangent_is_the_derivative_of_the_residual():
     change = (
         sheet.residual(sheet.state(c + v), SUPPLY) - sheet.residual(sheet.state(c - v), SUPPLY)
     ) / 2
-    # 2-point Gauss quadrature leaves the follower pressure's matrix unsymmetric by 5e-4, of which
+    # 2-point Gauss quadrature makes the follower pressure's matrix asymmetric by 5e-4, of which
     # half is used
     assert np.linalg.norm(K @ v.T.ravel() - change.T.ravel()) < 2e-3 * np.linalg.norm(change)
 
@@ -143,7 +143,7 @@ def test_patch_lies_where_the_load_is(sensor, truth):
     # twice the mean that bench touch asks for
     np.testing.assert_allclose(patches[0].centroid, where, atol=6e-4)
     assert 0.5e-3 < patches[0].depth < 4e-3
-    # a parabola of radius 6 mm: most of its force lies within 4 mm (50 mm^2), nothing beyond 6 mm
+    # a parabola of radius 6 mm has most of its force within 4 mm (50 mm^2) and none beyond 6 mm
     # (113 mm^2)
     assert 40e-6 < patches[0].area < 120e-6
     inside = patches[0].outline
@@ -246,8 +246,8 @@ def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
 
 
 def test_softer_rubber_is_absorbed_by_the_rest_state(truth):
-    """Told 10 % too stiff a rubber, the estimator finds it from the bulge and still feels the right
-    force."""
+    """With a modulus 10 % too high in the file, the estimator infers it from the bulge, and the
+    force is still right."""
     nominal = load_sensor("dense")
     wrong = replace(nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young))
     estimator = InverseMembrane(wrong)
@@ -284,16 +284,19 @@ def test_rows_of_slopes_are_their_derivative(truth):
     ).c
     v = 1e-7 * np.random.default_rng(3).standard_normal(c.shape)
     change = (slopes.off(markers, c - v) - slopes.off(markers, c + v)) / 2
-    # central differences: what is left is of third order, (1e-4)^2 of slopes that change by 1e-4
-    # the tangents, (2, 16, 3)
+    # central differences have an error of third order: (1e-4)^2 of slopes that change by 1e-4.
+    # `moved` are the tangents, (2, 16, 3)
     moved = np.stack([along @ v.T for along in (slopes._along_x, slopes._along_y)])
     predicted = np.einsum("tmki,tmi->mk", slopes.rows(c, markers.ids), moved[:, markers.ids])
     np.testing.assert_allclose(predicted, change, rtol=1e-5, atol=1e-11)
 
 
 def test_slopes_tell_what_sparse_markers_miss(truth):
-    """A face stands on the four middle markers: their slopes say that it is flat, where heights
-    alone allow a deeper dent."""
+    """Marker slopes reduce the force error of a flat face on sparse markers.
+
+    The face covers the four central markers. Their slopes show that it is flat; heights alone allow
+    a deeper dent.
+    """
     estimator = InverseMembrane(load_sensor("paper16"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
     rim = np.exp(-(((np.linalg.norm(truth.fem.X, axis=1) - RIM) / 8e-4) ** 2)) * truth.fem.node_area

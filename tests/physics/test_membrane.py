@@ -1,4 +1,5 @@
-"""Inflated membrane against closed forms; volume, markers, and what the mount must not change."""
+"""Tests of the inflated membrane against closed forms, of volume and markers, and of independence
+from the mount."""
 
 from dataclasses import replace
 
@@ -15,9 +16,9 @@ from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.chamber import ChamberGeometry
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
 
-# Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other
-# vanishes. Recomputed for this project by Ritz, series and finite elements, which agree to 0.01 %:
-# keys are b/a, then Poisson's ratio.
+# Coefficients of a rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4; each term is exact
+# where the other vanishes. They were recomputed for this project by Ritz, series and finite
+# elements, which agree to 0.01 %. Keys are b/a, then Poisson's ratio.
 C1 = {1.0: 3.39345, 4 / 3: 2.66753, 1.5: 2.48086, 2.0: 2.19545}
 C2 = {
     1.0: {0.3: 2.65658, 0.45: 3.22296, 0.49: 3.42903},
@@ -25,7 +26,7 @@ C2 = {
     1.5: {0.3: 1.63875, 0.45: 1.94600, 0.49: 2.05926},
     2.0: {0.3: 1.50873, 0.45: 1.75557, 0.49: 1.84867},
 }
-SHORT = 0.03  # m, the shorter side
+SHORT = 0.03  # shorter side, m
 
 
 def sensor(aspect=4 / 3, poisson=0.45, pre_stretch=1.05, **chamber):
@@ -101,7 +102,7 @@ def test_bulge_converges_at_second_order():
     assert 1.7 < order < 2.3  # linear triangles: 2
     richardson = heights[2] + (heights[2] - heights[1]) / 3
     theory = pressure * (SHORT / 2) ** 2 / (C1[1.0] * design.membrane.pretension)
-    assert richardson == pytest.approx(theory, rel=2e-3)  # what second-order extrapolation leaves
+    assert richardson == pytest.approx(theory, rel=2e-3)  # error of second-order extrapolation
 
 
 def test_volume_gradient_is_the_derivative_of_the_volume():
@@ -183,7 +184,7 @@ def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
     for _ in range(20):
         world.step()
         pressures.append(device.gauge_pressure)
-    assert np.std(pressures) < 0.1  # Pa; the gas would turn 1 um of mean motion into 50 Pa
+    assert np.std(pressures) < 0.1  # pressure in Pa; the gas would turn 1 um of mean motion into 50
     assert np.mean(pressures) == pytest.approx(1000.0, abs=1.0)  # back where it was
 
 

@@ -1,5 +1,5 @@
-"""Openings of any convex outline: the map, the sheet on it, the simulator's mesh, and what is felt,
-against closed forms and an independent disc."""
+"""Tests of openings with any convex outline: the map, the membrane, the simulator's mesh and the
+sensing, against closed forms and an independent disc."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def test_the_rim_of_the_square_is_the_outline(outline):
     one = np.ones_like(t)
     sides = [(t, one), (t, -one), (one, t), (-one, t)]
     rim = outline.plane(np.concatenate([np.column_stack(side) for side in sides]))
-    # what 96 harmonics leave of arcs and sides, and chords of 1/720 of the outline
+    # error of 96 harmonics at arcs and sides, and of chords of 1/720 of the outline
     np.testing.assert_allclose(outline.distance(rim), 0.0, atol=5e-6)
     assert outline.distance(np.zeros((1, 2)))[0] > 5e-3
 
@@ -79,7 +79,7 @@ def test_areas_are_those_of_the_closed_forms():
     assert OUTLINES["circle"].area == pytest.approx(np.pi * 15e-3**2, rel=1e-12)
     assert OUTLINES["ellipse"].area == pytest.approx(np.pi * 20e-3 * 12e-3, rel=1e-12)
     rounded = 30e-3 * 20e-3 - (4 - np.pi) * 4e-3**2
-    assert OUTLINES["rounded"].area == pytest.approx(rounded, rel=1e-5)  # what harmonics leave
+    assert OUTLINES["rounded"].area == pytest.approx(rounded, rel=1e-5)  # error of the harmonics
     side, cut = 15e-3, 2e-3 * np.tan(np.pi / 6)
     corners = 6 * (cut * 2e-3 - np.pi / 6 * 2e-3**2)
     hexagon = 1.5 * np.sqrt(3) * side**2 - corners
@@ -121,8 +121,11 @@ def test_a_bad_polygon_of_a_file_is_named(tmp_path):
 
 
 def disc_height(design, pressure, elements=60):
-    """Height, m, of an inflated disc by 1-D elements along its radius: each of constant stretch,
-    the virtual work of its stress against that of the gas, solved for radii and heights."""
+    """Compute the height, m, of an inflated disc with 1-D elements along its radius.
+
+    Each element has constant stretch. The virtual work of its stress balances that of the gas. The
+    unknowns are radii and heights.
+    """
     a = design.frame.length / 2
     law = ConstitutiveLaw(design.membrane)
     pre2 = design.membrane.pre_stretch**2
@@ -223,7 +226,7 @@ def test_the_stiffness_is_the_derivative_of_the_forces(outline):
     np.testing.assert_allclose(forces, state.elastic, atol=1e-10 * np.abs(forces).max())
 
 
-# -- what is felt
+# -- sensing
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
@@ -268,7 +271,7 @@ def test_a_surface_is_found_with_its_area_and_volume(design):
     surface = SurfaceFitter(design).fit_spline(p_SM).surface()
     x, y = np.meshgrid(surface.x, surface.y)
     expected = np.maximum(height * (1 - (x / a) ** 2 - (y / b) ** 2), 0.0)
-    # between the outermost markers and the outline splines of 2.5 mm are told by both
+    # between the outermost markers and the outline, both determine the splines of 2.5 mm
     np.testing.assert_allclose(surface.z, expected, atol=40e-6)
     assert surface.volume == pytest.approx(np.pi * a * b * height / 2, rel=5e-3)
     # of a paraboloid to second order in its slopes: A (1 + mean of |grad z|^2 / 2)
@@ -337,7 +340,7 @@ def test_the_edge_of_a_round_frame_is_no_marker():
     assert (status == "touches another").all() and len(status) == 6
     assert SensingPipeline(ROUND).sight._largest_px == pytest.approx(
         2 * 600 * 0.9 / 25
-    )  # at the pane
+    )  # at the glass
     assert SensingPipeline(load_sensor("dense")).sight._largest_px == np.inf
     fit, status = markers.search(picture, max_radius_px=43.2)
     assert (status == "ok").all() and len(fit.center) == 5

@@ -1,5 +1,7 @@
-"""The paper's own force estimate, dF = c dA with a grid of springs: it works as far as the paper
-says, and no further."""
+"""Tests of the paper's own force estimate, dF = c dA with a grid of springs.
+
+It works within the range that the paper states, and not beyond.
+"""
 
 import numpy as np
 import pytest
@@ -25,8 +27,8 @@ def test_fit_recovers_an_exact_constant_and_refuses_a_shrinking_area():
 def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     design = load_sensor("dense")
     calibration = calibrate_area(design)
-    # A sealed membrane's area grows with the square of depth at first: a line through it misses by
-    # 0.1-0.25 N (measured; the paper's 0.04 N needs a larger initial load). That is why statics is
+    # A sealed membrane's area initially grows with the square of depth. A line through it misses by
+    # 0.1-0.25 N (measured; the paper's 0.04 N needs a larger initial load). Statics is therefore
     # the default.
     assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
     world = PressWorld(design, Indenter("cylinder", 5e-3))
@@ -45,8 +47,8 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     surface = perception.perceive(image(), world.time).surface
     felt = calibration.force(surface.area - rest.area)
     assert felt == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
-    # the spring grid presses where the cylinder is: the middle third of the frame carries most of
-    # it
+    # the spring grid shows the force at the cylinder: the central third of the frame carries most
+    # of it
     force = -spring_grid_force(surface, rest, design.membrane.pretension)[..., 2]
     in_x = np.abs(surface.x) < 0.0067
     in_y = np.abs(surface.y) < 0.0067

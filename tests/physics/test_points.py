@@ -25,10 +25,14 @@ def pressed(indenter: Indenter, at: tuple[float, float], mesh: tuple[int, int]) 
     ("name", "reference"), [("wedge.xml", 0.390), ("cone.stl", 0.1198), ("corner.xml", 0.1211)]
 )
 def test_what_is_sharp_presses_between_vertices_too(name, reference, mesh):
-    """Independent solver's forces (models/reference_cases), 0.6 mm off the vertices: 8 % is what `bench
-    truth` finds at worst on and off them; with spheres that stay on their vertices it is -29 to -51
-    %, with cells by the vertices' areas +10 to +20 %. Each press comes to rest: with spheres that are
-    put back onto the tip of what stands still, five of six swing for ever, shear by 20 mN."""
+    """A sharp indenter 0.6 mm off the vertices has the force of an independent solver
+    (models/reference_cases) within 8 %.
+
+    This is the worst error of `bench truth` on and off the vertices. With spheres that stay on
+    their vertices the error is -29 to -51 %, with cells by the vertices' areas +10 to +20 %. Each
+    case reaches equilibrium. With spheres reset onto the tip of a stationary indenter, five of six
+    oscillate forever, with 20 mN of shear.
+    """
     indenter = Indenter.parse(str(MODELS / name))
     assert pressed(indenter, (-0.8e-3, 0.3e-3), mesh) == pytest.approx(reference, rel=0.08)
 

@@ -1,5 +1,5 @@
-"""Random objects: one seed is one thing, its file is good, it can be held, and it is within the
-sizes that are said."""
+"""Tests of random objects: one seed gives one object, its file is valid, it can be held, and its
+size is within the documented range."""
 
 import math
 

@@ -1,5 +1,8 @@
-"""Rubber that relaxes, against closed forms: relaxation at fixed strain, creep at fixed load, the
-phase of a sinusoid, the energy of a cycle; then in the simulator, and felt."""
+"""Tests of rubber relaxation against closed forms, then in the simulator and in sensing.
+
+The closed forms are relaxation at fixed strain, creep at fixed load, the phase of a sinusoid, and
+the energy of a cycle.
+"""
 
 from dataclasses import replace
 
@@ -19,12 +22,12 @@ from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
 
 DENSE = load_sensor("dense")
 TWO = Relaxation(((0.3, 0.1), (0.2, 1.0)))
-STEP = 4e-3  # s
+STEP = 4e-3  # time step, s
 BALL = Indenter.parse("sphere:8")
 
 
 class Patch:
-    """A sheet that is stretched alike everywhere, so that one triangle tells all."""
+    """Uniformly stretched membrane: one triangle represents all."""
 
     def __init__(self, relaxation):
         mesh = make_mesh(DENSE.frame.length, DENSE.frame.width, 5, 5)
@@ -53,8 +56,10 @@ def test_stress_relaxes_by_its_prony_series():
 
 
 def test_strain_creeps_under_a_constant_stress():
-    """A spring beside a Maxwell element: eps(t) = sigma / E (1 - a / (1 + a) exp(-t / (1 + a)
-    tau)), for small strain."""
+    """Strain follows the closed form of a spring parallel to a Maxwell element, for small strain.
+
+    eps(t) = sigma / E (1 - a / (1 + a) exp(-t / (1 + a) tau))
+    """
     share = 0.4
     tau = 0.5
     patch = Patch(Relaxation(((share, tau),)))
@@ -163,8 +168,12 @@ def test_what_does_not_relax_says_so(left_out):
 
 @pytest.mark.slow
 def test_force_stays_right_while_rubber_fades():
-    """0.9 N on rubber of which nearly half of the quick stress fades: with the section in the
-    sensor file the felt force follows, without it is off by ever more."""
+    """With the relaxation section in the sensor file the force stays right while the rubber
+    relaxes.
+
+    The load is 0.9 N, and nearly half of the instantaneous stress relaxes. Without the section the
+    error keeps growing.
+    """
     relaxing = replace(DENSE, relaxation=Relaxation(((0.3, 1.0), (0.3, 10.0), (0.3, 100.0))))
     world = PressWorld(relaxing, BALL)
     views = [View(world, relaxing), View(world, DENSE)]
@@ -182,5 +191,5 @@ def test_force_stays_right_while_rubber_fades():
     assert drift[1] > 2 * drift[0]
     world.drive(-3e-3)
     world.step(100)
-    # the dent that is left in the rubber is not felt: noise of one image is 5 mN
+    # the residual dent in the rubber causes no force; the noise of one image is 5 mN
     assert abs(np.mean([views[0].touch().force_normal for _ in range(5)])) < 0.01

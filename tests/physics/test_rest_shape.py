@@ -95,8 +95,10 @@ def test_a_sensor_that_is_only_different_is_not_refused(sensor):
     ],
 )
 def test_what_touches_meanwhile_is_found(sensor, indenter, depth, at):
-    """0.09 to 0.13 N; unnoticed, it would be felt as a stiffer membrane, and forces would be wrong
-    by more than that."""
+    """A contact of 0.09 to 0.13 N during the references is detected.
+
+    Undetected, it would be estimated as a stiffer membrane, with force errors larger than that.
+    """
     with pytest.raises(DeviceError, match="remove any contact"):
         references(
             sensor,
@@ -114,7 +116,8 @@ WIDE = """<mujoco model="wide"><custom><numeric name="break_force_N" data="50"/>
 
 
 def test_a_box_that_fills_the_open_jaws_is_found(tmp_path):
-    """78 mm between jaws that open to 80: unnoticed, felt 0.195 N of 0.454."""
+    """A box of 78 mm between jaws that open to 80 is detected; undetected, the estimate was 0.195 N
+    of 0.454."""
     path = tmp_path / "wide.xml"
     path.write_text(WIDE)
     rig = build_rig("sim", load_sensor("dense"), object_name=str(path), seed=0)

@@ -1,5 +1,5 @@
-"""Simulated robots from rig files: where they begin, that jaws and arm go where they should,
-statics of what they hold, and what `mjtactile doctor` says of robots that are wrong."""
+"""Tests of simulated robots from rig files: start position, motion of jaws and arm, statics of the
+held object, and findings of `mjtactile doctor` about faulty robots."""
 
 import math
 from dataclasses import replace
@@ -120,8 +120,8 @@ def test_statics_of_what_is_held(name):
         contact += [ground_truth.contact_force(world, i) / 30 for i in range(len(world.sensors))]
         servo += world.grip_force / 30
     # virtual work: each of n fingers pushes with 2/n of the actuator's force over dx/da; viscous
-    # friction is at rest. On a parallel linkage the fingertips also rise by tan(a) of what they
-    # close, with their share of the weight
+    # friction vanishes at equilibrium. On a parallel linkage the fingertips also rise by tan(a) of
+    # their closing distance, with their part of the weight
     rise = np.tan(np.arcsin((world.opening - 0.05) / 0.12)) if name == "sim_three_finger" else 0.0
     weight = world.object.mass * GRAVITY
     assert servo == pytest.approx(0.5, rel=1e-3)
@@ -131,7 +131,7 @@ def test_statics_of_what_is_held(name):
     on_object = -np.einsum("fij,fj->i", R_WS, contact)
     # 3 %: the object still settles by micrometres
     assert on_object[2] == pytest.approx(weight, rel=0.03)
-    assert np.abs(on_object[:2]).max() < 0.01  # N; nothing pushes it aside
+    assert np.abs(on_object[:2]).max() < 0.01  # force in N; no lateral push
     assert ground_truth.object_position(world)[2] > 0.0315 + 0.019
 
 
@@ -171,13 +171,13 @@ def test_a_rig_that_does_not_lift_holds_what_it_grips(tmp_path):
     world = make(variant(tmp_path, "sim", rig=[(text, 'kind = "none"')]))
     world.set_lift_target(0.04)
     world.step(250)
-    # what was asked for, as a real rig without a lift reports it
+    # the requested height, as a real rig without a lift reports it
     assert world.lift_height == pytest.approx(0.04)
     assert tips(world)[0][:, 2] == pytest.approx(world.object.grasp_height, abs=1e-4)
 
 
 def test_the_users_defaults_do_not_reach_table_and_object():
-    world = make("sim_arm", "vial")  # its MJCF says that geoms touch nothing
+    world = make("sim_arm", "vial")  # its MJCF disables contact of geoms
     world.step(100)
     assert ground_truth.object_position(world)[2] == pytest.approx(0.025, abs=5e-4)
 
@@ -198,8 +198,7 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
     assert ground_truth.object_position(world)[:2] == pytest.approx([0.1, 0.2], abs=1e-6)
 
 
-# -- what is wrong is said
-# --------------------------------------------------------------------------------
+# -- errors are reported -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -380,8 +379,12 @@ def test_a_finger_has_the_sensor_of_its_own_that_the_file_names():
 
 
 def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_open():
-    """Tips on bars of 60 mm come down as they close, by 60 mm (cos a - cos b) for the angles of the
-    crank at both openings: 1.2 mm here, and by as much the egg was grasped too low."""
+    """Tips on bars of 60 mm start higher than the object by the amount that they descend while
+    closing.
+
+    They descend by 60 mm (cos a - cos b) for the angles of the crank at both openings: 1.2 mm here.
+    Without this the egg was grasped too low by as much.
+    """
     wide, grip = (math.asin((opening - 0.05) / 0.12) for opening in (0.08, 0.032))
     world = GraspWorld("paper16", "egg", rig="sim_three_finger")
     assert world.object.width == pytest.approx(0.032)

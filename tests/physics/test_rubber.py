@@ -103,8 +103,8 @@ def test_moduli_are_the_derivative_of_the_stress(C, law):
 
 
 def test_an_unstrained_sheet_has_mujocos_own_stiffness():
-    """At no strain the two laws are one: what is written before a step is what MuJoCo has
-    compiled."""
+    """At zero strain both laws give MuJoCo's compiled stiffness in the values written before a
+    step."""
     rows = []
     for law in Law:
         flat = replace(DENSE, membrane=replace(DENSE.membrane, pre_stretch=1.0, law=law))

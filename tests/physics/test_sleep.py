@@ -24,7 +24,7 @@ CHANGED = (
     "tendon_num",
     "flex_rigid",
 )
-AWAY = 0.02  # m above first touch
+AWAY = 0.02  # height above first touch, m
 
 
 def inflated(**how):
@@ -50,7 +50,7 @@ def test_a_press_after_sleep_is_the_press_without_it():
         world._find_touch()
         world.press(2e-3)
         pressed.append((-ground_truth.contact_force(world, 0)[2], world.marker_poses(0)[0]))
-    # friction keeps what noise at first touch did
+    # friction retains the noise at first touch
     assert pressed[1][0] == pytest.approx(pressed[0][0], rel=0.01)
     np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-5)  # the same: 1 % of 2 mm
 
@@ -76,7 +76,7 @@ def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
         pressure = sensor.gauge_pressure
         world.step()
     world.step(50)
-    # springs that hold the sheet's weight give way by 1 nm
+    # springs that carry the membrane's weight yield by 1 nm
     np.testing.assert_allclose(sensor.p_SV, p_SV, atol=2e-9)
     sensor.wake()
     np.testing.assert_array_equal(sensor.p_SV, p_SV)
@@ -94,7 +94,7 @@ def test_asleep_nothing_of_it_is_solved():
     world.step()
     assert not model.tendon_num.any() and model.flex_rigid.all()
     assert not data.qfrc_applied[sensor.dofs].any()
-    assert np.abs(data.qvel[sensor.dofs]).max() < 1e-9  # m/s
+    assert np.abs(data.qvel[sensor.dofs]).max() < 1e-9  # speed, m/s
     assert data.nefc == 0
 
 
@@ -105,8 +105,8 @@ def test_it_wakes_before_it_is_touched():
         height -= 2e-4
         world._place(world._touch_height + height)
         world.step()
-    # a ninth of the vertices look around, on this mesh at most 8.5 mm from any other, which is
-    # covered with a fifth to spare
+    # a ninth of the vertices check for objects; on this mesh no vertex is farther than 8.5 mm from
+    # one of them, which the margin covers with a fifth to spare
     assert NEAR < height < NEAR + 1.2 * 8.5e-3
     assert not np.any(ground_truth.contact_force(world, 0))
 

@@ -1,4 +1,4 @@
-"""Soft bodies: their files, and what their strain is said to be, against closed forms."""
+"""Tests of soft bodies: their files, and their reported strain against closed forms."""
 
 import mujoco
 import numpy as np
@@ -100,11 +100,10 @@ def test_broken_soft_bodies_are_refused(tmp_path, change, words):
 
 
 class Plates:
-    """A soft body between two plates without friction that close along z, or (`bonded`) that hold
-    its ends.
+    """Soft body between two frictionless plates that close along z, or (`bonded`) that hold its
+    ends.
 
-    Solved by itself with MuJoCo's Newton solver: the membranes' solver is judged by what touches
-    them.
+    MuJoCo's Newton solver solves it alone. The membranes' solver has its own tests with contact.
     """
 
     def __init__(self, body: SoftBody, *, bonded: bool = False):
@@ -167,7 +166,7 @@ class Plates:
         return self._force
 
     def force(self) -> float:
-        """Of the upper plate on the body, N."""
+        """Return the force of the upper plate on the body, N."""
         dofs = [self.model.body(name).dofadr[0] + 2 for name in self.ends["high"]]
         if dofs:
             return -float(self.data.qfrc_constraint[dofs].sum())
@@ -208,9 +207,12 @@ def test_a_block_between_slippery_plates_meets_them_with_youngs_modulus_and_stor
 
 
 def ritz(poisson: float, ratio: float) -> float:
-    """Modulus over Young's, an upper bound, of a block that is bonded at both ends, `ratio` its
-    width over its height: the least energy of all bulges u_x = c x (1 - 4 z^2/h^2), u_y likewise,
-    u_z = -e z."""
+    """Compute an upper bound of the apparent modulus, divided by Young's, of a block bonded at both
+    ends.
+
+    `ratio` is its width over its height. The bound is the minimum energy of all bulges u_x = c x (1
+    - 4 z^2/h^2), u_y likewise, u_z = -e z.
+    """
     mu = 1 / (2 * (1 + poisson))
     lame = poisson / ((1 + poisson) * (1 - 2 * poisson))
     bulge = 4 / 3 * lame / (32 / 15 * (lame + mu) + 8 / 9 * mu * ratio**2)
@@ -231,7 +233,7 @@ def test_bonding_stiffens_the_more_the_flatter_the_block_and_not_without_poisson
     assert 1.0 < stiffness[0] < stiffness[1] < stiffness[2]
     body, area, height = slab(0.006, poisson=0.0)
     free = Plates(body, bonded=True).press(strain * height, steps=40)
-    # what ties the ends gives way by 2 % of the way
+    # the constraints at the ends yield by 2 % of the travel
     assert free == pytest.approx(E * area * strain, rel=0.04)
 
 

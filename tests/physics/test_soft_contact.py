@@ -48,8 +48,8 @@ def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_pat
     # where a rigid ball has that force
     between = np.interp(force, hard[:, 1], hard[:, 0], left=np.nan, right=np.nan)
     radius = np.sqrt(area / np.pi)
-    # A half-space under an even pressure over a circle, both sides: 2 (1 - nu^2) p c / E in the
-    # middle, 16/(3 pi) of (...) on the average (Timoshenko & Goodier, sect. 139).
+    # A half-space under uniform pressure over a circle, both sides: 2 (1 - nu^2) p c / E at the
+    # center, 16/(3 pi) of (...) on average (Timoshenko & Goodier, sect. 139).
     middle = 2 * 2 * (1 - ball.poisson**2) * force / (np.pi * radius * ball.young)
     # the lattice is a fifth too stiff against a plate (test_soft_bodies.py), and a rim that leaves
     # the ball is less than even

@@ -1,4 +1,4 @@
-"""The pruned stability matrix, and what is refused or flagged where the method ends."""
+"""Tests of the pruned stability matrix, and of rejections and flags at the method's limits."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_a_body_too_fast_for_the_step_is_flagged():
         timestep=4e-3,
         guided=True,
     )
-    world.step()  # as it is let go; the membrane stops it long before a look that comes every 20 ms
+    world.step()  # at release; the membrane stops it long before a check every 20 ms
     assert "use a timestep of at most" in world.flags["speed"]
 
 
@@ -114,9 +114,12 @@ def test_an_interrupted_run_keeps_what_it_finished(tmp_path):
 
 
 def test_the_gas_is_implicit_in_every_step():
-    """MuJoCo leaves out the stiffness of a tendon that is exactly as long as at rest: now and then,
-    over a shallow chamber, the gas was explicit for a step, which struck the membrane (2e-4 J)
-    until it reached the glass."""
+    """The gas is implicit in every step, and no step adds energy.
+
+    MuJoCo leaves out the stiffness of a tendon at exactly its rest length. Over a shallow chamber
+    the gas was then occasionally explicit for a step. This struck the membrane (2e-4 J) until it
+    reached the glass.
+    """
     design = load_sensor("paper16")
     world = PressWorld(
         replace(design, chamber=replace(design.chamber, depth=1e-3)),

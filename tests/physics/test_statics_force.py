@@ -13,7 +13,7 @@ from benchmarks.paper.force_methods import MembraneForce, spring_grid_force
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers, Surface
 
-SUPPLY = 1000.0  # Pa
+SUPPLY = 1000.0  # gauge pressure, Pa
 
 
 class Bench:

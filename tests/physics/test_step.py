@@ -59,8 +59,11 @@ def test_with_the_same_tolerance_it_is_mj_step_bit_for_bit():
 
 @pytest.mark.parametrize(("tolerance", "left"), [(1e-7, 6e-4), (1e-10, 1.5e-5)])
 def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left):
-    """Two solutions with other starts differ by what the tolerance leaves, in m/s three times the
-    largest that was measured on two makes of processor; the ball strikes with 0.1."""
+    """The step equals mj_step within the tolerance.
+
+    Two solutions with different starts differ by the tolerance's effect. The limit in m/s is three
+    times the maximum measured on two processor makes; the ball strikes with 0.1 m/s.
+    """
     model, data, sensor = scene()
     model.opt.tolerance = tolerance
     largest = max(
@@ -71,8 +74,8 @@ def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left)
 
 
 def test_what_nothing_holds_is_solved_first_as_ever():
-    """A box in free fall is in no second solve; it falls by g, and the membrane beside it is
-    mj_step's."""
+    """A box in free fall is in no second solve: it falls by g, and the membrane next to it equals
+    that of mj_step."""
     model, data, sensor = scene(FLYING)
     start = data.qvel[-6:].copy()
     for ours, theirs in pairs(model, data, sensor):

@@ -12,9 +12,9 @@ from mjtactile.core.neo_hookean import Law
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-# An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch
-# 1.05, sealed at 1 kPa, St. Venant-Kirchhoff's law, a sphere of 8 mm that sticks. Shear, N, after a
-# drag of 0.3 mm at 2 mm depth, and at (7, -4) mm and 4 mm depth.
+# Reference of an independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu
+# 0.45, pre-stretch 1.05, sealed at 1 kPa, St. Venant-Kirchhoff's law, a sticking sphere of 8 mm.
+# Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm and 4 mm depth.
 DRAGGED = 0.205
 OFF_CENTRE = (0.129, -0.116)
 MU = 0.9
@@ -127,7 +127,7 @@ def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch)
         forces.append(-ground_truth.contact_force(world, 0)[2])
         assert (
             ground_truth.penetration(world, 0) < 2e-6
-        )  # m: what the last steps have not taken back yet
+        )  # penetration in m, not yet corrected by the last steps
     np.testing.assert_allclose(forces, forces[1], rtol=0.005)
 
 

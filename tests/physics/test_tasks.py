@@ -1,4 +1,5 @@
-"""What happens in a task happens by mechanics, and what the judge says a grip needs is Coulomb's."""
+"""Tests of tasks: disturbances act by mechanics, and the required grip force of the scorer is
+Coulomb's."""
 
 import math
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-MESH = (11, 9)  # what happens does not depend on the mesh, so take a cheap one
+MESH = (11, 9)  # disturbances do not depend on the mesh: use a cheap one
 MASS = 0.02  # kg of the vial
 
 
@@ -103,7 +104,7 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     pull = event("pull", 0.0, 0.5, force=1.2)
     np.testing.assert_allclose(happens._pull(pull, 0.5), [0.6, 0.0, 0.0])
     touched[0].is_touched = False
-    weight = [0.0, 0.0, MASS * 9.81]  # of what stands still
+    weight = [0.0, 0.0, MASS * 9.81]  # weight of a stationary object
     np.testing.assert_allclose(happens._pull(pull, 0.6), weight, atol=1e-9)
     touched[0].is_touched = True
     np.testing.assert_allclose(happens._pull(pull, 1.0), weight, atol=1e-9)
@@ -126,8 +127,11 @@ def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase
 
 
 def test_the_need_is_coulombs_for_a_grip_in_the_middle():
-    """The jaws stand on the vial at its centre of mass: m g / (2 mu), whatever they press with;
-    and more by what pulls, and by the torque of a load aside."""
+    """The required grip force at the vial's center of mass is m g / (2 mu), independent of the grip
+    force.
+
+    It increases with an external pull and with the torque of an off-center load.
+    """
     world = GraspWorld("paper16", "vial", mesh=MESH)
     judge = TaskScorer(world, load_task("lift"))
     assert judge.need() == 0.0  # nothing touches
@@ -139,6 +143,6 @@ def test_the_need_is_coulombs_for_a_grip_in_the_middle():
     body = ground_truth.object_bodies(world)[0]
     world.data.xfrc_applied[body, :3] = [0.0, 0.0, -0.3]
     assert judge.need() == pytest.approx((MASS * 9.81 + 0.3) / (2 * friction), rel=0.02)
-    # along the line through both fingers: carried by what they press with
+    # along the line through both fingers: the normal forces carry it
     world.data.xfrc_applied[body, :3] = [0.3, 0.0, 0.0]
     assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)

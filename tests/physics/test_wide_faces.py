@@ -24,9 +24,9 @@ def presses(sensor, *, gauge):
         yield -float(ground_truth.contact_force(world, 0)[2]), view.touch()
 
 
-# The simulated mesh has 3 mm between vertices: its plate force is up to 7 % below that of a mesh
-# of 25 x 21. Without a pressure sensor the markers alone determine the gas: 12 % of a plate that
-# 16 markers see.
+# The simulated mesh has 3 mm between vertices: its plate force is up to 7 % below that of a mesh of
+# 25 x 21. Without a pressure sensor the markers alone determine the gas: 12 % for a plate over 16
+# markers.
 @pytest.mark.parametrize(
     ("sensor", "gauge", "error"),
     [

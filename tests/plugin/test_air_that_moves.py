@@ -1,5 +1,5 @@
-"""What is felt while the gas in the chamber is not what it was: against the force that the
-simulated contact carries."""
+"""Tests of the estimate while the gas in the chamber changes, against the force that the simulated
+contact carries."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from mjtactile.core.types import PressureReading
 from mjtactile.sensing.force.gas_filter import GasFilter
 from mjtactile.sensing.force.spline_fem import Gas
 
-TOLERANCE = 0.03  # N: three sd of an untouched sensor with its gauge, and what a hole adds
-BOUNCE = 0.4  # s in which the ball swings after a jump of the pressure, and the sheet drags
+# force in N: three sd of an untouched sensor with pressure sensor, and the effect of a hole
+TOLERANCE = 0.03
+BOUNCE = 0.4  # time in s that the ball swings and the membrane drags after a pressure jump
 
 
 @pytest.mark.slow
@@ -58,7 +59,8 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
 
 
 def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
-    """Half a per cent of the 1 kPa that a valve has let go, and nothing of what is as at rest."""
+    """The pressure sensor's scale adds uncertainty far from its zero: half a percent of the 1 kPa
+    that a valve has released, and nothing at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
     begun = follow.begin(Gas(1000.0), 0.0, 24e-6)

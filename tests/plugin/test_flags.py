@@ -1,4 +1,4 @@
-"""What a user's scene says about itself: flags on the finger, a stop where numbers would be
+"""Tests of flags in a user's scene: flags on the finger, and a stop where numbers would be
 wrong."""
 
 import mujoco
@@ -8,7 +8,7 @@ import pytest
 import mjtactile
 from mjtactile.core.errors import SimulationError
 
-G = 9.81  # m/s^2
+G = 9.81  # gravity, m/s^2
 SCENE = """<mujoco><worldbody><body name="base" pos="0 0 0.1"><site name="here"/></body>
  <body pos="{x} 0 {z}"><joint type="slide" axis="0 0 1"/>{geom}</body></worldbody></mujoco>"""
 BALL = '<geom size="0.02" mass="0.05"/>'
@@ -26,7 +26,7 @@ def scene(geom, x=0.0, z=0.15, **attaching):
 def test_a_ball_on_the_membrane_is_weighed_and_nothing_is_flagged():
     model, data, finger = scene(BALL, z=0.1245)
     mjtactile.step(model, data, [finger], nstep=200)
-    # what a body at rest stands on carries its weight; rows of the solver are good to a mN
+    # the support of a body at rest carries its weight; solver rows are accurate to a mN
     np.testing.assert_allclose(finger.ground_truth_wrench()[:3], [0, 0, -0.05 * G], atol=3e-3)
     assert finger.flags == {}
     with pytest.raises(TypeError):
@@ -41,7 +41,7 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     on_frame = 0.5 * G + finger.ground_truth_wrench()[2]
     assert on_frame > 1.0
     said = float(finger.flags["frame_contact"].split("carries ")[1].split(" N")[0])
-    # it is said as it was when first seen, within the bounces of the first 0.1 s
+    # the flag keeps its first value, within the bounces of the first 0.1 s
     assert said == pytest.approx(on_frame, rel=0.3)
 
 
@@ -51,7 +51,8 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     ids=["a face", "on an edge"],
 )
 def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
-    """The mesh carries 50 g whatever its edges do; what is felt of that is within its own bar."""
+    """The mesh carries a box of 50 g, its edges are flagged, and the estimated force is within its
+    own uncertainty."""
     size = "0.006 0.006 0.006"
     geom = f'<geom type="box" size="{size}" euler="0 {turned} 0" mass="0.05"/>'
     model, data, finger = scene(geom, z=0.1045 + above)
@@ -59,7 +60,7 @@ def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
     assert "mm from the center of its face" in finger.flags["sharp_edge"]
     touch = finger.touch
     assert touch.status == "ok"
-    # N: by then it has come to rest within 10 mN
+    # force in N: by then the box has settled within 10 mN
     assert finger.ground_truth_wrench()[2] == pytest.approx(-0.05 * G, abs=0.01)
     assert touch.force_normal == pytest.approx(0.05 * G, abs=min(3 * touch.force_normal_sd, 0.06))
 

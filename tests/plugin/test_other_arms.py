@@ -1,5 +1,5 @@
-"""A second scene that somebody else wrote: the Franka arm in its kitchen, with joint servos, a tree
-of its own, and gravity."""
+"""Tests of a second third-party scene: the Franka arm in its kitchen, with joint servos, its own
+kinematic tree, and gravity."""
 
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -22,7 +22,8 @@ MASS = 0.05
 
 @pytest.fixture(scope="module")
 def held():
-    """A ball between the fingertips, let go of when they have closed on it, half a second ago."""
+    """Provide a ball between the fingertips, half a second after its release into the closed
+    grip."""
     found = find_spec("gymnasium_robotics")
     if found is None or found.submodule_search_locations is None:
         pytest.skip("needs the extra `examples`")
@@ -58,7 +59,7 @@ def held():
 def test_the_ball_is_carried_and_felt(held):
     true = [ground_truth.contact_force(held, number) for number in range(2)]
     rotations = [held.data.site(side).xmat.reshape(3, 3) for side in ("left", "right")]
-    # statics: what the ball does to both membranes is its weight; it swings by less than 0.1 m/s^2
+    # statics: the ball's force on both membranes is its weight; it swings by less than 0.1 m/s^2
     np.testing.assert_allclose(
         sum(R @ f for R, f in zip(rotations, true, strict=True)),
         [0, 0, -9.81 * MASS],

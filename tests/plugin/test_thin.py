@@ -1,5 +1,5 @@
-"""Thin things in a user's scene: felt the same wherever they meet the mesh and however fast, or the
-scene stops."""
+"""Tests of thin objects in a user's scene: the force is the same at any position on the mesh and at
+any speed, or the scene stops."""
 
 from dataclasses import replace
 
@@ -12,7 +12,8 @@ from benchmarks.thin_objects.press import BODIES, press
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
-# N, of films of 81 x 61 nodes: the middle of what they say at random places (`bench thin-objects`)
+# Forces, N, of quasi-static membranes of 81 x 61 nodes: central value at random positions (`bench
+# thin-objects`)
 FILM = {
     "blade 0.4 x 12 mm": (0.58, 0.25),
     "rod of 1 mm radius": (0.26, 0.25),
@@ -24,8 +25,11 @@ FILM = {
 
 @pytest.mark.parametrize(("name", "film", "share"), [(name, *each) for name, each in FILM.items()])
 def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, share):
-    """On a row of vertices at 10 and 100 mm/s, and off it: within a `share` of the film (`bench
-    thin` has the distribution; triangles were 1.1 to 1.8 times), and alike within 10 %."""
+    """A thin object has the force of the quasi-static membrane within the fraction `share`.
+
+    This holds on a row of vertices at 10 and 100 mm/s, and off it; the forces agree within 10 %.
+    `bench thin` has the distribution. Triangles gave 1.1 to 1.8 times the force.
+    """
     on_a_row = (0.08e-3, -1.07e-3)
     off_it = (-2.23e-3, -0.58e-3)
     presses = (on_a_row, 0.01), (on_a_row, 0.1), (off_it, 0.1)
@@ -42,7 +46,7 @@ def test_a_wire_is_held_where_two_vertices_share_it():
 
 
 def scene(pegs="", **attaching):
-    """A sensor on a lift over what `pegs` has, looking down."""
+    """Build a scene with a sensor on a lift that faces down onto `pegs`."""
     spec = mujoco.MjSpec.from_string(
         f"""<mujoco><worldbody>{pegs}<body name="lift" pos="0 0 0.04" gravcomp="1">
         <joint name="lift" type="slide" axis="0 0 1"/>
@@ -72,12 +76,13 @@ def test_a_peg_is_felt_whatever_holds_it(peg):
     for height in np.linspace(-0.016, -0.0185, 60):  # the bulge is 2.8 mm high, the peg 20 mm
         data.ctrl[0] = height
         mjtactile.step(model, data, [finger])
-    # the bulge is met 1.3 mm deep: a film says 0.14 N
+    # the peg indents the bulge by 1.3 mm: a quasi-static membrane gives 0.14 N
     assert 0.08 < -finger.ground_truth_wrench()[2] < 0.2
 
 
 def falling(kind, size, speed, height, **geom):
-    """The flags of a body that falls onto a sensor that looks up, or what stopped the scene."""
+    """Return the flags of a body that falls onto an upward-facing sensor, or the error that stopped
+    the scene."""
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec, 4e-3)
     spec.worldbody.add_site(name="here")
@@ -109,7 +114,8 @@ def test_a_ball_at_a_speed_that_no_step_resolves_is_stopped_or_flagged(speed):
 
 
 def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
-    """Something went wrong in contact: what is behind the sheet is seen by where it is."""
+    """With faulty contact, a pin behind the membrane is detected by its position and stops the
+    scene."""
     monkeypatch.setattr("mjtactile.sim.sensor.sharp_geoms._MAX_FACES", 0)
     pin = replace(BODIES["pin of 0.5 mm radius"], depth=4e-3)
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)

@@ -10,13 +10,13 @@ import mjtactile
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim import ground_truth
 
-G = 9.81  # m/s^2
+G = 9.81  # gravity, m/s^2
 SCENE = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
  <body name="table" pos="0 0 0.1"><geom type="box" size="0.1 0.1 0.01"/><site name="here" pos="-0.04 0 0.06"/>
   <site name="there" pos="0.04 0 0.06"/></body>
  <body name="ball" pos="-0.04 0 {height}"><joint type="slide" axis="0 0 1"/><geom size="0.02" mass="0.05"/></body>
 </worldbody></mujoco>"""
-# m; the former touches the bulge from the start
+# heights of the ball, m; the first touches the bulge from the start
 ON_THE_SENSOR = 0.182
 IN_THE_AIR = 0.3
 
@@ -48,7 +48,7 @@ def loaded():
 def test_a_weight_is_felt_though_it_lay_there_when_the_sensor_was_bound(loaded):
     touch = loaded.fingers[0].touch
     assert touch.touching
-    assert touch.force_normal == pytest.approx(0.05 * G, abs=0.03)  # what is promised in any scene
+    assert touch.force_normal == pytest.approx(0.05 * G, abs=0.03)  # guaranteed in any scene
     assert not loaded.fingers[1].touch.touching
 
 

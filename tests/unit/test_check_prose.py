@@ -1,4 +1,4 @@
-"""The check of the language counts what it should."""
+"""Tests of the counts of the prose check."""
 
 from tools import check_prose
 

@@ -1,9 +1,9 @@
-"""Every block of code on the pages runs, or where that takes longer than a test may, what it names
-is there.
+"""Tests that every code block on the pages runs or, if this takes too long for a test, that its
+names exist.
 
-Python runs here (`RUN`) or in a test of its own that says what must come out (`TESTED`); of two
-reports to MuJoCo only the syntax is looked at (`PARSED`). Lines of a shell: every command, its
-options and their values are parsed as the command line would; the blocks in `SHELL` run whole.
+Python runs here (`RUN`) or in a separate test of its output (`TESTED`). For two reports to MuJoCo
+only the syntax is checked (`PARSED`). In shell lines every command, its options and their values
+are parsed as by the command line; the blocks in `SHELL` run whole.
 """
 
 import argparse
@@ -64,7 +64,7 @@ SHELL = {
 }
 """In their order; a page's blocks share a folder."""
 TOOLS = ("sed", "pip", "make", "python", "pytest", "ssh")
-"""What else than mjtactile a line may call."""
+"""Programs other than mjtactile that a line may call."""
 
 
 def name_of(page):
@@ -194,7 +194,7 @@ def test_a_block_of_a_shell_runs(page, tmp_path):
             capture_output=True,
             timeout=300,
         )
-    if page.endswith("sensor.md"):  # what was changed is a sensor, and was changed
+    if page.endswith("sensor.md"):  # the changed file is a sensor with the new values
         design = load_sensor(tmp_path / "my_sensor.toml")
         assert (design.markers.count, design.membrane.thickness, design.chamber.supply_gauge) == (
             49,

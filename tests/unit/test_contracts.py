@@ -53,7 +53,8 @@ sys.exit(lint_imports(no_cache=True))
 
 @pytest.fixture(scope="module")
 def said(tmp_path_factory):
-    """What import-linter says of each contract, by its name, of a copy with all violations."""
+    """Return import-linter's message for each contract, by its name, about a copy with all
+    violations."""
     folder = tmp_path_factory.mktemp("contracts")
     for name in ("mjtactile", "benchmarks", "controllers", "examples"):
         shutil.copytree(

@@ -1,5 +1,5 @@
-"""What the documents show works: the README's scene, the object and the controller to copy, the
-links."""
+"""Tests that the content of the documents works: the README's scene, the object and the controller
+to copy, the links."""
 
 import re
 import tomllib
@@ -37,7 +37,7 @@ PAGES = [
 
 
 def found(pattern: str, text: str) -> str:
-    """The first group of what is there."""
+    """Return the first group of the match."""
     match = re.search(pattern, text, re.DOTALL | re.MULTILINE)
     assert match is not None, pattern
     return match.group(1)
@@ -109,7 +109,7 @@ def test_controller_of_the_tutorial(tmp_path):
     command = Command(0.05, 3.0)
     openings = []
     phases = []
-    for k in range(40):  # felt from 0.3 s on
+    for k in range(40):  # contact from 0.3 s on
         touch = Touch(k / 30, 0.0, 0.4 * (k > 9), 0.01, k > 9)
         command = controller.step(
             Observation(k / 30, 1 / 30, (touch, touch), state, valves, command)
@@ -153,7 +153,7 @@ def test_the_page_of_recordings_has_every_column(heading, columns):
 
 
 def anchors(page):
-    """What can follow a # in a link to the page: its headings, as GitHub and the site write
+    """Return the valid link anchors of the page: its headings, as GitHub and the site write
     them."""
     text = re.sub(r"(?s)^```.*?^```$", "", page.read_text(), flags=re.MULTILINE)
     return {
@@ -188,7 +188,7 @@ def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one["layers"] for one in contracts["contracts"] if one["name"] == "Layers")
     rooms = {room for floor in architecture.floors(layers) for room in floor.rooms}
-    # else: say in a few words what the room is for
+    # if it fails: describe the purpose of the room in a few words
     assert rooms <= set(architecture.ROOMS)
 
 
@@ -209,7 +209,7 @@ ROOMS = r"core|kernels|sensing|sim|rig|run|devices"
     "page", [page for page in PAGES if "decisions" not in page.parts], ids=lambda page: page.name
 )
 def test_files_that_a_page_points_at_exist(page):
-    """Decisions say how it was then."""
+    """Files that a page mentions exist, except on decision pages, which state the past."""
     paths = re.findall(rf"`((?:{PLACES}|{ROOMS})/[\w./-]*\.\w+)`", page.read_text())
     there = [CHECKOUT / path for path in paths if "NAME" not in path]
     inside = [CHECKOUT / "mjtactile" / path for path in paths if "NAME" not in path]
@@ -241,8 +241,10 @@ def test_the_page_of_commands_has_each_with_an_example():
 
 
 def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
-    """What `make docs` adds to the pages; that they build without a warning is said by `make docs`
-    itself."""
+    """The site has the README, the decisions and the whole public API.
+
+    `make docs` adds them to the pages, and reports itself if they build with a warning.
+    """
     pages = mkdocs_hooks.pages()
     assert (
         "](tutorials/scene.md)" in pages["index.md"] and "](images/grasp.webp)" in pages["index.md"]
@@ -312,19 +314,19 @@ def test_the_readme_shows_five_numbers_and_fits_150_lines():
 
 GENERATED = re.compile(r"(?s)<!-- bench:.*?<!-- /bench -->")
 REPORTED_ONCE = {
-    # what a sentence looks like that says it: the row of the table of numbers that it must agree
-    # with
-    r"([\d.]+)\s*(?:x|times|of)\s+(?:the\s+)?(?:real[ -]time|clock)": "a whole grasp with two cameras",
+    # pattern of a sentence with the number: the row of the table of numbers that it must match
+    r"([\d.]+)\s*(?:x|times|of)\s+(?:the\s+)?(?:real[ -]time|clock)": "speed of a complete grasp",
     r"(\d+ of \d+) grasps": "grasps held",
     r"(\d+ of \d+)(?: injected)? faults": "faults of the emulated rig",
-    r"false alarms in (\d+ %) of holds": "holds with a false alarm",
+    r"false alarms in (\d+ %) of holds": "holds with a false slip alarm",
     r"detected in time in (\d+ %) of all cases": "slips detected before 0.5 mm",
 }
 
 
 @pytest.mark.parametrize(("said", "what"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values())
 def test_no_page_says_another_number(said, what):
-    """In sentences; tables come from benchmarks and name what they measured."""
+    """No sentence states a number other than the measured one; tables come from benchmarks and name
+    their measurement."""
     rows = results_tables.run(Path())["numbers"]
     (value,) = [row["value"] for row in rows if row["what"].startswith(what)]
     others = [
@@ -346,8 +348,10 @@ def test_the_readmes_short_list_of_limits_has_the_numbers_of_the_page():
 
 
 def test_only_the_page_of_speed_has_tables_of_real_time_factors():
-    """A grasp's speed beside other work is no number to put beside the one that was measured
-    alone."""
+    """Only the listed pages have tables of real-time factors.
+
+    The speed of a grasp next to other work is not comparable to the one measured alone.
+    """
     having = {
         page.relative_to(CHECKOUT).as_posix()
         for page in PAGES

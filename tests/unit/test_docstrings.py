@@ -1,5 +1,8 @@
-"""The API page has a table of arguments for every public function: their docstrings name each
-argument and field, what comes back, and what is raised, in the form that the site reads."""
+"""Tests that the API page has a table of arguments for every public function.
+
+Docstrings name each argument and field, the return value, and the exceptions, in the form that the
+site reads.
+"""
 
 import dataclasses
 import inspect

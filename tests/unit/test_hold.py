@@ -1,4 +1,4 @@
-"""What is said of a held thing agrees with statics, for forces that are known."""
+"""Tests of the estimates for a held object against statics, with known forces."""
 
 import math
 from dataclasses import asdict
@@ -10,12 +10,13 @@ from mjtactile import grasp_estimation
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Slip, SlipState, Touch, Traction
 
-NOISE = 0.003  # N, of each component
+NOISE = 0.003  # sd of each component, N
 GRID = np.linspace(-0.01, 0.01, 3)
 
 
 def touch(fx, fy, normal, state: SlipState = "sticking"):
-    """A finger that feels this force on its membrane, N; `normal` positive for a press."""
+    """Return the touch of a finger with this force on its membrane, N; `normal` is positive in
+    compression."""
     wrench = np.array([fx, fy, -normal, 0.0, 0.0, 0.0])
     cov = np.diag([NOISE**2] * 3 + [1e-8] * 3)
     traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, cov, 1000.0, "made up")
@@ -29,8 +30,11 @@ UNKNOWN = Touch(0.0, 0.01, math.nan, math.nan, False, status=Status(StatusCode.O
 @pytest.mark.parametrize("mass", [0.005, 0.06, 0.3])
 @pytest.mark.parametrize("acceleration", [0.0, 2.0])
 def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, acceleration):
-    """Shears of both fingers in frames that are turned by any angle, on top of what closing had
-    dragged along; the first carries two thirds."""
+    """A hanging object has the right weight for any finger axes.
+
+    The fingers have shears in frames rotated by any angle, in addition to the drag from closing.
+    The first carries two thirds.
+    """
     weight = mass * (9.81 + acceleration)
     turned = [(math.cos(a), math.sin(a)) for a in (0.3, 2.0)]
     before = np.array([[0.02, -0.05], [-0.01, 0.04]])
@@ -87,9 +91,12 @@ def test_the_table_is_told_from_a_load_that_it_took_over():
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, 2.5])
 def test_what_fingers_do_to_each_other_is_no_load(turned):
-    """Two fingers that face each other along x, whose own axes are turned about their normals by
-    any angle; a world force on what they hold, and an inner one of any size that drags one up and
-    the other down, one to the front and the other to the back."""
+    """Internal forces between the fingers are not a load.
+
+    Two fingers face each other along x, with axes rotated about their normals by any angle. A world
+    force acts on the held object. An internal force of any size drags one finger up and the other
+    down, one to the front and the other to the back.
+    """
     cos, sin = math.cos(turned), math.sin(turned)
     spin = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     frames = [  # columns: axes of S in W, as in the shipped gripper
@@ -136,8 +143,8 @@ def test_a_belief_goes_from_image_to_image_as_numbers():
     assert slipped.has_slipped
     assert slipped.friction == pytest.approx(0.8 * belief.friction)
     assert not believe(slipped, slipping).has_slipped  # the same slip
-    # nobody gripped harder: nothing is known of what it was worth, and it stays. Then it is
-    # believed again, slowly, where much of it is in use and nothing slips
+    # without a stronger grip nothing is known about the sign's value, and the estimate stays. Then
+    # it recovers slowly while much of it is in use and nothing slips
     later = believe(slipped, held, 120)
     assert 1.05 < later.friction / slipped.friction < 1.12  # 3 % a second after the first
 
@@ -151,7 +158,7 @@ def test_shear_that_grows_with_the_grip_was_a_slip(drag, carried):
     after = believe(slipped, [touch(0, -drag, 1.5)] * 2, 12)
     restored = 0.95 * before.friction
     assert after.friction == pytest.approx(restored if carried else slipped.friction, rel=0.01)
-    # the same sign once more: not believed where it was wrong
+    # the same sign again: it is ignored if it was wrong
     again = believe(after, [touch(0, -0.39, 1.0, "slipping")] * 2, 4)
     if carried:
         assert again.friction == pytest.approx(after.friction)
@@ -163,8 +170,12 @@ def test_shear_that_grows_with_the_grip_was_a_slip(drag, carried):
 
 @pytest.mark.parametrize("slips", [0.0, 0.3, 1.0])
 def test_what_slips_follows_the_grip(slips):
-    """A grip that is changed by 5 % at 4 Hz for 0.4 s, a load that grows meanwhile, and 1 mN of
-    noise in both: the share is found, within its sd, which is small enough to tell."""
+    """The fraction of the shear that follows the grip is right within its sd, which is small enough
+    to decide.
+
+    The grip changes by 5 % at 4 Hz for 0.4 s, the load grows meanwhile, and both have 1 mN of
+    noise.
+    """
     rng = np.random.default_rng(3)
     time = np.arange(12) / 30
     wobble = 0.05 * np.sin(2 * np.pi * 4 * time)
@@ -189,9 +200,11 @@ def test_a_grip_that_does_not_change_tells_nothing():
 
 
 def tried(mu, load, least):
-    """A trial of friction to its end. Coulomb: each finger carries `load` N, or what it presses
-    with times mu; the grip goes within 0.3 s to where what is tried is in use, and never below
-    `least` N."""
+    """Run a friction trial to its end.
+
+    Coulomb: each finger carries `load` N, limited to its grip force times mu. Within 0.3 s the grip
+    reaches the force that uses the tested friction, but never falls below `least` N.
+    """
     trial = grasp_estimation.FrictionProbe(0.6)
     press = 1.3 * load / 0.6
     for _ in range(150):
@@ -208,9 +221,13 @@ def tried(mu, load, least):
 @pytest.mark.parametrize("load", [0.03, 0.1, 0.4])
 @pytest.mark.parametrize("least", [0.02, 0.1])
 def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
-    """Shear over normal force is at most mu, and load over the least grip: no more has passed,
-    whatever was tried, and no more is believed than that, or than before where nothing slipped.
-    Where the grip is no limit, it is known within the last step of a quarter."""
+    """A trial proves as much friction as was in use.
+
+    Shear over normal force is at most mu, and at most the load over the minimum grip. The trial
+    passes no more than this for any tested value. The estimate does not exceed it, or the earlier
+    value if nothing slipped. If the grip is not the limit, the friction is known within the last
+    step of a quarter.
+    """
     trial = tried(mu, load, least)
     in_use = min(mu, load / least)
     assert trial.passed <= in_use + 1e-9
@@ -218,7 +235,7 @@ def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
     assert slips or not trial.slipped
     assert trial.friction <= max(in_use, 0.0 if trial.slipped else 0.6) + 1e-9
     if slips:
-        # what slips is taken for nine tenths of its ratio; or it had passed a quarter below
+        # a slip gives nine tenths of its ratio, or the trial had passed a quarter below
         assert trial.friction >= mu * 0.9 / 1.25
 
 
@@ -227,9 +244,12 @@ def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
     [("sticking", "sticking"), ("slipping", "sticking"), ("slipping", "slipping")],
 )
 def test_what_slips_at_the_least_grip_has_no_more_friction_than_was_in_use(left, right):
-    """0.11 N on a grip that goes from 0.3 to 0.2 N and no further, at mu = 0.5: a shear of 0.1 N,
-    less than an eighth less, is as likely noise, unless both fingers say that they slip; one of
-    them alone may be pushed by what it holds."""
+    """At the minimum grip, a slip counts only if both fingers report it.
+
+    The load is 0.11 N on a grip that goes from 0.3 to 0.2 N and no further, at mu = 0.5. The shear
+    of 0.1 N is less by under an eighth, and may be noise. A single finger may be pushed by the held
+    object.
+    """
     trial = grasp_estimation.FrictionProbe(0.6)
     for k in range(30):
         press = max(0.2, 0.3 - 0.01 * k)
@@ -266,7 +286,7 @@ def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
     assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
     loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
     assert loose.hardness == pytest.approx(hardness, rel=0.03)
-    # nothing is measured of a way as short as backlash
+    # a travel as short as the backlash gives no measurement
     assert (
         grasp_estimation.GripStiffnessEstimator()
         .after(0.03, 0.1, 0.03)
@@ -285,9 +305,12 @@ def test_what_the_table_pushes_up_is_no_load():
 
 
 def test_a_load_grows_with_what_two_images_show():
-    """One image may err; with the second counts, once it hangs, what it is on its way to: 0.3 N
-    more than a low-pass of 0.15 s has followed by then. That is not kept when it grows no
-    further."""
+    """A load grows with the increase that two images show.
+
+    One image may be wrong. With the second, for a hanging object, the expected further increase
+    counts, too: 0.3 N more, less the part that a low-pass of 0.15 s has followed by then. It is not
+    kept if the load grows no further.
+    """
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
     stands = grasp_estimation.LoadEstimator().after(hangs, 1 / 30)
@@ -303,7 +326,8 @@ def test_a_load_grows_with_what_two_images_show():
 
 
 def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
-    """By its time constant: a half of a shake is light."""
+    """A load that has vanished decays with a time constant of 1.5 s, since half of a shake is
+    light."""
     heavy = [touch(0, -0.6, 1.0)] * 2
     light = [touch(0, -0.1, 1.0)] * 2
     load = grasp_estimation.LoadEstimator().after(heavy, 1 / 30)
@@ -322,14 +346,16 @@ def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
 
 
 def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
-    """0.3 N downward and 0.4 N sideways on each are 0.5 N along it; who faces the other feels the
-    same side as the other one."""
+    """A lateral push of 0.4 N and 0.3 N downward on each finger load it by 0.5 N.
+
+    Fingers that face each other measure the push on the same side in the world.
+    """
     hangs = [touch(0, -0.3, 1.0)] * 2
     pushed = [touch(0.4, -0.3, 1.0), touch(-0.4, -0.3, 1.0)]
     load = grasp_estimation.LoadEstimator().hanging(hangs)
     for _ in range(60):
         load = load.after(pushed, 1 / 30)
-    assert load.worst == pytest.approx(0.52, abs=1e-3)  # it is no more on its way
+    assert load.worst == pytest.approx(0.52, abs=1e-3)  # the increase has ended
 
 
 def test_a_slip_lets_go_of_what_the_fingers_dragged_each_other_by():
@@ -341,8 +367,11 @@ def test_a_slip_lets_go_of_what_the_fingers_dragged_each_other_by():
 
 
 def test_what_the_fingers_drag_each_other_by_is_no_weight():
-    """A box that stands askew: closing drags one finger to one side and the other to the other, by
-    0.2 N a newton, which seen from each is the same side; a load of 0.1 N hangs on each."""
+    """Mutual drag of the fingers does not count as weight.
+
+    A box stands askew. Closing drags one finger to one side and the other to the other, by 0.2 N
+    per newton; in both finger frames this is the same side. A load of 0.1 N hangs on each.
+    """
     stands = (touch(0.06, 0.0, 0.3), touch(0.06, 0.0, 0.3))
     hangs = (touch(0.08, -0.1, 0.4), touch(0.08, -0.1, 0.4))
     load = grasp_estimation.LoadEstimator().standing(stands).hanging(hangs).after(hangs, 1 / 30)
@@ -363,7 +392,7 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
 @pytest.mark.parametrize(
     ("effort", "time", "most"),
     [
-        (4.0, 0.4, 0.8),  # frames carry 3 of 4 N: what is felt, less a fifth
+        (4.0, 0.4, 0.8),  # frames carry 3 of 4 N: the measured force, less a fifth
         (4.0, 0.1, math.inf),  # jaws that are stopped push for a moment
         (2.5, 0.4, math.inf),  # 30 % of 2.5 N are the current's error, gears take as much as 1 N
         (math.nan, 0.4, math.inf),
@@ -378,6 +407,6 @@ def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, mo
         assert frames.most > 10.0
         return
     assert frames.most == pytest.approx(most)
-    for _ in range(30):  # a second in which nothing is said of frames
+    for _ in range(30):  # a second without data about the frames
         frames = frames.after(felt, 1.0, 1 / 30)
     assert frames.most == pytest.approx(most * math.exp(0.05), rel=0.01)  # it grows by 5 % a second

@@ -1,4 +1,4 @@
-"""What becomes of a test by the clock on a computer that stands still."""
+"""Tests of the result of a timing test on a computer that stands still."""
 
 import itertools
 
@@ -45,7 +45,7 @@ def outcomes(pytester, monkeypatch):
 
 
 def test_failures_on_a_computer_that_stands_still_are_undecided_and_said(outcomes):
-    result = outcomes(1e3)  # s a try
+    result = outcomes(1e3)  # stolen time per attempt, s
     result.assert_outcomes(passed=2, skipped=1, failed=1)  # test_fails_once at its second try
     result.stdout.fnmatch_lines(
         ["UNDECIDED *test_fails: undecided, * taken away: AssertionError: too late*"]

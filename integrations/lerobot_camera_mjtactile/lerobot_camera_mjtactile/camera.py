@@ -14,18 +14,20 @@ import mjtactile
 from lerobot_camera_mjtactile.config_mjtactile import MjtactileCameraConfig
 from mjtactile.rig.registry import CAMERAS, load_backend
 
-_PAUSE = 1e-3  # s between two looks at a driver that hands out its newest image
+_PAUSE = 1e-3  # polling interval of a driver that returns its newest image, s
 
 
 class MjtactileCamera(Camera):
-    """Grey pictures of the membrane from inside, as (height, width, 3): what is felt is found in
-    them by `mjtactile`, now or from the data set later."""
+    """Camera of gray images of the membrane from inside, as (height, width, 3).
+
+    `mjtactile` estimates touch from them, now or later from the data set.
+    """
 
     def __init__(self, config: MjtactileCameraConfig):
         super().__init__(config)
         self.config = config
         self._driver: Any = None
-        self._seen = -np.inf  # s: when the newest picture that was handed out was taken
+        self._seen = -np.inf  # time stamp of the last image returned, s
 
     @property
     def is_connected(self) -> bool:
@@ -97,7 +99,7 @@ class MjtactileCamera(Camera):
 
 
 class _OfRobot:
-    """What the mjtactile robot of this process saw last with a finger."""
+    """Driver that returns the last image of a finger of this process's mjtactile robot."""
 
     def __init__(self, finger: str):
         self._finger = finger

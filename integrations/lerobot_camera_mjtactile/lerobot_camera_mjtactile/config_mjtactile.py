@@ -13,13 +13,13 @@ import mjtactile
 @CameraConfig.register_subclass("mjtactile")
 @dataclass(kw_only=True)
 class MjtactileCameraConfig(CameraConfig):
-    """Whose picture. Size and rate are the rig file's, or the sensor's.
+    """Settings of a finger camera. Size and rate are the rig file's, or the sensor's.
 
     Attributes:
-        finger: Of the rig.
-        rig: A rig file, whose camera this process opens: the finger of any LeRobot robot. "": that
-            of the mjtactile robot in this process, simulated or real.
-        sensor: What is on the fingers of that robot.
+        finger: Finger of the rig.
+        rig: Rig file whose camera this process opens, for the finger of any LeRobot robot. "": the
+            camera of the mjtactile robot in this process, simulated or real.
+        sensor: Sensor on the fingers of that robot.
     """
 
     finger: str = "left"
@@ -33,10 +33,10 @@ class MjtactileCameraConfig(CameraConfig):
         self.fps = self.fps or round(said.rate)
 
     def device(self):
-        """What the rig file says of this camera.
+        """Return the rig file's entry of this camera.
 
         Raises:
-            ValueError: It has no such finger.
+            ValueError: The rig file has no such finger.
         """
         cameras = mjtactile.load_rig_file(self.rig).cameras
         found = [camera for camera in cameras if camera.finger == self.finger]

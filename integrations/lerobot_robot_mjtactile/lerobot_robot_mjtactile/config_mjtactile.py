@@ -12,16 +12,16 @@ from lerobot.robots import RobotConfig
 @RobotConfig.register_subclass("mjtactile")
 @dataclass(kw_only=True)
 class MjtactileRobotConfig(RobotConfig):
-    """As `mjtactile grasp` has them.
+    """Options of the robot, as in `mjtactile grasp`.
 
     Attributes:
         rig: "sim", a simulated rig's file, or a real one's.
-        object: What stands there, of a simulation.
-        sensor: What is on the fingers.
-        seed: Of placement and noise, of a simulation.
-        fingers: Their names, in the rig's order.
-        images: Whether the fingers' images are observations, by the fingers' names.
-        cameras: Others, of any type.
+        object: Object in the simulation.
+        sensor: Sensor on the fingers.
+        seed: Seed of placement and noise, in simulation.
+        fingers: Names of the fingers, in the rig's order.
+        images: True to observe the fingers' images, by the fingers' names.
+        cameras: Additional cameras, of any type.
     """
 
     rig: str = "sim"

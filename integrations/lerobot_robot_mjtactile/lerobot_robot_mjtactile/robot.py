@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""A rig as a LeRobot robot: observations are what fingers feel and see, actions are commands."""
+"""A rig as a LeRobot robot: observations are touch estimates and images, actions are commands."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ _images: dict[str, mjtactile.Image] = {}
 
 
 def latest() -> mjtactile.Observation:
-    """What the robot of this process saw last: LeRobot hands a teleoperator no observation.
+    """Return the last observation of this process's robot.
+
+    LeRobot passes no observation to a teleoperator.
 
     Raises:
-        ConnectionError: No robot has seen anything.
+        ConnectionError: No robot has an observation yet.
     """
     if not _latest:
         raise ConnectionError("no mjtactile robot has looked yet: --robot.type=mjtactile")
@@ -30,10 +32,10 @@ def latest() -> mjtactile.Observation:
 
 
 def latest_image(finger: str) -> mjtactile.Image:
-    """What the robot of this process saw last with a finger: for `{type: mjtactile}` cameras.
+    """Return the last image of a finger of this process's robot: for `{type: mjtactile}` cameras.
 
     Raises:
-        ConnectionError: No robot has seen anything with such a finger.
+        ConnectionError: No robot has an image of such a finger.
     """
     if finger not in _images:
         names = ", ".join(_images) or "none: --robot.type=mjtactile, or name the camera's rig file"
@@ -62,8 +64,8 @@ class MjtactileRobot(Robot):
 
     @property
     def observation_features(self) -> dict[str, type | tuple[int, int, int]]:
-        """What a policy of ours is shown (`mjtactile.policy_observation_names`), and images: each
-        finger's, and the other cameras'."""
+        """Features of mjtactile policies (`mjtactile.policy_observation_names`), and images of the
+        fingers and the other cameras."""
         camera = self.scenario.design().camera
         names = mjtactile.policy_observation_names(len(self.config.fingers))
         images = dict.fromkeys(self._pictured, (camera.height, camera.width, 3))
@@ -80,8 +82,7 @@ class MjtactileRobot(Robot):
 
     @property
     def is_calibrated(self) -> bool:
-        """What was measured of the sensors is in their rig file; references are taken on
-        connecting."""
+        """True: sensor calibrations are in the rig file, and references are taken on connecting."""
         return True
 
     def calibrate(self) -> None:
@@ -111,7 +112,7 @@ class MjtactileRobot(Robot):
         self._stack.close()
 
     def get_observation(self) -> dict[str, Any]:
-        """Wait for the next images, and feel them."""
+        """Wait for the next images, and estimate touch from them."""
         seen = self._steps.observe()
         _latest[:] = [seen]
         _images.update(zip(self.config.fingers, self._steps.images, strict=True))

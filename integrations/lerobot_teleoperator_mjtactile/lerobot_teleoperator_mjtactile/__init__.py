@@ -15,13 +15,13 @@ import mjtactile
 @TeleoperatorConfig.register_subclass("mjtactile")
 @dataclass(kw_only=True)
 class MjtactileTeleoperatorConfig(TeleoperatorConfig):
-    """Which controller: a shipped name, or FILE.py."""
+    """Controller to run: a shipped name, or FILE.py."""
 
     controller: str = "gentle"
 
 
 class MjtactileTeleoperator(Teleoperator):
-    """Asks the controller what it wants, of what the robot of this process saw last."""
+    """Teleoperator that returns the controller's command for the robot's last observation."""
 
     config_class = MjtactileTeleoperatorConfig
     name = "mjtactile"

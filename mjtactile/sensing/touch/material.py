@@ -109,9 +109,9 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
     opening = squeeze.opening[run]
     time = squeeze.time[run]
     speed = -np.gradient(opening, time) if len(run) > 2 else np.zeros(len(run))
-    pressing = speed > s.pressing * _press_speed(opening, speed)
     opened = opening > np.minimum.accumulate(opening) + s.opened
     end = int(np.argmax(opened)) if opened.any() else len(run)
+    pressing = speed > s.pressing * _press_speed(opening[:end], speed[:end])
     stop = int(np.flatnonzero(pressing[:end]).max(initial=-1)) + 1
     second = runs[first + 1] if first + 1 < len(runs) else run[:0]
     return _Phases(run[:stop], run[stop:end], run[end:], second)

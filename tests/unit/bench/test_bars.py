@@ -1,4 +1,5 @@
-"""Error bars judged: on made-up images whose chi-square is known, and on one short scene."""
+"""Tests of the evaluation of standard deviations: on synthetic images of known chi-square, and on
+one short scene."""
 
 from __future__ import annotations
 

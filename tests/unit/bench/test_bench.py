@@ -85,7 +85,7 @@ def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
     again.once("bus", lambda: pytest.fail("was done"))
     again.repeat("killed", 4, lambda n: calls.append(n) or {"n": n})
     assert calls == [0, 1, 2, 3] and [row["n"] for row in again.result["killed"]] == [0, 1, 2, 3]
-    assert again.result["bus"] == {"ms": None}  # what is not known is null in JSON
+    assert again.result["bus"] == {"ms": None}  # unknown values are null in JSON
 
 
 def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():

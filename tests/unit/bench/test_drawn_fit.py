@@ -1,4 +1,4 @@
-"""What a chain's errors are fitted as: made-up rows of known spread."""
+"""Tests of the error model fitted to a chain: synthetic rows of known spread."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,13 @@ from benchmarks.learning import fit_error_model
 
 
 def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_drawn_with():
-    """Twenty fingers of sd 5 mN, each of 400 images pressed by 0.5 N, whose factors have a
-    logarithm of sd 0.3; one of 50 mN. The mean square over all would come to 12 mN; the model's sd
-    is a lognormal's root mean square, 5 mN times exp(0.3^2), widened by the far one's share of the
-    spread."""
+    """One finger with ten times the error does not determine the fitted standard deviation of all.
+
+    Twenty fingers of sd 5 mN have 400 images each at 0.5 N. The logarithm of their factors has sd
+    0.3; one finger has 50 mN. The mean square over all would give 12 mN. The model's sd is a
+    lognormal's root mean square, 5 mN times exp(0.3^2), widened by the outlier's part of the
+    spread.
+    """
     rng = np.random.default_rng(1)
     images = 400
     factors = np.exp(0.3 * np.linspace(-1.6, 1.6, 20))
@@ -31,10 +34,13 @@ def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_drawn_with():
 
 
 def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
-    """Sixty fingers, each of 300 images with shears between 0.1 and 0.3 N: white noise of 2 mN, what
-    lasts half a second of 8 mN, and gains of sd 6 % about 4 %, of which the 4 % are not drawn.
-    Bounds: the median of 60 has a standard error of 1/7 of an sd, and every finger 300 images of 15
-    that are one; three of these errors."""
+    """The fit separates white noise, lasting errors and the gain error of a grasp.
+
+    Sixty fingers have 300 images each with shears between 0.1 and 0.3 N. Their white noise is 2 mN
+    and the error that lasts half a second 8 mN. The gains have sd 6 % about 4 %; the 4 % is not
+    sampled. Bounds: the median of 60 has a standard error of 1/7 of an sd, and 15 of a finger's 300
+    images count as one. The bounds are three of these errors.
+    """
     rng = np.random.default_rng(3)
     fingers, images, period = 60, 300, 1 / 30
     kept = np.exp(-period / 0.5)
@@ -67,7 +73,8 @@ def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
     rows |= {"centroid": np.zeros((count, 2)), "felt_centroid": np.zeros((count, 2))}
     found = fit_error_model.fit(rows)
     at = int(np.flatnonzero(fit_error_model.LOADS == 0.5)[0])
-    # what lasts is new by 8 mN * sqrt(1 - kept^2) = 2.8 mN an image, a fifth of it in this measure
+    # the lasting error changes by 8 mN * sqrt(1 - kept^2) = 2.8 mN per image, a fifth of it in this
+    # measure
     assert found.fresh[at, 2] == pytest.approx(2.2e-3, rel=0.2)
     assert found.sd[at, 2] == pytest.approx(8.2e-3, rel=0.1)
     assert found.shear_gain == pytest.approx(0.06, rel=0.4)

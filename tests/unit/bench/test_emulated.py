@@ -1,4 +1,4 @@
-"""The emulated grasps' table says what the rows say."""
+"""Test that the table of emulated grasps matches its rows."""
 
 from benchmarks.rig.emulated_grasps import table
 
@@ -13,4 +13,4 @@ def test_a_fault_of_the_rig_is_said_and_is_not_held():
     assert "| egg |  | 3 of 3 (44-100 %) | 0 | 0.20 |" in text  # Wilson's interval
     assert "| vial |  | 2 of 3 (21-94 %) | 1 | 0.40 |" in text
     assert "| all | 20 of 20 | 5 of 6 (44-97 %) | 1 | 0.20 |" in text
-    assert "1/4 of the speed" in text and "speed" not in table({"grasps": rows, "slow": 1.0})
+    assert "1/4 of real time" in text and "real time" not in table({"grasps": rows, "slow": 1.0})

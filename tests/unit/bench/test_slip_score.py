@@ -1,4 +1,4 @@
-"""What counts as a slip detected in time, late, early or falsely."""
+"""Tests of the classes of slip detection: in time, late, early or false."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The long run: a real leg on the emulated rig, and what its table says."""
+"""Tests of the long run: a real leg on the emulated rig, and its table."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
         bench.end()
     assert found["injected"] and found["safe"] and found["reaction_s"] < 0.2, found  # asked: 200 ms
     assert 4.0 < found["seconds"] < 10.1 and found["grips"] >= 1 and found["recording"] == ""
-    assert list(tmp_path.iterdir()) == []  # only what went wrong is kept
+    assert list(tmp_path.iterdir()) == []  # only failed runs are kept
 
 
 def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
@@ -58,13 +58,13 @@ def test_the_table_says_what_went_wrong():
     }
     said = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
     longer = [LEG | {"memory_MB": 100.0 + count} for count in range(1, 9)]
-    assert said["long run: 0.33 h, 60 grips of an egg, cycles missed"] == "0.28 % of 72000"
-    assert said["long run: safe state after a fault at any moment"] == (
+    assert said["long run of 0.33 h, 60 grips of an egg: missed cycles"] == "0.28 % of 72000"
+    assert said["long run: safe state after a fault at a random time"] == (
         "3 of 3, 1 later than 200 ms, worst 300 ms"
     )
-    assert said["long run: ended without a fault"] == "1 of 4 legs; left camera is stale"
+    assert said["long run: stops without a fault"] == "1 of 4 legs; left camera is stale"
     assert said["long run: memory"] == "100.0 MB after 2 legs, 100.0 MB after 4 legs"
     assert soak.growth(longer) == (
         "102.0 MB after 2 legs, 104.0 MB after 4 legs, 108.0 MB after 8 legs"
     )
-    assert said["long run: recordings that cannot be read"] == "1 of 4"
+    assert said["long run: unreadable recordings"] == "1 of 4"

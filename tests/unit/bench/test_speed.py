@@ -1,4 +1,4 @@
-"""What `bench speed` times is what it says it is."""
+"""Tests that `bench speed` times the stated work."""
 
 import pytest
 
@@ -6,8 +6,10 @@ from benchmarks.speed import compare, sensors
 
 
 def test_balls_lie_on_their_sensors_and_the_others_sleep():
-    """A ball at rest is held by its membrane: what the drive of its slide joint leaves over is its
-    weight."""
+    """Membranes carry the balls at rest, and sensors without a ball sleep.
+
+    The constraint force on the ball's slide joint is its weight.
+    """
     world = sensors.scene(2, loaded=True)
     assert world.kinetic_energy < 1e-9 and not any(sensor.is_asleep for sensor in world.sensors)
     # at rest
@@ -40,6 +42,6 @@ def test_tables():
     text = compare.table(
         {"rounds": [{"before": row, "now": now}], "processor": "a", "load_average": 1.0}
     )
-    assert "| image to touch, alone, held, ms | 5 | 5 | 1.00 |" in text
-    assert "| 60 Hz loop, all, x real time | 0.4 | 0.8 | 2.00 |" in text
-    assert "| `mjtactile grasp`, all of it, s | 30 | 15 | 2.00 |" in text
+    assert "| image to estimate, alone, held, ms | 5 | 5 | 1.00 |" in text
+    assert "| 60 Hz loop, complete grasp, x real time | 0.4 | 0.8 | 2.00 |" in text
+    assert "| `mjtactile grasp`, complete, s | 30 | 15 | 2.00 |" in text

@@ -1,5 +1,5 @@
-"""What watching costs is told from what the session and the page noted; without a browser it says
-what to do."""
+"""Tests of the cost of viewing, computed from the records of session and page; without a browser
+the message gives instructions."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""What touch buys: its table says what its lines say; the test for slip goes by what follows."""
+"""Tests of the benefit of touch: its table matches its lines, and the slip test depends on
+subsequent events."""
 
 from types import SimpleNamespace
 
@@ -47,11 +48,13 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     text = table(result)
     # Wilson's interval of 8 of 8 is 67.6 to 100 %
     assert "| pour | 8 of 8 (68-100 %) |  |  | 4 of 8 (22-78 %) |  | +50 (" in text
-    assert "| weigh, harsh worlds | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
+    assert "| weigh, `harsh` | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
     assert "| all 6 | 48 of 48 (93-100 %) |  |  | 24 of 48 (36-64 %) |  | +50 (" in text
-    assert "| grip over need in all tasks, median | 1.5 |  |  | 1.5 |  |" in text
+    assert (
+        "| grip force relative to required force, all tasks, median | 1.5 |  |  | 1.5 |  |" in text
+    )
     assert "| pour | 0 / 0 / 0 / 0 |  |  | 4 / 0 / 0 / 0 |  |" in text
-    assert text.startswith("Level `drawn`: ")
+    assert text.startswith("Level `synthetic`: ")
     # Wilson's interval of 5 of 5 is 56.6 to 100 %
     assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
     draw(result, tmp_path / "picture.png")
@@ -62,7 +65,7 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
     full = {"weigh": lines("adaptive", ["held", "held", "dropped", "error"])}
     cheap = {
         "weigh": lines("adaptive", ["held", "crushed", "dropped", "held", "held"]),
-        "pour": lines("adaptive", ["held"]),  # nobody ran that on the mesh
+        "pour": lines("adaptive", ["held"]),  # not run on the mesh
     }
     found = agreement("adaptive", full, cheap)
     assert (found["episodes"], found["alike"], found["held"]) == (3, 2, [2, 1])
@@ -117,5 +120,5 @@ def test_a_sign_of_slip_counts_unless_the_shear_stays(follows, counts):
             touch = Touch(0.0, 0.01, force, 0.003, True, traction=traction, slip=slip)
             looks.append(SimpleNamespace(time=time, touch=touch))
         states = active_slip_test.states(looks)
-        assert states[5] == "slipping"  # nothing is known of the test yet: the sign alone
+        assert states[5] == "slipping"  # no result of the test yet: the sign alone
         assert (states[-1] == "slipping") == counts

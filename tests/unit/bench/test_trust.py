@@ -1,4 +1,4 @@
-"""The table of camera troubles counts what is wrong in silence, and nothing else."""
+"""Tests that the table of camera faults counts unreported errors only."""
 
 from types import SimpleNamespace
 
@@ -27,7 +27,7 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     row = {"sensor": "dense", "name": "x", "when": RUN, "strength": {"gamma": 1.3}, **found}
     row["without"] = found
     shown = table({"rows": [row], "sums": _sums([row]), "air": []})
-    assert "(25.00 %)" in shown and "without the gauge 1 of 4" in shown
+    assert "(25.00 %)" in shown and "without pressure sensor 1 of 4" in shown
 
 
 def test_strengths_are_near_their_names_and_the_same_again():

@@ -1,4 +1,5 @@
-"""Cases of `bench references` are read strictly, and a number that is off is said to be off."""
+"""Tests that cases of `bench references` are read strictly, and that a deviating number is
+reported."""
 
 import pytest
 
@@ -71,4 +72,4 @@ def test_a_reference_that_is_missed_is_said(tmp_path):
     write(tmp_path, BULGE.replace("2.45", "2.9"))
     result = run.run(tmp_path, say=lambda _: None, cases=tmp_path)
     assert (result["met"], result["numbers"]) == (0, 1) and (tmp_path / "truth.png").exists()
-    assert "| 0 of 1 |" in run.table(result) and "0 of 1 numbers" in run.table(result)
+    assert "| 0 of 1 |" in run.table(result) and "0 of 1 values" in run.table(result)

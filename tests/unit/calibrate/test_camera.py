@@ -89,10 +89,10 @@ def test_known_intrinsics_come_back(photos, tmp_path, capsys):
     out = tmp_path / "camera.yaml"
     assert main(["calibrate", "camera", str(photos), "--out", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    camera = Camera.from_yaml(out)  # the chain reads what was written
+    camera = Camera.from_yaml(out)  # the chain reads the written file
     sd = result["sd"]
-    # Each within 4 of its own standard deviations, and a floor of 0.1 px: what corner refinement is
-    # biased by.
+    # Each within 4 of its own standard deviations, with a floor of 0.1 px: the bias of corner
+    # refinement.
     for name, true in (("fx", 610.0), ("fy", 606.0), ("cx", 325.3), ("cy", 236.1)):
         assert abs(getattr(camera, name) - true) < max(4 * sd[name], 0.1), name
         assert sd[name] < 0.005 * 610

@@ -107,7 +107,8 @@ def test_a_grid_is_numbered_with_gaps_and_strangers():
 
 
 def test_the_command(tmp_path, capsys):
-    """Three pictures are too few to be good, but enough to write what was refused, and why."""
+    """Three images are too few for a good result, but enough to write the rejections and their
+    reasons."""
     for k, pose in enumerate(poses(3)):
         cv2.imwrite(
             str(tmp_path / f"{k}.png"),

@@ -1,8 +1,8 @@
-"""`calibrate gripper` and `calibrate valve`: fits against made-up truth, and the guided runs over
-real ptys.
+"""Tests of `calibrate gripper` and `calibrate valve`: fits against synthetic ground truth, and the
+guided runs over real ptys.
 
-The jaws here are this test's own mechanics (play, a spring block, a torque constant that is not the
-data sheet's), so that what comes back can be compared with what was put in.
+The jaws here have mechanics of this test (backlash, a spring block, a torque constant unlike the
+data sheet's). The results can therefore be compared with the given values.
 """
 
 import contextlib
@@ -148,7 +148,7 @@ class Mechanism:
         self.block = block
         self.stiffness = stiffness
         self.share = torque_fraction
-        self.motor = self.jaw = RADIUS * ANGLE  # m, of each jaw
+        self.motor = self.jaw = RADIUS * ANGLE  # position of each jaw, m
         self.force = 0.0
         self._stop = scaled_clock.Event()
         self._thread = threading.Thread(target=self._run)
@@ -171,7 +171,7 @@ class Mechanism:
             if any(drive.torque_max == 0 for drive in drives):
                 continue
             before = self.motor
-            # N on each finger
+            # maximum force on each finger, N
             most = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS
             goal = RADIUS * drives[0].goal
             self.motor += float(np.clip(goal - self.motor, -4e-4, 4e-4))  # at 0.2 m/s
@@ -312,7 +312,7 @@ def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
         begin = scaled_clock.monotonic()
-        chambers.leak = 0.1  # Pa every 5 ms
+        chambers.leak = 0.1  # leak, Pa every 5 ms
         try:
             fit = interactive.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
         finally:

@@ -1,5 +1,5 @@
-"""`mjtactile setup` with emulated hardware: everything is found by asking the devices, and what
-answers is kept."""
+"""Tests of `mjtactile setup` with emulated hardware: it queries the devices and keeps the
+answers."""
 
 import re
 
@@ -46,7 +46,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
     def ask(question):
         asked.append(question)
         finger = re.search(r"of the (\w+) finger", question)
-        if finger:  # its chamber is filled: its picture changes as if somebody pressed
+        if finger:  # filling its chamber changes its image like an indentation
             while pressed:
                 pressed.pop().close(quiet=True)
             boards, valves = connect_valves(load_rig_file(path).valves)
@@ -70,7 +70,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
                 ask=ask,
                 say=said.append,
             )
-        assert load_rig_file(path).bus.port == ends["servo"]  # what was found until then is kept
+        assert load_rig_file(path).bus.port == ends["servo"]  # results up to here are kept
         asked.clear()
         rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, say=said.append)
     finally:
@@ -131,7 +131,7 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     ],
 )
 def test_one_press_in_a_corner_says_how_a_picture_is_flipped(flip, turned):
-    """Where x and y are largest, drawn by the renderer."""
+    """A rendered dent in the corner of largest x and y identifies the flip of an image."""
     design = load_sensor("dense")
     view = Renderer(design, seed=2)
     up = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))

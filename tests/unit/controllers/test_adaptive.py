@@ -34,7 +34,8 @@ def finger(down, side=0.0, normal=0.4, state: SlipState = "sticking"):
 
 
 def run(command, feel, count, goal=None):
-    """`count` cycles on a gripper that is where it was goal to be; `feel(k, command)` is felt."""
+    """Run `count` cycles on a gripper that reaches every goal immediately; `feel(k, command)` gives
+    the touches."""
     for k in range(count):
         state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
         felt = feel(k, command)
@@ -57,9 +58,12 @@ def holding(load=0.2, goal=None):
 @pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("weight", [0.1, 0.3])
 def test_friction_is_found_before_it_lifts_on(friction, weight):
-    """Coulomb: an object of `weight` N on each finger comes off the table within half a millimetre,
-    and slides where the fingers press too lightly. The trial lets pass what a third less holds, in
-    steps of a quarter; 0.02 N of load are kept to spare."""
+    """The trial estimates the friction before the lift continues, and the grip keeps a margin.
+
+    Coulomb: an object of `weight` N on each finger leaves the table within half a millimeter, and
+    slides where the grip is too light. The trial accepts a friction that would hold with a third
+    less grip, in steps of a quarter. The grip keeps 0.02 N of load in reserve.
+    """
     grips = []
 
     def feel(k, command):
@@ -114,7 +118,7 @@ def test_a_thing_that_leans_in_the_grip_is_no_load():
 def test_a_slip_that_all_fingers_say_teaches_friction():
     command, goal = holding(0.2)
     kept: Any = command.memory
-    belief = {**kept["belief"], "proven": 0.0, "wrong": 0.0}  # nothing was tried
+    belief = {**kept["belief"], "proven": 0.0, "wrong": 0.0}  # no trial was made
     command = replace(command, memory={**command.memory, "belief": belief})
     assert believed(command) > 0.5
     grip = command.memory["target"]
@@ -128,7 +132,7 @@ def test_a_slip_that_all_fingers_say_teaches_friction():
     assert believed(run(command, one, 3, goal)) > 0.5  # it may roll
     reported_once = run(command, both, 1, goal)
     assert believed(reported_once) == pytest.approx(0.8 * believed(command), rel=0.01)
-    # it closes at once, by what a quarter more takes of two membranes
+    # it closes immediately, by the compression of two membranes under a quarter more force
     more = reported_once.memory["target"] - command.memory["target"]
     stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
     assert reported_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
@@ -146,7 +150,7 @@ def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
     assert run(command, pulled(2), 10, goal).phase == "hold"  # 0.07 s
     assert run(command, pulled(99), 10, goal).phase == "release"
     alone, plain = holding(0.2)
-    assert run(alone, pulled(99), 10, plain).phase == "hold"  # nobody was announced
+    assert run(alone, pulled(99), 10, plain).phase == "hold"  # no handover was announced
 
 
 @pytest.mark.parametrize("load", [0.03, 0.2, 1.0])
@@ -161,7 +165,8 @@ def test_it_sets_down_where_the_table_takes_the_load(load):
 
     down = run(command, table, 60)
     assert down.phase == "release"
-    # as deep as the load is, 20 mm/s for two cycles of delay, and what counts as its weight's end
+    # depth from the load, 20 mm/s for two cycles of delay, and the threshold for the end of the
+    # weight
     assert 0.017 - load / 200 - 0.002 < down.lift_height < 0.0175
 
 

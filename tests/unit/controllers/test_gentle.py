@@ -38,7 +38,8 @@ def heavy(fx, fy):
 
 
 def run(command, felt, count):
-    """`count` cycles with the touches `felt`, on a gripper that is where it was goal to be."""
+    """Run `count` cycles with the touches `felt`, on a gripper that reaches every goal
+    immediately."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
         command = step(
@@ -108,8 +109,12 @@ def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware"])
 @pytest.mark.parametrize(("up", "stops"), [(-0.3, False), (0.0, False), (0.3, True)])
 def test_what_pushes_back_on_the_way_down_is_the_table(controller, up, stops):
-    """What slid 20 mm down stands while the hand is up: until now the hand was pushed on over its
-    edge. Shears are along x of one finger and y of the other: nobody says which way is down."""
+    """An upward push on the way down is taken as the table, and the gripper opens there.
+
+    An object that slid 20 mm down stands on the table while the gripper is still up. Earlier
+    versions pushed the gripper on over its edge. Shears are along x of one finger and y of the
+    other: no input gives the downward direction.
+    """
     its_step = load_controller(controller).step
     command = Command(0.04, 4.0, 0.04, "hold", {"phase_time": 1.9, "target": 0.6})
     phases = []

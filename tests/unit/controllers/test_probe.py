@@ -1,4 +1,4 @@
-"""The probe controller ends, whatever the fingers say."""
+"""Tests that the probe controller ends for any touch signal."""
 
 import pytest
 
@@ -11,7 +11,7 @@ MEMORY = {"presses": 1.0, "touch_opening": 0.04}
 
 
 def opened(felt, seconds=20.0):
-    """What it says after so long, or when it is over, with that force felt on both fingers."""
+    """Return the command after `seconds`, or at the end, with the force `felt` on both fingers."""
     command = Command(0.038, 4.0, 0.0, "release", MEMORY)
     touch = Touch(0.0, 0.01, felt, 0.01, felt > 0.05)
     for k in range(round(seconds / PERIOD)):
@@ -23,10 +23,13 @@ def opened(felt, seconds=20.0):
 
 
 def test_a_finger_that_never_lets_go_ends_it_with_the_reason():
-    """An uncalibrated sensor five times as firm as its file feels 0.1 N of nothing."""
+    """A constant force of 0.1 N with open jaws ends the probe with that reason.
+
+    An uncalibrated sensor five times as stiff as in its file estimates 0.1 N without contact.
+    """
     command, after = opened(0.1)
     assert command.phase == "abort" and "a finger measures 0.10 N with open jaws" in command.reason
-    opening = (0.04 + 0.003 - 0.038) / 0.015  # s
+    opening = (0.04 + 0.003 - 0.038) / 0.015  # opening time, s
     assert opening < after == pytest.approx(4.0, abs=2 * PERIOD)
 
 

@@ -28,7 +28,8 @@ def touch(force, state: SlipState = "sticking"):
 
 
 def run(command, felt, count=1):
-    """`count` cycles with the touches `felt`, on a gripper that is where it was goal to be."""
+    """Run `count` cycles with the touches `felt`, on a gripper that reaches every goal
+    immediately."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
         command = controller.step(
@@ -60,7 +61,7 @@ def test_it_grips_no_harder_than_its_limit():
 def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed():
     near = run(HELD, (touch(FIRST, "incipient"),) * 2)
     assert FIRST < near.memory["target"] < FIRST + 0.05
-    # it does not feel what it asked for yet
+    # the requested force has not been reached yet
     assert run(HELD, (touch(0.1, "incipient"),) * 2).memory["target"] == FIRST
 
 

@@ -28,7 +28,8 @@ def test_it_goes_through_a_grasp_by_effort_and_height():
 
 
 def test_one_noisy_reading_does_not_stop_the_jaws():
-    """A single reading of twice the effort, of which the average takes a third."""
+    """A single reading of twice the effort does not stop the jaws: a third of it enters the
+    average."""
     command = Command(0.05, 0.0, 0.0, "approach", {})
     for k in range(30):
         command = touchless.step(
@@ -38,8 +39,11 @@ def test_one_noisy_reading_does_not_stop_the_jaws():
 
 
 def test_what_moving_takes_is_no_grip():
-    """40 mm, 300 N/m, 0.5 N for the motion alone: the jaws stop at 0.6 N of grip, and what comes in
-    the time of the average."""
+    """The effort of motion does not count as grip.
+
+    Contact is at 40 mm with 300 N/m, and motion alone takes 0.5 N. The jaws stop at 0.6 N of grip,
+    plus the increase during the averaging time.
+    """
     command = Command(0.05, 0.0, 0.0, "approach", {})
     for k in range(200):
         effort = 0.5 + max(0.0, 0.04 - command.opening) * 300

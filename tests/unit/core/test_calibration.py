@@ -1,4 +1,4 @@
-"""`Calibration`: the file, its parts, and what it changes in a design, a traction and a
+"""Tests of `Calibration`: the file, its parts, and its changes to a design, a traction and a
 pressure."""
 
 import json

@@ -1,5 +1,5 @@
-"""A dataclass's fields say how they stand in a file: what is read is what was written, and what is
-wrong is named."""
+"""Tests of dataclass fields that define their form in a file: written values are read back, and
+errors are named."""
 
 from dataclasses import dataclass
 

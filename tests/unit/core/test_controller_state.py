@@ -1,4 +1,4 @@
-"""What of a controller's notebook is written: the JSON of what is kept says the same."""
+"""Tests of the written part of a controller's memory: its JSON matches the kept values."""
 
 import json
 import math

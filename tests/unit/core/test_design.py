@@ -1,5 +1,5 @@
-"""A sensor file is either read exactly, in SI, or refused with its name, the field and what would
-be right."""
+"""Tests of sensor files: a file is read exactly, in SI, or rejected with its name, the field and a
+valid value."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""How results say what a simulation left out."""
+"""Tests of the reports of effects that a simulation left out."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from mjtactile.core.fidelity_levels import LEFT_OUT, disabled_effects, fidelity_
         ({"mesh", "pipeline", "images"}, []),
         ({"mesh", "pipeline"}, ["images"]),
         ({"pipeline", "images"}, ["mesh"]),
-        # where touch is drawn there are no markers, and nobody misses images of them
+        # sampled touch has no markers, so that images are not reported as missing
         ({"images"}, ["mesh", "pipeline"]),
         (set(), ["mesh", "pipeline"]),
     ],

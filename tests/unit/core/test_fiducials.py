@@ -1,4 +1,4 @@
-"""Fiducials in a sensor file: where they are, what they cost, and what is refused."""
+"""Tests of fiducials in a sensor file: positions, costs, and rejected values."""
 
 import tomllib
 from dataclasses import replace
@@ -35,8 +35,11 @@ def read(fiducials):
 
 
 def test_straight_walls_would_hide_the_rim():
-    """The line of sight to the innermost point of a circle passes the opening's edge behind the
-    lip, and the groove goes as far back as that of the outermost one."""
+    """The groove behind the lip keeps the circles in view of the camera.
+
+    The line of sight to the innermost point of a circle passes the opening's edge behind the lip.
+    The groove is as deep as the line to the outermost point requires.
+    """
     design = load_sensor("dense_fiducials")
     fiducials = design.fiducials
     p_SF = fiducials.p_SF(design)

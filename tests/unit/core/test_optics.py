@@ -1,5 +1,5 @@
-"""Lens and glass against references that share no code: OpenCV's lens, a vector ray trace through
-the pane."""
+"""Tests of lens and glass against references that share no code: OpenCV's lens, and a vector ray
+trace through the glass."""
 
 import cv2
 import numpy as np
@@ -43,7 +43,7 @@ def snell(d, normal, n_from, n_to):
 
 
 def trace_to_depth(rays, camera, z):
-    """Where unit rays from the camera's centre are at depth z, traced face by face."""
+    """Return the points of unit rays from the camera center at depth z, traced face by face."""
     normal = np.array([0.0, 0.0, -1.0])
     p = rays * (camera.glass_distance / rays[:, 2:])
     inside = snell(rays, normal, 1.0, camera.glass_index)
@@ -61,7 +61,7 @@ def test_lens_is_opencvs_plumb_bob():
 
 def test_unproject_inverts_the_lens():
     p = points()
-    # 1e-10 of a unit ray is 6e-8 px: what Newton promises, and far below any pixel noise
+    # 1e-10 of a unit ray is 6e-8 px: Newton's tolerance, and far below any pixel noise
     np.testing.assert_allclose(
         optics.unproject(LENS, optics.project(LENS, p)), geometry.unit(p), atol=1e-10
     )
@@ -117,7 +117,7 @@ def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
 def test_no_pane_means_no_shift_and_bad_points_are_nan():
     assert (optics.glass_shift(LENS, points()) == 0).all()
     assert np.isnan(optics.project(LENS, [[0.0, 0.0, -0.04]])).all()
-    # inside the pane, which ends at 25 mm
+    # inside the glass, which ends at 25 mm
     assert np.isnan(optics.project(GLASS, [[0.0, 0.0, 0.0249]])).all()
     np.testing.assert_array_equal(optics.project(GLASS, [[0.0, 0.0, 0.04]]), [[319.5, 239.5]])
 

@@ -1,4 +1,4 @@
-"""Each thing that a system may lack is taken away: what stands in for it does the same."""
+"""Tests without each optional feature of a system: its replacement gives the same results."""
 
 import os
 import select

@@ -1,5 +1,5 @@
-"""What a policy sees and does is the same everywhere, and phases follow from what is felt and
-reached."""
+"""Tests that a policy has the same inputs and outputs everywhere, and that phases follow from touch
+and position."""
 
 from dataclasses import replace
 
@@ -84,7 +84,8 @@ def test_the_goal_stays_within_reach_of_the_jaws():
 
 
 def test_a_grasp_from_approach_to_done():
-    """Phases by touch, height and time: no clock but the period, no force but the felt one."""
+    """Phases change by touch, height and time: the only clock is the period, the only force the
+    estimate."""
     command = Command(0.05, 4.0)
     phases = []
     course = (

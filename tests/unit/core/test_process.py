@@ -1,5 +1,5 @@
-"""A child answers, fails by name, and is gone when its parent is, whoever holds the parent's end of
-its pipes."""
+"""Tests of child processes: a child answers, names its failures, and ends with its parent, even if
+other processes hold the parent's end of its pipes."""
 
 import contextlib
 import os
@@ -30,7 +30,8 @@ CHILD = """
         else:
             print(json.dumps([word, sys.argv[1:], os.environ["OMP_NUM_THREADS"]]), flush=True)
 """
-# s for a process to start or end on a busy computer; the child has 5 s when its parent has ended
+# time-out for the start or end of a process on a busy computer, s; the child has 5 s after its
+# parent's end
 WAIT = 20.0
 
 
@@ -49,7 +50,7 @@ def child(module):
 
 
 def is_alive(pid):
-    """Whether a process runs; one that only waits to be reaped does not."""
+    """Return True if a process runs; a zombie does not count."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     return False

@@ -1,4 +1,4 @@
-"""What a sensor file says of rubber that relaxes."""
+"""Tests of relaxing rubber in a sensor file."""
 
 from dataclasses import replace
 

@@ -46,7 +46,7 @@ def test_a_taut_ellipse_hangs_under_its_weight():
     load = 9.81 * membrane.density * membrane.thickness / membrane.pre_stretch**2
     tension = membrane.pretension
     expected = -load / (2 * tension * (1 / a**2 + 1 / b**2))
-    pressure = 1e-3  # Pa: nothing
+    pressure = 1e-3  # pressure in Pa: negligible
     assert inflated_height(ELLIPSE, pressure, gravity=9.81) == pytest.approx(expected, rel=2e-3)
 
 

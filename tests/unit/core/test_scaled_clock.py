@@ -33,8 +33,8 @@ def test_a_fifth_of_the_speed(five, wait):
     wait(0.02)
     wall = time.monotonic() - wall
     slow = scaled_clock.monotonic() - slow
-    assert wall > 0.0999  # s; a clock's resolution below 5 x 0.02
-    # s: what lies between the two readings of the clocks on a busy computer
+    assert wall > 0.0999  # time in s; 5 x 0.02 less a clock's resolution
+    # tolerance in s: the delay between the two clock readings on a busy computer
     assert slow == pytest.approx(wall / 5, abs=2e-3)
     assert scaled_clock.wall(0.02) == pytest.approx(0.1)
 

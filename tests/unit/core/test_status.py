@@ -1,5 +1,5 @@
-"""A status is text with a code that survives what happens to values: comparison, copies, pickles,
-JSON, arrays."""
+"""Tests of a status: text with a code that survives comparison, copies, pickles, JSON and
+arrays."""
 
 import copy
 import json

@@ -23,7 +23,7 @@ def test_with_nothing_connected_the_first_one_raises_and_its_echo_does_not(numbe
     with listening() as stop:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
-        signal.raise_signal(number)  # a moment later, in the middle of what the first one led to
+        signal.raise_signal(number)  # a moment later, while the first one is handled
         assert stop.asked and not stop.at_once
 
 
@@ -62,8 +62,10 @@ def test_processor_time_that_is_used_up_repeats_itself_and_a_person_after_it_is_
 
 
 def test_every_signal_that_would_end_the_process_is_heard():
-    """What is left: those that nobody can catch, that a fault of the program raises, and that
-    end nothing."""
+    """All signals that end the process are handled, except those in the list.
+
+    These cannot be caught, or a program fault raises them, or they end nothing.
+    """
     names = "KILL STOP ILL TRAP BUS FPE SEGV SYS PIPE XFSZ CHLD CONT TSTP TTIN TTOU URG WINCH"
     others = {getattr(signal, f"SIG{name}") for name in names.split()}
     assert signal.valid_signals() - set(ENDING) == others

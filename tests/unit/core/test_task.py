@@ -1,4 +1,4 @@
-"""A task file: what is wrong with it is said, and what a seed draws of it is the seed's alone."""
+"""Tests of task files: errors are reported, and samples depend on the seed alone."""
 
 import math
 import tomllib
@@ -32,7 +32,10 @@ def test_the_shipped_ones_are_read_and_say_what_they_are(name):
 
 
 def test_lift_is_what_it_was_and_shows_every_field():
-    """Every result so far was of this task: nothing drawn, nothing happens."""
+    """The task lift is unchanged and its file shows every field.
+
+    Every earlier result was of this task: nothing is sampled, and no disturbance occurs.
+    """
     task = load_task("lift")
     assert task.is_plain and task.orders.goal() == TaskGoal() and task.time_limit == 60.0
     assert task == replace(Task("lift", ()), about=task.about, version=task.version)

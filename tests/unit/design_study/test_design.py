@@ -1,4 +1,4 @@
-"""What `mjtactile design` predicts goes as closed forms say, and what it writes are sensor files."""
+"""Tests of `mjtactile design`: predictions follow closed forms, and the output is sensor files."""
 
 import json
 import math
@@ -24,8 +24,8 @@ def paper16():
 
 
 def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
-    # linear in the noise of a pixel; a circle's radius in the image goes with f, so that the edge
-    # over which errors are averaged does, too, and a pixel is worth depth / f: f^-3/2 in all
+    # linear in the noise of a pixel. A circle's radius in the image is proportional to f, and so is
+    # the edge length for averaging; a pixel is worth depth / f: f^-3/2 in total
     design = paper16.design
     camera = design.camera
     rest = paper16.film.rest
@@ -37,7 +37,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
         return replace(design, camera=replace(camera, **values))
 
     own = sd(design)
-    # the twelfth of a grey level of rounding is beside it: 1 % at 1 DN
+    # rounding adds a twelfth of a squared grey level: 1 % at 1 DN
     noisy = sd(with_camera(noise_dn=4.0)) / own
     np.testing.assert_allclose(noisy, 2.0, rtol=0.02)
     longer = sd(sensor_file_edit.scaled_lens(design, 1.3)) / own
@@ -46,7 +46,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
 
 
 def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
-    # the chain's linear step in closed form, beside forty images with drawn errors
+    # the chain's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
     felt = paper16.feel(pressed.state)
     said = math.sqrt(paper16.noise(felt)[2, 2])
@@ -55,14 +55,14 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
         seen = paper16._sighter.sight(*paper16.poses(pressed.state.x), 0.1)
         touch, _ = paper16.chain.step(felt.state, replace(seen, time=0.1 + number), 0.1 + number)
         forces.append(touch.traction.wrench[2])
-    # a bound: forty numbers have their sd to 11 %, and a chain that remembers the camera from
-    # image to image scatters by half of what one image alone would
+    # a bound: forty numbers give their sd to 11 %; a chain that keeps the camera state between
+    # images scatters by half of the value for one image alone
     assert 0.35 * said < np.std(forces) < 1.3 * said
     assert -np.mean(forces) == pytest.approx(0.5, rel=0.03)
 
 
 def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
-    # each marker's height tells of the edge on its own; alike in size, so that each is as well seen
+    # each marker's height is an independent measurement of the edge; equal size gives equal noise
     few = sensor_file_edit.with_markers(load_sensor("dense"), 7, 9, (32e-3, 24e-3), 0.2)
     many = sensor_file_edit.with_markers(load_sensor("dense"), 10, 13, (32e-3, 24e-3), 0.2)
     radius = 0.6e-3
@@ -73,7 +73,7 @@ def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
         edges = [reacher.edge_sd(np.array(place), 0.3) for place in PLACES]
         sds.append(np.sqrt(np.mean(np.square(edges))))
     wanted = math.sqrt(many.markers.count / few.markers.count)
-    # where markers stand about an edge matters beside their number
+    # the marker positions around an edge matter in addition to their number
     assert sds[0] / sds[1] == pytest.approx(wanted, rel=0.35)
 
 
@@ -84,7 +84,7 @@ def test_place_of_a_force():
     cov = np.zeros((6, 6))
     cov[4, 4] = 1e-6
     assert place_sd(wrench, cov, r[2]) == pytest.approx(0.5e-3)
-    # an sd of the force itself moves the place by its share of the arm
+    # an sd of the force itself moves the position by its fraction of the arm
     cov = np.zeros((6, 6))
     cov[2, 2] = 0.1**2
     assert place_sd(wrench, cov, r[2]) == pytest.approx(3e-3 * 0.1 / 2)
@@ -120,7 +120,7 @@ def test_what_is_missed():
     reached = Score(0.02, 0.01, 0.01, 0.003, 1e-4, 1e-4, math.nan, 3.0)
     assert design_sweep.Requirements(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
     assert design_sweep.Requirements(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
-    assert design_sweep.Requirements(radius=5e-3).missed(reached) == ["radius"]  # not told at all
+    assert design_sweep.Requirements(radius=5e-3).missed(reached) == ["radius"]  # not determined
 
 
 def test_markers_out_of_the_picture_are_refused():
@@ -179,7 +179,7 @@ def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
     assert here.felt == pytest.approx(opposite.felt, abs=2e-3)
     assert here.force_sd == pytest.approx(opposite.force_sd, rel=0.02)
     assert here.edge_sd < 0.5e-3
-    assert here.felt == pytest.approx(0.5, rel=0.02)  # 1 mN is what it is off
+    assert here.felt == pytest.approx(0.5, rel=0.02)  # the error is 1 mN
     outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
     assert np.isnan([outside.felt, outside.force_sd, outside.edge_sd]).all()
     assert main(["design", "--sensor", "round30", "--detect-force-mN", "20"]) != 0

@@ -1,4 +1,4 @@
-"""What the tests of drivers share."""
+"""Fixtures of the driver tests."""
 
 import pytest
 

@@ -307,8 +307,8 @@ def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
 
 
 class Beat:
-    """A camera that sends a picture every `period` s, on a clock of its own that stands still but
-    for those who wait."""
+    """Camera that sends an image every `period` s, on its own clock, which advances only for
+    waiting callers."""
 
     def __init__(self, period, phase):
         self.period = period
@@ -330,8 +330,10 @@ class Beat:
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.02])
 def test_the_loop_falls_into_step_with_its_camera(rate, phase, monkeypatch):
-    """Whatever their phases were, and though neither has the rate it says: each picture is taken
-    when it comes, once."""
+    """The loop synchronizes with its camera from any phase: each image is taken on arrival, once.
+
+    Neither has exactly its stated rate.
+    """
     camera = Beat(1 / rate, phase)
     monkeypatch.setattr("mjtactile.devices.rig._sleep_until", camera.sleep_until)
     clock = FrameClock([camera], 1.0)  # type: ignore[list-item]

@@ -1,7 +1,8 @@
-"""What a dead host leaves of a hand, on servos whose watchdogs do different things (decision 19).
+"""Tests of the gripper after its host has died, on servos with different watchdog actions (decision
+19).
 
-Two jaws on racks close on a spring between them; the host stops in the middle of it. The mechanism
-is statics: a jaw goes to its goal, or as far as its torque presses the spring.
+Two jaws on racks close on a spring between them; the host stops during the motion. The mechanism is
+quasi-static: a jaw moves to its goal, or until the spring balances its torque.
 """
 
 import contextlib
@@ -17,12 +18,12 @@ from tests.emulated import ANGLE, servo_bench, wait_for
 
 pytestmark = pytest.mark.clock
 
-RADIUS = 0.012  # m/rad, GRIPPER's
-START = 2 * RADIUS * ANGLE  # m of opening, 72 mm
-STIFFNESS = 400.0  # N/m of the spring at each finger
-FORCE = 2.0  # N that the host allows
+RADIUS = 0.012  # radius of GRIPPER, m/rad
+START = 2 * RADIUS * ANGLE  # opening of 72 mm, m
+STIFFNESS = 400.0  # stiffness of the spring at each finger, N/m
+FORCE = 2.0  # force limit of the host, N
 SPEED = 3.0  # rad/s of the jaws
-LEAD = 0.1 * 0.1  # m: 0.1 s at GRIPPER's largest speed
+LEAD = 0.1 * 0.1  # lead in m: 0.1 s at GRIPPER's maximum speed
 KINDS = {"brake": {}, "limp": {"trip": "limp"}, "goes on": {"firmware": 51}}
 
 
@@ -119,8 +120,11 @@ def die(bench, jaws, gripper):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hand_that_squeezes_never_squeezes_harder(kind):
-    """Braking or going on, the squeeze is what the host had allowed (a unit of current, 0.03 N,
-    less); limp, it is gone."""
+    """After the host's death the grip force never exceeds the limit that the host had set.
+
+    Braking or continuing, it is that limit (a unit of current, 0.03 N, less). With limp servos it
+    is zero.
+    """
     with hand(kind, touch=START - 0.008) as (bench, jaws, gripper):
         close_until(gripper, lambda: min(jaws.forces()) > 0.9 * FORCE)
         die(bench, jaws, gripper)
@@ -134,8 +138,10 @@ def test_a_hand_that_squeezes_never_squeezes_harder(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hand_on_its_way_stops_by_itself(kind):
-    """It had been told to close by 72 mm, and nothing is between the jaws: it comes no further than
-    10 mm from where the host last knew it to be."""
+    """A moving gripper stops within 10 mm of the last opening that the host received.
+
+    The command was to close by 72 mm, and nothing is between the jaws.
+    """
     with hand(kind, touch=0.0) as (bench, jaws, gripper):
         close_until(gripper, lambda: jaws.opening < START - 0.015)
         known = gripper.geometry.opening(

@@ -1,7 +1,7 @@
-"""What is plugged in is found: on emulated buses, and of cameras by a kernel that answers as its
-documentation says.
+"""Tests of device discovery: on emulated buses, and for cameras with a kernel that answers as
+documented.
 
-No camera is on this computer; structures and numbers are those of linux/videodev2.h.
+This computer has no camera; structures and numbers are those of linux/videodev2.h.
 """
 
 import errno
@@ -58,7 +58,7 @@ def test_what_a_camera_can_send(tmp_path):
         formats_of(tmp_path / "video0", kernel({"MJPG": MODES["MJPG"][:1]}, stepwise=True))
     )
     assert ranges == [("MJPG", 640, 480, 60.0)]
-    # a file: the real kernel says that it is no camera
+    # a regular file: the real kernel reports that it is not a camera
     assert list(formats_of(tmp_path / "video0")) == []
     assert list(formats_of(tmp_path / "video7", kernel())) == []
 

@@ -1,4 +1,4 @@
-"""What `mjtactile doctor` says of emulated servos."""
+"""Tests of the findings of `mjtactile doctor` about emulated servos."""
 
 import contextlib
 from dataclasses import replace
@@ -59,7 +59,8 @@ def test_what_a_lost_host_leaves_is_said_with_the_servos_that_hold_nothing():
 
 
 def test_a_torque_constant_of_another_model_is_bad():
-    """Of an XM430 (1.78 N m/A) on an XL330 (0.354): forces five times off."""
+    """The torque constant of an XM430 (1.78 N m/A) on an XL330 (0.354) is bad: forces are five
+    times off."""
     rig = load_rig_file("two_xm430")
     assert list(_check_torques(rig)) == []
     servos = tuple(replace(servo, model="XL330-M288") for servo in rig.gripper.servos)

@@ -113,7 +113,7 @@ def test_settings_that_make_a_dead_host_dangerous_are_refused(bench, name, value
     bench.servos[2].set(name, value)
     with pytest.raises(DeviceError, match=rf"servo 2 .*{name} is {value} .* must be 0"):
         bench.gripper()
-    assert bench.servos[2].get(name) == value  # nobody's calibration is overwritten
+    assert bench.servos[2].get(name) == value  # an existing calibration is not overwritten
 
 
 @pytest.mark.clock

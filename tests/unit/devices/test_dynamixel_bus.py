@@ -96,8 +96,10 @@ def test_many_threads_share_one_bus(bus):
 
 @pytest.mark.clock
 def test_time_outs_are_the_files_and_not_the_sdks(bench):
-    """LATENCY_TIMER = 16 makes the SDK wait 34 ms; what the port is told counts here, on the
-    monotonic clock."""
+    """The port uses the time-out of the file, on the monotonic clock.
+
+    LATENCY_TIMER = 16 makes the SDK wait 34 ms.
+    """
     bus = DynamixelBus(bench.bus.path, reply_timeout=0.005)
     sdk = PortHandler("none")
     try:

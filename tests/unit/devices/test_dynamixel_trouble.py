@@ -30,8 +30,10 @@ def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
 
 
 def test_a_state_is_of_the_time_it_was_asked_for(bench):
-    """The servos answer while the loop works on its picture; what happens after the question is not
-    in the answer."""
+    """A state has the time of its request, and later motion is not in it.
+
+    The servos answer while the loop processes its image.
+    """
     gripper = bench.gripper()
     try:
         before = gripper.state()
@@ -69,7 +71,7 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
         before = gripper.state()
         bench.faults.set("servo_silent", 2)
         blind = gripper.state()  # asked, and asked again
-        # it says how old it is
+        # the state carries its age
         assert blind.opening == before.opening and blind.time == before.time
         with pytest.raises(DeviceError, match=r"servo 2 .* no reply 3 times"):
             gripper.state()

@@ -29,8 +29,7 @@ def rig(request, monkeypatch):
 # --------------------------------------------------------------------------------
 
 
-# -- what a board does
-# --------------------------------------------------------------------------------
+# -- behavior of a board -------------------------------------------------------------------
 
 
 @pytest.mark.clock
@@ -67,7 +66,7 @@ def test_pressure_is_in_pascal_or_unknown(rig):
     if board.has_sensors:
         assert pressure == pytest.approx(1000.0, abs=30)  # the emulated sensor has 5 Pa of noise
     else:
-        assert pressure is None  # a board without a sensor says nothing, not zero
+        assert pressure is None  # a board without a sensor reports None, not zero
 
 
 @pytest.mark.clock
@@ -171,7 +170,10 @@ def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell_and_is_not_sealed(rig
 
 @pytest.mark.clock
 def test_a_chamber_follows_what_is_commanded_and_is_sealed_as_it_is_when_nothing_is(rig):
-    """The heartbeat's thread says it: the loop waits for no board."""
+    """A chamber follows the commanded pressure, and without a command it is sealed at its pressure.
+
+    The heartbeat's thread sends the commands: the loop does not wait for a board.
+    """
     board, valves, firmware, faults, chambers = rig
     if not board.has_sensors:
         return  # such a rig refuses it: `Rig.limits.pressure` is None
@@ -249,7 +251,7 @@ def test_an_unplugged_board_is_an_error():
 
 @pytest.mark.clock
 def test_a_late_answer_is_not_taken_for_the_next_one():
-    """It is intact, and says what was asked before: only its number tells."""
+    """A late answer to an earlier request is recognized by its number alone, since it is intact."""
     with valve_bench() as (port, *_):
         boards, _ = connect_valves(valve_configs(port.path))
         try:
@@ -283,7 +285,7 @@ def test_what_the_board_does_not_understand_is_an_error_and_stops_nothing(line):
 
 
 class Still:
-    """Chambers that keep what they are given."""
+    """Chambers that keep their given pressure."""
 
     def __init__(self):
         self.pressures = {1: 0.0, 2: 0.0}
@@ -300,7 +302,10 @@ class Still:
 
 @pytest.mark.parametrize("hold", [0, 2000])
 def test_what_a_late_host_finds_goes_by_its_hold(hold):
-    """By the clock that the test gives: heartbeat 0.5 s; a sealed chamber and a regulated one."""
+    """The state for a late host depends on its hold time, for a sealed and a regulated chamber.
+
+    The test supplies the clock; the heartbeat is 0.5 s.
+    """
     chambers = Still()
     firmware = emulated.ValveFirmware(chambers, emulated.Faults())
     for text in ("beat 500", f"hold {hold}"):

@@ -77,7 +77,8 @@ extern Port Serial; extern Pico rp2040; extern Bus Wire;
 
 @pytest.mark.parametrize("flags", [(), ("-DVALVE_I2C_ADDRESS=0x18",)], ids=["analog", "I2C"])
 def test_the_file_with_the_pins_is_at_least_cpp(tmp_path, flags):
-    """Against what it uses of Arduino's functions: no board's toolchain is here."""
+    """The file with the pins compiles as C++ against stubs of Arduino's functions; no board
+    toolchain is installed here."""
     for name in ("Arduino.h", "Wire.h"):
         (tmp_path / name).write_text(ARDUINO)
     compile_files(tmp_path, "-fsyntax-only", f"-I{tmp_path}", *flags, SOURCE / "src/main.cpp")
@@ -98,7 +99,7 @@ class Host:
         self.path = self.process.stdout.readline().strip()
 
     def tell(self, command="ask"):
-        """Obey a command of host/main.cpp, and say what is."""
+        """Send a command of host/main.cpp, and return the state."""
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
@@ -151,7 +152,7 @@ def test_it_regulates_seals_and_vents_both_chambers(rig):
 
 
 def test_a_dead_host_and_a_second_one(host):
-    """It vents when it hears nothing; whoever connects then, and dies, too, is watched as well."""
+    """The board vents without a host; a second host that connects and dies is monitored, too."""
     for _ in range(2):
         board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)])
         board.set(1, 1000.0)
@@ -246,7 +247,10 @@ def test_a_board_that_hangs_or_is_unplugged_is_an_error(rig, act, message):
 
 
 def test_it_answers_as_the_emulated_board_does(host):
-    """Word for word, to all that a host may say: two programs after one page."""
+    """The firmware answers every request of a host word for word as the emulated board.
+
+    The two programs implement the same page.
+    """
     import serial
 
     board = emulated.ValveFirmware(

@@ -1,4 +1,4 @@
-"""What the emulated devices ask of the world, without a world."""
+"""Tests of the requests of emulated devices to the world, without a world."""
 
 import contextlib
 import math
@@ -43,7 +43,7 @@ def test_a_lift_without_torque_has_no_goal():
 
 @pytest.fixture
 def world():
-    """The emulated world, stepped by hand; nobody drives."""
+    """Provide the emulated world, stepped by hand, without a host."""
     descriptor = platform_support.memory_file("test")
     shared = SharedState(descriptor)
     os.close(descriptor)
@@ -90,7 +90,7 @@ def test_a_host_that_never_reads_stops_nothing():
         thread = threading.Thread(target=bench.bus._port.write, args=(bytes(200_000),), daemon=True)
         thread.start()
         thread.join(10.0)
-        assert not thread.is_alive()  # what does not fit is lost, as on a wire
+        assert not thread.is_alive()  # excess bytes are lost, as on a wire
         assert not bench.bus.is_busy()
         os.close(host)
 
@@ -104,7 +104,7 @@ def test_without_a_goal_it_falls_as_things_do():
     for goal in (0.05, 9.0, *[math.nan] * 5, 0.02, math.nan):
         EmulatedWorld._lift(world, goal)
     falling = [(0.0, pytest.approx(9.81 * 0.004 * n)) for n in range(1, 6)]
-    # held, it begins anew
+    # after holding, the fall restarts
     assert asked == [(0.05, None), (0.15, None), *falling, (0.02, None), falling[0]]
     for _ in range(100):
         EmulatedWorld._lift(world, math.nan)

@@ -1,6 +1,5 @@
-"""An emulated servo as the SDK's own calls find it, against what the e-manual says of XL330 and
-XM430: its table, and the instructions that it obeys.
-"""
+"""Tests of an emulated servo with the SDK's own calls, against the e-manual of XL330 and XM430: its
+table, and the instructions that it executes."""
 
 import math
 

@@ -1,7 +1,6 @@
-"""How an emulated servo moves, and what its bus watchdog does, against what the e-manual says of
-XL330 and XM430.
+"""Tests of an emulated servo's motion and bus watchdog against the e-manual of XL330 and XM430.
 
-The shaft is turned by hand (`turn`), so that nothing here depends on the computer's pace.
+The test turns the shaft explicitly (`turn`), so that the computer's speed has no influence.
 """
 
 import math
@@ -97,7 +96,7 @@ def test_a_trapezoid_reaches_its_goal_without_overshoot():
 
 @pytest.mark.clock
 def test_homing_offset_is_added_to_the_position(xl):
-    """What lerobot's calibration writes."""
+    """The homing offset, as lerobot's calibration writes it, is added to the position."""
     assert xl.write("Homing Offset", 500) == 0
     assert xl.read("Present Position") == TICKS + 500
     on(xl, 4)

@@ -131,8 +131,10 @@ def test_a_servo_with_more_torque_needs_less_current():
 
 
 def test_shafts_with_backlash_turn_before_the_jaws_follow():
-    """A play of 1 mm, half a turn back: the jaws stay while the shafts go through it, then both go
-    on with the play between them."""
+    """With a play of 1 mm the jaws stand still while the shafts cross it, then both move together.
+
+    This also holds after a reversal.
+    """
     config = ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=0)
     servo = EmulatedServo(1, "XL330-M288", angle=2.0)
     jaw = Jaw(servo, config, "rig.toml")
@@ -167,7 +169,7 @@ def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
     true = true_design(design, AsBuiltSensor("left", creep=0.05))
     assert true.relaxation is not None and true.relaxation.quick == pytest.approx(1.2)
     assert true.membrane == design.membrane
-    # an emulated world has it though sensing's file says nothing of it
+    # an emulated world has relaxation although the sensing file has none
     rig = build_sim_rig(
         Scenario(effects="-images"), drawn=Drawn(specimens=(AsBuiltSensor("left", creep=0.05),))
     )

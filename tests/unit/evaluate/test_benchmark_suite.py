@@ -1,5 +1,5 @@
-"""A suite of tasks: its results are of these files and this judge, and what is compared with them
-met the same episodes."""
+"""Tests of a suite of tasks: its results belong to these files and this scorer, and compared
+results have the same episodes."""
 
 import json
 from dataclasses import replace

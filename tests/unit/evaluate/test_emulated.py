@@ -1,4 +1,5 @@
-"""Episodes on emulated rigs are judged by the emulated world, and what it cannot do is refused."""
+"""Tests of episodes on emulated rigs: the emulated world scores them, and unsupported requests are
+rejected."""
 
 from types import SimpleNamespace
 
@@ -10,8 +11,8 @@ from mjtactile.evaluate import emulated
 
 
 def judged(heights, *, press=0.2, last="done", believed="not set down"):
-    """What a run comes to whose object is at these heights, m, as the hand stands, lifts by 40 mm,
-    and has set down."""
+    """Return the outcome of a run with the object at these heights, m: before the lift, lifted by
+    40 mm, and set down."""
     moments = [
         {"object_height": height, "lift_height": lift, "contact_1": press, "contact_2": press}
         for height, lift in zip(heights, (0.0, 0.04, 0.003), strict=True)

@@ -1,5 +1,5 @@
-"""Who runs the episodes: a cluster writes the lines that processes write; what fails in an episode
-is an error of it alone."""
+"""Tests of the execution of episodes: a cluster writes the same lines as processes, and a failure
+is an error of its own episode alone."""
 
 import argparse
 import json
@@ -161,7 +161,8 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
 
 
 def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quick):
-    """A worker that a cluster takes away: what it ran is run again by --resume."""
+    """An interrupted episode has no line: --resume repeats the work of a worker that a cluster
+    removed."""
 
     def told(*_, **__):
         raise Interrupted

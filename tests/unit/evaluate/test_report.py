@@ -1,5 +1,5 @@
-"""The report: values that make grasps fail are found and others are not, and the page says what the
-lines say."""
+"""Tests of the report: values that make grasps fail are identified, others are not, and the page
+matches the lines."""
 
 import json
 import re
@@ -19,7 +19,8 @@ from tests.pages import Balanced
 
 
 def lines(count=300, controller="gentle", seed=0):
-    """Heavy things are dropped; the tilt moves the held force's error; noise does nothing."""
+    """Create lines: heavy objects are dropped, tilt shifts the error of the held force, noise has
+    no effect."""
     rng = np.random.default_rng(seed)
     mass, tilt, noise = rng.uniform(-50, 50, (3, count))
     held = mass < 30
@@ -137,7 +138,7 @@ def test_the_worst_are_of_every_kind():
     assert {("egg", "dropped"), ("vial", "dropped"), ("egg", "crushed")} <= set(kinds) and len(
         chosen
     ) == 6
-    # errors, then what nearly failed
+    # errors, then near failures
     assert worst(table, 15)[13]["episode"] == 21 and worst(table, 15)[14]["episode"] == 30
 
 

@@ -1,4 +1,4 @@
-"""Intervals against scipy's and by counting, and what becomes of errors."""
+"""Tests of intervals against scipy's and by counting, and of the treatment of errors."""
 
 import numpy as np
 import pytest

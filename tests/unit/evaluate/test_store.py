@@ -1,4 +1,5 @@
-"""What is in an evaluation's folder stays, and parts are joined as one evaluation or not at all."""
+"""Tests that files in an evaluation's folder are kept, and that parts are joined as one evaluation
+or rejected."""
 
 import json
 

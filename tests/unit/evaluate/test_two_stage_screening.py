@@ -1,4 +1,5 @@
-"""Many episodes cheaply, the failures and a sample in full: which are run again, and what follows."""
+"""Tests of cheap screening: many episodes run cheaply, the failures and a sample in full. They
+cover the selection of repeated episodes and the conclusions."""
 
 import pytest
 
@@ -44,7 +45,7 @@ def test_all_failures_and_a_sample_are_run_again(tmp_path):
     assert result["of_failed"]["differing"] == [
         {"episode": 11, "screened": "dropped", "full": "held"}
     ]
-    # what is there is not run again, and says the same
+    # existing episodes are not repeated, and the result is the same
     assert run(tmp_path / "out", 5, resume=True)["controllers"]["gentle"] == result
 
 

@@ -1,4 +1,4 @@
-"""What a grip of two fingers says of a surface, and the controller that grips."""
+"""Tests of the surface information from a grip of two fingers, and of the grip controller."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_two_fingers_face_each_other():
 
 
 def drive(squeeze, force_of, cycles=600, period=1 / 30):
-    """Run a controller with fingers that feel `force_of(opening)`; what it sent."""
+    """Run a controller with fingers that measure `force_of(opening)`; return its commands."""
     command = Command(0.08, 1.0)
     sent = []
     for cycle in range(cycles):
@@ -44,7 +44,7 @@ def drive(squeeze, force_of, cycles=600, period=1 / 30):
 
 
 def test_the_squeeze_stops_at_its_force_and_comes_down():
-    # 160 N/m a finger, as two membranes are, around a thing of 30 mm
+    # 160 N/m per finger, as of two membranes, around an object of 30 mm
     heights = (0.012, 0.006)
     sent = drive(
         GripController(heights, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening))] * 2
@@ -55,7 +55,7 @@ def test_the_squeeze_stops_at_its_force_and_comes_down():
     assert 0.3 <= most < 0.32
     assert max(command.lift_height for command, _ in sent) == pytest.approx(0.012)
     assert sent[-1][0].lift_height == 0
-    # each height is a grip of its own; a hand that goes up with what it holds ends one
+    # each height is a separate grip; a gripper that moves up with the object ends one
     moments = [
         GripCycle(tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force), command.opening, at)
         for command, force in sent
@@ -104,9 +104,9 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
 
     meshes = {loose: mesh_of(fuse(patches(loose))[0], 1.5e-3) for loose in (0.0, 1e-3)}
     sizes, _ = principal_sizes(meshes[1e-3])
-    # each pair says 24 mm exactly; two of the shifts are across their own grip, by 1 mm
+    # each pair gives 24 mm exactly; two of the shifts are across their own grip, by 1 mm
     assert 1e3 * sizes == pytest.approx([24, 24, 24], abs=0.3)
-    # who knows of the shifts does not take the ball's place for sure; who does not doubts patches
+    # with the shifts in the model the ball's position is uncertain; without them the patches are
     assert meshes[1e-3].error() > 1.2 * meshes[0.0].error()
     alike = patches(1e-3)
     assert between(alike[0], alike[1]) == pytest.approx(np.full((12, 12), -1e-6))
@@ -114,7 +114,7 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
 
 
 def test_the_next_grip_is_where_least_is_known():
-    # both ends of x are known well, those of y not at all: turned by 90 deg
+    # both ends of x are well known, those of y are unknown: rotated by 90 deg
     mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
     turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], begun=True)
     assert turn != TURNS[0] and height in HEIGHTS

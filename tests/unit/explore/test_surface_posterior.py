@@ -1,4 +1,5 @@
-"""One surface out of patches: the body's distance, the fusion, its doubt, where to touch next."""
+"""Tests of one surface from patches: distance to a shape, fusion, uncertainty, and the next
+touch."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from mjtactile.explore.surface_fusion import fuse, shares
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import unknown
 
-HALF = np.array([0.012, 0.010, 0.016])  # m, of an ellipsoid
+HALF = np.array([0.012, 0.010, 0.016])  # semi-axes of an ellipsoid, m
 TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 PLACE = np.array([2e-3, -1e-3, 3e-3])
 
@@ -28,13 +29,13 @@ def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=superquadric.WHOLE):
 
 
 def test_distance_is_exact_where_geometry_has_a_closed_form():
-    # a ball of 10 mm, anywhere; a box 2 mm over the middle of a face; a cylinder 1 mm beside its wall
+    # a ball of 10 mm, anywhere; a box 2 mm from the center of a face; a cylinder 1 mm from its wall
     out = np.array([[3.0, 4.0, 12.0], [6.0, 0.0, 0.0]])
     assert superquadric.distance(theta([10.0] * 3, [1.0, 1.0]), out) == pytest.approx(
         [3.0, -4.0], abs=1e-9
     )
     box = theta([12.0, 9.0, 8.0], [0.1, 0.1])
-    # exponents of 0.1 round a box's edges by 1 %, nothing near the middle of a face
+    # exponents of 0.1 round a box's edges by 1 %, without effect near the center of a face
     assert superquadric.distance(box, np.array([[1.0, 2.0, 10.0]])) == pytest.approx(2.0, abs=1e-3)
     assert superquadric.distance(box, np.array([[-14.0, 1.0, 1.0]])) == pytest.approx(2.0, abs=1e-3)
     wall = 12 * np.array([np.cos(0.7), np.sin(0.7), 0.0])[None]
@@ -53,8 +54,8 @@ def test_distance_is_exact_where_geometry_has_a_closed_form():
 
 
 def test_the_slope_within_a_distance_is_that_of_its_level():
-    # Eq. E2 divides by the analytic gradient: compare it with differences of the level, on a body that
-    # is nothing special
+    # Eq. E2 divides by the analytic gradient: compare it with differences of the level, on a
+    # generic shape
     at = np.random.default_rng(3).normal(0, 12, (40, 3))
     numbers = theta([12.0, 9.0, 15.0], [0.5, 0.8], (0.2, -0.1))
     slope = superquadric._level(numbers[None], at)[1][0]
@@ -99,7 +100,7 @@ def explored(believed):
 def test_an_ellipsoid_is_one_and_its_size_is_told_with_its_doubt(believed):
     patches, surfaces = believed
     assert surfaces[0].family.name == "ellipsoid"
-    # few numbers: what explains it as well with more of them is less likely
+    # few parameters: a model with more that explains it as well is less likely
     assert shares(surfaces)[0] > 0.9
     said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], patches)
     # six patches of 20 um; triangles of 1.5 mm on 10 mm of radius leave out 0.3 % of it
@@ -134,14 +135,15 @@ def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
             true = 2 * HALF[int(np.argmax(along[:, number]))]
             assert said.mean[number] == pytest.approx(true, abs=3e-4)
     news = size_information_gain(mesh, surfaces[0])
-    # a touch of the sixth face tells nearly all of that, one of the face across what it knows: 50 um
+    # a touch of the sixth face adds nearly all of this information; one of the opposite face, known
+    # to 50 um, adds little
     facing = mesh.normals @ TURN[:, 2]
     assert np.median(news[facing < -0.9]) > 2e-3
     assert np.median(news[facing > 0.9]) < 0.2 * np.median(news[facing < -0.9])
 
 
 def test_what_was_touched_is_within_the_interval(believed):
-    """A foot that no body of few numbers has: the object is as long as what was touched of it."""
+    """The size interval contains every touched point, even a foot that no shape model has."""
     patches, surfaces = believed
     foot = replace(patches[0], points=patches[0].points + 4e-3 * TURN[:, 2])
     said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
@@ -156,14 +158,17 @@ def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
     larger = replace(mesh, vertices=PLACE + 1.1 * (mesh.vertices - PLACE))
     said = sizes([mesh, larger], [surfaces[0]] * 2, [])
     apart = 0.1 * said.mean / np.sqrt(2)
-    # their own doubt comes in besides: 3 % of the size, against 7
+    # their own uncertainty is added: 3 % of the size, against 7
     assert (said.sd > 0.999 * apart).all() and (said.sd < 1.3 * apart).all()
 
 
 def test_a_touch_of_an_edge_tells_little():
-    """Two plates at a right angle. Within 5 mm of the edge's middle are 81 vertices: the normals of
-    the 35 on either plate are 1 / sqrt(2) long along the mean of all, those of the 11 on the edge
-    lie along it; the length of that mean counts by its sixth power."""
+    """A touch of an edge carries little information.
+
+    Two plates meet at a right angle. Within 5 mm of the edge's center are 81 vertices. The normals
+    of the 35 on either plate are 1 / sqrt(2) long along the mean of all; those of the 11 on the
+    edge lie along it. The length of that mean counts by its sixth power.
+    """
     along, y = (grid.ravel() for grid in np.meshgrid(np.arange(-12.0, 13), np.arange(-8.0, 9)))
     vertices = 1e-3 * np.column_stack([np.minimum(along, 0), y, -np.maximum(along, 0)])
     normals = np.column_stack([along >= 0, 0 * y, along <= 0]).astype(float)
@@ -171,13 +176,13 @@ def test_a_touch_of_an_edge_tells_little():
     triangles = Delaunay(np.column_stack([along, y])).simplices
     worth = _around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
     length = (70 / np.sqrt(2) + 11) / 81
-    # twelve of them are exactly 5 mm away: rounding says which of these count
+    # twelve of them are exactly 5 mm away: rounding decides which of these count
     assert worth[(along == 0) & (y == 0)] == pytest.approx(length**6, rel=0.05)
     assert worth[(along == -8) & (y == 0)] == pytest.approx(1.0)
 
 
 def distances(surface, ways):
-    """Of true points of the ellipsoid, m, and their sd."""
+    """Return the distances of true points of the ellipsoid, m, and their sd."""
     local = ways @ TURN
     local /= np.linalg.norm(local, axis=1)[:, None]
     true = PLACE + (HALF * local) @ TURN.T
@@ -189,7 +194,8 @@ def test_six_patches_tell_an_ellipsoid(explored):
     off, sd = distances(surface, np.random.default_rng(2).normal(size=(200, 3)))
     # six patches, 20 um of noise each: where nothing was touched it must still be right to 0.15 mm
     assert np.sqrt(np.mean(off**2)) < 1.5e-4
-    # and know how far: within 3 of its own sd nearly everywhere (99.7 % of a Gaussian)
+    # the stated uncertainty is right: within 3 of its own sd nearly everywhere (99.7 % of a
+    # Gaussian)
     assert np.mean(np.abs(off) < 3 * sd) > 0.95
     assert sorted(np.exp(surface.theta[6:9])) == pytest.approx([10, 12, 16], rel=0.015)
 
@@ -198,8 +204,8 @@ def test_doubt_shrinks_where_it_was_touched_and_stays_where_not(explored):
     patches, surface = explored
     one = fuse(patches[:1])[0]
     touched, untouched = patches[0].middle[None], (2 * PLACE - patches[0].middle)[None]
-    assert one.distance_sd(touched)[0] < 1e-4  # m: the patch's own
-    assert one.distance_sd(untouched)[0] > 2e-3  # nobody was there
+    assert one.distance_sd(touched)[0] < 1e-4  # sd of the patch itself, m
+    assert one.distance_sd(untouched)[0] > 2e-3  # never touched
     assert surface.distance_sd(untouched)[0] < 0.1 * one.distance_sd(untouched)[0]
     assert unknown().distance_sd(touched)[0] > 5e-3
 
@@ -211,7 +217,7 @@ def test_the_next_touch_is_on_the_far_side(explored):
     assert aim is not None
     assert aim.n_H @ patches[0].normal < 0
     assert np.linalg.det(aim.R_SH()) == pytest.approx(1.0)
-    # what it aims at looks at the sensor: down in S
+    # the target's normal points at the sensor: down in S
     assert aim.R_SH() @ aim.n_H == pytest.approx([0, 0, -1], abs=1e-12)
     above = next_aim(mesh, patches[:1], [], lambda aim: aim.n_H[2] > 0)
     assert above is not None and above.n_H[2] > 0
@@ -242,5 +248,6 @@ def test_a_stray_point_moves_nothing(explored):
     ways = np.random.default_rng(5).normal(size=(100, 3))
     off, _ = distances(fuse(bent)[0], ways)
     clean, _ = distances(surface, ways)
-    # 0.7 mm in one of 102 points: without it, the others say the same to some hundredths of a mm
+    # 0.7 mm in one of 102 points: without it, the others give the same result to some hundredths of
+    # a mm
     assert np.sqrt(np.mean((off - clean) ** 2)) < 6e-5

@@ -1,4 +1,5 @@
-"""How much wider a surface's doubt is than its Gaussian's: by touches that others did not foretell."""
+"""Tests of the inflation of a surface's variance beyond its Gaussian's, from touches that the
+others did not predict."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ PARTS = [slice(EACH * k, EACH * (k + 1)) for k in range(TOUCHES)]
 
 @pytest.fixture(scope="module")
 def model():
-    """Covariances (20, 20) mm^2 of a surface and of what touches say of it."""
+    """Provide covariances (20, 20) mm^2 of a surface and of its touches."""
     rng = np.random.default_rng(11)
     slopes = rng.normal(size=(TOUCHES * EACH, 3))
     surface = slopes @ slopes.T
@@ -31,7 +32,7 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
     surface, noise = model
     found = 3 * np.random.default_rng(4).multivariate_normal(np.zeros(20), surface + noise)
     doubted = noise.copy()
-    doubted[PARTS[2], PARTS[2]] += 1.0  # not believed; yet it counts as it said
+    doubted[PARTS[2], PARTS[2]] += 1.0  # down-weighted; yet it counts with its stated noise
     squares = []
     for part in PARTS:
         others = np.setdiff1d(np.arange(20), np.arange(20)[part])
@@ -43,7 +44,7 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
         squares.append(off**2 / (open_ + noise[part, part].mean()))
     assert (
         sum(squares) > TOUCHES
-    )  # three times what was said: else the floor of 1 is all that is seen
+    )  # three times the stated noise: otherwise only the floor of 1 shows
     said = excess(cho_factor(surface + doubted, lower=True), found, doubted, noise, PARTS)
     # the same algebra: rounding is left
     mean = (2 + sum(squares)) / (2 + TOUCHES)
@@ -58,7 +59,7 @@ def test_what_was_foretold_widens_nothing(model):
 
 
 def ball_patch(way, radius_mm):
-    """Nine points on a ball about the origin, and what a good touch says of itself."""
+    """Return nine points on a ball about the origin, with the stated error of a good touch."""
     turn = Rotation.align_vectors(way[None], np.array([[0.0, 0.0, 1.0]]))[0]
     u, v = (2e-3 * grid.ravel() for grid in np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1]))
     radius = 1e-3 * radius_mm

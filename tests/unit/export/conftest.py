@@ -28,7 +28,7 @@ def pair(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def press(tmp_path_factory):
-    """A whole sensor in simulation, pressed: its images can be felt again."""
+    """Record a whole simulated sensor under load; its images can be evaluated again."""
     folder = tmp_path_factory.mktemp("press") / "recording"
     stage = Stage("sphere:8", (0.0, 0.0), (Move(0.0, 1.5e-3, speed=0.02),))
     with Recorder(
@@ -41,7 +41,7 @@ def press(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def felt(tmp_path_factory):
-    """Two fingers of a simulated rig that stands still, felt while it was recorded."""
+    """Record two fingers of a stationary simulated rig, with their touches."""
     folder = tmp_path_factory.mktemp("felt") / "recording"
     with (
         open_session("sim", load_sensor("dense"), workers=0) as session,

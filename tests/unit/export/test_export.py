@@ -1,4 +1,5 @@
-"""What was exported is read back by each format's own reader, and is what the recording says."""
+"""Tests of exports: each format's own reader reads them back, and the values equal the
+recording's."""
 
 import json
 
@@ -95,7 +96,7 @@ def test_the_membrane_is_a_cloud_in_the_sensors_frame(press, tmp_path):
         "z",
     ] and cloud.frame_id == "left_sensor"
     traction = np.frombuffer(found["/left/traction"][-1][1].data, "<f8").reshape(-1, 6)
-    # N: it is pressed
+    # force in N: the sensor is loaded
     assert traction[:, 5].sum() == pytest.approx(-touch.force_normal) and touch.force_normal > 0.1
     assert metadata["mjtactile"]["re_estimate"] == "true"
     assert {"flat_00_left.png", "rest_09_left.png", "sensor.toml"} <= set(attachments)
@@ -171,7 +172,7 @@ def test_frames_of_a_bag_put_a_point_of_the_membrane_into_the_image(press, tmp_p
     points = cloud.data.view("<f4").reshape(-1, 10)
     t = transform.transform.translation
     q = transform.transform.rotation
-    assert q.w == pytest.approx(1.0, abs=1e-6)  # parallel axes, as the design says
+    assert q.w == pytest.approx(1.0, abs=1e-6)  # parallel axes, as in the design
     p_CM = points[:, :3] - [t.x, t.y, t.z]
     design = load_sensor("dense")
     uv = optics.project(Camera.from_design(design.camera, design.glass), p_CM).round().astype(int)
@@ -190,6 +191,6 @@ def test_in_the_gripper_the_sensors_face_each_other(pair, tmp_path):
         outward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         ends.append((t.transform.translation.x, outward))
     (left, out_left), (right, out_right) = ends
-    assert right - left == pytest.approx(0.05)  # m, the opening of the made-up run
+    assert right - left == pytest.approx(0.05)  # opening of the synthetic run, m
     np.testing.assert_allclose(out_left, [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(out_right, [-1, 0, 0], atol=1e-12)

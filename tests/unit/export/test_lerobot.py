@@ -1,4 +1,5 @@
-"""`mjtactile export lerobot`: the data set says what the recordings do, in numbers, units and pixels."""
+"""Tests of `mjtactile export lerobot`: the data set equals the recordings in numbers, units and
+pixels."""
 
 import json
 import shutil
@@ -109,7 +110,7 @@ def test_every_pixel_of_a_video_is_the_cameras(pair, tmp_path):
                 np.testing.assert_array_equal(
                     frame.to_ndarray(format="rgb24")[..., 1], images[finger].pixels
                 )
-                assert frame.time == pytest.approx(i / 30, abs=1e-4)  # what lerobot allows
+                assert frame.time == pytest.approx(i / 30, abs=1e-4)  # tolerance of lerobot
 
 
 def test_images_in_the_parquet_file_are_the_recorded_files(pair, tmp_path):

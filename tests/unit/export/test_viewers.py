@@ -1,4 +1,5 @@
-"""What Rerun and Foxglove are shown, of a recording and of a run that goes on, is what was felt."""
+"""Tests of the data sent to Rerun and Foxglove, of a recording and of a live run: they are the
+touch data."""
 
 import json
 from importlib.util import find_spec
@@ -74,12 +75,12 @@ def test_an_arrow_is_the_force(press):
     touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
     arrow = viewer_entities.force_arrow(touch.traction, touch.surface)
     np.testing.assert_allclose(arrow.vectors[0], viewer_entities.FORCE * touch.traction.wrench[:3])
-    # the press was in the middle: the axis of the wrench goes through it, to the markers' noise
+    # the load was at the center: the axis of the wrench passes through it, to the markers' noise
     np.testing.assert_allclose((arrow.tails + arrow.vectors)[0, :2], 0, atol=2e-3)
     tractions = viewer_entities.traction_arrows(touch.traction, touch.surface)
     node = np.diff(touch.traction.x)[0] * np.diff(touch.traction.y)[0]
     total = tractions.vectors.sum(axis=0)[2] * node / viewer_entities.TRACTION
-    # what is not drawn is less than 3 % of the largest at a node
+    # omitted arrows are below 3 % of the largest at a node
     assert total == pytest.approx(touch.traction.wrench[2], rel=0.1)
 
 
@@ -123,7 +124,8 @@ def test_foxglove_is_shown_a_run(tmp_path):
 
 
 def test_who_connects_later_sees_the_scene():
-    """A server remembers nothing: what stands still is sent again and again."""
+    """A viewer that connects later gets the scene: a server keeps no history, and static parts are
+    sent repeatedly."""
     view = mjtactile.LiveView("foxglove:0")
     view.begin(
         SimpleNamespace(

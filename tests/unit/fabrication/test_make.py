@@ -105,8 +105,8 @@ def test_an_svg_is_at_one_to_one(layout):
 
 
 def test_a_pdf_is_at_one_to_one(layout):
-    """Its page is A4, and what is drawn of each filled marker has the printed diameter at the
-    printed place."""
+    """The PDF has a page of A4, and each filled marker has the printed diameter at the printed
+    position."""
     pdf = drawing_pages.write_pdf(print_templates.marker_pages(layout)[:1]).decode("latin-1")
     box = [float(v) * 25.4 / 72 for v in re.search(r"/MediaBox \[ ([^]]*)\]", pdf).group(1).split()]
     assert box == pytest.approx([0, 0, 210, 297], abs=0.01)
@@ -174,7 +174,7 @@ def test_a_marker_smears_as_much_as_is_said():
     )
     assert way[0] == pytest.approx(
         purchased_parts.SMEAR, rel=1e-3
-    )  # on the axis, through pane and lens
+    )  # on the axis, through glass and lens
     assert camera_check.plan_camera(
         DENSE, Hardware(speed=50.0), STATES, "dense"
     ).flux == pytest.approx(2 * plan.flux)
@@ -228,7 +228,7 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
     """In one line that names the field, its value and the limit; with the limit in its place, that
     field is good."""
     design = DENSE
-    if field == "chamber.depth_mm":  # the chamber ends where the pane begins
+    if field == "chamber.depth_mm":  # the chamber ends at the glass
         design = with_field(with_field(design, "glass.distance_mm", 35.0), field, value)
     if field == "chamber.supply_pressure_kPa":
         design = with_field(
@@ -321,8 +321,8 @@ def test_the_simulated_states_bulge_and_are_pressed():
 
 
 def test_elastic_markers_grow_with_the_sheet():
-    """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no
-    larger."""
+    """Elastic markers grow by the membrane's uniform stretch; rotation and translation do not
+    count."""
     turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
     stretched = MembraneState(
         "x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0

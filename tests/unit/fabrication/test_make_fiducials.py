@@ -1,4 +1,5 @@
-"""What `make` builds for fiducials: a groove behind the rim's lip, and their print."""
+"""Tests of the parts that `make` builds for fiducials: a groove behind the rim's lip, and their
+print."""
 
 import re
 from dataclasses import replace
@@ -22,8 +23,11 @@ def layout_of(design):
 
 
 def test_the_frame_has_the_groove_that_the_gas_is_reckoned_with():
-    """Against the same frame without: less by the groove's volume, one solid as before, and the
-    wall that is left is as thick as a printed one must be."""
+    """The frame has the groove that the gas model includes.
+
+    Compared with the same frame without it, the volume is smaller by the groove's volume. The frame
+    is one solid as before, and the remaining wall has the minimum printed thickness.
+    """
     plain = make_parts(layout_of(replace(DESIGN, fiducials=None)))["frame"]
     frame = make_parts(layout_of(DESIGN))["frame"]
     groove = 1e9 * DESIGN.fiducials.volume(DESIGN)

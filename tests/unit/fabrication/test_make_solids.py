@@ -36,7 +36,7 @@ def solids(parts):
 
 
 def polygon_area(c):
-    """Of a contour whose arcs are chords."""
+    """Compute the area of a contour with arcs replaced by chords."""
     n = CHORDS
     return 4 * c.hx * c.hy - 4 * c.r**2 + 2 * n * c.r**2 * math.sin(math.pi / (2 * n))
 
@@ -149,7 +149,7 @@ def test_a_picture_shows_each_part(parts, solids):
     )
     frame, glass = (image[tuple(np.rint(place[::-1]).astype(int))] for place in places)
     assert places[0][0] < places[1][0]  # the front is on the left
-    # the pane is bluish and bright
+    # the glass is bluish and bright
     assert glass[2] > glass[0] and glass.mean() > frame.mean() > 0.1
 
 
@@ -188,7 +188,7 @@ def test_a_frame_of_another_outline_is_a_solid_around_it(design):
     found = make_parts(layout)
     for name in ("frame", "clamp_ring", "membrane", "gasket"):
         solid = mesh.solid_of(found[name])
-        # chords of the bolts' holes; closed forms beside them
+        # chords of the bolt holes against closed forms
         assert solid.volume() == pytest.approx(found[name].volume, rel=2e-3)
         if found[name].make:
             check_shell(found[name], solid.genus())

@@ -12,7 +12,7 @@ from mjtactile.fit.gas import Sealed, fit_gas
 DENSE = load_sensor("dense")
 AMBIENT = DENSE.chamber.ambient
 RNG = np.random.default_rng(5)
-NOISE = 5.0  # Pa
+NOISE = 5.0  # pressure noise, Pa
 HEAT = {"polytropic_exponent": 1.0, "heat_exchange": 1.0}
 
 
@@ -21,9 +21,12 @@ def run_of(time, pressure, volume):
 
 
 def test_gas_volume_by_boyles_law():
-    """p (V0 + v) is constant. A press of 0.4 of 30 mL is 1 % of 102 kPa: 1360 Pa, which 5 Pa of
-    noise in 300 readings know to 0.03 %; the volume is then known to that, too, and the 0.5 % leave
-    room for what the prior pulls."""
+    """The fit recovers the gas volume from Boyle's law: p (V0 + v) is constant.
+
+    An indentation of 0.4 of 30 mL is 1 % of 102 kPa: 1360 Pa. With 5 Pa of noise, 300 readings
+    determine it to 0.03 %. The volume is then known to that, too. The 0.5 % leave room for the
+    prior's pull.
+    """
     flat = 30e-6
     time = np.arange(300) / 30
     volume = 1.4e-6 - 0.4e-6 * (np.sin(time - 1) > 0)
@@ -80,8 +83,8 @@ def test_heat_by_what_a_fast_press_leaves():
 
 
 def test_a_gas_that_does_nothing_says_nothing():
-    """Where the volume hardly changes, neither its amount nor its heat can be known, and the
-    covariance says so."""
+    """With almost constant volume, the amount of gas and its heat exchange stay unknown, and the
+    covariance states it."""
     time = np.arange(100) / 30
     found = fit_gas(
         replace(DENSE),

@@ -1,4 +1,5 @@
-"""What is held at the file's value, and what the joint covariance says of thickness and modulus."""
+"""Tests of parameters held at the file's value, and of the joint covariance of thickness and
+modulus."""
 
 import numpy as np
 import pytest
@@ -26,8 +27,11 @@ def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
 
 
 def test_thickness_and_modulus_are_one_number():
-    """var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h): with 0.3 unknown of
-    h and 0.01 of E h the correlation is -0.3 / sqrt(0.3^2 + 0.01^2)."""
+    """With unknown thickness, thickness and modulus are strongly correlated.
+
+    var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h). With uncertainties of
+    0.3 of h and 0.01 of E h the correlation is -0.3 / sqrt(0.3^2 + 0.01^2).
+    """
     names, cov = covariance_of(membrane_of(np.diag([1e4**2, 1e-3**2])), None, known_thickness=False)
     assert names == ["membrane.young_MPa", "membrane.pre_stretch", "membrane.thickness_mm"]
     rho = cov[0, 2] / np.sqrt(cov[0, 0] * cov[2, 2])

@@ -28,7 +28,7 @@ def found():
 @pytest.mark.parametrize(
     ("field", "true", "share"),
     [
-        ("camera.blur_px", 0.9, 0.02),  # of what the edges' estimator itself was made to reach
+        ("camera.blur_px", 0.9, 0.02),  # the design accuracy of the edge estimator
         (
             "camera.noise_DN",
             2.6,

@@ -1,4 +1,4 @@
-"""The sheet from holds: what the simulator did with another sheet is undone."""
+"""Tests of the membrane fit from holds: it recovers the differing membrane of the simulator."""
 
 import math
 from dataclasses import replace
@@ -35,8 +35,11 @@ def true():
 
 
 def test_two_pressures_tell_modulus_and_pre_stretch(true):
-    """Tension holds the sheet at 0.5 kPa, the modulus at 3 kPa: with heights of 1-4 mm known to a
-    few um each is known to a percent or two, and the covariance covers the error."""
+    """Two pressures determine modulus and pre-stretch, and the covariance covers the error.
+
+    Tension holds the membrane at 0.5 kPa, the modulus at 3 kPa. With heights of 1-4 mm known to a
+    few um each, both are known to a percent or two.
+    """
     found = fit_membrane(
         DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH
     )
@@ -47,7 +50,8 @@ def test_two_pressures_tell_modulus_and_pre_stretch(true):
 
 
 def test_one_pressure_does_not(true):
-    """One height: only a stiffer sheet that is less stretched can be told from nothing."""
+    """One pressure gives one height, so that modulus and pre-stretch stay strongly
+    anticorrelated."""
     found = fit_membrane(DESIGN, [evidence_of(true, 1000.0)], known={}, touch_sd=5e-5, mesh=MESH)
     sd = np.sqrt(np.diag(found.cov))
     assert found.cov[0, 1] / (sd[0] * sd[1]) < -0.9
@@ -55,8 +59,11 @@ def test_one_pressure_does_not(true):
 
 
 def test_a_weight_goes_as_deep_as_it_takes(true):
-    """What presses 2.7 mm deep with F is as deep under a weight of F: the markers are where they
-    were, within what 0.3 % of the force leave: of a dent of 2.7 mm, less than 0.3 %, 8 um."""
+    """A weight F goes as deep as an indenter that needs the force F at 2.7 mm.
+
+    The markers are at the same positions, within the effect of 0.3 % of the force. For a dent of
+    2.7 mm this is less than 0.3 %, 8 um.
+    """
     nothing = (np.zeros((true.markers.count, 3)), np.zeros((true.markers.count, 3, 3)))
 
     def pressed(move):

@@ -1,5 +1,5 @@
-"""What a fit says: intervals, what goes together, what to record; and the sensor file that it
-writes."""
+"""Tests of the results of a fit: intervals, correlated parameters, recommended recordings, and the
+sensor file that it writes."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""How the rubber's stress fades, found again from recordings of a simulated stage."""
+"""Tests of the fit of rubber relaxation to recordings of a simulated stage."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,10 @@ STEPS = "time_s,depth_mm,shear_mm,speed_mm_s,force_N\n2,3,,,\n12,,,,\n"
 
 
 def test_shares_and_their_sd_of_a_gauge_with_noise():
-    """All markers of an image move by its gauge's error: the scatter of many fits says their sd."""
+    """The stated sd of the fitted fractions equals the scatter of many fits.
+
+    All markers of an image move by the error of its pressure sensor.
+    """
     rng = np.random.default_rng(3)
     images = 300
     time = np.linspace(0, 30, images)
@@ -47,7 +50,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
 def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     assert "rate_Hz = 30.0" in text
-    text = text.replace("rate_Hz = 30.0", "rate_Hz = 15.0")  # half of the images say it as well
+    text = text.replace("rate_Hz = 30.0", "rate_Hz = 15.0")  # half of the images suffice
     (tmp_path / "nominal.toml").write_text(text)
     terms = ((0.05, 1.0), (0.05, 10.0), (0.05, 100.0))
     section = f"\n[relaxation]\nterms_s = {[list(term) for term in terms]}\n"
@@ -62,7 +65,7 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     begin, end = found.within
     faded = sum(share * (np.exp(-begin / tau) - np.exp(-end / tau)) for share, tau in terms)
     assert found.is_finite_value
-    # 2.5 sd, of which one is a tenth of it
+    # 2.5 sd; one sd is a tenth of the value
     assert found.faded == pytest.approx(faded, abs=2.5 * found.faded_sd)
     assert found.faded_sd < 0.15 * faded
 

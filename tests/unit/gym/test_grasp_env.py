@@ -37,11 +37,12 @@ def env():
 
 
 def test_the_example_of_the_page(monkeypatch, capsys):
-    """As it stands, but for a second of time in place of twenty."""
+    """The example of the page runs unchanged, with one second of time instead of twenty."""
     page = (Path(__file__).resolve().parents[3] / "docs/how-to/train.md").read_text()
     monkeypatch.setattr(gymnasium, "make", functools.partial(gymnasium.make, time_limit=1.0))
     exec(page.partition("```python\n")[2].partition("```")[0], {})
-    # N, and more: nothing was touched; the hand may rise, empty, and come down within the second
+    # the force in N and more follow. Nothing was touched; the gripper may rise empty and come down
+    # within the second
     assert capsys.readouterr().out.startswith(("out of time 0", "dropped 0"))
 
 
@@ -83,7 +84,7 @@ def test_a_seed_is_the_same_episode_whatever_came_before(env):
     new model."""
     actions = [CLOSE] * 29 + [GRIP] * 3
     first, _, _ = roll(env, 3, actions)
-    assert first[-1, FORCE] > 0.1  # N: it has touched
+    assert first[-1, FORCE] > 0.1  # force in N: in contact
     other, _, _ = roll(env, 4, actions[:5])
     again, _, _ = roll(env, 3, actions)
     np.testing.assert_array_equal(again, first)
@@ -109,7 +110,7 @@ def test_an_object_put_back_stands_where_a_new_world_has_it(env):
     p_old, q_old = ground_truth.object_pose(rig.scene, None)
     p_new, q_new = ground_truth.object_pose(moved, None)
     rig.close()
-    np.testing.assert_allclose(p_new, p_old, atol=5e-6)  # m
+    np.testing.assert_allclose(p_new, p_old, atol=5e-6)  # position, m
     assert abs(np.dot(q_new, q_old)) > 1 - 1e-6
     for name in ("pos", "quat"):
         cup = [getattr(world.model.body("object/cup"), name) for world in (moved, rig.scene)]
@@ -136,7 +137,10 @@ def test_a_hand_that_rises_alone_has_dropped_it(env):
 
 
 def test_an_empty_hand_is_not_paid_for_letting_go():
-    """One that rises a little and comes down, open: what it never held it has dropped."""
+    """An empty gripper that rises a little and comes down open gets no reward for release.
+
+    An object that was never held counts as dropped.
+    """
     rise, wait = (np.array([0.0, -0.75, lift], np.float32) for lift in (0.5, -1.0))
     paid = []
     with make(effects=DRAWN, reward="progress") as drawn:
@@ -150,7 +154,8 @@ def test_an_empty_hand_is_not_paid_for_letting_go():
 
 
 def test_a_hand_is_paid_for_how_far_it_lets_go():
-    """Of the way from a grip's goal, 4 mm ahead of the jaws, to 8 mm beyond them."""
+    """The release reward is proportional to the opening: zero at a grip's goal 4 mm ahead of the
+    jaws, one at 8 mm beyond them."""
     for opening, share in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
         sent = Command(opening, 1.0, 0.0, "release", {"grip_opening": 0.040}, "", None)
         assert fraction_released(sent) == pytest.approx(share)
@@ -219,8 +224,8 @@ def test_wrong_names_are_said_in_one_line(how, text):
 
 
 def episodes(count, seed, steps, **how):
-    """What the first of `count` environments shows over `steps`, through the end of an episode and
-    on."""
+    """Return the observations of the first of `count` environments over `steps`, past the end of an
+    episode."""
     envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=count, effects=DRAWN, **how)
     shown = [envs.reset(seed=seed)[0][0]]
     rng = np.random.default_rng(1)
@@ -240,7 +245,10 @@ def test_what_an_environment_does_is_the_same_however_many_there_are(randomizati
 
 
 def test_drawn_touch_says_its_level_and_begins_again_as_in_a_new_world():
-    """After another episode; with what varies drawn anew."""
+    """Sampled touch reports its level, and a repeated seed gives the same episode as a new world.
+
+    This holds after another episode, with randomized parameters sampled again.
+    """
     actions = [CLOSE] * 30
     for randomization in ("none", "default"):
         with (

@@ -1,4 +1,5 @@
-"""What a stock learner sees and does, and the file that its network becomes."""
+"""Tests of the observations and actions of a stock learner, and of the file made from its
+network."""
 
 import runpy
 from pathlib import Path
@@ -14,7 +15,8 @@ CHECKOUT = Path(__file__).resolve().parents[3]
 
 
 class Counted(gymnasium.Env):
-    """Pays 1, 2, 3, and -1 at its end; shows twice what a learner is shown as 1."""
+    """Environment that rewards 1, 2, 3, and -1 at its end. Its observations are twice the value
+    that a learner gets as 1."""
 
     def __init__(self):
         most = policy_bounds(2).astype(np.float32)

@@ -108,7 +108,10 @@ def test_a_sheet_of_too_few_splines_is_refused():
 
 
 def test_as_many_neighbours_as_there_are():
-    """Beyond 64 the kernel refused, and what it had not written was taken for marker numbers."""
+    """The kernel matches all markers with any number of neighbours.
+
+    Beyond 64 the kernel refused, and its unwritten output was taken for marker numbers.
+    """
     layout = load_sensor("dense").markers.p_SM
     found = layout + [2e-4, -1e-4, 0.0]
     for neighbours in (1, 8, 64, 65, 80, 500):

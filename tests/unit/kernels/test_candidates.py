@@ -45,8 +45,8 @@ def test_moments():
 
 
 def drawn(rng, n):
-    """Fits, and candidates that they may have begun from: good ones with one thing after another
-    wrong."""
+    """Sample fits and candidates from which they may have started: good ones, with one fault after
+    another."""
     axes = np.sort(rng.uniform(3, 30, (n, 2)))[:, ::-1] * rng.choice([1.0, 1.0, 1.0, 0.2], (n, 1))
     axes[:, 1] *= rng.choice([1.0, 1.0, 0.12], n)
     shape = ellipse.shape_from_axes(axes, rng.uniform(-1.5, 1.5, n))

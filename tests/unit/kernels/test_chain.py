@@ -30,8 +30,10 @@ def image():
 
 
 def test_ellipses_from_profiles(image):
-    """Of 1e5 grey levels that are summed in single precision some 1e-7 are lost; sd of a centre is
-    0.01 px."""
+    """The kernel fits the same ellipses as numpy.
+
+    Sums of 1e5 grey levels in single precision lose some 1e-7; the sd of a center is 0.01 px.
+    """
     found = candidates.find(image.pixels, 4.0)
     assert len(found) > 70
     ours, theirs = (
@@ -93,8 +95,11 @@ def test_poses_from_ellipses(image, camera):
 
 
 def test_identity():
-    """Circles that moved together and alone, that are missing, doubled, unknown or shifted by up to
-    more than a pitch: the same ids as numpy's, whatever they are."""
+    """The kernel assigns the same ids as numpy for any circles.
+
+    Circles moved together and alone. Some are missing, doubled, unknown or shifted by up to more
+    than a pitch.
+    """
     layout = DESIGN.markers.p_SM
     rng = np.random.default_rng(3)
     pitch = DESIGN.markers.pitch_x

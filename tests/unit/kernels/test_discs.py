@@ -27,9 +27,12 @@ def scene():
 
 @pytest.mark.parametrize("blur", [0.45, 0.7, 2.5])
 def test_discs_and_opening(scene, blur):
-    """Both round places of nodes to 1/512 px, each its own coordinate: a pixel of a rim to 1e-3 px
-    over the blur, in units of its coverage, the mean of several nodes. Lens coefficients make the
-    opening bulge; some discs are cut by the border."""
+    """The kernel renders discs and opening as numpy does.
+
+    Both round the positions of nodes to 1/512 px, each in its own coordinate. A pixel of a rim
+    agrees to 1e-3 px over the blur, in units of its coverage, the mean of several nodes. Lens
+    coefficients make the opening bulge; the image border cuts some discs.
+    """
     camera = replace(
         Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01)
     )
@@ -58,8 +61,8 @@ def test_discs_and_opening(scene, blur):
 
 
 def test_light_noise_and_rounding(scene):
-    """What is drawn is (marker + contrast (1 - coverage)) light gain + noise, to single precision,
-    1e-7 of 255, and rounded."""
+    """The rendered image is (marker + contrast (1 - coverage)) light gain + noise, to single
+    precision, 1e-7 of 255, and rounded."""
     drawn = Renderer(DESIGN, seed=4)
     gray = drawn.irradiance_image(*scene)
     coverage = np.zeros_like(gray)
@@ -85,7 +88,8 @@ def test_light_noise_and_rounding(scene):
 
 
 def test_bilinear():
-    """scipy's, which leaves out what is beyond the grid; to rounding."""
+    """The kernel equals scipy's interpolation, which excludes points beyond the grid, to
+    rounding."""
     rng = np.random.default_rng(5)
     grid = rng.normal(size=(7, 9, 3))
     places = rng.uniform([-1, -2], [9.5, 8], (300, 2))

@@ -1,6 +1,9 @@
-"""Kernels and chains on what is drawn at random: whatever comes, it is a number, a status or an
-error of ours. `make sanitize` runs the same, more often, with kernels that notice every read and
-write beyond an array and all undefined behaviour."""
+"""Tests of kernels and chains on random input: the result is always a number, a status or an error
+of the package.
+
+`make sanitize` runs the same, more often, with kernels that detect every read and write beyond an
+array and all undefined behavior.
+"""
 
 import dataclasses
 import os
@@ -19,7 +22,7 @@ from tests import membrane_images
 
 DRAWS = int(os.environ.get("MJTACTILE_DRAWS", "2"))
 REFUSALS = (ValueError, np.linalg.LinAlgError)
-# What hangs together, and is refused otherwise.
+# Sizes that depend on each other; other combinations are rejected.
 TOGETHER = {
     "measure_patch": lambda n: {
         "na": n["refine"] * (n["nx"] - 1) + 1,
@@ -29,7 +32,8 @@ TOGETHER = {
     "inverse_step": lambda n: {"r": 3 * n["markers"]},
     "border_moments": lambda n: {"all": 3 * n["n"]},
 }
-# The film's numbers say where in its pool bodies lie: tests/unit/film hands it bodies.
+# Numbers of the `film_` kernels are positions of obstacles in a pool: tests/unit/quasistatic
+# supplies obstacles.
 DRAWN = [name for name in declarations() if not name.startswith("film_")]
 # no list of MuJoCo's here
 NO_CONTACTS = {"contacts": 0, "list": 0}
@@ -117,8 +121,12 @@ def test_a_chain_with_drawn_settings_says_something(seed):
 
 
 def test_the_images_are_felt_as_what_they_are():
-    """So that the draws above try something: the sheet's own loads, by its own inverse. What is
-    left is the prior's, a few per cent at 0.4 N and above."""
+    """The estimated forces equal the loads of the images, so that the random tests above cover real
+    input.
+
+    The loads are the membrane's own, by its own inverse. The remaining error is the prior's, a few
+    percent at 0.4 N and above.
+    """
     images = membrane_images.sequence()
     chain = SensingPipeline(load_sensor("paper16"))
     state = chain.measure_flat_reference(chain.begin(), images.flat)

@@ -12,7 +12,7 @@ from mjtactile.sim.sensor.neo_hookean_flex import stiffness_rows
 from tests.numpy_chain import membrane
 from tests.physics.test_step import scene
 
-ROUNDING = 1e-9  # of sums in another order, some of which cancel by a few digits
+ROUNDING = 1e-9  # sums in another order, some of which cancel by a few digits
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,11 @@ def test_volume_and_gradient(sheet):
 
 
 def test_what_the_gas_pushes(sheet):
-    """In numpy: forces p dV/dq, and a spring along dV/dz that is off its rest by a share of what
-    adds up, with its force given back."""
+    """The kernel's gas load equals numpy's.
+
+    The forces are p dV/dq. A spring acts along dV/dz, off its rest length by a fraction of the
+    summed terms, and the force from this offset is compensated.
+    """
     _, sensor, p_SV = sheet
     k = len(sensor.mesh.interior)
     gradient = sensor._geometry.volume_and_gradient(p_SV)[1]
@@ -78,9 +81,10 @@ def test_unstrained_rubber_has_the_moduli_of_small_strain(sheet):
 
 
 def test_contact_that_remembers():
-    """In numpy beside the run, on the same contacts, with a model of its own to write to."""
+    """The kernel's contact memory equals numpy's, run in parallel on the same contacts with its own
+    copy of the model."""
     model, data, sensor = scene()
-    data.qvel[-6:-4] = 0.1, 0.05  # m/s, of the ball, aslant
+    data.qvel[-6:-4] = 0.1, 0.05  # oblique velocity of the ball, m/s
     block = slice(int(sensor.vertex_geom_ids[0]), int(sensor.vertex_geom_ids[-1]) + 1)
     apart = copy.copy(model)
     beside = membrane.Stiction(apart, data, sensor.vertex_geom_ids, sensor.body_id)

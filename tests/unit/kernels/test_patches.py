@@ -14,8 +14,8 @@ from tests.numpy_chain import patches as numpy_patches
 
 
 def pressed(estimator, rest, rng, count):
-    """A shape under `count` presses, some of them at the frame or as small as a node; what it
-    weighs is not asked for."""
+    """Create a shape under `count` loads, some at the frame or as small as a node; weights are left
+    out."""
     traction = rng.normal(0, 30.0, (3, len(estimator.nodes)))
     for middle in rng.uniform(-0.5, 0.5, (count, 2)) * [
         estimator.design.frame.length,

@@ -76,7 +76,7 @@ def from_band(band, width):
 
 @pytest.mark.parametrize("law", list(Law))
 def test_sheet(law):
-    """Sums of some hundred products: to rounding of what is summed."""
+    """The kernel's membrane equals numpy's to rounding of sums of some hundred products."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
     ours = spline_fem.Sheet(design, (14, 10))
@@ -124,8 +124,8 @@ def test_a_stiffness_that_is_not_definite_is_pushed():
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_tractions_from_markers(sensor):
-    """What differs is rounding times the condition of the stiffness and of the innovation, 1e3
-    each."""
+    """The kernel's tractions equal numpy's, up to rounding times the condition of stiffness and
+    innovation, 1e3 each."""
     design = load_sensor(sensor)
     rng = np.random.default_rng(2)
     ours = InverseMembrane(design)
@@ -173,7 +173,8 @@ def test_tractions_from_markers(sensor):
 
 
 def test_lower_factor():
-    """To rounding, of a well conditioned factor; what lies above its diagonal is not read."""
+    """The kernel solves a well-conditioned factor to rounding, and ignores values above its
+    diagonal."""
     rng = np.random.default_rng(2)
     factor = rng.normal(size=(40, 40)) + 20 * np.eye(40)
     told = rng.normal(size=(40, 3))

@@ -1,5 +1,5 @@
-"""What goes through a film between its nodes is refused, and nothing else is: by looking
-everywhere, without the kernel's short cuts."""
+"""Tests that an obstacle through the membrane between its nodes is rejected, and no other: against
+a check everywhere, without the kernel's shortcuts."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ def film():
 
 
 def press(film, rng, kind):
-    """A small body, turned anyhow, up to 4 mm into the sheet; and the places of its middle and
-    ends."""
+    """Return a small obstacle in any rotation, up to 4 mm into the membrane, and the positions of
+    its center and ends."""
     sizes = KINDS[kind](rng.uniform(0.2e-3, 2e-3))
     at = rng.uniform(-1, 1, 2) * [10e-3, 6e-3]
     R_SO = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -35,13 +35,16 @@ def press(film, rng, kind):
 
 
 def middles(values):
-    """Of each cell (nx - 1, ny - 1), of its four nodes."""
+    """Return the mean over the four nodes of each cell (nx - 1, ny - 1)."""
     return (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:]) / 4
 
 
 def is_behind(film, body, own, x, force):
-    """Whether the body is 1.5 spacings behind a cell that touches within a node of it, or 0.2
-    behind another: at the cells' middles, and at places `own` (n, 2) m of its own."""
+    """Return True if the obstacle is 1.5 spacings behind a cell that touches within a node of it,
+    or 0.2 behind another.
+
+    It is checked at the cells' centers, and at `own` (n, 2) m positions of the obstacle.
+    """
     node_x, node_y = np.meshgrid(film.x, film.y, indexing="ij")
     spacing = np.array([film.x[1] - film.x[0], film.y[1] - film.y[0]])
     heights = middles(x[2])
@@ -68,5 +71,5 @@ def test_what_goes_through_is_refused_and_nothing_else(film, kind):
             behind = is_behind(film, body, own, x, force)
             judged.append((found.status is MembraneStatus.TUNNELLING, behind))
     refused, behind = np.array(judged).T
-    assert 2 <= behind.sum() <= PRESSES / 2  # there is something to tell apart
+    assert 2 <= behind.sum() <= PRESSES / 2  # both cases occur
     np.testing.assert_array_equal(refused, behind)

@@ -1,4 +1,4 @@
-"""How far a force may be off where a body is narrow for the grid."""
+"""Tests of the force uncertainty of an obstacle that is narrow for the grid."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(film):
     assert np.ptp(forces) < 0.03 * forces.mean()  # as the film's page asks of rods
     states = [film.solve(rod(x)) for x in places]
     off = [abs(state.force_normal / forces.mean() - 1) for state in states]
-    assert max(off) > 0.05  # else nothing is to be said of it
+    assert max(off) > 0.05  # otherwise there is no error to state
     assert np.sum(np.array(off) > states[0].doubt) <= 1  # "9 of 10"
 
 
@@ -97,7 +97,7 @@ def test_a_body_s_lowest_place_is_where_its_heights_are_least(film, kind):
     assert (
         heights.min() >= film.obstacle_heights(body, low[:2] + 1e-9)[0] - 1e-7
     )  # the tip's own slope
-    if kind != "wedge":  # on whose edge half a sheet along z is more than that across
+    if kind != "wedge":  # at its edge, half a thickness along z is more than that across
         assert heights.min() == pytest.approx(low[2] - film.design.membrane.thickness / 2, abs=1e-6)
 
 
@@ -114,4 +114,4 @@ def test_an_area_is_known_where_the_grid_tells_it(film):
     wire = film.solve(film.obstacle("capsule", (5e-4, 5e-3), (0, 0, top - 5e-4), lying))
     assert np.isinf(
         wire.relative_area_error
-    )  # it was up to ten times too large, and did not say so
+    )  # the area was up to ten times too large, without a flag

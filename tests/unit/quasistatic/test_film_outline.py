@@ -50,7 +50,7 @@ def test_a_taut_circle_is_a_paraboloid():
 @SHAPES
 def test_what_the_outline_costs_falls_with_the_spacing_s_square(design):
     volumes = [QuasistaticMembrane(design, (n, n), PRESSURE).rest.volume for n in (16, 31, 61)]
-    # 4; nodes come to lie anywhere beside an outline, which scatters it
+    # 4 in theory; nodes lie at any distance from an outline, which scatters it
     assert 2.6 < (volumes[1] - volumes[0]) / (volumes[2] - volumes[1]) < 6
 
 
@@ -106,12 +106,12 @@ def test_a_turned_square_is_a_square(degrees):
 def test_derivatives_are_differences(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
-    )  # m; differences are of 1e-6
+    )  # tolerance in m; differences are 1e-6
     film = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
     top = float(film.rest.heights.max())
 
     def settled(at, state=film.rest):
-        for _ in range(3):  # bodies are looked at for three steps of a solution only
+        for _ in range(3):  # a solution updates obstacles in three steps only
             state = film.solve(film.obstacle("sphere", (8e-3,), at), state)
         return state
 
@@ -121,15 +121,17 @@ def test_derivatives_are_differences(monkeypatch, name):
     for k, step in enumerate(1e-6 * np.eye(3)):
         low, high = settled(at - step, state), settled(at + step, state)
         displaced = (high.displacements - low.displacements) / 2e-6
-        # what differences leave, as of rectangles
+        # error of the differences, as for rectangles
         np.testing.assert_allclose(by.displacements[k], displaced, atol=1e-3 * np.ptp(displaced))
         force = (high.force_normal - low.force_normal) / 2e-6
-        assert by.force_normal[k] == pytest.approx(force, rel=1e-3, abs=1e-3 * 150)  # N/m
+        # stiffness, N/m
+        assert by.force_normal[k] == pytest.approx(force, rel=1e-3, abs=1e-3 * 150)
 
 
 @SHAPES
 def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
-    """Of what a finer film has at places up to the rim: at no node of the coarse one."""
+    """Between its nodes a coarse membrane agrees with a finer one, at random positions up to the
+    rim."""
     outline = design.frame.outline
     rng = np.random.default_rng(0)
     places = outline.plane(rng.uniform(-0.95, 0.95, (60, 2)))
@@ -140,8 +142,8 @@ def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
             QuasistaticMembrane(design, (41, 41), PRESSURE),
         )
     )
-    # nodes 1.5 mm apart; within half a millimetre of corners that are as round as those are apart
-    # 20 um; without what is continued beyond the rim 200 everywhere
+    # nodes are 1.5 mm apart. The error is 20 um within half a millimeter of corners with about that
+    # radius. Without the continuation beyond the rim it is 200 everywhere
     np.testing.assert_allclose(coarse, fine, atol=25e-6)
     assert np.median(np.abs(coarse - fine)) < 1e-6
 

@@ -13,8 +13,9 @@ import benchmarks.quasistatic
 from mjtactile import InputError, QuasistaticMembrane
 from mjtactile.quasistatic import MembraneStatus
 
-# An independent sheet of 9-node elements on `dense` at 1 kPa, neo-Hookean, frictionless, sealed: radius mm, place mm, force N,
-# gauge pressure Pa, height of the ball's middle mm against the sheet's middle.
+# Reference of an independent membrane of 9-node elements on `dense` at 1 kPa, neo-Hookean,
+# frictionless, sealed: radius mm, position mm, force N, gauge pressure Pa, height of the ball's
+# center relative to the mid-surface mm.
 PRESSES = [
     (4, (0, 0), 0.0810926, 1118.4, 5.8699),
     (8, (0, 0), 0.0974136, 1141.6, 9.8699),
@@ -37,7 +38,8 @@ def coarse():
 
 
 def ball(film, radius, at, height):
-    """A ball whose middle is `height` mm over S as far as the sheet's middle is concerned."""
+    """Create a ball with its center at `height` mm above S, relative to the membrane's
+    mid-surface."""
     return film.obstacle(
         "sphere", (1e-3 * radius - HALF_THICKNESS,), p_SO=(*(1e-3 * np.array(at)), 1e-3 * height)
     )
@@ -61,7 +63,7 @@ def test_a_ball_is_held_with_the_full_membrane_s_force(fine, press):
 
 
 def other_designs():
-    """One press of each other sheet and pressure, of the independent sheet's."""
+    """Return one reference case of each other membrane and pressure of the independent solver."""
     path = Path(benchmarks.quasistatic.__file__).with_name("film_reference.json")
     cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
     asked = {"kind": "ball", "size_mm": [16.0], "at_mm": [0.0, 0.0], "depth_mm": 2.0}
@@ -109,7 +111,7 @@ def test_a_film_goes_on_as_its_body_does(coarse):
             body = ball(coarse, 8, (2, 1), height)
             state = coarse.solve(body, state if kept else replace(state, trend=None))
             afresh = coarse.solve(body)
-            # what a tolerance of 0.5 um leaves of a force
+            # force error for a tolerance of 0.5 um
             assert state.force_normal == pytest.approx(afresh.force_normal, rel=2e-3)
             steps[kept] += state.steps
     assert steps[True] < 0.75 * steps[False]
@@ -141,8 +143,10 @@ def test_one_node_pulled_to_the_glass_is_beyond_the_rubber_s_law(coarse):
 
 
 def test_what_does_not_converge_is_no_number(coarse):
-    """A ball pressed to its equator beside the rim; with bodies of which a batch tells one by
-    one."""
+    """A solution that does not converge gives NaN, and a batch reports the status of each obstacle.
+
+    One case is a ball pressed to its equator next to the rim.
+    """
     deep = coarse.obstacle("sphere", (0.004,), p_SO=(0.012, 0.007, -0.004))
     rim = coarse.obstacle("sphere", (0.008,), p_SO=(0.016, 0, 0.004))
     fine = coarse.obstacle("sphere", (0.008,), p_SO=(0, 0, 0.009))
@@ -187,7 +191,11 @@ def test_a_film_that_went_to_another_process_is_the_same(coarse):
     ("half", "depth", "force"), [(3e-3, 1e-3, 0.183), (6e-3, 1.5e-3, 0.595)], ids=["6 mm", "12 mm"]
 )
 def test_a_face_has_its_force_wherever_its_edges_fall(coarse, half, depth, force):
-    """Of the independent sheet, whose own grid makes faces too small, taken to no spacing."""
+    """A flat face has the force of the independent membrane at any position of its edges on the
+    grid.
+
+    The independent grid makes faces too small; its force is extrapolated to zero spacing.
+    """
     forces = []
     areas = []
     for at in [(0, 0), (0.5e-3, 0.3e-3), (1e-3, -0.7e-3), (1.3e-3, 0.2e-3)]:
@@ -214,7 +222,10 @@ def test_a_blade_is_not_lost_between_nodes(coarse, turn):
 
 
 def test_a_turned_blade_touches_every_line_that_it_crosses(fine):
-    """Its last line is crossed half a spacing from its end, 0.3 spacings beside a node."""
+    """A rotated blade touches every grid line that it crosses.
+
+    It crosses the last line half a spacing from its end, 0.3 spacings from a node.
+    """
     turn = 0.3
     c, s = np.cos(turn), np.sin(turn)
     at = (9.683e-04, -2.605e-04)
@@ -252,5 +263,6 @@ def test_a_ridge_between_nodes_is_met(coarse, fine, y):
         film.solve(film.obstacle("wedge", (5e-3, 3e-3, 5e-3), p_SO=(0, y, 1.5e-3))).force_normal
         for film in (coarse, fine)
     ]
-    # on nodes 2 mm apart: its row may be a millimetre beside it, and its flanks are met at nodes
+    # nodes are 2 mm apart: a row may be a millimeter from the edge, and the flanks make contact at
+    # nodes
     assert forces[0] == pytest.approx(forces[1], rel=0.2)

@@ -1,4 +1,5 @@
-"""Every kind of body against another that is the same, or against statics; and what cannot be."""
+"""Tests of every kind of obstacle against an equal one of another kind, or against statics; and of
+invalid obstacles."""
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ def in_hull(x):
     return Delaunay(CLOUD).find_simplex(x) >= 0
 
 
-# What is inside a body, in its frame, by its definition alone; and how it is turned.
+# Inside test of each body in its own frame, by its definition alone; and its rotation.
 INSIDE = {
     "plane": ((), None, lambda x: x[:, 2] >= 0, TILTED),
     "quadric": ((90.0, -40.0, 6e-3), None, in_bowl, TILTED),
@@ -80,18 +81,24 @@ def lowest_inside(inside, turn, places):
 
 @pytest.mark.parametrize("kind", INSIDE)
 def test_heights_are_where_a_line_from_below_comes_into_the_body(film, kind):
-    """By what is inside alone; half the sheet's thickness off, across the surface's slope."""
+    """Obstacle heights are the points where a line from below enters the body, less half a
+    thickness.
+
+    The reference uses only the inside test. Half the membrane's thickness is measured across the
+    surface's slope.
+    """
     sizes, data, inside, turn = INSIDE[kind]
     places = np.random.default_rng(1).uniform(-4e-3, 4e-3, (60, 2))
     found = film.obstacle_heights(film.obstacle(kind, sizes, PLACE, turn, data=data), places)
-    step = 1e-7  # m; of slopes, by differences of heights that are good to 1e-12
+    step = 1e-7  # step in m; slopes come from differences of heights that are exact to 1e-12
     ahead = [lowest_inside(inside, turn, places + step * axis) for axis in np.eye(2)]
     height = lowest_inside(inside, turn, places)
     slope = np.hypot(*(one - height for one in ahead)) / step
     flat = (slope < 0.9) & np.isfinite(found)  # steeper rims count as ended
     assert flat.sum() > 10
     off = HALF_THICKNESS * np.sqrt(1 + slope[flat] ** 2)
-    # m; a rim of 1 mm bends by 1e-4 over the step, which changes what is off by 1e-8
+    # tolerance in m; the slope of a rim of 1 mm changes by 1e-4 over the step, and the offset by
+    # 1e-8
     np.testing.assert_allclose(found[flat], height[flat] - off, atol=2e-8)
     if kind == "mesh":
         np.testing.assert_array_equal(np.isfinite(found), np.isfinite(height))
@@ -135,7 +142,10 @@ def test_triangles_and_hull_are_the_box_that_they_bound(film):
 
 
 def test_triangles_that_move_press_as_the_body_that_they_follow(film):
-    """A soft body hands over its skin's corners anew each step, in S."""
+    """Moving triangles have the force of the body that they follow.
+
+    A soft body supplies the corners of its skin in each step, in S.
+    """
     state = None
     for height in (7.2e-3, 7e-3, 6.9e-3):
         skin = box_of_triangles() + (0.4e-3, -0.3e-3, height)
@@ -170,7 +180,7 @@ def test_a_disc_is_a_cylinder_whose_rim_is_rounded(film):
 def test_a_plane_carries_what_the_gas_pushes_where_it_lies_on(film):
     state = film.solve(film.obstacle("plane", p_SO=(0, 0, 2e-3)))
     assert state.converged
-    # what touches is flat: all of the gas's pressure on it is the force, but for cells at its rim
+    # the contact is flat: the force is the gas pressure over its area, except for cells at its rim
     flat = state.contact_forces > 0.9 * state.contact_forces.max()
     cell = (film.x[1] - film.x[0]) * (film.y[1] - film.y[0])
     inner = state.contact_forces[flat].min() / cell
@@ -182,7 +192,7 @@ def test_bodies_far_apart_press_as_each_alone_but_for_the_gas(film):
     left, right = (film.obstacle("sphere", (4e-3,), (x, 0, 6e-3)) for x in (-8e-3, 8e-3))
     both = film.solve([left, right])
     one = film.solve(left)
-    # the gas, which both press, makes each harder to press in
+    # both balls compress the gas, which makes each indentation stiffer
     assert 2 * one.force_normal < both.force_normal < 2.3 * one.force_normal
     assert both.wrench[4] == pytest.approx(0, abs=1e-5)  # by symmetry, N m
 
@@ -254,8 +264,11 @@ def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
 
 
 def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
-    """To the bit, or in the same words: where a second try began above the sheet its first step
-    took a factor that nobody had made."""
+    """The result of a solution is independent of old memory content, to the bit or in its message.
+
+    If a second attempt started above the membrane, its first step used a factor that had not been
+    computed.
+    """
 
     def ends(fill):
         film = QuasistaticMembrane("dense", (21, 16), 1000.0)
@@ -300,6 +313,6 @@ def test_a_hull_presses_as_its_triangles_do(film, seed):
     corners = cloud[hull.simplices]
     triangles = film.solve(film.obstacle("triangles", p_SO=place, data=corners))
     assert mesh.converged and -mesh.wrench[2] > 0.05
-    # both are at rest to 1e-6 m, of which a millinewton is the most
+    # both are converged to 1e-6 m, at most a millinewton
     np.testing.assert_allclose(mesh.wrench[:3], triangles.wrench[:3], atol=1e-3)
     np.testing.assert_array_equal(mesh.force > 0, triangles.force > 0)

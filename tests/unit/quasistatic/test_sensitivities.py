@@ -1,4 +1,4 @@
-"""Derivatives by what presses, against differences of whole solutions."""
+"""Tests of derivatives by the obstacle's parameters, against differences of whole solutions."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,8 @@ from mjtactile import InputError, QuasistaticMembrane
 from mjtactile.quasistatic.obstacles import NUMBERS, pooled
 from mjtactile.quasistatic.sensitivities import answered, changed_bodies
 
-# What makes bodies of numbers, and the numbers: at places where no node is about to come or go.
+# Functions that make obstacles from parameters, and the parameters, at positions without imminent
+# changes of the touching nodes.
 TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 HEIGHT = 2  # the number of each that is its middle's height
 SHAPES = {
@@ -35,21 +36,22 @@ SHAPES = {
 def test_they_are_what_differences_say(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
-    )  # m; differences are of 1e-6
+    )  # tolerance in m; differences are 1e-6
     film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
 
     def settled(at, state=film.rest):
-        for _ in range(3):  # bodies are looked at for three steps of a solution only
+        for _ in range(3):  # a solution updates obstacles in three steps only
             state = film.solve(shape(at), state)
         return state
 
     numbers = np.array(numbers)
     state = settled(numbers)
     by = film.derivatives(state, shape, numbers)
-    # m; of curvatures by more, since a contact is at rest within what single precision leaves
+    # steps in m; curvatures have larger ones, since a contact converges to single precision
     steps = np.diag(np.where(np.abs(numbers) < 1, 1e-6, 1e-3 * numbers))
-    # smooth bodies: what differences leave; edges: three sweeps of what the tangent leaves out
+    # smooth obstacles: error of the differences; edges: three sweeps for the terms that the tangent
+    # omits
     rel = 5e-3 if name == "box" else 1e-3
     for k, step in enumerate(steps):
         low, high = settled(numbers - step, state), settled(numbers + step, state)
@@ -72,8 +74,10 @@ def test_they_are_what_differences_say(monkeypatch, name):
     ("name", "seen"), [("ball", range(4)), ("quadric", range(5)), ("box", [HEIGHT])]
 )
 def test_quick_answers_are_nearly_the_derivatives(name, seen):
-    """Heights and forces move as the exact ones do, but for what moves in the plane. Other numbers
-    of a box than its height say where its face ends, of which nothing is `seen`."""
+    """Quick changes of heights and forces equal the exact ones, except for in-plane motion.
+
+    The parameters of a box other than its height set the ends of its face, which are not `seen`.
+    """
     film = QuasistaticMembrane("dense", (32, 24), gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
     state = film.solve(shape(np.array(numbers)))
@@ -84,18 +88,21 @@ def test_quick_answers_are_nearly_the_derivatives(name, seen):
     rows, pool = pooled([body for one in listed for body in one], film.grid)
     by_z, by_force = answered(film, state, rows.reshape(len(listed), -1, NUMBERS), pool, by)
     for k in seen:
-        # a sheet of this curvature gives 5 to 10 % of its heights' way in the plane
+        # a membrane of this curvature moves in the plane by 5 to 10 % of its height change
         off = np.linalg.norm(by_z[k] - exact.heights[k]) / np.linalg.norm(exact.heights[k])
         assert off < 0.12
     stiffer = by_force[HEIGHT].sum() / exact.force_normal[HEIGHT] - 1
-    # what cannot give in the plane is stiffer by once or twice that: 17, 11 and 6 % here
+    # without in-plane motion it is stiffer by once or twice that: 17, 11 and 6 % here
     assert 0.05 < stiffer < 0.25
 
 
 def test_a_contact_s_stiffness_is_that_of_an_energy():
-    """Without friction the film has an energy by the body's pose. Of its second derivatives, those
-    by two shifts do not hang on their order; a shift and a turn, or two turns, on axes that stay,
-    differ by what turns force and torque."""
+    """Without friction the contact stiffness is the second derivative of an energy by the
+    obstacle's pose.
+
+    Second derivatives by two translations are independent of their order. Those by a translation
+    and a rotation, or two rotations, on fixed axes, differ by the rotation of force and torque.
+    """
     film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     ball = film.obstacle("sphere", (8e-3,), (1.3e-3, -0.7e-3, 9e-3))
     state = film.solve(ball)
@@ -103,10 +110,10 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
     off = stiffness - stiffness.T
     spin = np.eye(3)
     along = stiffness[:3, :3]
-    np.testing.assert_allclose(along, along.T, atol=1e-3 * along.max())  # what nodes leave
+    np.testing.assert_allclose(along, along.T, atol=1e-3 * along.max())  # error of the nodes
     force, torque = state.wrench[:3], state.wrench[3:]
     pressing, leaning = (np.cross(one, spin).T for one in (force, torque))
-    # what follows from neighbours' places is not quite a force's
+    # terms from the positions of neighbours are not exactly those of a force
     np.testing.assert_allclose(off[:3, 3:], -pressing, atol=0.02 * abs(force).max())
     np.testing.assert_allclose(off[3:, 3:], -leaning, atol=0.1 * abs(torque).max())
 
@@ -127,7 +134,7 @@ def test_by_its_pose_is_by_a_shape_that_moves():
     by_shape = film.derivatives(state, posed, np.zeros(6), steps=np.full(6, 1e-7))
     for name in ("displacements", "contact_forces", "wrench", "gauge_pressure"):
         found, same = getattr(by_pose, name), getattr(by_shape, name)
-        # m and rad, by differences of 1e-8 and 1e-7 that bend by some 100/m
+        # steps of 1e-8 and 1e-7 in m and rad; the second derivative is some 100/m
         np.testing.assert_allclose(found, same, atol=2e-4 * abs(same).max())
 
 

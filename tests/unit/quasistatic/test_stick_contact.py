@@ -1,4 +1,5 @@
-"""What sticks: against an independent sheet's number, statics, and Coulomb's law."""
+"""Tests of sticking contact: against an independent membrane's number, statics, and Coulomb's
+law."""
 
 import numpy as np
 import pytest
@@ -21,8 +22,9 @@ def pressed(film, radius, depth, place=(0, 0)):
     )
 
 
-# Radius and depth, m, and N/m along x and y: the tangent of an independent sheet of 81 x 61 nodes
-# whose touching nodes are dragged as one body while the others come to rest.
+# Radius and depth, m, and stiffness along x and y, N/m: the tangent of an independent membrane of
+# 81 x 61 nodes. Its touching nodes are dragged as one rigid body while the others reach
+# equilibrium.
 DRAGGED = [
     (4e-3, 1e-3, 333.5, 345.1),
     (8e-3, 1e-3, 411.6, 443.4),
@@ -58,7 +60,8 @@ def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
 
 
 def test_the_compliance_is_the_inverse_of_the_stiffness():
-    """By SciPy, of a grid whose nodes are no whole number of those solved for together."""
+    """The compliance is SciPy's inverse of the stiffness, even if the node count is not a multiple
+    of the block size."""
     film = QuasistaticMembrane("dense", grid=(10, 8), gauge_pressure=1000.0)
     factor = film.stiffness_factor(film.rest)
     in_plane = np.arange(factor.shape[1]) % 3 < 2
@@ -90,7 +93,7 @@ def test_it_holds_remembers_and_slides(fine):
     assert carried == pytest.approx(0.5 * patch.force_normal)  # it slides
     before = np.linalg.norm(force[:2])
     force, held = drag(patch, held, (0, 0, 0.5), friction=0.5)
-    assert np.linalg.norm(force[:2]) < 0.2 * before  # what turns holds no drag
+    assert np.linalg.norm(force[:2]) < 0.2 * before  # a rotating contact does not resist drag
     force, _ = drag(patch, held, (1.0, 0, 0), friction=0.0)
     np.testing.assert_allclose(force, 0, atol=1e-12)
     with pytest.raises(InputError, match="friction"):

@@ -1,8 +1,7 @@
-"""A recording that somebody or something changed: what is sound before the damage is read, the rest
-is named, nothing breaks.
+"""Tests of recordings with damage or changes: the part before the damage is read, the rest is
+named, and the reader does not fail.
 
-Whoever reads a recording relies on what is checked here: kinds, shapes, and files inside of the
-folder.
+Readers of a recording rely on these checks: kinds, shapes, and files inside the folder.
 """
 
 import copy
@@ -93,7 +92,7 @@ def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
             assert all(
                 (tmp_path / name).resolve().is_relative_to(tmp_path.resolve()) for name in names
             )
-    assert said > 100  # most changes are to what is checked
+    assert said > 100  # most changes are to checked content
 
 
 def test_the_line_and_the_column_are_named(tmp_path, whole):

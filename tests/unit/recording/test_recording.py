@@ -1,4 +1,4 @@
-"""A recording holds exactly what went in, and one that was cut off anywhere still opens."""
+"""Tests that a recording holds exactly its input, and that a truncated one still opens."""
 
 import json
 import math
@@ -42,7 +42,7 @@ def test_what_goes_in_comes_out(tmp_path):
     ("noted", "called"),
     [
         (("first", "second", "third"), ("first", "second", "third")),
-        # no session said: a recording of before, or somebody else's
+        # no session note: an old or third-party recording
         (None, ("left", "right", "finger3")),
         # no names of files
         (("a/b", "b", "c"), ("left", "right", "finger3")),
@@ -99,8 +99,8 @@ def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
 
 
 def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
-    """Wrench, slip and contact of every finger; what is not known is NaN in the shape that it would
-    have."""
+    """Wrench, slip and contact of every finger are read back in their shape; unknown values are NaN
+    in that shape."""
     felt = fake_touch(0.5, 0.0)
     patch = replace(
         felt.contact, force=np.array([0.1, 0.0, -0.5]), semi_axes=np.array([2e-3, 1e-3]), angle=0.3
@@ -116,7 +116,7 @@ def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
     wrench = recording.column("wrench")
     assert wrench.shape == (2, 2, 6) and np.isnan(wrench[0, 1]).all()
     np.testing.assert_array_equal(wrench[1, 1], felt.traction.wrench)
-    np.testing.assert_allclose(recording.column("wrench_sd")[0, 0], 0.02)  # fake_touch says so
+    np.testing.assert_allclose(recording.column("wrench_sd")[0, 0], 0.02)  # value of fake_touch
     np.testing.assert_array_equal(
         recording.column("slip_velocity")[0], [[1e-3, -2e-3], [np.nan, np.nan]]
     )
@@ -226,14 +226,14 @@ def test_no_recording_and_a_foreign_file_are_named(tmp_path):
         load_recording(tmp_path)
 
 
-# -- a recording is never worth what the hand holds: it is given up, once said, and the run goes on
-# ------------------------
+# -- a failed recording never endangers the held object: it stops with one message, and the run
+# continues
 
 CYCLES = [fake_cycle(i) for i in range(50)]
 
 
 def aborted(recorder, caplog):
-    """Record until the recorder gives up; what it said."""
+    """Record until the recorder stops; return its messages."""
     for cycle in CYCLES:
         recorder.add(cycle)
         recorder._thread.join(0.01)
@@ -262,7 +262,7 @@ def test_a_disk_that_is_full(tmp_path, caplog):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert "too large" in said
-    assert len(load_recording(tmp_path)) >= 2  # what was written before can be read
+    assert len(load_recording(tmp_path)) >= 2  # earlier data can be read
 
 
 def test_a_process_without_descriptors(tmp_path, caplog):

@@ -1,4 +1,4 @@
-"""What was done to a sensor: protocols, and the note that a recording keeps of them."""
+"""Tests of loading protocols of a sensor, and of their note in a recording."""
 
 import json
 import math

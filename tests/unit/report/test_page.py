@@ -1,4 +1,4 @@
-"""The page of a run says what the recording says, asks for nothing over a network, and stays
+"""Tests of the page of a run: it matches the recording, loads nothing over a network, and stays
 small."""
 
 import base64
@@ -82,7 +82,7 @@ def test_the_page_says_what_the_recording_says(tmp_path):
     ]
     labels = [plot["label"] for plot in data["plots"]]
     assert "opening of the jaws, mm" in labels
-    assert "slipped since the touch began, mm" not in labels  # what nobody knows is left out
+    assert "slipped since the touch began, mm" not in labels  # unknown values are left out
     # every second of 60
     assert data["first"] == 20 and data["shots"][20]["time"] == pytest.approx(
         cycles[40].time, abs=1e-4

@@ -1,4 +1,5 @@
-"""A felt body as lines: arcs lie on the body that is said, the border is closed, unknown is nothing."""
+"""Tests of an estimated shape as lines: arcs lie on the given shape, the border is closed, and an
+unknown shape has none."""
 
 from __future__ import annotations
 

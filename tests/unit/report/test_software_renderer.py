@@ -1,5 +1,5 @@
-"""The picture of a scene: bodies have the surface that geometry says, what is nearer hides what is
-farther."""
+"""Tests of the rendered scene: objects have their geometric surface, and nearer ones hide farther
+ones."""
 
 import mujoco
 import numpy as np
@@ -42,7 +42,7 @@ def test_a_disc_covers_its_area_and_the_nearer_one_is_seen():
     blue = np.array([0, 0, 1.0])
     near = 0.4 * disc + [0, 0, 0.5]
     far = 0.8 * disc
-    for order in (1, -1):  # the order in which they are drawn is nothing to it
+    for order in (1, -1):  # the rendering order has no influence
         corners = np.concatenate([near, far][::order])
         image = rasterise(
             corners,

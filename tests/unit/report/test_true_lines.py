@@ -1,5 +1,5 @@
-"""What is truly there beside a body that is believed: sections of the scene's triangles, and the
-picture of both, against a ball whose sections are circles."""
+"""Tests of the ground truth next to an estimated shape: sections of the scene's triangles, and the
+plot of both, against a ball with circular sections."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_true_ball_lies_on_the_lines_of_one_that_is_believed_rightly():
     # triangles of 4000 points have edges of about 0.5 mm: their middles sag by 0.3^2 / 2 / 8 mm
     assert off.max() < RADIUS + 1e-9 and off.min() > RADIUS - 1e-5
     assert len(pieces) > 100  # and the table is left out
-    # each piece is in one of the two planes of the believed arcs
+    # each piece is in one of the two planes of the estimated arcs
     for turn in (0.5, 0.5 + np.pi / 2):
         across = np.array([-np.sin(turn), np.cos(turn)])
         in_plane = (np.abs((pieces - PLACE)[:, :, :2] @ across) < 1e-9).all(axis=1)
@@ -87,7 +87,7 @@ def test_a_section_shows_how_far_the_believed_body_is_off():
     off = plot_section(deep, true_lines(deep, scene(), 0), size)
     lowest = {name: dark(picture)[:, 0].max() for name, picture in (("right", right), ("off", off))}
     true = {"right": orange(right)[:, 0].max(), "off": orange(off)[:, 0].max()}
-    # believed bodies are drawn from their own lowest point: the true one is 1 mm lower
+    # estimated shapes are plotted from their own lowest point: the true one is 1 mm lower
     assert lowest["right"] == pytest.approx(lowest["off"], abs=1)
     assert true["off"] - true["right"] == pytest.approx(240 / 18, abs=2)  # px in a mm
     nothing = plot_section(None, np.zeros((0, 2, 3)), size)

@@ -1,5 +1,5 @@
-"""Films of runs: their length, that each image shows its own time, and what they say where
-something is missing."""
+"""Tests of videos of runs: their length, the time in each image, and the text in place of missing
+data."""
 
 import av
 import cv2

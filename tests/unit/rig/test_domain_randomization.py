@@ -1,5 +1,5 @@
-"""What varies: the files are checked name by name, draws depend on seed and name alone, and the
-world is as drawn."""
+"""Tests of randomization: names in the files are checked, samples depend on seed and name alone,
+and the world has the sampled values."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +81,8 @@ def test_a_value_depends_on_its_seed_and_its_name_alone():
     ],
 )
 def test_distributions(spread, law):
-    """Of 2000 shares evenly spaced Kolmogorov's distance is rounding's alone."""
+    """2000 evenly spaced fractions give the stated distribution: Kolmogorov's distance is rounding
+    alone."""
     values = [spread.at(share) for share in (np.arange(2000) + 0.5) / 2000]
     assert kstest(values, law[0], law[1]).statistic < 1e-3
     one_of = [Spread(choices=(0.0, 0.0, 1.0)).at(share) for share in (np.arange(300) + 0.5) / 300]
@@ -234,7 +235,7 @@ def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
 
 
 class FakeWorld:
-    """A gripper that is at once where it is told to be."""
+    """Gripper that reaches every goal immediately."""
 
     max_opening = 0.1
     opening_speed = 0.0

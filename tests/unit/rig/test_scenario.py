@@ -1,4 +1,4 @@
-"""A scenario: what a file says, what a result says, and what each finger really has."""
+"""Tests of a scenario: its file, its result, and the actual sensors of each finger."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,8 @@ OTHER = Scenario(
 
 
 def test_the_shipped_file_is_the_default_with_every_field(tmp_path):
-    """What a copy of it leaves out has the value that stands in it."""
+    """The shipped file equals the default and shows every field: fields omitted from a copy have
+    the value in the file."""
     shipped = resources.find("lift", "models/scenarios", ".toml")
     assert load_scenario(shipped) == Scenario()
     keys = {line.partition(" =")[0] for line in shipped.read_text().splitlines() if " = " in line}
@@ -109,7 +110,7 @@ def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
     assert (one.sensor, one.sensors) == ("dense", {"left": "paper16"})
     assert one.names()["sensor"] == "dense, paper16"
     assert resolve_scenario(one) == one and resolve_scenario(same) == same
-    # what a scenario says of a finger is stronger than the rig file
+    # a finger's sensor in a scenario overrides the rig file
     rig = mjtactile.build_rig(replace(one, sensors={"left": "dense", "right": "paper16"}))
     rig.close()
     assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]

@@ -29,7 +29,7 @@ def table():
 def test_the_shipped_ones_load_with_their_units(name):
     rig = load_sim_rig(name)
     low, high = rig.gripper.opening
-    assert 0 <= low < rig.gripper.start <= high < 0.2  # m
+    assert 0 <= low < rig.gripper.start <= high < 0.2  # opening, m
     assert rig.backend == "sim" and rig.model.is_file() and rig.gripper.speed == pytest.approx(0.05)
 
 

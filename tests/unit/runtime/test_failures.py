@@ -1,4 +1,5 @@
-"""Whatever fails, what the hand holds is set down first: the control loop on a rig of stubs."""
+"""Tests of failures in the control loop, on a rig of stubs: the held object is always set down
+first."""
 
 import math
 import pickle
@@ -47,9 +48,11 @@ def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
 @pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
 def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
-    """Of 16 GB, it gets less than one: handing them out would stop the loop for seconds.
+    """A step that uses up the memory is rejected, and the gripper goes down.
 
-    One more than the process had, that is: what others let go of meanwhile may be handed out again.
+    The step gets less than one of 16 GB: to allocate them all would stop the loop for seconds. The
+    limit is one GB more than the process's use at the start, since memory freed by others may be
+    allocated again.
     """
     eaten = []
     had = memory_limit._used()
@@ -59,7 +62,7 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
         if observation.time > 0.2:
             if greedy == "in a list":
                 while True:
-                    eaten.append(bytearray(64 << 20))  # the limit counts what is asked for
+                    eaten.append(bytearray(64 << 20))  # the limit counts requested memory
                     most.append(memory_limit._used())
             many = [0.0] * (2 << 30)
             return replace(observation.command, memory={"many": many})
@@ -80,7 +83,10 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
 
 
 def test_a_loop_without_memory_sets_down():
-    """Wherever it is noticed: what the controller has kept is let go of, and the hand retreats."""
+    """Without memory, the loop releases the controller's stored data, and the gripper retreats.
+
+    This holds wherever the error occurs.
+    """
     kept = []
 
     def step(observation):
@@ -163,7 +169,10 @@ def test_a_retreat_that_cannot_be_sent_is_the_end():
 
 
 def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
-    """What the loop hands to who records, draws or shows is plain; the controller has its own."""
+    """Controller memory that cannot be written is reported once, and the grasp continues.
+
+    Recorders and viewers get plain values; the controller keeps its own.
+    """
     cyclic: list = [1.0]
     cyclic.append(cyclic)
     strange = {
@@ -279,7 +288,7 @@ def test_who_is_told_of_a_cycle_and_fails():
     world = World()
     cycles, message = world.run("", act=act, error=OSError)
     assert message == "no space left" and world.has_set_down()
-    assert len(cycles) == len(world.sent)  # and it is told of every other one
+    assert len(cycles) == len(world.sent)  # and it receives every other one
 
 
 def test_a_chain_that_fails():

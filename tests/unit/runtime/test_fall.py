@@ -1,4 +1,4 @@
-"""What is let go of in the air and falls was not held, whatever was held before."""
+"""Tests that an object that falls after release in the air does not count as held."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,7 +14,11 @@ from mjtactile.runtime.grasp_scoring import GraspScore
     ("falls", "outcome"), [(0.002, "held"), (0.012, "held"), (0.02, "dropped")]
 )
 def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
-    """2 mm are what stood nearly, 12 mm what rolls out of its cup, 20 mm what hung in the air."""
+    """A fall of 20 mm after release counts as dropped, 2 and 12 mm do not.
+
+    An object that nearly stood falls 2 mm, one that rolls out of its cup 12 mm, one that hung in
+    the air 20 mm.
+    """
     heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)
     score = GraspScore.__new__(GraspScore)
     score.crushed_at = score.judge = None

@@ -1,5 +1,5 @@
-"""What a simulation says of its own numbers reaches whoever reads them: lines, recordings, pages,
-commands, environments."""
+"""Tests that simulation flags reach every output: lines, recordings, pages, commands,
+environments."""
 
 import json
 

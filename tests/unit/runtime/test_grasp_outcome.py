@@ -1,4 +1,5 @@
-"""The outcome of a grasp on a rig without truth: what the controller believes, and what is seen."""
+"""Tests of the outcome of a grasp on a rig without ground truth, from the controller's estimate and
+the measurements."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Air as a command: its range, its rate, and what becomes of it when something fails."""
+"""Tests of pressure commands: range, rate, and the effect of failures."""
 
 import math
 from dataclasses import replace
@@ -29,7 +29,7 @@ AIR = CommandLimits(pressure=(200.0, 2000.0), pressure_rate=600.0)
     ("wanted", "last", "period", "sent"),
     [
         ((1500.0, 900.0), (1000.0, 1000.0), 0.05, (1030.0, 970.0)),  # 600 Pa/s
-        ((1500.0,), (1000.0,), 0.1, (1045.0,)),  # what an image may find changed
+        ((1500.0,), (1000.0,), 0.1, (1045.0,)),  # largest change per image
         ((9000.0, 0.0), (1990.0, 210.0), 0.05, (2000.0, 200.0)),
         (None, (1000.0,), 0.05, None),
     ],
@@ -40,7 +40,7 @@ def test_air_keeps_range_and_rate(wanted, last, period, sent):
 
 
 class Chamber:
-    """A valve that does at once what it is told."""
+    """Valve that executes every command immediately."""
 
     def __init__(self):
         self.told = []

@@ -210,7 +210,10 @@ def test_when_nothing_obeys_the_run_ends_at_once():
 
 
 def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
-    """Whoever lets go at once drops what the hand holds in the air."""
+    """A failed controller is not called again, and the gripper retreats before it opens.
+
+    To open immediately would drop an object held in the air.
+    """
     asked = []
 
     def fails(observation):
@@ -289,7 +292,10 @@ def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
 
 
 def test_a_hand_high_up_has_the_time_to_come_down():
-    """5 s are 0.15 m: from a higher place, what was held was dropped."""
+    """A gripper high up comes down before it opens.
+
+    5 s are 0.15 m: from a greater height the held object was dropped.
+    """
     _, sent = retreat_from(0.4)
     opened = next(one for one in sent if one.opening > LAST.opening)
     assert opened.lift_height < 1e-3

@@ -1,5 +1,5 @@
-"""What servos push beyond what is felt is a flag; friction, a rough data sheet and moments are
-not."""
+"""Tests of the flag for servo force beyond the measured one; friction, a rough data sheet and short
+pushes do not raise it."""
 
 import math
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ PERIOD = 1 / 30
 
 
 def pushed(watch, effort, felt, seconds=1.0):
-    """So long a push, as servos and two fingers say."""
+    """Return the flags after a push of `seconds` with this servo effort and finger force."""
     touch = SimpleNamespace(force_normal=felt, touching=felt > 0.05)
     cycle = SimpleNamespace(touch=(touch, touch), gripper=SimpleNamespace(effort=effort))
     for _ in range(round(seconds / PERIOD)):

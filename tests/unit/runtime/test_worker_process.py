@@ -1,4 +1,4 @@
-"""What goes to a process beside a run, and comes back."""
+"""Tests of the data exchange with a process next to a run."""
 
 import mmap
 import socket
@@ -14,7 +14,7 @@ RNG = np.random.default_rng(0)
 
 @pytest.fixture
 def ends():
-    """Both ends of a channel, of which the first lends the other one a page of memory."""
+    """Provide both ends of a channel; the first lends the other a page of memory."""
     ours, its = socket.socketpair()
     with ours, its, mmap.mmap(-1, ROOM) as memory:
         yield Channel(ours, lent=memory), Channel(its, given=memory)

@@ -1,5 +1,5 @@
-"""What body touches, from markers of an independent solver's sheet (benchmarks/film_reference.json)
-with a camera's noise."""
+"""Tests of contact shapes from the markers of an independent solver's membrane
+(benchmarks/film_reference.json), with a camera's noise."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch.slip import SlipHistory, SlipSample
 
-NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
+NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one `dense` image, m
 
 
 @pytest.fixture(scope="module")
@@ -86,13 +86,14 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     shape = shape_of(sensor, touch)
     assert shape.kind == "smooth" and shape.status == "ok"
     assert sum(shape.probabilities.values()) == pytest.approx(1.0)
-    # one image knows 3 % of it; the reference's sheet meets the ball with its middle, the film
-    # with its face, 0.15 mm further in
+    # one image determines it to 3 %; the reference touches the ball with its mid-surface, the
+    # membrane with its face, 0.15 mm further in
     assert 1e3 * shape.radius == pytest.approx(radius_mm - 0.15, rel=0.08)
     assert 1e3 * shape.p_SO[:2] == pytest.approx(at_mm, abs=0.2)
     low, high = shape.area_interval
     assert 0 < low < shape.area < high
-    # frictionless both, and the film is within 2 %; `friction` of 3 % is added for what sticks
+    # both are frictionless, and the membrane is within 2 %; `friction` of 3 % is added for sticking
+    # contact
     assert shape.force_normal == pytest.approx(1.03 * case["force_N"], rel=0.04)
     assert pickle.loads(pickle.dumps(shape)).kind == "smooth"
     touch = attach_shape(touch, shape)
@@ -153,7 +154,7 @@ def follow(sensor, touches, rubber=None):
 
 
 def pressed(sensor, film, bodies, seed, time=0.0):
-    """What is felt of a film on `bodies`."""
+    """Return the touch of a membrane on the obstacles `bodies`."""
     places = in_order(benchmarks.quasistatic._markers(film, film.solve(bodies)))
     return replace(touch_of(sensor, places, seed), time=time)
 
@@ -165,7 +166,10 @@ def fine_membrane():
 
 
 def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monkeypatch):
-    """As deep as before it takes a handful of films; the first image, with all families, tens."""
+    """A contact episode takes a few membrane solutions per image.
+
+    At constant depth this is a handful. The first image, with all shape models, takes tens.
+    """
     radius = 8e-3
     touches = [
         pressed(
@@ -192,7 +196,7 @@ def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monk
         found = finder.follow(touch, press, p_rest)
         press = found.press
     assert 10 < counts[0] < 80
-    # one of the guess, one or two of the steps, and two at most with slopes found anew
+    # one for the initial guess, one or two for the steps, and at most two with new slopes
     assert max(counts[2:]) <= 5
     assert found.shape.kind == "smooth"
     assert found.shape.radius_sd < 0.15 * radius
@@ -212,7 +216,7 @@ def test_two_balls_at_once_are_two_balls(sensor, fine_membrane):
     assert shape.kind == "multiple" and len(shape.parts) == 2
     by_place = sorted(shape.parts, key=lambda part: part.p_SO[0])
     for part, radius, at in zip(by_place, radii, x, strict=True):
-        # 0.2 N on each, where markers are 4 mm apart and few beside the frame
+        # 0.2 N on each, with markers 4 mm apart and few next to the frame
         assert part.radius == pytest.approx(radius, rel=0.3)
         assert part.p_SO[:2] == pytest.approx([at, 1e-3], abs=0.3e-3)
     assert shape.area == pytest.approx(sum(part.area for part in shape.parts))
@@ -228,19 +232,22 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
         touch = touch_of(sensor, layout_places(case))
         found = follow(sensor, [touch])[0]
         felt = attach_shape(touch, found.shape, found.load)
-        # what sticks bears 3 % more than what slides, of which the load knows
+        # a sticking contact carries 3 % more than a sliding one, and the load includes this
         true = 1.03 * case["force_N"]
         off.append(felt.force_normal - true)
         chi2.append((off[-1] / felt.force_normal_sd) ** 2)
         assert felt.force_normal == pytest.approx(-felt.traction.wrench[2], abs=5e-3)
         assert np.linalg.eigvalsh(felt.traction.wrench_cov).min() > 0
-    # of single images, in which a ball between markers may be twice as large for what they say
+    # from single images; their markers also allow a ball between them that is twice as large
     assert max(np.abs(off)) < 0.015
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
 
 
 def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
-    """Shear, of which the film says nothing: its variance is what is left of the nodal one's."""
+    """The uncertainty from sharpness vanishes where a shape explains it.
+
+    The shape does not determine the shear: its variance is the remainder of the nodal one's.
+    """
     touch = touch_of(sensor, layout_places(cases[2]))
     found = follow(sensor, [touch])[0]
     before = touch.traction.wrench_cov
@@ -251,16 +258,19 @@ def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
         load = replace(found.load, explained=1 - left)
         return attach_shape(touch, found.shape, load, sharpness).traction.wrench_cov
 
-    # a ball is not sharp: where markers say that something is, it is no ball
+    # a ball is not sharp: it cannot explain markers that show sharpness
     assert found.shape.probabilities["smooth"] > 0.9
     assert found.load.explained == pytest.approx(0.0, abs=0.1)
-    # of which normal force and tilt tell the shear nothing, to a hundredth
+    # normal force and tilt determine none of the shear, to a hundredth
     assert felt(1.0)[0, 0] / before[0, 0] == pytest.approx(1 - 0.5 * (1 - 1 / 144), abs=0.01)
     assert felt(12.0)[0, 0] / before[0, 0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sensor, cases):
-    """By statics: shear at a height turns by that height times it, more on what is sharp."""
+    """Shear that acts above the pressure is not part of the load on a shape.
+
+    By statics, shear at a height adds a torque of that height times it, more on sharp shapes.
+    """
     touch = touch_of(sensor, layout_places(cases[2]))
     films = sensor[2].films.fine
     press = follow(sensor, [touch])[0].press
@@ -272,7 +282,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     shear = np.concatenate([force, np.cross([2e-3, -1e-3, height], force)])
 
     def taken(s):
-        """Of the load's numbers, by shear at the height of what is blunt."""
+        """Return the part of the load's components due to shear at the height of blunt shapes."""
         return borne(films, press, touch.traction.wrench, 2.0, s).rows @ shear
 
     # of a ball: edge and tip are a thousandth
@@ -308,7 +318,10 @@ def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
 
 
 def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_membrane):
-    """The film slides under the ball: what the ball goes, it goes over the rubber."""
+    """A ball that moves over stationary rubber rolls or slides, by its full travel.
+
+    The membrane slides under the ball.
+    """
     radius, speed, period = 8e-3, 15e-3, 1 / 30
     touches = [
         pressed(
@@ -333,7 +346,7 @@ def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_m
 
 
 class KnownMotion:
-    """A finder of shapes that says how a body moves."""
+    """Shape estimator that reports a given motion."""
 
     def __init__(self, motion):
         self.shape = ContactShape("unknown", {}, motion=motion)
@@ -343,7 +356,10 @@ class KnownMotion:
 
 
 def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
-    """Its centre of pressure stays where it is: only the shape's motion tells."""
+    """A shape that turns on the spot makes the chain report slip.
+
+    Its center of pressure is constant: only the shape's motion shows the slip.
+    """
     chain, state, _ = sensor
     sample = SlipSample(0.0, np.zeros(2), np.zeros(3), np.array([0.5, 0.0, 0.0]))
     before = replace(state, slip=SlipHistory((sample,), np.ones(1), np.zeros((1, 3)), 0.0, 0.9))
@@ -373,7 +389,10 @@ def test_rubber_that_turns_and_goes_is_told_apart():
 
 
 def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
-    """Which were behind by more than the tenth power of e when they were given up are not."""
+    """A contact episode tries dropped shape models again only if they were close.
+
+    A model that was behind by more than the tenth power of e when it was dropped is not tried.
+    """
     touch = touch_of(sensor, layout_places(cases[2]))
     press = follow(sensor, [touch])[0].press
     best = press.candidates[0]

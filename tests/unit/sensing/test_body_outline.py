@@ -1,5 +1,7 @@
-"""What touches a sensor whose frame is no rectangle: bodies pressed into a film on a grid that is no
-multiple of the finder's, with the camera's noise."""
+"""Tests of contact shapes on a sensor with a non-rectangular frame, with the camera's noise.
+
+Obstacles indent a membrane on a grid that is not a multiple of the estimator's.
+"""
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
 from mjtactile.quasistatic.interpolation import carried
 from mjtactile.types import Markers
 
-NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
+NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one `dense` image, m
 
 
 class Round:
@@ -56,7 +58,7 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, radius, at):
     assert shape.kind == "smooth"
     assert abs(shape.radius - radius) < 2.5 * shape.radius_sd
     assert shape.radius == pytest.approx(radius, rel=0.15)  # one image, as on `dense`
-    # what slides bears 2.4 % less than what is told, which is fitted to sheets that stick
+    # a sliding contact carries 2.4 % less than the estimate, which is fitted to sticking membranes
     assert shape.force_normal == pytest.approx(state.force_normal, rel=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Steps of a fit against what bounded least squares have them be."""
+"""Tests of the steps of a fit against bounded least squares."""
 
 import numpy as np
 import pytest

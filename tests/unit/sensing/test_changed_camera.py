@@ -1,4 +1,5 @@
-"""A camera that is not as it was at the references: what moves all circles alike is no force."""
+"""Tests of a camera that changed after the references: a common motion of all circles is not a
+force."""
 
 import dataclasses
 
@@ -32,8 +33,10 @@ BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
 
 
 def touches(references=None, run=None):
-    """What is felt with those troubles in the references' images, and after them; every press is
-    seen four times, as its motion makes bars larger."""
+    """Return the touches with these faults in the reference images and after them.
+
+    Every load is evaluated four times, since its motion increases the uncertainty.
+    """
     images = membrane_images.sequence("dense")
     seen = [
         FaultyImage(from_table(CameraFaults, table or {}, "test")) for table in (references, run)
@@ -58,8 +61,11 @@ def clean():
     ("table", "limit"), [*((table, 0.03) for table in AFTER), (FAR_OFF, 0.032)], ids=str
 )
 def test_a_change_after_the_references_is_no_force(clean, table, limit):
-    """Within `limit` N of what is felt without it, but for the first image, which has to find it out
-    and is within its bar: nothing touching, 0.1, 0.4, 0.8 N, and let go."""
+    """A camera change after the references changes the force by less than `limit` N.
+
+    The first image must detect the change first, and is within its uncertainty. The loads are none,
+    0.1, 0.4, 0.8 N, and release.
+    """
     first, *others = zip(touches(run=table), clean, strict=True)
     assert first[0].status == "ok"
     assert abs(first[0].force_normal - first[1]) < 5 * first[0].force_normal_sd
@@ -89,7 +95,7 @@ def test_modes_are_what_a_changed_camera_shows():
     # turns keep distances from the camera
     for k in (3, 4, 5):
         assert (modes[:, :, k] * away).sum(axis=1) == pytest.approx(0, abs=1e-12)
-    # a larger picture: nearer, at the same place across (its angle grows as its depth falls)
+    # a larger image: nearer, at the same lateral position (its angle grows as its depth falls)
     assert modes[:, :2, 6] == pytest.approx(0)
     assert modes[:, 2, 6] / away[:, 2] == pytest.approx(-s.drift_zoom)
     # larger circles: nearer along their rays, by the share of their radius, 13 px
@@ -100,8 +106,11 @@ def test_modes_are_what_a_changed_camera_shows():
 
 
 def test_what_images_tell_of_a_camera_adds_up():
-    """Against one least-squares fit of all images at once: rows (n, MODES) of each see a camera
-    that stays, and a jitter of the size that is each image's own."""
+    """The filter's camera estimate equals one least-squares fit of all images.
+
+    The rows (n, MODES) of each image observe a constant camera, and a size jitter that is
+    independent for each image.
+    """
     s = dataclasses.replace(DEFAULTS.inverse, drift_walk=0.0)
     rng = np.random.default_rng(0)
     first = CameraDriftFilter.unseen(s, knocked=True)

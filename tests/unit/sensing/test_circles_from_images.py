@@ -52,9 +52,12 @@ def board(height=0.0, depth=37.5, rows=100):
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_neighbours_make_depth_better_on_any_smooth_surface(name):
-    """True error, not flatness: a spline of 100 data with d degrees of freedom leaves sqrt(d / 100)
-    of the sd. 12 are left to the flat board (0.35); what bends by many sd needs most of them, and
-    must then not be made worse."""
+    """Neighbours reduce the true depth error on any smooth surface.
+
+    A spline of 100 data with d degrees of freedom leaves sqrt(d / 100) of the sd. The flat board
+    keeps 12 (0.35). A surface that bends by many sd needs most of them, and must then not become
+    worse.
+    """
     before = []
     after = []
     normalised = []
@@ -71,8 +74,8 @@ def test_neighbours_make_depth_better_on_any_smooth_surface(name):
         )
     gain = np.std(np.concatenate(after)) / np.std(np.concatenate(before))
     assert gain < (0.4 if name == "flat" else 0.98)
-    # a third of each one's own sd is kept for what all share, which is none here: error bars on the
-    # safe side
+    # a third of each sd is kept for common errors, which are absent here: the stated uncertainty is
+    # on the safe side
     assert 0.4 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.4
 
 
@@ -93,7 +96,7 @@ def test_a_circle_that_does_not_belong_keeps_its_depth():
     np.testing.assert_array_equal(smooth.p_CM[0], p[0])
     clean = smoothed(alone)
     # without its corner the spline may move by about one sd of a marker (0.09 mm) next to it, and
-    # not at all further off
+    # not farther away
     assert np.abs(smooth.p_CM - clean.p_CM)[1:, 2].max() < 1e-4
 
 
@@ -114,7 +117,8 @@ def test_small_circles_through_a_cheap_camera(height):
         relative = found.poses.p_CM[which, 2] / truth[:, 2]
         A = np.column_stack([X, Y, np.ones(100)])
         scatter[neighbours] = np.std(relative - A @ np.linalg.lstsq(A, relative, rcond=None)[0])
-        # edges clipped at the bright end make dark circles look smaller: the error bars know
+        # edges clipped at the bright end make dark circles look smaller: the uncertainty includes
+        # this
         sd = np.sqrt(found.poses.cov_p[which, 2, 2]) / truth[:, 2]
         assert np.abs((relative - 1) / sd).max() < 3
     # the benchmark has 0.25 (flat) and 0.5 (cylinder); one image here
@@ -143,8 +147,11 @@ def test_one_grey_from_colour_and_bits():
 
 
 def test_a_large_neighbour_does_not_disturb_a_small_circle():
-    """Dots of 4 px beside one of twice the size, 4 px between the edges: what it darkens is left
-    out of their fit."""
+    """Small circles are fitted correctly next to a large one.
+
+    Dots of 4 px are next to one of twice the size, with 4 px between the edges. The pixels that it
+    darkens are left out of their fit.
+    """
     circles = [c for c in board() if np.hypot(*(c.p_C[:2] / PITCH - [-4.5, 4.5])) > 0.1]
     corner = board()[90]
     image = marker_scenes.image(
@@ -152,7 +159,8 @@ def test_a_large_neighbour_does_not_disturb_a_small_circle():
     )
     found = detect(image, CAMERA)
     near = np.linalg.norm(found.center_px - optics.project(CAMERA, corner.p_C), axis=1)
-    assert (found.status[near < 30] == "ok").sum() == 4  # itself, two beside it and one across
+    # the circle itself, two neighbours and one diagonal
+    assert (found.status[near < 30] == "ok").sum() == 4
     assert (found.status == "ok").sum() == 100
 
 
@@ -192,8 +200,8 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
         ).poses
         for i in np.flatnonzero(found.status == "ok"):
             k = np.linalg.norm(optics.project(CAMERA, truth) - found.uv_px[i], axis=1).argmin()
-            # 200 draws at most: 3.5 sd once in ten runs of honest Gaussian errors; 5 leaves room
-            # for blur's own doubt
+            # at most 200 samples: Gaussian errors reach 3.5 sd once in ten runs; 5 leaves room for
+            # the uncertainty of blur
             assert abs(found.p_CM[i, 2] - truth[k, 2]) < 5 * np.sqrt(found.cov_p[i, 2, 2])
 
 
@@ -208,8 +216,11 @@ def test_glare_over_an_outline_is_flagged_not_left_out():
 
 
 def test_circles_behind_glass():
-    """Rendered through a pane of 5 mm: right to the noise with it, 1.67 mm and more off without
-    (Eq. V8); a pane that is farther away than the circles cannot be."""
+    """Circles behind a glass of 5 mm are right to the noise with the glass model.
+
+    Without it they are 1.67 mm and more off (Eq. V8). A glass farther away than the circles is
+    impossible.
+    """
     glass = CAMERA.behind_glass(5e-3, 1.5, 0.06)
     circles = marker_scenes.random_circles(
         glass,

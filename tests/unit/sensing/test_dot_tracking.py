@@ -1,4 +1,4 @@
-"""Dots of any skin, followed through drawn images whose dots' places are known."""
+"""Tests of tracking the dots of any skin through rendered images with known dot positions."""
 
 import csv
 import json
@@ -32,8 +32,8 @@ def draw(places, *, bright=False, noise=0):
 
 @pytest.mark.parametrize("bright", [False, True])
 def test_every_dot_keeps_its_number(bright):
-    # all go together by half a pitch at once, once, so that some are nearer to where a neighbour
-    # was; beside that each wanders by a few pixels
+    # once, all dots jump together by half a pitch, so that some are closer to a neighbour's old
+    # position; in addition each wanders by a few pixels
     rng = np.random.default_rng(3)
     wander = np.cumsum(rng.normal(0, 1.2, (8, len(START), 2)), axis=0)
     common = np.array([[0, 0], [2, 1], [24, 12], [24, 12], [10, 0], [0, 0], [-8, 3], [0, 0]])
@@ -64,7 +64,7 @@ def test_a_dot_that_was_covered_comes_back_as_itself():
 
 
 def test_in_space_where_camera_and_radius_are_known():
-    # a sensor's own picture, of which nothing but lens and radius is told
+    # image of a sensor; only lens and radius are given
     design = load_sensor("paper16")
     p_SM = design.markers.p_SM
     image = Renderer(design, seed=1).render(p_SM, np.tile([0.0, 0.0, -1.0], (len(p_SM), 1)))

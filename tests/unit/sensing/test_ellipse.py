@@ -1,4 +1,4 @@
-"""The shape matrix and what it converts to."""
+"""Tests of the shape matrix and its conversions."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
-"""What `locate` finds in photographs beyond what touch needs, and that no candidate vanishes
-without a word."""
+"""Tests of the detections of `locate` in photographs beyond the needs of touch, and that no
+candidate is lost without a status."""
 
 import cv2
 import numpy as np
@@ -30,8 +30,8 @@ def board(rows, columns, pitch, radius, z):
 
 
 def beside(circles, margin_px, *, dot, ground, window):
-    """Dots on a grey ground that ends `margin_px` beside the outermost; all around is as bright as
-    a window."""
+    """Render dots on a grey ground that ends `margin_px` outside the outermost; the surroundings
+    are as bright as a window."""
     rims = np.concatenate([marker_scenes.rim_px(CAMERA, c, 32) for c in circles])
     low = rims.min(axis=0) - margin_px
     high = rims.max(axis=0) + margin_px
@@ -49,7 +49,7 @@ def beside(circles, margin_px, *, dot, ground, window):
 
 
 def trusted(ellipses, circles):
-    """How many circles have a trusted ellipse within 2 px of their centre."""
+    """Count the circles with a trusted ellipse within 2 px of their center."""
     uv = optics.project(CAMERA, np.array([c.p_C for c in circles]))
     good = ellipses.center_px[ellipses.status == "ok"]
     return (
@@ -74,8 +74,10 @@ def test_dots_beside_a_bright_window_are_found(size):
 
 
 def test_a_picture_in_black_and_white_only():
-    """A thresholded picture: staircase edges, whose half pixel leaves 0.05 px of radius, in the
-    error bars too."""
+    """Circles in a thresholded image are found, and their uncertainty includes the staircase edges.
+
+    The half pixel of the edges leaves 0.05 px of radius.
+    """
     circles = marker_scenes.random_circles(
         CAMERA, np.random.default_rng(0), rows=8, columns=10, radius=1e-3, depth=(0.043, 0.047)
     )

@@ -87,7 +87,10 @@ def test_what_does_not_fit_the_sensor_file_is_refused():
 
 @pytest.mark.parametrize("stuck_inflated", [False, True])
 def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_inflated):
-    """Whether the membrane stays flat, or never was: both references look the same."""
+    """A valve that does not move is detected by equal references.
+
+    The membrane either stays flat, or was never flat.
+    """
     x, y = (
         DESIGN.markers.p_SM[:, i] / size
         for i, size in ((0, DESIGN.frame.length), (1, DESIGN.frame.width))

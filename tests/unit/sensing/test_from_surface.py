@@ -1,5 +1,5 @@
-"""Force from surface and pressure against a film's own, which is found by other means, and against
-what scale, shift and turn must do."""
+"""Tests of force from surface and pressure, against the force of a quasi-static membrane from
+another method, and of the effects of scale, translation and rotation."""
 
 import numpy as np
 import pytest
@@ -50,16 +50,16 @@ def pressed(film, at, radius, depth):
 def test_force_is_the_films(film, at, radius, depth):
     state = pressed(film, at, radius, depth)
     seen = points_of(film, state)
-    # a camera's errors: 10 um, as a depth camera would have of so small a thing
+    # camera errors: 10 um, as of a depth camera for so small an object
     seen = seen + np.random.default_rng(1).normal(0, [0, 0, 1e-5], seen.shape)
     found = estimate_force_from_surface(
         seen, state.gauge_pressure, outline_of(film), rest_of(film), smoothing=SMOOTHING
     )
-    # the film has a tension of its own at each place, of which one factor is followed: 3 %
+    # the membrane's tension varies over its surface, and one factor is modelled: 3 %
     assert found.force[2] == pytest.approx(state.wrench[2], rel=0.06)
-    # what acts through a ball's middle leans by where it touches
+    # a force through a ball's center tilts with the contact position
     assert found.force[:2] == pytest.approx(state.wrench[:2], abs=5e-3)
-    # where it acts, over the place of the ball, less what it leans
+    # point of action, above the ball's position, less the tilt
     assert found.place == pytest.approx(np.array(at), abs=6e-4)
 
 
@@ -86,7 +86,8 @@ def test_shift_turn_and_pressure(film):
     found = estimate_force_from_surface(
         moved[0], 2040.0, outline, RestSurface(moved[1], 2000.0), smoothing=SMOOTHING
     )
-    # the turned grid lies elsewhere over the points, and cells at the rim of what counts come and go
+    # the rotated grid lies differently on the points, and cells at the rim of the contact are added
+    # or lost
     assert found.force == pytest.approx(2 * turn @ own.force, rel=0.04, abs=2e-3)
     assert found.place == pytest.approx(turn[:2, :2] @ own.place + shift[:2], abs=3e-4)
 

@@ -1,5 +1,5 @@
-"""A camera's gamma: undone where it is known, told from the circles where it is not, and said where
-it is wrong."""
+"""Tests of a camera's gamma: corrected if known, estimated from the circles if unknown, and
+reported if wrong."""
 
 import functools
 
@@ -45,7 +45,7 @@ def test_gamma_is_told_by_the_circles_and_undone(gamma):
     image = encoded(gamma)
     known = detect_circles(image, CAMERA, R, gamma=gamma)
     told = detect_circles(image, CAMERA, R, gamma="auto")
-    # 16 circles of 20 px: the fit's own sd is 0.05, what is not modelled 0.08 of it
+    # 16 circles of 20 px: the fit's own sd is 0.05, and model errors are 0.08 of the value
     assert known.gamma.value == pytest.approx(gamma, abs=0.3) and 0.05 < known.gamma.sd < 0.3
     assert not known.nonlinear and not told.nonlinear
     error, normal = depth_errors(known)

@@ -44,7 +44,8 @@ CHANGES = (
 
 
 def begun():
-    """A sensor with its references, and images of nothing, 0.1, 0.4 and 0.8 N, and let go."""
+    """Return a sensor with its references, and images of no load, 0.1, 0.4 and 0.8 N, and
+    release."""
     images = membrane_images.sequence(SENSOR)
     sensor = StatefulPipeline.of(DESIGN)
     sensor.measure_flat_reference(images.flat)
@@ -53,7 +54,8 @@ def begun():
 
 
 def touches(change=lambda image: image):
-    """Each press is seen four times, as its motion makes bars larger; the first is kept too."""
+    """Return four touches of each load, since its motion increases the uncertainty; the first is
+    kept, too."""
     sensor, images = begun()
     return [[sensor.perceive(change(image), image.time) for _ in range(4)] for image in images]
 
@@ -69,8 +71,11 @@ def clean():
 
 @pytest.mark.parametrize("table", CHANGES, ids=str)
 def test_it_recovers_within_an_image(clean, table):
-    """The first image after the change, and all that follow, are within 0.03 N of what is felt
-    without it: three of a clean image's sds."""
+    """The first image after the change, and all later ones, are within 0.03 N of the force without
+    it.
+
+    This is three sd of a clean image.
+    """
     for now, then in zip(touches(troubled(table)), clean, strict=True):
         for touch, wanted in zip(now, then, strict=True):
             assert touch.status == "ok"
@@ -79,7 +84,11 @@ def test_it_recovers_within_an_image(clean, table):
 
 
 def test_what_has_changed_is_said():
-    """Place and size of ten circles, each seen to 0.005 px, 290 px from the middle."""
+    """The reported camera change is right.
+
+    It comes from position and size of ten circles, each measured to 0.005 px, 290 px from the
+    center.
+    """
     table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
     camera = touches(troubled(table))[2][-1].camera
     assert camera.shift == pytest.approx((4.0, 3.0), abs=0.03)
@@ -94,8 +103,11 @@ def test_what_has_changed_is_said():
 
 
 def test_circles_that_grew_by_their_level_are_taken_back_exactly():
-    """Through the pane a camera is nearer by what the pane shortens, and from there a circle's
-    distance goes with one over its radius: exact, however much it grew."""
+    """Circle growth from the grey level is corrected exactly, for any amount.
+
+    Through the glass the camera appears closer by the glass's shortening. From there a circle's
+    distance is proportional to one over its radius.
+    """
     sensor, _ = begun()
     finder = sensor.chain.sight.known._camera
     s = DEFAULTS.inverse
@@ -157,7 +169,8 @@ def covered(*ids, of=DESIGN):
 
 
 def test_dirty_fiducials_cost_themselves(clean):
-    """Three of ten half covered: the others tell the camera, and no marker is lost or mixed up."""
+    """With three of ten fiducials half covered, the others determine the camera, and no marker is
+    lost or confused."""
     for now, then in zip(touches(covered(0, 4, 7)), clean, strict=True):
         touch, wanted = now[-1], then[-1]
         assert touch.status == "ok"
@@ -166,7 +179,8 @@ def test_dirty_fiducials_cost_themselves(clean):
 
 
 def test_without_fiducials_the_camera_is_where_it_was_last(clean):
-    """Knocked, then all covered: still taken back, and nothing named."""
+    """With all fiducials covered after a shift, the last correction still applies, and no change is
+    reported."""
     sensor, images = begun()
     knock = troubled({"image_shift_px": [4.0, -3.0]})
     cover = covered(*range(10))
@@ -181,8 +195,11 @@ def test_without_fiducials_the_camera_is_where_it_was_last(clean):
     ("hidden", "level"), [((), "ok"), ((2,), "warn"), (tuple(range(8)), "bad")]
 )
 def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
-    """A picture shifted by 4 px and -3 px and 1 % larger; half a pixel and a tenth of a per cent
-    is what circles' middles and the lens leave."""
+    """`doctor` reports the number of detected fiducials, their shift and their size.
+
+    The image is shifted by 4 px and -3 px and is 1 % larger. Circle centers and lens leave half a
+    pixel and a tenth of a percent.
+    """
     _, images = begun()
     changed = troubled({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
     shown = covered(*hidden)(changed) if hidden else changed
@@ -196,8 +213,8 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
 
 
 def test_fiducials_are_no_markers():
-    """A knock of ten pixels and markers that are missing beside them: what is seen at their places
-    is never named."""
+    """Fiducials are never named as markers, even after a shift of ten pixels with missing markers
+    next to them."""
     sensor, images = begun()
     knock = troubled({"image_shift_px": [8.0, 6.0]})
     pixels = knock(images[3]).pixels.copy()
@@ -220,9 +237,11 @@ def test_a_sensor_without_them_knows_nothing_of_it():
 
 
 def test_they_are_rows_of_the_same_fit():
-    """Loads x and a camera d, markers H x + D d and fiducials F d, all with unit noise: the joint
-    least squares, and those with the markers taken back by the fiducials' mean and D times their
-    factor, are the same."""
+    """Correction by fiducials equals the joint least-squares fit.
+
+    Loads x and a camera d have markers H x + D d and fiducials F d, all with unit noise. The other
+    fit corrects the markers by the fiducials' mean and uses D times their factor.
+    """
     rng = np.random.default_rng(3)
     H = rng.standard_normal((30, 6))
     D = rng.standard_normal((30, OBSERVED_MODES))

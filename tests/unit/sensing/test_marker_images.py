@@ -1,4 +1,4 @@
-"""What `locate` takes as an image, and says of what is none."""
+"""Tests of the images that `locate` accepts, and of its messages about others."""
 
 import cv2
 import numpy as np

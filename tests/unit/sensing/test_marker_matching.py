@@ -94,7 +94,7 @@ def test_identity_is_kept_through_a_press(sensor):
         total = total + np.sum(ids >= 0)
         last = last.copy()
         last[found[found >= 0]] = p[found >= 0]
-    # of 16 markers 5 are seen, too few to tell a neighbourhood's motion every time
+    # 5 of 16 markers are visible, too few to determine a neighbourhood's motion every time
     assert kept >= 0.9 * total
 
 
@@ -129,8 +129,11 @@ def test_nothing_seen_is_no_error():
 
 
 def poses_of(design, p_SM, n_S, ids_bad=()):
-    """Circle poses as a detector gives them: the second normal is the first mirrored at the line of
-    sight; in random order, so that the order helps no one."""
+    """Return circle poses as a detector gives them, in random order, so that the order has no
+    information.
+
+    The second normal is the first mirrored at the line of sight.
+    """
     p = p_SM - design.camera.p_SC
     view = geometry.unit(p)
     mirrored = 2 * (n_S * view).sum(axis=1, keepdims=True) * view - n_S
@@ -156,7 +159,7 @@ def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, share):
     poses = poses_of(design, p, n)
     markers = marker_matching.identify(poses, design, p)
     apart = np.degrees(np.arccos(np.clip((poses.n_C * poses.n_C_alt).sum(axis=1), -1, 1)))
-    # nearer than that, either will do: a normal seen face-on is only known to 2 degrees
+    # closer normals are interchangeable: face-on, a normal is only known to 2 degrees
     clear = apart > 4
     assert clear.sum() >= 8
     first_only = np.mean(np.linalg.norm(poses.n_C - n, axis=1)[clear] < 1e-9)
@@ -176,8 +179,8 @@ def test_identify_sorts_drops_and_scales():
     expected = np.setdiff1d(np.arange(81), order[[4, 7]])
     np.testing.assert_array_equal(markers.ids, expected)
     np.testing.assert_allclose(markers.p_SM, p[expected], atol=1e-12)
-    # a marker 1 % larger than assumed is 1 % farther from where its rays meet: the camera less the
-    # pane's shift
+    # a marker 1 % larger than assumed is 1 % farther from the origin of its rays: the camera less
+    # the glass shift
     larger = marker_matching.identify(poses, design, p, np.full(81, 1.01))
     camera = Camera.from_design(design.camera, design.glass)
     shift = optics.glass_shift(

@@ -38,8 +38,8 @@ def errors(image, circles, camera=CAMERA, polarity="dark"):
 def assert_right_or_flagged(
     image, circles, *, at_least, camera=CAMERA, sigmas=6.0, polarity="dark"
 ):
-    """Every trusted marker is a true circle within `sigmas` of its own error bar; at least
-    `at_least` are trusted."""
+    """Check that every trusted marker is a true circle within `sigmas` of its uncertainty, and that
+    at least `at_least` are trusted."""
     _, poses = errors(image, circles, camera, polarity)
     truth = np.array([c.p_C for c in circles])
     ok = np.flatnonzero(poses.status == "ok")
@@ -49,7 +49,7 @@ def assert_right_or_flagged(
             np.linalg.norm(truth - poses.p_CM[i], axis=1),
             np.linalg.norm(truth - poses.p_CM_alt[i], axis=1),
         )
-        # 1 um: what rounding to 8 bit and the renderer leave where there is no noise
+        # 1 um: error of rounding to 8 bit and of the renderer without noise
         assert distance.min() < sigmas * np.sqrt(np.trace(poses.cov_p[i])) + 1e-6, (
             poses.uv_px[i],
             distance.min(),
@@ -70,8 +70,10 @@ def test_accuracy_of_the_papers_case():
 
 @pytest.mark.parametrize("blur", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_blur_does_not_bias_the_size(circles, blur):
-    """Without noise what is left is bias. Uncorrected it would be sigma^2/(2a) = 0.06 px at blur
-    1.5, a = 20 px."""
+    """Without noise, blur does not change the fitted size.
+
+    Uncorrected, the bias would be sigma^2/(2a) = 0.06 px at blur 1.5, a = 20 px.
+    """
     ellipses = markers.detect(marker_scenes.image(CAMERA, circles, blur_px=blur, seed=None), CAMERA)
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     order = np.linalg.norm(uv[:, None] - ellipses.center_px, axis=2).argmin(axis=1)
@@ -207,8 +209,8 @@ def test_specks_and_scratches(circles):
         error = min(
             np.linalg.norm(poses.p_CM[j] - truth[i]), np.linalg.norm(poses.p_CM_alt[j] - truth[i])
         )
-        # a speck on the edge is a systematic error that noise does not tell of: the paper's own
-        # error is the bound
+        # a speck on the edge is a systematic error that the noise does not cover: the bound is the
+        # paper's own error
         assert error < 0.39e-3
         found += 1
     assert found >= 8
@@ -226,8 +228,11 @@ def test_six_pixel_markers():
 
 
 def test_large_markers_are_found_at_half_the_resolution(circles):
-    """Where the search starts must not matter to the fit, beyond a part of its error bar; the
-    smallest here has 9 px."""
+    """A search at half the resolution finds the same large markers.
+
+    The start of the search must not change the fit beyond a part of its uncertainty. The smallest
+    marker here has 9 px.
+    """
     image = noisy(marker_scenes.exact_image(CAMERA, circles))
     whole = markers.detect(image, CAMERA)
     half = markers.detect(image, CAMERA, min_radius_px=6.0)

@@ -1,5 +1,5 @@
-"""The verdict on synthetic squeezes with closed forms: what is put in must come out, whatever the
-membranes do."""
+"""Tests of the material classification on synthetic squeezes with closed forms: the result is the
+given material, for any membranes."""
 
 import sys
 
@@ -14,12 +14,12 @@ from mjtactile.sensing.touch.squeeze import Squeeze, covered_area, object_width
 PERIOD = 1 / 30
 FREE_WIDTH = 0.024
 AREA = 288e-6
-GRIP = 350.0  # N/m of the two membranes in series
-# s
+GRIP = 350.0  # stiffness of the two membranes in series, N/m
+# durations, s
 PRESS = 1.8
 HOLD = 2.0
 REST = 2.0
-SPEED = 4e-3  # m/s of opening
+SPEED = 4e-3  # speed of the opening, m/s
 
 
 def squeeze(law, *, noise=10e-6, second=True, seed=0):
@@ -57,7 +57,7 @@ def squeeze(law, *, noise=10e-6, second=True, seed=0):
 
 
 def closing(time):
-    """How far the jaws are closed beyond first touch, m."""
+    """Return the closing distance of the jaws beyond first touch, m."""
     travel = SPEED * PRESS
     out = PRESS + HOLD
     if time < out:
@@ -108,7 +108,7 @@ def test_solid():
     # three sd of the fit's free width, 10 um noise over 50 images
     assert abs(found.deformation) < 20e-6
     assert np.isnan(found.modulus) and found.relaxation_time == 0.0
-    # N/m: it is at least so stiff; how stiff, nobody can tell
+    # stiffness in N/m: a lower bound; its value cannot be determined
     assert found.stiffness_interval[0] > 8e3
 
 
@@ -124,7 +124,7 @@ def test_soft_gives_back_its_stiffness_and_modulus(stiffness):
 
 
 def test_membranes_do_not_count(monkeypatch):
-    """The same body between softer membranes: what it is found to be made of does not change."""
+    """The same object between softer membranes has the same estimated stiffness."""
     monkeypatch.setattr(sys.modules[__name__], "GRIP", GRIP / 1.6)
     found = judge(squeeze(standard_linear_solid(1000.0)))
     assert found.stiffness == pytest.approx(1000.0, rel=0.1)
@@ -180,7 +180,7 @@ def test_without_a_second_touch_the_release_decides():
 
 
 def test_noise_makes_it_undecided_not_wrong():
-    """With 0.4 mm of noise nothing can be said of a body that gives way by 0.2 mm."""
+    """With 0.4 mm of noise, the class of an object that yields by 0.2 mm stays undecided."""
     kinds = [
         judge(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed)) for seed in range(5)
     ]

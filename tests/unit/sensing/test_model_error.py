@@ -1,4 +1,5 @@
-"""What error bars add to the posterior: each share by itself, on loads whose share is known."""
+"""Tests of the additions to the posterior variance: each part alone, on loads with a known
+value."""
 
 from __future__ import annotations
 
@@ -49,7 +50,10 @@ def test_shear_that_cancels_itself_is_doubted_all_the_same():
 def test_shear_of_edges_that_catch_the_sheet_is_doubted_and_that_of_smooth_bodies_is_not(
     excess, factor
 ):
-    """By the root of the markers' excess noise beyond one, of which 20 count."""
+    """Shear of edges that catch the membrane adds uncertainty, shear of smooth shapes does not.
+
+    It grows with the root of the markers' excess noise beyond one, of which 20 count.
+    """
     felt = loaded([0.3, 0.0, -1.0], [-0.1, 0.0, 0.0], excess=excess)
     found = sd(felt, caught=(0.1, 0.0, 0.2, 0.0))
     assert found == pytest.approx(
@@ -97,14 +101,14 @@ def test_what_is_sharp_counts_up_to_a_limit():
 
 
 def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_sides():
-    """Of what is doubted, what is left without `sharp` and `caught`, and of shear and spin without
-    `lateral`, is all but that."""
+    """A shape explains the parts `sharp` and `caught`, and `lateral` for shear and spin; the rest
+    of the variance remains."""
     felt = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
     shares = {name: getattr(DEFAULTS.doubt, name) for name in ("share", "lateral", "outside")}
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
     doubt = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
     left = doubt.variance(felt) - doubt.of_sharpness(felt.force, felt.excess)
-    tilts = [2, 3, 4]  # and the normal force, of which `lateral` has nothing
+    tilts = [2, 3, 4]  # and the normal force, which has no `lateral` part
     assert left[tilts] == pytest.approx(sd(felt, **shares)[tilts] ** 2)
     alone = {name: value for name, value in shares.items() if name != "lateral"}
     others = [0, 1, 5]

@@ -1,4 +1,5 @@
-"""The chain as others call it, with what it cannot use: our errors, each one line, or a status."""
+"""Tests of the chain with unusable input from callers: package errors of one line each, or a
+status."""
 
 from dataclasses import replace
 
@@ -98,7 +99,8 @@ def enlarged(image, at, radius):
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("larger", [1.12, 1.5])
 def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
-    """Felt forces as without it, to what one marker of 16 tells and two sd: 25 mN."""
+    """A speck costs one marker: forces change by no more than one marker of 16 and two sd, 25
+    mN."""
     design = load_sensor(sensor)
     images = membrane_images.sequence(sensor)
     chain = SensingPipeline(design)

@@ -76,7 +76,8 @@ def test_closed_form_is_exact():
     both_p, both_n = circles.circles_from_cones(Q, np.full(len(p), R))
     right = np.linalg.norm(both_p - p, axis=2).argmin(axis=0)
     each = np.arange(len(p))
-    # m; 1e-9 mm. Double precision times the cone's condition number (Z/r)^2 ~ 2e3, squared at most.
+    # error in m; 1e-9 mm. Double precision times the cone's condition number (Z/r)^2 ~ 2e3, squared
+    # at most.
     assert np.linalg.norm(both_p[right, each] - p, axis=1).max() < 1e-12
     # rad; the normal loses half the digits where the two solutions meet (face-on)
     assert np.abs(both_n[right, each] - n).max() < 1e-6
@@ -99,8 +100,8 @@ def test_face_on_circle_is_harmless():
     ("camera", "bound"),
     [
         (CAMERA, 1e-11),  # exact but for rounding in the ellipse's shape
-        # The image of a circle through a lens is no ellipse; its least-squares ellipse gives the
-        # circle back to second order in the bending over the marker: a few micrometres at the worst
+        # The image of a circle through a lens is not an ellipse. Its least-squares ellipse returns
+        # the circle to second order in the bending over the marker: a few micrometers at the worst
         # corner, a third of the noise at its limit.
         (LENS, 4e-6),
         (PANE, 4e-6),
@@ -149,7 +150,8 @@ def test_covariance_agrees_with_monte_carlo(camera):
     rng = np.random.default_rng(2)
     p, n = random_poses(rng, 20, (15, 45))
     center, shape = geometric_ellipses(optics.project(camera, rims(p, n, 128)))
-    sd = np.array([0.003, 0.003, 0.004, 0.003, 0.004])  # px: about what noise of 2 DN leaves
+    # sd in px, about the effect of noise of 2 DN
+    sd = np.array([0.003, 0.003, 0.004, 0.003, 0.004])
     predicted = circles.estimate_poses(
         as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1))), camera, R
     )

@@ -1,5 +1,5 @@
-"""Which of a circle's two poses is right: told by the circles around it, or by a prior that knows
-how little it knows."""
+"""Tests of the selection of a circle's pose: by the circles around it, or by a prior with realistic
+uncertainty."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,8 @@ def sheet(slope, bend, rows=5, columns=6):
 
 
 def right(found, circles):
-    """Whether (N,) the first normal of each is nearer to the true one; N of them are trusted."""
+    """Return True (N,) if the first normal is closer to the true one, and the confidence (N,), of
+    the N trusted circles."""
     uv = optics.project(CAMERA, np.array([c.p_C for c in circles]))
     ok = np.flatnonzero(found.poses.status == "ok")
     which = np.linalg.norm(uv - found.poses.uv_px[ok, None], axis=2).argmin(axis=1)
@@ -68,7 +69,7 @@ def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
     assert len(decided) > 90
     assert abs(np.mean(decided) - np.mean(sure)) < 0.12
     assert 0.55 < np.mean(sure) < 0.85  # it does not pretend to know
-    # neighbours that are no surface change nothing: the less tilted pose comes first
+    # neighbours without a common surface change nothing: the less tilted pose comes first
     tilts = [np.stack([found.poses.n_C[:, 2], found.poses.n_C_alt[:, 2]]) for found in images]
     assert np.mean(np.concatenate([n[0] < n[1] for n in tilts])) > 0.97
 

@@ -1,5 +1,5 @@
-"""Fiducials on the rim of a round sensor: where they may be, the gas behind the lip, and a camera
-that is knocked."""
+"""Tests of fiducials on the rim of a round sensor: valid positions, the gas behind the lip, and a
+camera shift."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,8 @@ def test_a_knocked_camera_is_known(path):
     for now, then in zip(touches(path, knocked), touches(path), strict=True):
         assert now.status == "ok"
         assert now.camera.seen == len(ANGLES)
-        # by circles 16 mm from the middle, in place of 22 on `dense_fiducials`, where it is 0.03
+        # from circles 16 mm from the center; on `dense_fiducials` they are at 22 mm, and the error
+        # is 0.03
         assert now.camera.shift == pytest.approx((4.0, 3.0), abs=0.1)
         # three of a clean image's sds, as on `dense_fiducials`
         assert abs(now.force_normal - then.force_normal) < 0.03

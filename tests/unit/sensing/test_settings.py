@@ -1,5 +1,5 @@
-"""The chain's fitted numbers: each says what it is and where it comes from, and can be overridden,
-by name, to effect."""
+"""Tests of the chain's fitted settings: each documents its meaning and source, and an override by
+name has an effect."""
 
 import dataclasses
 import json
@@ -50,7 +50,8 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
         for field in dataclasses.fields(owner)
         if any(text in field.metadata.get("source", "") for text in TRIALS)
     }
-    # else: mjtactile bench setting-sensitivity (or gauge, seen, bodies) --readme docs/reference/parameters.md
+    # if it fails: mjtactile bench setting-sensitivity (or gauge, seen, bodies) --readme
+    # docs/reference/parameters.md
     assert tried == set(re.findall(r"^\| `([\w.]+)` \|", page, re.M))
 
 

@@ -1,4 +1,5 @@
-"""What looks at a press have in common, against normal distributions that are written out."""
+"""Tests of the common information of the images of a contact episode, against explicit normal
+distributions."""
 
 from __future__ import annotations
 
@@ -17,8 +18,11 @@ WRONG = np.hypot(0.03, 1.5 / TOUCHING)  # of a curvature in one look (equations 
 
 
 def look(k, J, place_precision=4.0):
-    """A fit whose markers have slopes J (n, 4) by x, y, z and curvature over their sd, exactly at
-    curvature k 1/m; what is believed of the place has no pull, what was of the curvature has."""
+    """Create a fit with marker slopes J (n, 4) by x, y, z and curvature over their sd, exactly at
+    curvature k 1/m.
+
+    The prior of the position does not pull, that of the curvature does.
+    """
     theta = np.array([0.1, -0.2, 0.3, k])
     t = theta / BALL.sd
     precision = np.diag([place_precision] * 3 + [0.7])
@@ -40,9 +44,11 @@ def look(k, J, place_precision=4.0):
 
 
 def marginal(J, own, place):
-    """Mean and variance of the curvature over its sd, of an image with slopes J whose numbers are
-    `own`, with the place believed at `place` and the curvature not at all: by the covariance of
-    all numbers."""
+    """Return mean and variance of the curvature over its sd, from the covariance of all parameters.
+
+    The image has slopes J and parameters `own`. The position has a prior at `place`, the curvature
+    none.
+    """
     believed = np.diag([4.0, 4.0, 4.0, 0.0])
     precision = J.T @ J + believed
     mean = np.linalg.solve(precision, J.T @ J @ own + believed @ np.array([*place, 0.0]))
@@ -63,7 +69,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
         common = common.with_observation(fit)
     precision = sum(1 / v for v in variances)
     both = sum(m / v for m, v in zip(means, variances, strict=True)) / precision
-    # exact but for the 1e-6 that stands for what is not seen
+    # exact except for the 1e-6 that stands for unobserved parameters
     assert common.precision[0, 0] == pytest.approx(precision, rel=1e-4)
     assert common.told[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
     off = (means[1] - means[0]) ** 2 / sum(variances)

@@ -23,8 +23,8 @@ NORMAL = 0.6
 
 @pytest.fixture(scope="module")
 def sensor():
-    """An estimator, and a flat sheet's shape: its normal is z, so that loads are what they are said
-    to be."""
+    """Provide an estimator and the shape of a flat membrane: its normal is z, so that loads equal
+    their given values."""
     estimator = InverseMembrane(load_sensor("dense"))
     c = np.zeros((3, estimator.sheet.count))
     rest = InverseRest(Gas(0.0), 1.0, c, np.zeros((estimator.design.markers.count, 3)))
@@ -43,9 +43,12 @@ STICKS, PARTLY, SLIDES = 3.2, 1.8, 0.0  # uneven by 0.8, 0.45 and 0
 
 
 def patch(estimator, force, place, radius=6e-3, sticks=STICKS):
-    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the
-    flat sheet. What slides is dragged in proportion to the pressure; the more of it `sticks`, the
-    more lags behind in the middle (1: it is dragged by as much everywhere)."""
+    """Return nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m
+    of the flat membrane.
+
+    A sliding patch is dragged in proportion to the pressure. The larger `sticks` is, the more the
+    center lags behind (1: equal drag everywhere).
+    """
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     evenly = weight / (weight @ estimator.node_area)
     everywhere = (weight > 0) / ((weight > 0) @ estimator.node_area)
@@ -55,8 +58,11 @@ def patch(estimator, force, place, radius=6e-3, sticks=STICKS):
 
 
 def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=STICKS):
-    """What is said of each image. `shear` (k,) N and `place` (k,) m along x, the sheet `dragged`
-    along x by (k,) m and `turned` about z by (k,) rad; how much of it `sticks`, one or (k,)."""
+    """Return the slip state of each image.
+
+    `shear` (k,) N and `place` (k,) m are along x. The membrane is `dragged` along x by (k,) m and
+    `turned` about z by (k,) rad. `sticks` is the sticking fraction, one or (k,).
+    """
     estimator, rest, flat = sensor
     count = len(shear)
     history = None
@@ -125,8 +131,11 @@ def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
     ("speed", "rate"), [(2e-3, 30.0), (2e-3, 60.0), (5e-3, 30.0), (-5e-3, 30.0), (20e-3, 60.0)]
 )
 def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, speed, rate):
-    """Gross slip at constant shear: said within 0.5 mm, or in the second image; its speed is the
-    patch's."""
+    """A patch that moves along the shear over stationary rubber slips.
+
+    Gross slip at constant shear is reported within 0.5 mm, or in the second image. Its speed is
+    that of the patch.
+    """
     still = 12
     sliding = 24
     place = np.r_[np.zeros(still), speed * np.arange(1, sliding + 1) / rate] - np.sign(speed) * 2e-3
@@ -153,10 +162,13 @@ def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
 
 
 def test_unevenness_is_that_of_shear_over_pressure(sensor):
-    """All of a parabola's shear at its limit: 0; as much shear everywhere over a pressure that
-    falls from p0 to a tenth of it, evenly in its area: by integrals, mean 0.9 / 0.495, mean square
-    ln(10) / 0.495 in units of shear over p0, so 0.64 (within 0.15 on a grid of 3 mm in 12). Of what
-    presses on a few nodes it is not known."""
+    """The nonuniformity is that of shear over pressure.
+
+    If all of a parabola's shear is at its limit, it is 0. For uniform shear over a pressure that
+    falls from p0 to a tenth of it, evenly in its area, integrals give a mean of 0.9 / 0.495 and a
+    mean square of ln(10) / 0.495, in units of shear over p0. The result is 0.64 (within 0.15 on a
+    grid of 3 mm in 12). For a load on a few nodes it is unknown.
+    """
     estimator, _, flat = sensor
     force = np.array([0.3, 0.4, -NORMAL])
     for sticks, spread in ((SLIDES, 0.0), (1.0, 0.64)):
@@ -168,9 +180,12 @@ def test_unevenness_is_that_of_shear_over_pressure(sensor):
 
 
 def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), about=0.0):
-    """A parabolic patch at `place` that is twisted: it slides everywhere (each bit is dragged by its
-    share of friction), or sticks (the drag grows with the distance from what it turns about), which
-    is so far `about` in y from the patch's middle."""
+    """Return the tractions of a twisted parabolic patch at `place`.
+
+    It slides everywhere (each element is dragged by its friction), or it sticks (the drag grows
+    with the distance from the center of rotation). This center is `about` in y from the patch's
+    center.
+    """
     x, y = estimator.nodes.T - np.array([[place[0]], [place[1]]])
     press = np.clip(1 - (np.hypot(x, y) / radius) ** 2, 0, None)
     press *= NORMAL / (press @ estimator.node_area)
@@ -182,9 +197,13 @@ def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), abo
 
 
 def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
-    """Where everything slides each bit of shear over pressure along its circle is friction: no
-    spread, and the mean is friction itself; what sticks has none in the middle, and most where
-    little presses. What is dragged straight does not turn. Two images must show it."""
+    """A contact that rotates on the spot slips if its shear over pressure is uniform around the
+    center.
+
+    If everything slides, shear over pressure along its circle is the friction coefficient, without
+    spread. A sticking contact has none at the center, and the maximum at low pressure. A straight
+    drag is not a rotation. Two images must show the slip.
+    """
     estimator, rest, flat = sensor
     slides = replace(flat, traction=turned_patch(estimator, 0.5, sticks=False))
     uneven, used = slip.turning(estimator, slides)
@@ -206,9 +225,12 @@ def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
 
 
 def test_what_turns_beside_its_middle_slips_too(sensor):
-    """All of it slides about a point 2.5 mm beside the middle of a patch of 9 mm, a third of it
-    straight: the limit of force and torque as an ellipse gives the way of the whole within 3 %.
-    Where on the sheet it is does not matter, but of three nodes nothing is said."""
+    """A contact that rotates about an off-center point also slips.
+
+    All of it slides about a point 2.5 mm from the center of a patch of 9 mm, a third of it
+    straight. The limit of force and torque as an ellipse gives the motion of the whole within 3 %.
+    The position on the membrane has no influence. For three nodes the result is unknown.
+    """
     estimator, _, flat = sensor
     for place, about in (((0.0, 0.0), 2.5e-3), ((6e-3, -3e-3), 0.0)):
         traction = turned_patch(estimator, 0.5, sticks=False, place=place, about=about)
@@ -247,15 +269,21 @@ def test_rolling_and_turning_do_not_slip(sensor):
 
 
 def test_what_goes_along_while_its_middle_plainly_sticks_rolls(sensor):
-    """A lying cylinder rolls along its load as far as a slip would go: its shear tells them apart.
-    All of the shear evenly over a pressure that falls, and as much again against it."""
+    """A contact that moves along while its center clearly sticks is rolling, not slip.
+
+    A lying cylinder rolls along its load as far as a slip would go; the shear distinguishes them.
+    All of the shear is uniform over a falling pressure, and as much again is against it.
+    """
     place = 4e-3 * ramp(12, 24) - 2e-3
     assert "slipping" not in states(verdicts(sensor, np.full(36, 0.4 * NORMAL), place, sticks=6.0))
 
 
 def test_noise_alone_never_slips(sensor):
-    """1000 images whose centre scatters as `SlipSettings.noise` says: 6 sd in 4000 looks is once in
-    100 000 such runs."""
+    """Noise alone is never reported as slip: 1000 images have a center with the scatter of
+    `SlipSettings.noise`.
+
+    6 sd in 4000 checks occur once in 100 000 such runs.
+    """
     s = DEFAULTS.slip
     rng = np.random.default_rng(0)
     size = 6e-3 / np.sqrt(3)  # of a parabola: its radius of gyration
@@ -274,8 +302,11 @@ def test_noise_alone_never_slips(sensor):
 
 
 def test_friction_is_learnt_from_a_slip_and_from_a_hold(sensor):
-    """After a slip at 0.4 N a newton, half of that is half of what holds; before, the file said
-    0.9."""
+    """Friction is learned from a slip and from a hold.
+
+    After a slip at 0.4 N per newton, half of that is half of the limit; before, the file's value of
+    0.9 applied.
+    """
     still = 12
     sliding = 12
     place = np.r_[

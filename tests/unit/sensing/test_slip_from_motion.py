@@ -1,4 +1,5 @@
-"""Slip by a known body's motion: closed cases of rates, shear and what the rubber does itself."""
+"""Tests of slip from a known shape's motion: closed cases of rates, shear and the rubber's own
+motion."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ STICKS = Slip("sticking", np.zeros(2), 0.0, 0.5)
 
 
 def motion(velocity=(0.0, 0.0), sd=1e-3, spinning=0.0, spinning_sd=0.05):
-    """Of a body whose rolling is not asked about."""
+    """Return the motion of a shape with unknown rolling."""
     nothing = np.full((2, 2), np.nan)
     return RelativeMotion(
         np.array(velocity),
@@ -52,10 +53,10 @@ def test_a_body_that_slides_along_the_shear_slips():
     [
         (motion((-10e-3, 0.0)), history()),  # against the shear: it is carried along
         (motion((0.0, 10e-3)), history()),  # across it
-        (motion((10e-3, 0.0), sd=3e-3), history()),  # by no more than its error bar allows
+        (motion((10e-3, 0.0), sd=3e-3), history()),  # within its uncertainty
         (motion((0.9 * S.body_speed, 0.0), sd=1e-5), history()),  # creeping
         (motion((10e-3, 0.0)), history((0.5 * S.min_load, 0.0, 0.0))),  # no shear: it rolls
-        # partial slip: a body goes `follows` of the way that it drags the rubber
+        # partial slip: a shape moves by the fraction `follows` of its drag on the rubber
         (motion((10e-3, 0.0)), history(dragged=0.1 * 8e-3 / S.follows)),
     ],
 )
@@ -73,7 +74,8 @@ def test_a_body_that_turns_on_the_spot_slips():
     assert with_motion(STICKS, history(), motion(spinning=-1.0))[0].state == "slipping"
     assert not spins(motion(spinning=0.9 * S.body_spin))
     assert not spins(motion(spinning=1.0, spinning_sd=0.5))
-    assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))  # round: nobody can see
+    # round: rotation is not observable
+    assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))
 
 
 def test_what_is_not_known_changes_nothing():

@@ -120,9 +120,9 @@ def test_basis_is_the_b_spline_basis():
     ("sensor", "height", "volume"), [("paper16", 20e-6, 0.015), ("dense", 1e-6, 1e-4)]
 )
 def test_smooth_membrane_without_noise(sensor, height, volume):
-    # what is left is the spline's own error, h^4 / 384 z'''' (de Boor): 3e-3 (pi/W)^4 (4 mm)^4 /
-    # 384 = 0.2 um in the dense layout; with 4 x 4 markers it is the strips between the outer
-    # markers and the frame, 8 mm wide
+    # the remaining error is the spline's own, h^4 / 384 z'''' (de Boor): 3e-3 (pi/W)^4 (4 mm)^4 /
+    # 384 = 0.2 um in the dense layout. With 4 x 4 markers it comes from the strips between the
+    # outer markers and the frame, 8 mm wide
     design = load_sensor(sensor)
     shape = Cosine()
     surface = SurfaceFitter(design).fit(measured(design, shape, noise=0.0))
@@ -134,9 +134,9 @@ def test_smooth_membrane_without_noise(sensor, height, volume):
 
 
 def test_uniform_pressure_is_free_of_prior():
-    # Poisson's equation lap z = -q on a rectangle (Timoshenko & Goodier, membrane analogy): its
-    # Laplacian is constant, so that the regularisation must not pull it down even where only few
-    # markers are seen
+    # Poisson's equation lap z = -q on a rectangle (Timoshenko & Goodier, membrane analogy). Its
+    # Laplacian is constant: the regularization must not pull it down even where only few markers
+    # are visible
     def bubble(x, y, dx=0, dy=0):
         assert dx == dy == 0
         z = (y**2 - W**2 / 4) * -q0 / 2
@@ -270,7 +270,7 @@ def test_few_bad_and_no_markers_are_said():
     markers = measured(design, shape)
     none = fitter.fit_spline(np.zeros((0, 3))).surface()
     assert none.status.startswith("too few markers: 0")
-    assert none.volume_sd > 1e-7  # some 0.1 mm over 1200 mm^2: it says that it does not know
+    assert none.volume_sd > 1e-7  # some 0.1 mm over 1200 mm^2: it states that it is unknown
     p = markers.p_SM.copy()
     p[7] = np.nan
     p[40, 2] += 2e-3  # a false depth

@@ -1,5 +1,5 @@
-"""A camera whose pictures are blends of several is known by the markers' noise, and what is felt
-late is as doubtful as it changes."""
+"""Tests of a camera with images that blend several: the markers' noise reveals it, and a delayed
+estimate has uncertainty in proportion to its change."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,12 @@ from mjtactile.core.types import Markers
 from mjtactile.sensing.force.model_error import FitDiagnostics, ModelErrorVariance
 from mjtactile.sensing.force.temporal_blending import BlendEstimator
 
-SD = 2e-6  # m
+SD = 2e-6  # marker noise, m
 
 
 def pictures(design, share, count=60, motion=None, missing=(), seed=3):
-    """Markers of `count` pictures, of which a `share` is the last; `motion` (N, 3) m each."""
+    """Yield the markers of `count` images. The fraction `share` of each is the previous image;
+    `motion` (N, 3) m is the displacement per image."""
     rng = np.random.default_rng(seed)
     p = design.markers.p_SM
     ids = np.setdiff1d(np.arange(len(p)), missing)
@@ -51,8 +52,10 @@ def test_pictures_of_their_own_do_not_lag(missing):
 
 
 def test_what_moves_is_no_lag():
-    """A dent that grows by four sd a picture, which alone would look like one picture seen over
-    and over; what was known before stays."""
+    """Motion is not taken for blending, and the earlier estimate stays.
+
+    The dent grows by four sd per image. Alone, this would look like a repeated image.
+    """
     design = load_sensor("dense")
     x, y = design.markers.p_SM[:, :2].T
     dent = np.zeros((len(x), 3))
@@ -66,7 +69,8 @@ def test_what_moves_is_no_lag():
 
 
 def test_what_lags_is_as_doubtful_as_it_changes():
-    """By one picture: 0.1 N more than in the last one may be 0.25 N more."""
+    """With a lag of one image, a change of 0.1 N since the last image adds 0.25 N of
+    uncertainty."""
     design = load_sensor("dense")
     doubt = ModelErrorVariance(design, np.zeros((2, 2)))
     change = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])

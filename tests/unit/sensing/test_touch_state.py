@@ -17,7 +17,7 @@ from mjtactile.sensing.settings import DEFAULTS
 
 SUPPLY = 1000.0
 FRAME = 1 / 30
-NOISE = np.array([2e-6, 2e-6, 6e-6])  # m, sd of a marker
+NOISE = np.array([2e-6, 2e-6, 6e-6])  # sd of a marker, m
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
     assert last is not None
     # 30 frames: sd of a sd is 13 %; three of them
     assert last.noise == pytest.approx(4e-3, rel=0.4)
-    assert contact_detection.threshold(last.noise) < 0.03  # N, asked for
+    assert contact_detection.threshold(last.noise) < 0.03  # requirement, N
     on = contact_detection.detect_touch(7.0, traction(0.03), last)
     assert (
         on.touching and contact_detection.detect_touch(7.1, traction(0.02), on).touching
@@ -95,8 +95,11 @@ def test_no_false_alarm_in_ten_minutes():
 
 
 def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
-    """0.3 K: p V grows by 0.1 %. Untouched for a minute, the felt force must come back to
-    nothing."""
+    """The zero follows a warming chamber, and the force of a load is still right.
+
+    With 0.3 K, p V grows by 0.1 %. After a minute without touch the estimated force must be zero
+    again.
+    """
     estimator, rest = sensor
     warm = replace(rest.gas, constant=rest.gas.constant * (1 + 0.3 / 293.15))
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
@@ -105,7 +108,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     now = contact_detection.RestTracker.of(rest)
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest))
     off = before.wrench[2]
-    # as far as it is not taken for a camera that sees all larger: within its bar
+    # except for the part attributed to a larger camera image: within its uncertainty
     assert abs(off) < 5 * np.sqrt(before.wrench_cov[2, 2])
     for _ in range(300):
         markers = seen(estimator, c, rng)
@@ -115,7 +118,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     after = estimator.traction(estimator.estimate(seen(estimator, c), now)).wrench[2]
     assert abs(after) < 5e-3
     assert now.gas.constant / rest.gas.constant - 1 == pytest.approx(0.3 / 293.15, rel=0.1)
-    # and a press is felt as it should be, since it was the gas that was corrected
+    # and a load is estimated correctly, since the correction was applied to the gas
     warm_rest = replace(rest, gas=warm, c=c)
     c_pressed, _ = pressed(estimator, warm_rest, np.array([0, 0, -0.5]))
     felt = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
@@ -144,8 +147,8 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
         )
         touch, state = chain.feel(state, seen(estimator, c, rng), surface, time)
         felt.append(touch.force_normal)
-    # the noise of a mean of ten images is 2 mN; light touches are felt a seventh too weak; the
-    # zero's speed took 30 mN before
+    # the noise of a mean of ten images is 2 mN; light touches are estimated a seventh too low; the
+    # rate of the zero absorbed 30 mN before
     assert np.mean(felt[-10:]) == pytest.approx(0.046, abs=0.012)
     assert abs(np.mean(felt[64:80])) < 5e-3  # warmth alone is followed
 
@@ -165,7 +168,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
-    # 3 K at once, and no gauge: as if the camera saw all larger, which is no force
+    # a step of 3 K without pressure sensor looks like a larger camera image, which is not a force
     assert rest.gas.constant is not None
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
     bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
@@ -181,7 +184,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
 
 @pytest.fixture
 def loaded(sensor):
-    """A chain, what it sees under 1.5 N, and its state after two images of that."""
+    """Provide a chain, its markers under 1.5 N, and its state after two such images."""
     estimator, _ = sensor
     chain = SensingPipeline(load_sensor("paper16"))
     detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
@@ -227,8 +230,10 @@ def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_m
 
 
 def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
-    """All of its force may have come just now: a quarter of it is doubted, and no more of the next
-    image's."""
+    """A first image has a standard deviation of a quarter of its force, the next image has not.
+
+    All of the force may have appeared just then.
+    """
     chain, strong, surface, state = loaded
     first, state = chain.feel(state.without_history(), strong, surface, 0.3)
     second, _ = chain.feel(state, strong, surface, 0.3 + FRAME)
@@ -258,7 +263,11 @@ def light_estimate(sensor, **settings):
 
 
 def test_a_light_touch_is_not_overlooked_since_nothing_was_felt_before(sensor):
-    """Without a second look a third of it is believed, until the camera is doubted."""
+    """A light touch after images without contact is estimated correctly.
+
+    Without a second check only a third of it is estimated, until the camera model becomes
+    uncertain.
+    """
     force, sd = light_estimate(sensor)
     assert np.all(np.abs(force[:10]) < 5 * sd[:10])
     assert np.all(np.abs(force[10:] - 0.05) < 3 * sd[10:])

@@ -1,4 +1,5 @@
-"""Fidelity: the cheapest measured setting that gives what is asked; honest when none does."""
+"""Tests of fidelity: the cheapest measured setting that meets the request, and a clear report if
+none does."""
 
 import json
 
@@ -121,7 +122,8 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
 def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
     monkeypatch, accuracy, effects, grasped, mesh
 ):
-    """And the rig says which it took."""
+    """For a round object the quasi-static membrane may meet the requested force error, and the rig
+    reports the choice."""
     film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-mesh"})
     monkeypatch.setattr(fidelity, "load_membranes", lambda: [film])
     rig = build_sim_rig(Scenario(object=grasped, accuracy=accuracy, effects=effects))

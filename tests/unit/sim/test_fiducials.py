@@ -44,8 +44,11 @@ def outlines(design):
     ids=["rim", "pane"],
 )
 def test_they_are_where_lens_and_pane_have_them(design, place, size):
-    """Centroid and area of what is black, against the outline through lens and pane; the edge
-    finder's bias at 0.7 px of blur, and at 2 px, where it reads beyond the ground (px)."""
+    """Rendered fiducials have the center and size of their outline through lens and glass.
+
+    The bounds in px are the edge detector's bias at 0.7 px of blur, and at 2 px, where it reads
+    beyond the ground.
+    """
     quiet = Renderer(design).render(*flat(design), effects=Effects(noise_dn=0.0))
     found = detect(quiet)
     area, center = outlines(design)
@@ -72,7 +75,7 @@ def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed(
     )
     inside = (slice(low[1] + 6, high[1] - 5), slice(low[0] + 6, high[0] - 5))
     assert ours[inside] == pytest.approx(theirs[inside], abs=1e-3)
-    # between two circles of the left column: leds.membrane_DN, less what the corners lose
+    # between two circles of the left column: leds.membrane_DN, less the loss at the corners
     _, center = outlines(design)
     u, v = np.rint(center[:2].mean(axis=0)).astype(int)
     light = Renderer(design)._light.field(design.markers.p_SM)[v, u]

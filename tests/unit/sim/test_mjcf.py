@@ -1,4 +1,4 @@
-"""MJCF from anywhere: what would unfold into too much is refused at once."""
+"""Tests of MJCF from any source: a file that would expand too much is rejected immediately."""
 
 import pytest
 

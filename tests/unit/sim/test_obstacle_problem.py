@@ -39,7 +39,7 @@ def ball(radius):
 )
 def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force):
     found = film(4e-4, ball(radius), force)
-    # the sheet leaves without a kink, so what lies on the ball bears p + 2 T/R everywhere
+    # the membrane leaves without a kink: the contact on the ball carries p + 2 T/R everywhere
     visible_from_below = found.share.sum() * found.spacing**2
     # of a contact 1.1 mm wide, in cells of 0.4 mm; it falls with the cells' square
     assert visible_from_below == pytest.approx(force / (PRESSURE + 2 * TENSION / radius), rel=0.02)

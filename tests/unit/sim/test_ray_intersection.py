@@ -51,7 +51,7 @@ def test_lines_enter_where_rays_do(kind):
     )
     hit = rays >= 0
     assert 50 < hit.sum() < 400
-    assert (np.isfinite(found) == hit).mean() > 0.99  # at an edge one may hit what the other misses
+    assert (np.isfinite(found) == hit).mean() > 0.99  # at an edge the two methods may differ
     both = hit & np.isfinite(found)
     # the mesh's vertices are single precision
     np.testing.assert_allclose(found[both], rays[both], atol=2e-6)

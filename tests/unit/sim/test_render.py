@@ -1,9 +1,9 @@
-"""The renderer against a brute-force ray cast of the same scene: 16 x 16 rays a pixel, each traced
-face by face.
+"""Tests of the renderer against brute-force ray casting of the same scene: 16 x 16 rays per pixel,
+each traced face by face.
 
-Each ray is at a random place of its cell of 1/16 px: on a regular grid an edge along a pixel row
+Each ray is at a random position in its cell of 1/16 px. On a regular grid an edge along a pixel row
 would be off by up to 1/32 px, 2 DN. The reference shares no code with the renderer or with
-`optics`: OpenCV inverts the lens, Snell's law is in vector form, a ray is black when it meets the
+`optics`: OpenCV inverts the lens, and Snell's law is in vector form. A ray is black if it meets the
 marker's plane within its radius.
 """
 
@@ -108,9 +108,9 @@ def test_markers_are_what_rays_see(blur, worst, rms):
     for i in (5, 15):
         (u, v), (w, h) = around(design, p[i])
         error = image[v : v + h, u : u + w] - cast(design, p, n, (u, v), (w, h), blur)
-        # What is left is the reference's: contrast 145 x 0.4 / 256 per edge cell, averaged over the
-        # cells that the blur spans; with 48 x 48 rays the rms at 0.7 px falls to 0.03 DN. The
-        # camera's noise is 2 DN.
+        # The remaining error is the reference's: contrast 145 x 0.4 / 256 per edge cell, averaged
+        # over the cells that the blur spans. With 48 x 48 rays the rms at 0.7 px falls to 0.03 DN.
+        # The camera's noise is 2 DN.
         assert np.abs(error).max() < worst
         assert np.sqrt(np.mean(error**2)) < rms
 

@@ -25,7 +25,7 @@ from mjtactile.sim.rendering.shadows import (
 
 DENSE = load_sensor("dense")
 OUTWARD = np.tile([0.0, 0.0, 1.0], (81, 1))
-DOWN = 45e-3  # m from the flat sheet to the LEDs
+DOWN = 45e-3  # distance from the flat membrane to the LEDs, m
 RING = np.array(
     [
         [8.5e-3, 8.5e-3, -DOWN],
@@ -42,14 +42,14 @@ def grid(node, half_x=20e-3, half_y=15e-3):
 
 
 def crossing(x, clear, level):
-    """Where the last rise of `clear` through `level` along `x` is."""
+    """Return the position of the last rise of `clear` through `level` along `x`."""
     last = np.flatnonzero((clear[:-1] < level) & (clear[1:] >= level))[-1]
     return np.interp(level, clear[last : last + 2], x[last : last + 2])
 
 
 def scene(p_SM, **leds):
-    """The dense sensor without pane and lens errors, so that even light and shaded light see the
-    same places."""
+    """Light the dense sensor without glass and lens errors, so that unshadowed and shadowed light
+    have the same positions."""
     camera = replace(DENSE.camera, distortion=(0.0,) * 5)
     glass = replace(DENSE.glass, refractive_index=1.0)
     design = replace(DENSE, camera=camera, glass=glass, leds=replace(DENSE.leds, **leds))
@@ -66,9 +66,12 @@ def dented(depth, at=(0.0, 0.0), width=3e-3, design=DENSE):
 @pytest.mark.parametrize("node", [1e-3, 0.25e-3])
 @pytest.mark.parametrize("level", [0.0, -1.0, 1.0])
 def test_a_ridge_throws_the_shadow_of_similar_triangles(node, level):
-    """A ridge along y that ends at x0, h below the sheet, hides an LED at xl up to x0 + (x0 - xl) h
-    / (D - h); the LED's far edge, xl - radius, comes out first (level -1: none is seen before), its
-    near edge last."""
+    """The shadow of a ridge follows similar triangles.
+
+    A ridge along y that ends at x0, h below the membrane, hides an LED at xl up to x0 + (x0 - xl) h
+    / (D - h). The LED's far edge, xl - radius, appears first (level -1: none is visible before),
+    its near edge last.
+    """
     xy = grid(node)
     height = 6e-3
     ridge = 5e-3
@@ -107,13 +110,13 @@ def dents(x, y):
     [(1e-3, 0.2, 0.05), pytest.param(0.25e-3, 0.04, 0.01, marks=pytest.mark.slow)],
 )
 def test_rays_meet_the_sheet_where_a_fine_march_does(node, wrong, lit_and_wrong):
-    """Every node and LED of a wide ring, each ray followed in 1000 steps over the formula of the
-    sheet itself.
+    """Rays are blocked as in a march of 1000 steps over the membrane's own formula, for every node
+    and LED of a wide ring.
 
-    Nodes that are wrong lie along the borders of the shadows, so that their share of the hidden
-    falls with the node (patches of 5 mm have a fifth of their area within half a node of 1 mm).
-    Most of them are on the flanks, where the sheet turns away and is dark anyway: few would have
-    more than a twentieth of the most light.
+    Wrong nodes lie along the borders of the shadows. Their fraction of the hidden ones falls with
+    the node spacing (patches of 5 mm have a fifth of their area within half a node of 1 mm). Most
+    of them are on the flanks, where the membrane turns away and is dark anyway. Few would have more
+    than a twentieth of the maximum light.
     """
     xy = grid(node)
     leds = RING * [2.0, 2.0, 1.0]
@@ -170,12 +173,12 @@ def test_irradiance_is_inverse_square_with_both_cosines():
 
 def test_unblocked_flat_sheet_is_lit_as_without_shadows():
     even, shaded, _ = scene(DENSE.markers.p_SM.copy())
-    # the light without shadows is the same formula at the pixels' own places: what is left is the
-    # interpolation between nodes, (1 mm)^2 / 8 of a curvature of 1 / (30 mm)^2
+    # light without shadows is the same formula at the pixels' own positions. The remaining error is
+    # the interpolation between nodes, (1 mm)^2 / 8 of a curvature of 1 / (30 mm)^2
     inside = slice(60, -60), slice(70, -70)
     np.testing.assert_allclose(shaded[inside], even[inside], atol=3e-4)
-    # beside the frame a block of 16 px = 1.2 mm lies half beyond the rim, whose light it takes: 1 /
-    # (100 mm) of slope
+    # next to the frame a block of 16 px = 1.2 mm is half beyond the rim and takes the rim's light:
+    # 1 / (100 mm) of slope
     np.testing.assert_allclose(shaded, even, atol=6e-3)
 
 
@@ -194,15 +197,18 @@ def test_symmetric_scene_gives_a_symmetric_picture():
     p[:, 2] = dented(11e-3, at=(14e-3, 0.0))[:, 2] + dented(11e-3, at=(-14e-3, 0.0))[:, 2]
     even, shaded, _ = scene(p)
     assert (shaded / even).min() < 0.7  # deep enough to throw shadows
-    # mirrored nodes and pixels see the same up to rounding, and the table of cv2.remap: 1/32 of a
-    # node or block, of light that falls from 1 to 0.5 over a node at the worst
+    # mirrored nodes and pixels agree up to rounding and the table of cv2.remap: 1/32 of a node or
+    # block, with light that falls from 1 to 0.5 over a node at worst
     np.testing.assert_allclose(shaded, shaded[:, ::-1], atol=0.016)
     np.testing.assert_allclose(shaded, shaded[::-1], atol=0.016)
 
 
 def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
-    """One LED at (xl, 0) beyond the opening: the glass-side edge of the wall at L / 2, depth t
-    below the flat sheet, hides it for x > xl - (xl - L/2) D / (D - t)."""
+    """The shadow border of the frame's wall is that of its glass-side edge.
+
+    One LED at (xl, 0) is beyond the opening. The edge of the wall at L / 2, depth t below the flat
+    membrane, hides it for x > xl - (xl - L/2) D / (D - t).
+    """
     led = 26e-3
     design = replace(DENSE, leds=replace(DENSE.leds, count=1, ring_radius=led))
     lens = optics.Camera.from_design(design.camera, design.glass)
@@ -225,8 +231,7 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     dark = np.interp(border + 1.5e-3, x, row)
     middle = np.interp(-(lit + dark) / 2, -row, x)
     assert lit - dark > 0.2
-    # all that is left in full shadow is what the walls scatter: the part of the light that does not
-    # fall off
+    # in full shadow only light scattered by the walls remains: the part without falloff
     assert row[x > border + 2.5e-3][0] == pytest.approx(
         1 - design.leds.vignetting / light._loss, abs=1e-3
     )
@@ -235,8 +240,8 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
 
 
 def test_camera_rays_meet_the_sheet_where_it_is():
-    """Nodes of a dented sheet, projected through pane and lens, are what the pixels there are found
-    to look at."""
+    """Nodes of a dented membrane, projected through glass and lens, are the positions assigned to
+    the pixels there."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     light = ShadowedLight(DENSE, lens)
     sheet = light._sheet
@@ -257,9 +262,9 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
     p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
     sheet = SmoothMembrane(DENSE)
     z = sheet.heights(p)
-    # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm, somewhat
-    # more as a thin-plate spline's curvature peaks at its points; the peak's share falls with the
-    # node, not with its square
+    # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm. It is
+    # somewhat more since a thin-plate spline's curvature peaks at its points; the peak's part falls
+    # with the node spacing, not with its square
     np.testing.assert_allclose(bilinear(z, sheet.columns_rows(p[:, :2])), p[:, 2], atol=worst)
     rim = np.concatenate([z[0], z[-1], z[:, 0], z[:, -1]])
     assert np.abs(rim).max() < 2e-5  # between the points by which it is held, 2.5 mm apart

@@ -1,4 +1,4 @@
-"""How much deeper a small contact pushes a sheet than a mesh shows, against a lattice and closed
+"""Tests of the indentation by a small contact beyond that on a mesh, against a lattice and closed
 forms."""
 
 import numpy as np
@@ -22,8 +22,12 @@ def _lattice_depth(count: int) -> float:
 
 
 def test_the_meshs_radius_is_that_of_a_lattice():
-    """A disc of radius a under even pressure in a square of side L: (1/2 pi)(ln(L/a) + c); c from
-    the textbook's point load in a square, ln(L/r) + ln(0.5394), by conformal radius 0.5394 L."""
+    """The equivalent radius of the mesh is that of a lattice.
+
+    A disc of radius a under uniform pressure in a square of side L gives (1/2 pi)(ln(L/a) + c). The
+    constant c is from the textbook's point load in a square, ln(L/r) + ln(0.5394), by the conformal
+    radius 0.5394 L.
+    """
     count = 101
     side = count + 1
     expected = np.log(0.5394 * side / subgrid_indentation.MESH_RADIUS) / (2 * np.pi)

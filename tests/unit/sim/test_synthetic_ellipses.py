@@ -1,5 +1,5 @@
-"""What is seen without an image: exact ellipses, errors as large as said and as those of the image
-stages, and it is said."""
+"""Tests of detections without an image: exact ellipses, errors as stated and as in the image
+stages, and the report of this level."""
 
 from dataclasses import replace
 
@@ -54,7 +54,8 @@ def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
 
 
 def test_exact_ellipses_lead_back_to_the_circles():
-    """Through pane and lens and back by the sensing chain's closed form, which is another code."""
+    """Exact ellipses through glass and lens give the circles back, by the sensing chain's closed
+    form, which is independent code."""
     p_SM, n_S = bulged()
     sighter = EllipseSampler(DESIGN)
     center, shape = sighter._true(p_SM, n_S)
@@ -130,7 +131,7 @@ def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
         result = run_grasp(Scenario(effects="-images"), [recorder], workers=0)
         recorder.close(outcome=result.outcome)
     assert result.outcome == "held" and result.summary()["images"] is False
-    assert result.hold_force_true == pytest.approx(0.6, abs=0.02)  # N, as with images
+    assert result.hold_force_true == pytest.approx(0.6, abs=0.02)  # force in N, as with images
     recording = load_recording(tmp_path / "run")
     assert (
         recording.complete

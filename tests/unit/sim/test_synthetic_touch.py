@@ -1,4 +1,4 @@
-"""Touch that is drawn has the errors that its model says, and says so."""
+"""Tests that sampled touch has the errors of its model, and reports its level."""
 
 import dataclasses
 from pathlib import Path
@@ -24,7 +24,11 @@ DRAWN = "-mesh,-pipeline"
 
 
 def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
-    """Of 20000 images at one load; bounds are four standard errors, with the memory counted in."""
+    """Sampled errors have the mean, spread and time correlation of the model.
+
+    The test has 20000 images at one load. Bounds are four standard errors, including the
+    correlation.
+    """
     measured = load_errors(DENSE)
     lasts = 0.6  # of the variance
     errors = dataclasses.replace(
@@ -52,8 +56,11 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
 
 
 def test_the_kernel_draws_as_the_formula_does():
-    """w + G w + b(n) + e of the same random numbers, written out here; the covariance is what the
-    chain says at that load. To the last digits of double precision."""
+    """The kernel samples w + G w + b(n) + e from the same random numbers, to the last digits of
+    double precision.
+
+    The covariance is the chain's at that load.
+    """
     errors = dataclasses.replace(load_errors(DENSE), outliers=np.full(7, 0.5))
     true = np.array([0.1, -0.2, -0.4, 1e-3, 2e-3, 1e-4])
     spread = np.linalg.cholesky(errors.correlation)

@@ -1,4 +1,5 @@
-"""Camera troubles: each changes a picture as its name says, and none does anything unasked."""
+"""Tests of camera faults: each changes an image as its name states, and none acts without
+request."""
 
 import re
 import tomllib
@@ -30,7 +31,7 @@ UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
 PAGE = Path(__file__).resolve().parents[3] / "docs/how-to/camera_faults.md"
 FIELDS = entries(CameraFaults)
 PARAMETERS = {"start", "dust_radius", "dust_darkness", "flicker_rate"}
-"""Fields that say how, and switch nothing on."""
+"""Fields that set details and do not enable a fault."""
 STRONG = {
     "scale_percent": 1,
     "image_shift_px": [3, 2],
@@ -104,7 +105,10 @@ def test_nothing_happens_before_its_time(pictures):
 
 
 def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
-    """About the picture's middle; circles are found to 0.02 px, the resampling adds as much."""
+    """A zoom about the image center and a shift move the circles by the stated amounts.
+
+    Circles are located to 0.02 px; the resampling adds as much.
+    """
     middle = np.array([319.5, 239.5])
     before = detect(pictures[1]).center_px
     camera = FaultyImage(troubles(scale_percent=1, image_shift_px=[3, 2]))

@@ -1,4 +1,4 @@
-"""How large a true object is, against closed forms."""
+"""Tests of the size of a true object against closed forms."""
 
 import mujoco
 import numpy as np
@@ -10,7 +10,8 @@ HALF = np.array([16e-3, 12e-3, 20e-3])
 
 
 def surface(kind: str) -> TrueSurface:
-    """Of an ellipsoid or a box, with one known point to begin from for each of a hundred ways."""
+    """Create the surface of an ellipsoid or a box, with a known starting point for each of a
+    hundred directions."""
     size = " ".join(map(str, HALF))
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><geom type="{kind}" size="{size}"/></worldbody></mujoco>'

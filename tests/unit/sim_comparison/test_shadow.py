@@ -1,5 +1,5 @@
-"""A recording beside its simulation: what really differs is named, and nothing where nothing
-does."""
+"""Tests of a recording against its simulation: real differences are named, and none if there is
+none."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ from mjtactile.sim_comparison.resimulate import _specimen
 from mjtactile.sim_comparison.signals import Signals
 
 SEED = 201  # of the camera: none that the tolerances were chosen with
-UNTIL = 1.5  # s of a grasp: 60 Pa are gone by then
+UNTIL = 1.5  # duration in s of a grasp: 60 Pa are lost by then
 PRESS = Stage("sphere:8", (0.0, 0.0), (Move(0.2, 1.5e-3, speed=0.01), Move(1.0)))
 
 
@@ -93,7 +93,7 @@ def test_jaws_that_stand_elsewhere_beside_it_are_allowed_for():
     """Jaws that are 0.2 mm off take 0.08 N away; the rubber is softer all the same."""
     shadow = explained(stiffness=(-0.3, -0.3), opening=(2e-4, 2e-4))
     assert named(shadow).cause.name == "stiffness"
-    # the jaws' spread and the noise leave some: half of what they would do alone (0.27)
+    # the spread of the jaws and the noise leave some: half of their effect alone (0.27)
     assert named(shadow).amounts[0] == pytest.approx(-0.3, abs=0.05)
     assert shadow.allowed["opening"] == pytest.approx(2e-4, rel=0.4)
 
@@ -135,7 +135,8 @@ def test_softer_rubber_is_named(tmp_path):
     soft = replace(dense, membrane=replace(dense.membrane, young=0.75 * dense.membrane.young))
     shadow, _ = shadow_of(staged(tmp_path, soft))
     names = {named(shadow).cause.name, *(one.cause.name for one in shadow.alike)}
-    # at one pressure pre-stretch is as good (docs/how-to/identify.md): it is said
+    # at one pressure pre-stretch explains it as well (docs/how-to/identify.md), and this is
+    # reported
     assert names == {"stiffness", "pre_stretch"}
     found = {one.cause.name: one.amounts[0] for one in (named(shadow), *shadow.alike)}
     assert found["stiffness"] == pytest.approx(-0.25, abs=0.05)
@@ -143,8 +144,12 @@ def test_softer_rubber_is_named(tmp_path):
 
 
 def test_creep_is_given_to_the_simulated_sheet():
-    """A press of 1.6 s of a sheet that fades by 10 % a decade was said to fade by 10.1 %, stiffness
-    and pre-stretch being nearly as good: shorter than that, creep is stiffness."""
+    """The simulated membrane gets the creep of the as-built sensor.
+
+    An indentation of 1.6 s on a membrane that relaxes by 10 % per decade was identified as 10.1 %;
+    stiffness and pre-stretch were nearly as good. In a shorter time, creep is the same as
+    stiffness.
+    """
     design = true_design(load_sensor("dense"), _specimen({"creep": (0.0, 0.1)}, 1))
     assert design.relaxation is not None
     shares = [share for share, _ in design.relaxation.terms]

@@ -1,5 +1,5 @@
-"""A stand-in for Dear ImGui and ImPlot: what is said is kept, and what a person would press or move
-is told it by its label."""
+"""Stand-in for Dear ImGui and ImPlot: it stores all texts, and takes the user's actions by
+label."""
 
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -8,8 +8,8 @@ import numpy as np
 
 
 class FakeGui:
-    """`said` are the texts and labels of the last build; `press`, `check`, `slide`, `choose` are
-    done at the next one."""
+    """Stand-in GUI. `said` has the texts and labels of the last build; `press`, `check`, `slide`,
+    `choose` act in the next one."""
 
     def __init__(self, real):
         self._real = real
@@ -112,7 +112,7 @@ class FakePlot(FakeGui):
 
 
 class FakeViewer:
-    """What a plugin uses of a viewer; `images` are the textures that were uploaded."""
+    """Viewer interface as used by a plug-in; `images` are the uploaded textures."""
 
     def __init__(self):
         self.extra_geoms = []

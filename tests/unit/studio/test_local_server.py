@@ -72,7 +72,7 @@ def test_strangers_get_nothing(port, path, headers):
         {},
         {"Host": "localhost:{port}", "Origin": "http://localhost:{port}"},
         {"Host": "localhost:9999", "Origin": "http://localhost:9999"},  # through a tunnel
-        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate"},  # somebody opens a link
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate"},  # the user opens a link
     ],
     ids=["no browser", "the page", "a tunnel", "a link"],
 )

@@ -38,7 +38,11 @@ def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controller
 
 
 def test_it_squeezes_as_hard_as_is_wished():
-    """A spring of 160 N/m on each finger from 50 mm on: 0.6 N are felt at 50 mm - 2 x 3.75 mm."""
+    """The gripper squeezes with the requested force.
+
+    A spring of 160 N/m on each finger acts below 50 mm: 0.6 N is measured at 50 mm - 2 x 3.75
+    mm.
+    """
     end = run(
         ManualGoal(math.nan, 0.0, 0.6),
         Command(0.06, 4.0),

@@ -1,4 +1,4 @@
-"""What the windows say and what they ask for: the same code as in Studio, with a stand-in for its
+"""Tests of the texts and requests of the windows: the same code as in Studio, with stand-in
 widgets."""
 
 import math
@@ -127,7 +127,7 @@ def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_wh
     field = surface_colormap.field_of(
         FingerSnapshot("left", fake_image(0), touch, rest=rest), "indentation"
     )
-    assert field.values.max() == pytest.approx(0.6 * 0.002)  # as fake_touch presses, in the middle
+    assert field.values.max() == pytest.approx(0.6 * 0.002)  # at the center, as in fake_touch
     picture = surface_colormap.picture(
         FingerSnapshot("left", fake_image(0), replace(touch, traction=None), rest=rest),
         field,
@@ -207,7 +207,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
         brush.begin()
         brush.triangles(corners[None], np.array([[1.0, 0.5, 0.0]]))
     [geom] = brush.drawn
-    unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # what MuJoCo draws
+    unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # MuJoCo's triangle
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)
     felt = FingerSnapshot(
         "left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3))

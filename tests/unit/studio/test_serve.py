@@ -1,4 +1,4 @@
-"""Where Studio opens."""
+"""Tests of the start of Studio's page."""
 
 import threading
 
@@ -51,7 +51,7 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
 
 
 def test_a_grasp_waits_for_its_page(monkeypatch):
-    """It is said what for, and Studio's end or a signal ends the waiting."""
+    """A grasp states that it waits for its page; Studio's end or a signal ends the wait."""
     said = []
     show = SessionBridge(say=said.append)
     looked = threading.Event()

@@ -1,4 +1,4 @@
-"""What a session shows and what is asked of it, without a viewer."""
+"""Tests of the state of a session and the requests to it, without a viewer."""
 
 import math
 import threading
@@ -96,7 +96,8 @@ def test_a_pause_holds_the_session_until_it_goes_on():
 
 
 def test_a_signal_ends_a_pause(monkeypatch):
-    """Ctrl-C: the loop sets down what is held, for which the world must go on."""
+    """Ctrl-C ends a pause: the loop sets down the held object, and the world must go on for
+    this."""
     show = SessionBridge()
     show.paused = True
 
@@ -152,9 +153,12 @@ def test_only_a_world_that_waits_may_be_paused():
 
 
 def test_a_grasp_shows_its_scene_and_obeys():
-    """Real physics: the scene's state is the world's, a valve that is opened from outside changes
-    the pressure, the hand goes where it is wished to and squeezes as hard, and the red button opens
-    it."""
+    """A grasp with real physics shows its scene and follows the user.
+
+    The scene's state is the world's. A valve opened from outside changes the pressure. The gripper
+    moves to the requested position and squeezes with the requested force. The red button opens
+    it.
+    """
     show = SessionBridge()
     show.fastest = np.inf
     moments = []
@@ -178,11 +182,11 @@ def test_a_grasp_shows_its_scene_and_obeys():
     times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
     pressure = [moment.fingers[0].gauge_pressure for moment in moments]
-    # Pa; an ideal valve
+    # pressure in Pa; an ideal valve
     assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)
     assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
     felt = moments[5].fingers[0]
-    # what sensing has, and a search of its own
+    # tracks of sensing, against an independent search
     known = followed(felt.image, felt.tracks)
     found = find_ellipses(felt.image)
     order = [

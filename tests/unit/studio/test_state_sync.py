@@ -1,4 +1,4 @@
-"""What Studio shows at first, and how hard its mouse pulls."""
+"""Tests of Studio's initial view, and of the force of its mouse."""
 
 from types import SimpleNamespace
 
@@ -37,5 +37,5 @@ def test_membranes_are_seen_from_aside_and_the_mouse_moves_what_weighs_grams(tur
     pull.localmass = 0.06
     pull.refselpos = data.xipos[pull.select] + [0.0, 0.0, 0.01]
     mujoco.mjv_applyPerturbForce(shown, data, pull)
-    # 30 N/m; MuJoCo adds what damps it, which is nothing at rest
+    # stiffness 30 N/m; MuJoCo adds damping, which is zero at rest
     assert data.xfrc_applied[pull.select, 2] == pytest.approx(0.3, rel=0.01)

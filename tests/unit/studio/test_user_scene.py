@@ -1,4 +1,4 @@
-"""Touch in somebody's own Studio: their sensors, their loop, or a plug-in file."""
+"""Tests of touch in a user's own Studio: their sensors, their loop, or a plug-in file."""
 
 import os
 import re
@@ -37,7 +37,7 @@ class FakeHandle:
 
 @pytest.fixture(scope="module")
 def tips(tmp_path_factory):
-    """The shipped plug-in file, loaded as Studio does, with a model of somebody else."""
+    """Load the shipped plug-in file as Studio does, with a third-party model."""
     path = tmp_path_factory.mktemp("model") / "their.xml"
     path.write_text(MODEL)
     sensors, panel = plugin.load_plugins([CHECKOUT / "examples" / "touch_in_studio.py"])
@@ -77,7 +77,7 @@ def test_it_heeds_a_pause_and_a_reset(tips):
     mujoco.mj_resetData(tips.model, tips.data)
     tips.sensors._paused = False
     tips.sensors.on_step(step)
-    # inflated anew, and no complaint
+    # inflated again, without an error
     assert tips.data.time <= 2 * tips.model.opt.timestep and not tips.sensors._paused
 
 
@@ -114,8 +114,11 @@ def is_open(port):
 
 
 def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site(tmp_path):
-    """The code of docs/how-to/studio.md, with a model and an end; in a process of its own, since MuJoCo's
-    viewer may crash a process that opens a second one."""
+    """The loop of docs/how-to/studio.md serves this computer alone, and no other web site.
+
+    The test adds a model and an end. It runs in its own process, since MuJoCo's viewer may crash a
+    process that opens a second one.
+    """
     [code] = [
         block
         for block in re.findall(
@@ -143,7 +146,7 @@ def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_s
             if (found := re.search(r"http://localhost:(\d+)/", line))
         )
         address = f"ws://127.0.0.1:{port}/state"
-        # it says its address a moment before it listens
+        # the address is printed a moment before the server listens
         assert wait_for(lambda: is_open(port), 60.0)
         with connect(address, origin=f"http://127.0.0.1:{port}"):
             pass
