@@ -98,7 +98,7 @@ KINDS = (
         ),
     ),
     Kind(
-        "objects that pass the membrane, diverge, load the frame, or are too fast",
+        "objects that pass through the membrane, diverge, load the frame, or are too fast",
         "flagged, or stopped with a reason",
         ("tests/plugin/test_flags.py", "tests/physics/test_stability.py"),
     ),

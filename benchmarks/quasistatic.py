@@ -249,8 +249,8 @@ def _line(name: str, rows: list[dict[str, Any]], key: str, by: float, worst: boo
     cells = []
     for grid in GRIDS:
         found = [by * r[key] for r in rows if r["grid"] == list(grid) and key in r]
-        most = f" ({max(map(abs, found), default=float('nan')):.1f})" if worst else ""
-        cells.append(f"{_rms(found):.2f}{most}")
+        maximum = f" ({max(map(abs, found), default=float('nan')):.1f})" if worst else ""
+        cells.append(f"{_rms(found):.2f}{maximum}")
     return f"| {name} | {' | '.join(cells)} |"
 
 
@@ -317,7 +317,7 @@ def table(result: dict[str, Any]) -> str:
         )
     gains = [t["batch_per_s"]["64, 2"] / t["batch_per_s"]["64, 1"] for t in times]
     ceilings = [t["ceiling"] for t in times]
-    shares = (100 * gain / most for gain, most in zip(gains, ceilings, strict=True))
+    shares = (100 * gain / maximum for gain, maximum in zip(gains, ceilings, strict=True))
     lines += [
         f"| batch of {quasistatic_times.AT_ONCE}: rate of two threads / one "
         f"| {_row(gains, '.2f')} |",

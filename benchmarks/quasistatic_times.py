@@ -43,12 +43,12 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
     best = {trend: np.full(_STEPS, np.inf) for trend in (True, False)}
     steps = 0
     for _ in range(bursts):
-        for trend, least in best.items():
+        for trend, minimum in best.items():
             state = start
             for k, one in enumerate(balls[1:]):
                 begin = time.perf_counter()
                 state = film.solve(one, state if trend else replace(state, trend=None))
-                least[k] = min(least[k], time.perf_counter() - begin)
+                minimum[k] = min(minimum[k], time.perf_counter() - begin)
                 steps = max(steps, state.steps)
     derived = np.inf
     posed = np.inf
@@ -123,7 +123,7 @@ def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> 
     solve = _at_rest(film, _deeper(film), AT_ONCE, 1)
     together.wait()
     end = time.perf_counter() + seconds
-    least = np.inf
+    minimum = np.inf
     while time.perf_counter() < end:
-        least = min(least, solve())
-    found.put(AT_ONCE / least)
+        minimum = min(minimum, solve())
+    found.put(AT_ONCE / minimum)

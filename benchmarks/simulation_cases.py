@@ -147,14 +147,14 @@ def core_ms(action: Callable[[], Any], count: int) -> float:
 def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12) -> list[float]:
     """Core time of each action, ms: the least of its bursts of `count`, which take turns with the
     others' bursts."""
-    least = [math.inf] * len(actions)
+    minimum = [math.inf] * len(actions)
     for _ in range(rounds):
         for k, action in enumerate(actions):
             begin = time.thread_time()
             for _ in range(count):
                 action()
-            least[k] = min(least[k], 1e3 * (time.thread_time() - begin) / count)
-    return least
+            minimum[k] = min(minimum[k], 1e3 * (time.thread_time() - begin) / count)
+    return minimum
 
 
 def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:

@@ -69,7 +69,7 @@ def sequence_row(seed: int) -> dict[str, Any]:
     """One sequence, seen in both ways."""
     design = load_sensor(SENSOR)
     camera = Camera.from_design(design.camera, design.glass)
-    least = max(1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance)
+    minimum = max(1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance)
     kind = list(KINDS)[seed % len(KINDS)]
     row = {
         "seed": seed,
@@ -87,10 +87,10 @@ def sequence_row(seed: int) -> dict[str, Any]:
     for moment in moments(kind, seed):
         before = tracks
         followed, tracks = tracking.follow(
-            moment.image, before, design.markers.count, min_radius_px=least
+            moment.image, before, design.markers.count, min_radius_px=minimum
         )
         searched = as_ellipses(
-            *markers.search(markers.grey_image(moment.image), min_radius_px=least)
+            *markers.search(markers.grey_image(moment.image), min_radius_px=minimum)
         )
         (mine, off, sd), (theirs, theirs_off, theirs_sd) = (
             _errors(found, moment.centers) for found in (followed, searched)

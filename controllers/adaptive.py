@@ -131,10 +131,10 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     frames = _kept(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
     )
-    worst, least = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
+    worst, minimum = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
     if trial.is_on:  # the tested friction must be fully used: no margin
-        worst, least = trial.grip * load.most, MIN_TEST_FORCE
-    target = max(least, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.most))
+        worst, minimum = trial.grip * load.maximum, MIN_TEST_FORCE
+    target = max(minimum, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.maximum))
     found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
     return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
 

@@ -1,8 +1,8 @@
-"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper for fragile objects.
+"""mjtactile: a vision-based membrane touch sensor for MuJoCo, with a gripper.
 
-The public API consists of this package and, for MuJoCo Studio, `mjtactile.studio`. Names are
-imported on first use: a rig without a simulator needs no mujoco, and one without a camera no
-OpenCV.
+The gripper is for fragile objects. The public API consists of this package and, for MuJoCo Studio,
+`mjtactile.studio`. Names are imported on first use. A rig without a simulator therefore needs no
+mujoco. A rig without a camera needs no OpenCV.
 """
 
 from importlib import import_module

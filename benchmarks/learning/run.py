@@ -85,13 +85,13 @@ def grip(shown: Array, phase: str) -> Array:
     Returns:
         The action (3,).
     """
-    least = min(shown[2], shown[10])
+    minimum = min(shown[2], shown[10])
     if phase == "approach":
         return np.array([-0.5, -0.5, 0.0])
     if phase == "release":
         return np.array([0.5, 0.0, 0.0])
-    lift = {"lift": 0.6, "lower": -0.6}.get(phase, 0.6 * (least > 0.9 * _FORCE))
-    closing = -0.3 if phase == "close" else float(np.clip(least - _FORCE, -0.2, 0.2))
+    lift = {"lift": 0.6, "lower": -0.6}.get(phase, 0.6 * (minimum > 0.9 * _FORCE))
+    closing = -0.3 if phase == "close" else float(np.clip(minimum - _FORCE, -0.2, 0.2))
     return np.array([closing, 0.0, lift])
 
 
@@ -189,13 +189,13 @@ def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, An
 
 _CONDENSE = """
 import time
-from mjtactile import Film, load_sensor
+from mjtactile import QuasistaticMembrane, load_sensor
 from mjtactile.quasistatic.incremental import Sticking
 from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
 design = load_sensor("dense")
 begin = time.process_time()
-film = Film(design, QS_GRID)
-assert Sticking(film).compliance.size
+membrane = QuasistaticMembrane(design, QS_GRID)
+assert Sticking(membrane).compliance.size
 print(time.process_time() - begin)
 """
 

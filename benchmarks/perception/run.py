@@ -99,9 +99,9 @@ def _targets(result: Mapping[str, Any]) -> str:
     a = result["accuracy"]
     m = result["measured"]
     rows = [
-        f"| {name} | {m[key]:.3g} | {least:g} | {aim:g} | "
-        f"{_verdict(m[key] <= least, m[key] <= aim)} |"
-        for key, (name, least, aim) in TARGETS.items()
+        f"| {name} | {m[key]:.3g} | {minimum:g} | {aim:g} | "
+        f"{_verdict(m[key] <= minimum, m[key] <= aim)} |"
+        for key, (name, minimum, aim) in TARGETS.items()
     ]
     chi2 = m["chi2_per_dof"]
     inside = [low <= chi2 <= high for low, high in CHI2]
@@ -121,10 +121,10 @@ def _targets(result: Mapping[str, Any]) -> str:
     return head + "\n\n" + _rows("| quantity | measured | required | target | |", rows)
 
 
-def _verdict(least: bool, aim: bool) -> str:
+def _verdict(minimum: bool, aim: bool) -> str:
     if aim:
         return "target met"
-    return "met" if least else "missed"
+    return "met" if minimum else "missed"
 
 
 def _methods(result: Mapping[str, Any]) -> str:

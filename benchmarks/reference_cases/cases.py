@@ -52,12 +52,12 @@ class Case:
     plan: dict[str, Any]
     source: str
     percent: float
-    least: float
+    minimum: float
     path: Path
 
     def allows(self, reference: float) -> float:
         """Return the allowed deviation from `reference`."""
-        return max(self.least, 1e-2 * self.percent * abs(reference))
+        return max(self.minimum, 1e-2 * self.percent * abs(reference))
 
 
 def _press(s: Section) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def _row(case: Case) -> dict[str, Any]:
         "sensor": case.design.name,
         "source": case.source,
         "asked_percent": case.percent,
-        "asked_least": case.least,
+        "asked_least": case.minimum,
     }
     try:
         numbers = measure(case)

@@ -211,8 +211,8 @@ def table(result: dict[str, Any]) -> str:
 
 
 def _both(found: list[float]) -> str:
-    median, most, count = found
-    return f"{100 * median:.0f} % / {100 * most:.0f} % ({count})" if count else "-"
+    median, maximum, count = found
+    return f"{100 * median:.0f} % / {100 * maximum:.0f} % ({count})" if count else "-"
 
 
 def _part(found: list[float]) -> str:

@@ -86,13 +86,17 @@ def run(
     harsh_count = max(count // 4, 1)
     harsh_names = [name for name in HARSH_CONTROLLERS if name in names]
     turns = rounds(count, _TURN)
-    for most in turns:
-        again = resume or most > turns[0]
-        _round(suite_of(level), out / folder_of(level), names, most, again)
-        if most <= harsh_count or most == count:
+    for maximum in turns:
+        again = resume or maximum > turns[0]
+        _round(suite_of(level), out / folder_of(level), names, maximum, again)
+        if maximum <= harsh_count or maximum == count:
             worlds = suite_of(level, harsh=True)
             _round(
-                worlds, out / folder_of(level, "harsh"), harsh_names, min(most, harsh_count), again
+                worlds,
+                out / folder_of(level, "harsh"),
+                harsh_names,
+                min(maximum, harsh_count),
+                again,
             )
     suite = suite_of(level)
     folder = out / folder_of(level)

@@ -124,6 +124,8 @@ _LABELS = {
     "touches of edges and tips that the mesh is flagged for": "contacts flagged `sharp_edge` or "
     "`small_feature`",
     "touches that the simulation flags": "contacts flagged `penetration` or `wrinkles`",
+    "kind: press": "kind: load",
+    "kind: rhythm": "kind: cyclic load",
     "touches at rest whose true force rattles": "contacts at rest with jumps of the true force",
 }
 

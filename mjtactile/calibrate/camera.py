@@ -37,8 +37,10 @@ _OUTLIER = 3.0  # times the median view's residual
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board: squares in x and y, side of a square and of the marker in it, m, and the
-    markers' dictionary."""
+    """ChArUco board: numbers of squares, side lengths and marker dictionary.
+
+    `columns` and `rows` count the squares in x and y. `square` and `marker` are side lengths, m.
+    """
 
     columns: int = 9
     rows: int = 7
@@ -264,8 +266,11 @@ def _coverage(views: Sequence[BoardView], size: tuple[int, int]) -> float:
 def _holdout(
     finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool
 ) -> float:
-    """rms px in every other view of a camera fitted to the rest, both ways; only the held-out
-    board's pose is fitted."""
+    """Return the rms error, px, of a camera in views that were not fitted.
+
+    Every other view is fitted, and the remaining ones are evaluated, both ways. Only the held-out
+    board's pose is fitted. NaN for fewer than three fitted views.
+    """
     squares: list[Array] = []
     for first in (0, 1):
         inside = views[first::2]

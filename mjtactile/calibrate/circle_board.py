@@ -80,8 +80,10 @@ class CircleFinder:
         return self.pitch * np.stack([i - _HALF, j - _HALF, np.zeros(len(i))], axis=1).astype(float)
 
     def centred(self, view: BoardView, K: Array, distortion: Array) -> BoardView:
-        """The view with the circles' centres' images in place of the ellipses' centres, for a
-        camera that is nearly right."""
+        """Return the view with projected circle centers instead of ellipse centers.
+
+        The camera parameters must be approximately correct.
+        """
         centres = self.corners(view)
         rotation, shift = pose_of(centres, view.uv, K, distortion)
         t = 2 * np.pi * np.arange(_RIM) / _RIM
@@ -98,8 +100,11 @@ class CircleFinder:
 def calibrate_from_circles(
     finder: CircleFinder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool = False
 ) -> CameraCalibration:
-    """`calibrate_camera` from ellipses' centres. With k3 where it is asked for, or where it is
-    plainly not zero and makes pictures that were not fitted no worse."""
+    """Run `calibrate_camera` on ellipse centers.
+
+    The model includes k3 if the caller requests it. It also includes k3 if the fitted value clearly
+    differs from zero. In that case the holdout error must not increase.
+    """
     raw = list(views)
     for _ in range(_ROUNDS if len(raw) >= 3 else 0):
         _, K, distortion, *_ = fit_intrinsics(finder, views, size, k3=True)
@@ -115,8 +120,10 @@ def calibrate_from_circles(
 
 
 def number_grid(uv: Array) -> dict[int, tuple[int, int]]:
-    """Places (i, j) on a square grid of those points `uv` (N, 2) px, by index, that stand on one
-    with the point in the middle."""
+    """Return the grid indices (i, j) of points `uv` (N, 2) px, by point index.
+
+    Points that do not lie on the square grid of a central point are omitted.
+    """
     tree = KDTree(uv)
     best = {}
     for seed in np.argsort(((uv - uv.mean(axis=0)) ** 2).sum(axis=1))[:_SEEDS]:

@@ -20,8 +20,10 @@ from mjtactile.rig.finger import Rig
 def live_rig(
     name: str, design: SensorDesign, *, object_name: str = "egg"
 ) -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
-    """The rig file of `name` with addresses that can be connected to; starts (and ends) the
-    emulator for an emulated one."""
+    """Yield the rig file of `name` with addresses that accept connections.
+
+    For an emulated rig, start the emulator and close it on exit.
+    """
     rig_file = load_rig_file(name)
     if rig_file.emulator is None:
         yield rig_file, None

@@ -1,5 +1,7 @@
-"""A sensor's force against known loads: the paper's constant c (dF = c dA), and the scale of the
-inverse finite elements."""
+"""Force calibration of a sensor against known loads.
+
+It estimates the paper's constant c (dF = c dA) and the scale of the inverse finite elements.
+"""
 
 from __future__ import annotations
 
@@ -107,8 +109,8 @@ def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, 
 def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> ForceCalibration:
     """Fit the force scale and the paper's area constant to known loads.
 
-    Inputs are the known normal loads, N, the measured forces, N, the membrane areas, m^2, and the
-    area without load. Raises InputError for too few loads.
+    Inputs are the known normal loads, N, and the measured forces, N. Further inputs are the
+    membrane areas, m^2, and the area without load. Raises InputError for too few loads.
     """
     if len(true) < LOADS_MIN or len(np.unique(true)) < 3:
         raise InputError(

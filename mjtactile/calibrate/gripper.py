@@ -1,8 +1,9 @@
-"""Calibration of a gripper with a caliper and a load cell: zero and scale of the opening, backlash,
-and current to force.
+"""Calibration of a gripper with a caliper and a load cell.
+
+It estimates zero, scale and backlash of the opening, and the force per current.
 
 Opening model: caliper reading = offset + scale * reported - backlash / 2 * direction. Direction is
-+1 while opening and -1 while closing: the jaws lag the servo by half the play in both directions.
++1 while opening and -1 while closing. The jaws lag the servo by half the play in both directions.
 Force model per finger: load cell = friction offset + factor * reported. The factor corrects the
 data sheet's torque per ampere.
 """
@@ -189,10 +190,11 @@ def report(
 def servo_lines(
     geometry: JawGeometry, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> list[dict[str, Any]]:
-    """Return the values for each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad
-    (racks), torque_Nm_per_A.
+    """Return the values for each `[[gripper.servo]]` of the rig file.
 
-    The servos share the opening's offset equally; a servo's zero moves by the angle of its part. On
+    The values are id, zero_ticks, mm_per_rad (racks) and torque_Nm_per_A.
+
+    The servos share the opening's offset equally. A servo's zero moves by the angle of its part. On
     a rack the scale corrects the pinion's radius. Another law keeps its parameters and is corrected
     at the center of the range.
     """

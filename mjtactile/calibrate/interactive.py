@@ -54,8 +54,11 @@ _SAMPLE = 0.01  # time between pressure samples, s
 def collect_views(
     pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say
 ) -> list[BoardView]:
-    """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer
-    when the pictures end."""
+    """Collect `count` views of a board that the user moves.
+
+    A view is taken when the board rests at a new position. Fewer views are returned if the images
+    end.
+    """
     taken: list[BoardView] = []
     before: BoardView | None = None
     for name, gray in pictures:

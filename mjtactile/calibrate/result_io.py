@@ -69,10 +69,10 @@ def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
 def read_columns(
     path: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1
 ) -> dict[str, Any]:
-    """Columns of a CSV file with a header line: arrays of finite numbers, lists of texts; other
-    columns are ignored.
+    """Read the columns of a CSV file with a header line.
 
-    Raises InputError naming file, line and column.
+    Columns are arrays of finite numbers, or lists of texts. Other columns are ignored. Raises
+    InputError naming file, line and column.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as lines:

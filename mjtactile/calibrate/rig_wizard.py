@@ -301,8 +301,11 @@ def _write(path: Path, changes: Mapping[Place, object]) -> None:
 
 
 def edited(text: str, changes: Mapping[Place, object]) -> str:
-    """TOML text with other values in lines that are there already, or behind the heads of their
-    sections; None takes the line away."""
+    """Return TOML text with changed values.
+
+    Existing lines are replaced. New lines follow the heads of their sections. None removes the
+    line.
+    """
     lines = text.splitlines()
     for (section, number, key), value in changes.items():
         heads = [

@@ -128,8 +128,11 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
-"""Name to module of the folder `benchmarks` and description; each module has
-`run(out, quick) -> dict`, which plots into `out`, and `table(result) -> str` in Markdown."""
+"""Benchmarks by name: module in the folder `benchmarks`, and description.
+
+Each module has `run(out, quick) -> dict`, which plots into `out`. Its function `table(result) ->
+str` returns Markdown.
+"""
 
 DESCRIPTION = "\n".join(
     [

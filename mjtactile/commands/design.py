@@ -1,5 +1,7 @@
-"""`mjtactile design`: predict the performance of a sensor file before it is built, or search for
-files that meet requirements."""
+"""`mjtactile design`: predict the performance of a sensor file, or search for designs.
+
+The prediction needs no built sensor. The search returns files that meet requirements.
+"""
 
 from __future__ import annotations
 
@@ -194,7 +196,7 @@ def _wish(options: argparse.Namespace) -> Any:
 
     return Requirements(
         touch=metres(options.detect_force_mN),  # mN to N
-        most=options.range_N,
+        maximum=options.range_N,
         edge=metres(options.edge_mm),
         radius=metres(options.radius_mm),
     )

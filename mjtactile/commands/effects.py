@@ -1,5 +1,7 @@
-"""`mjtactile effects`: list the effects that a scene requires, with the reasons, their cost, and
-the cost of leaving them out."""
+"""`mjtactile effects`: list the effects that a scene requires, with the reasons.
+
+It also lists the cost of each effect, and the cost of leaving it out.
+"""
 
 from __future__ import annotations
 

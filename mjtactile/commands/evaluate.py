@@ -136,8 +136,10 @@ ARGUMENTS = (
 
 
 def _objects(text: str) -> list[str]:
-    """Names and files; a pattern, which a shell leaves as it is behind a comma, stands for the
-    files that it fits."""
+    """Return object names and files from a comma-separated list.
+
+    A pattern stands for all matching files. The shell does not expand a pattern behind a comma.
+    """
     found = []
     for name in (part.strip() for part in text.split(",")):
         anchor = Path(name).anchor

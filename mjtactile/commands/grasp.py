@@ -166,8 +166,10 @@ def _run_and_report(
     views: list[Observer],
     figure: FigureWriter,
 ) -> dict[str, Any]:
-    """Run the grasp and write its report, also of a run that failed half-way; the error then
-    carries its summary."""
+    """Run the grasp and write its report.
+
+    A failed run is also reported. The error then carries the summary.
+    """
     # now: in the end there may be no descriptors left to import it with
     from mjtactile.report import summary as _  # noqa: F401
     from mjtactile.runtime.grasp import run_grasp

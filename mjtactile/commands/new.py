@@ -34,8 +34,11 @@ examples:
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of file: folder and suffix of the shipped files, the file to copy, its documentation
-    page, the next command to run, and the pattern of its name in the text."""
+    """Kind of file that the command creates.
+
+    It holds folder and suffix of the shipped files, and the file to copy. It also holds the
+    documentation page, the next command, and the pattern of the name in the text.
+    """
 
     folder: str
     suffix: str

@@ -1,5 +1,7 @@
-"""Output that is never waited for: a terminal may stand still (Ctrl-S), a reader may have left, a
-disk may be full."""
+"""Output that never blocks the program.
+
+A terminal may be stopped (Ctrl-S), a reader may have left, or a disk may be full.
+"""
 
 from __future__ import annotations
 

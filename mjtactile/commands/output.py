@@ -20,10 +20,10 @@ from mjtactile.recording.files import to_json
 
 @contextlib.contextmanager
 def output_folder(path: Path, *results: str) -> Iterator[Path]:
-    """Make the output folder and prove that it can be written, before any work is done.
+    """Create the output folder and check that it is writable, before any work.
 
-    Raises InputError when it cannot, or when one of `results`, the files and folders that will be
-    written, is there already. Leaves no empty folder behind when the work failed.
+    Raises InputError if it is not writable. It also raises InputError if one of `results` (files
+    and folders to be written) exists. An empty folder is removed if the work fails.
     """
     taken = [name for name in results if (path / name).exists()]
     if taken:
@@ -64,10 +64,10 @@ def optional_folder(path: Path | None, *results: str) -> Iterator[Path | None]:
 
 @contextlib.contextmanager
 def new_run_folder(name: str) -> Iterator[Path]:
-    """A new folder `runs/<time>-<name>`, with a number behind it where another run of the same
-    second has that.
+    """Create a new folder `runs/<time>-<name>`.
 
-    Raises InputError when it cannot be made. Leaves no empty folder behind when the work failed.
+    A number is appended if another run of the same second has that name. Raises InputError if the
+    folder cannot be created. An empty folder is removed if the work fails.
     """
     stem = Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{name}"
     for number in itertools.count(1):
@@ -101,7 +101,7 @@ def _removed_if_empty(path: Path) -> Iterator[None]:
 def stdout_to_stderr() -> Iterator[None]:
     """Redirect stdout of Python and C libraries to stderr inside the context.
 
-    The output is written in the background, so that a blocked terminal or a closed pipe does not
+    A background thread writes the output. A blocked terminal or a closed pipe therefore does not
     delay the run.
     """
     for stream in (sys.stdout, sys.stderr):

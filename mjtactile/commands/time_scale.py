@@ -1,5 +1,7 @@
-"""`--time-scale N`: emulated rigs at a part of the speed, for a computer that does not keep up with
-them."""
+"""`--time-scale N`: run emulated rigs at a fraction of the normal speed.
+
+It is for computers that are too slow for real time.
+"""
 
 from __future__ import annotations
 

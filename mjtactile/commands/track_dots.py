@@ -1,5 +1,7 @@
-"""`mjtactile reconstruct --marks`: the circles of any marked skin, followed through a video, in
-pixels and, where camera and radius are known, in space."""
+"""`mjtactile reconstruct --marks`: track the circles of any marked skin in a video.
+
+Results are in pixels. They are also in space if the camera and the radius are known.
+"""
 
 from __future__ import annotations
 

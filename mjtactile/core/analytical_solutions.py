@@ -1,13 +1,15 @@
-"""Closed forms of membrane mechanics that the simulator is compared with. Pure functions, SI units.
+"""Closed-form solutions of membrane mechanics, for comparison with the simulator.
 
-Rectangle 2a x 2b under pressure p, pre-tension T0 per length, membrane stiffness E h, Poisson ratio
-nu:
+Pure functions, SI units.
+
+Rectangle 2a x 2b under pressure p. T0 is the pre-tension per length, E h the membrane stiffness,
+and nu the Poisson ratio:
 
     p = C1(b/a) T0 w0 / a^2 + C2(b/a, nu) E h w0^3 / a^4                (Eq. M1)
 
-Each coefficient is exact where the other term vanishes; between, the shapes differ and the sum is
-up to 4 % low. The table was recomputed by Ritz, series and finite elements, which agree to 0.01 %;
-fits in print are 1-1.6 % low.
+Each coefficient is exact where the other term vanishes. In between, the shapes differ, and the sum
+is up to 4 % low. The table was recomputed by Ritz, series and finite elements. These methods agree
+to 0.01 %; published fits are 1-1.6 % low.
 """
 
 from __future__ import annotations
@@ -98,9 +100,11 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
 
 
 def bulge_height(design: SensorDesign, gauge_pressure: float) -> float:
-    """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2,
-    or ellipse, at a gauge pressure, Pa (Eq. M1; Eq. M7 for neo-Hookean rubber); NaN outside of the
-    tables, of other outlines, and where the rubber cannot hold the pressure.
+    """Return the center height w0, m, of the membrane inflated by a gauge pressure, Pa.
+
+    The outline is a rectangle, a circle (C1 = 4, Hencky's C2) or an ellipse. The equation is Eq.
+    M1, or Eq. M7 for neo-Hookean rubber. The result is NaN outside of the tables and for other
+    outlines. It is also NaN if the rubber cannot hold the pressure.
     """
     sheet = design.membrane
     if sheet.law is Law.STVK:
@@ -114,18 +118,20 @@ def bulge_height(design: SensorDesign, gauge_pressure: float) -> float:
         secant = sheet.young * rubber / plain
         return _hookean_height(design, secant, abs(gauge_pressure)) - height
 
-    least = 1e-3 * half_width
-    most = 1.5 * half_width
-    if not np.isfinite(missing(least)) or missing(most) > 0:
+    minimum = 1e-3 * half_width
+    maximum = 1.5 * half_width
+    if not np.isfinite(missing(minimum)) or missing(maximum) > 0:
         return np.nan
-    height = _root(missing, least, most) if missing(least) > 0 else least + missing(least)
+    height = (
+        _root(missing, minimum, maximum) if missing(minimum) > 0 else minimum + missing(minimum)
+    )
     return float(np.copysign(height, gauge_pressure))
 
 
 def _hookean_height(design: SensorDesign, young: float, gauge_pressure: float) -> float:
-    """Eq. M1 for a modulus of `young` Pa.
+    """Solve Eq. M1 for a modulus of `young` Pa.
 
-    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h
+    Relative to the mounted membrane, stretched by l, the stiffness is l^2 E h
     (docs/theory/membrane_inverse.md, Eq. F4).
     """
     short, long = sorted((design.frame.width, design.frame.length))
@@ -212,8 +218,10 @@ def hencky_factor(poisson: float) -> float:
 
 
 def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
-    """Height, m, of a clamped circular membrane of `radius` m and `stiffness` E h N/m under
-    `pressure` Pa (Eq. M2)."""
+    """Return the height, m, of a clamped circular membrane under `pressure` Pa (Eq. M2).
+
+    `radius` is in m, `stiffness` E h in N/m.
+    """
     return radius * hencky_factor(poisson) * (pressure * radius / stiffness) ** (1 / 3)
 
 
@@ -225,9 +233,11 @@ def point_load(radius: float, stiffness: float, poisson: float, depth: float) ->
 
 
 def sphere_on_circle(radius: float, tension: float, sphere: float, force: float) -> float:
-    """Depth, m, to which a `force` N presses a sphere of radius `sphere` m into a circle under
-    constant `tension` N/m (Eq. M4); for slopes that are small and a contact that is small against
-    the circle."""
+    """Return the indentation depth, m, of a sphere on a circular membrane (Eq. M4).
+
+    The `force`, N, acts on a sphere of radius `sphere` m. The membrane has a constant `tension`,
+    N/m. Slopes must be small, and the contact small relative to the circle.
+    """
     contact_square = force * sphere / (2 * np.pi * tension)
     return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
 

@@ -1,7 +1,7 @@
-"""Splines in one dimension: the bases that everything in two is a product of.
+"""Splines in one dimension; products of these bases form all two-dimensional bases.
 
-`Cubic` are the clamped cubic B-splines that vanish at both ends, `hats` the piecewise linear ones,
-`interpolating` goes through given values.
+`Cubic` are the clamped cubic B-splines that vanish at both ends. `hats` are piecewise linear.
+`interpolating` passes through given values.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ _DEGREE = 3
 
 
 class Cubic:
-    """Cubic B-splines on [-length/2, length/2] over `spans` equal intervals, without the two that
-    do not vanish at the ends; there are `count` = spans + 1.
+    """Cubic B-splines on [-length/2, length/2] over `spans` equal intervals.
 
-    `breaks` (spans + 1,) are the ends of the intervals; `points`, `weights` (spans * gauss,)
-    Gauss-Legendre quadrature with `gauss` nodes in each, exact up to degree 2 gauss - 1.
+    The two that do not vanish at the ends are omitted; `count` = spans + 1 remain.
+
+    `breaks` (spans + 1,) are the ends of the intervals. `points` and `weights` (spans * gauss,) are
+    Gauss-Legendre quadrature with `gauss` nodes in each interval. It is exact up to degree 2 gauss
+    - 1.
     """
 
     def __init__(self, length: float, spans: int, gauss: int):
@@ -52,19 +54,20 @@ def hats(knots: Array, at: Array) -> tuple[Array, Array]:
 
 
 def interpolating(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Matrices (N, n) that take values at `knots` to values and slopes at `at` of the cubic through
-    them (not-a-knot)."""
+    """Return two matrices (N, n) that evaluate the cubic through values at `knots`.
+
+    They map these values to values and slopes at `at`. The end condition is not-a-knot.
+    """
     own = np.r_[[knots[0]] * (_DEGREE + 1), knots[2:-2], [knots[-1]] * (_DEGREE + 1)]
     coefficients = np.linalg.inv(_basis(own, knots))
     return _basis(own, at) @ coefficients, _basis(own, at, 1) @ coefficients
 
 
 def _basis(knots: Array, x: Array, derivative: int = 0) -> Array:
-    """Return the values (N, n) at `x` (N,) of the n cubic B-splines on `knots` (n + 4,), or of a
-    derivative.
+    """Return the values or derivatives (N, n) of n cubic B-splines at `x` (N,).
 
-    The method is de Boor's recursion (A Practical Guide to Splines, IX (14) and X (15)). scipy has
-    it too, but its import takes a tenth of a second.
+    `knots` has shape (n + 4,). The method is de Boor's recursion (A Practical Guide to Splines, IX
+    (14) and X (15)). The version in scipy takes a tenth of a second to import.
     """
     inside = np.clip(np.searchsorted(knots, x, side="right") - 1, _DEGREE, len(knots) - _DEGREE - 2)
     values = np.zeros((len(x), len(knots) - 1))

@@ -149,11 +149,13 @@ def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
 
 @dataclass(frozen=True, eq=False)
 class FrameCalibration:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m, in frame S, and `scale` (N,), the measured over the
-    nominal radius of each marker.
+    """Camera pose in frame S and marker radii of a calibrated sensor.
 
-    `residual_px` and `scale_sd` come from the flat membrane. If measured, `rest` is the membrane at
-    rest, and `stiffness` the ratio of its stiffness to the sensor file's.
+    The pose is `R_SC` (3, 3) and `p_SC` (3,) m. `scale` (N,) is the measured over the nominal
+    radius of each marker.
+
+    `residual_px` and `scale_sd` come from the flat membrane. `rest` is the membrane at rest, if
+    measured. `stiffness` is then the ratio of its stiffness to the sensor file's.
     """
 
     kind: ClassVar[str] = "frame"

@@ -95,15 +95,15 @@ def _pane(glass: Any, source: str) -> tuple[float, float, float]:
             choices=tuple(_PANE),
         )
     values = []
-    for name, (least, most, unit) in _PANE.items():
+    for name, (minimum, maximum, unit) in _PANE.items():
         value = glass[name]
         if (
             isinstance(value, bool)
             or not isinstance(value, int | float)
-            or not least <= value <= most
+            or not minimum <= value <= maximum
         ):
             raise InputError(
-                f"{value!r} is not a number from {least:g} to {most:g}",
+                f"{value!r} is not a number from {minimum:g} to {maximum:g}",
                 source=source,
                 field=f"glass.{name}",
             )

@@ -1,5 +1,6 @@
-"""Mapping of dataclasses to files: key, unit, range, default and meaning are defined once, on the
-field.
+"""Mapping of dataclasses to files.
+
+Key, unit, range, default and meaning are defined once, on the field.
 
     @dataclass(frozen=True)
     class Pane:
@@ -10,8 +11,9 @@ field.
     write(pane)                   # {"thickness_mm": 2.0, "refractive_index": 1.5}
 
 This module reads sensor files, rig files, as-built files, variations, calibrations and settings. A
-method `validate(self, section)` of the class checks constraints between fields. A class whose
-fields do not correspond to single keys implements `from_section(section)` and `to_table(self)`.
+method `validate(self, section)` of the class checks constraints between fields. Some classes have
+fields that do not correspond to single keys. Such a class implements `from_section(section)` and
+`to_table(self)`.
 """
 
 from __future__ import annotations

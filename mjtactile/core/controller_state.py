@@ -1,5 +1,7 @@
-"""Serializable part of a controller's memory (`Command.memory`), for recordings and other
-processes: numbers, strings, and lists and tables of them, within size limits.
+"""Serializable part of a controller's memory (`Command.memory`).
+
+It is for recordings and other processes. It holds numbers, strings, and lists and tables of them,
+within size limits.
 """
 
 from __future__ import annotations

@@ -8,8 +8,10 @@ from typing import Any
 
 
 class MjtactileError(Exception):
-    """Base of all errors that this package raises on purpose; its text is one line for a person to
-    read."""
+    """Base of all errors that this package raises on purpose.
+
+    Its text is one line for the user.
+    """
 
     exit_code = 3
 

@@ -1,10 +1,10 @@
-"""Fixed reference circles: the `[fiducials]` section of a sensor file, and the circles' positions.
+"""Fixed reference circles: the `[fiducials]` section of a sensor file, and positions.
 
-Straight chamber walls hide the inner face of the frame from the camera. For circles on the rim the
-walls are set back: the rim forms a lip, `lip` thick and `step` wide, with the circles on its inner
-face. Their distance, sharpness and illumination equal those of the membrane's markers. Circles on
-the glass's inner face need no setback. They are nearer, out of focus, and lie in the image strip
-outside the opening.
+Straight chamber walls hide the inner face of the frame from the camera. The walls are therefore set
+back for circles on the rim. The rim then forms a lip, `lip` thick and `step` wide. The circles are
+on its inner face. Their distance, sharpness and illumination equal those of the membrane's markers.
+Circles on the glass's inner face need no setback. They are nearer and out of focus. They lie in the
+image strip outside the opening.
 """
 
 from __future__ import annotations

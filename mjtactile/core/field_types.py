@@ -16,9 +16,9 @@ from mjtactile.core.toml import Section
 class Entry:
     """Entry of a field in a file: its `key` and its description `about`.
 
-    It is read only if another field, read before, has one of certain values (`only_if`: that
-    field's name and the values). `required`: the file must contain it, even if the class has a
-    default. `group` is the section of a variation file that may randomize it.
+    `only_if` holds the name and values of another field, read before. The entry is read only if
+    that field has one of these values. `required`: the file must contain it, even if the class has
+    a default. `group` is the section of a variation file that may randomize it.
     """
 
     key: str

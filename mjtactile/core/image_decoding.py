@@ -15,8 +15,10 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def decode(data: bytes, flags: int) -> NDArray | None:
-    """Return the pixels of an image file (`flags`: cv2.IMREAD_*); None if it is damaged, too large,
-    or not an image."""
+    """Return the pixels of an image file (`flags`: cv2.IMREAD_*).
+
+    None if it is damaged, too large, or not an image.
+    """
     if data.startswith(_SIGNATURE) and not _is_sound_png(data):
         return None
     try:
@@ -28,8 +30,10 @@ def decode(data: bytes, flags: int) -> NDArray | None:
 
 
 def _is_sound_png(data: bytes) -> bool:
-    """Return True if each chunk is complete with a valid checksum, and the image size is within
-    limits. libpng only prints errors and continues."""
+    """Return True if each chunk is complete with a valid checksum.
+
+    The image size must also be within limits. libpng only prints errors and continues.
+    """
     start = len(_SIGNATURE)
     while len(data) >= start + 12:
         size, kind = struct.unpack_from(">I4s", data, start)

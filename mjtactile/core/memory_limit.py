@@ -1,8 +1,8 @@
 """Limit on the additional memory of a process while an object is held.
 
-A request beyond the limit fails with a MemoryError that is handled. Otherwise, gigabyte allocations
-block all other threads of the interpreter for seconds, so that devices treat the host as dead. The
-kernel also kills a process that has used all memory.
+A request beyond the limit fails with a MemoryError that is handled. Without a limit, gigabyte
+allocations block all other threads of the interpreter for seconds. Devices then treat the host as
+dead. The kernel also kills a process that has used all memory.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _STATUS = Path("/proc/self/status")
 
 
 @contextlib.contextmanager
-def limited(most: int = MOST) -> Iterator[Callable[[], None]]:
+def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
     """Limit this process's memory from a moment within the block until its end, on Linux.
 
     Args:
@@ -45,8 +45,8 @@ def limited(most: int = MOST) -> Iterator[Callable[[], None]]:
         has_started = True
         used = _used()
         soft, hard = before
-        if used is not None and (soft == resource.RLIM_INFINITY or used + most < soft):
-            resource.setrlimit(resource.RLIMIT_DATA, (used + most, hard))
+        if used is not None and (soft == resource.RLIM_INFINITY or used + maximum < soft):
+            resource.setrlimit(resource.RLIMIT_DATA, (used + maximum, hard))
 
     try:
         yield begin

@@ -1,12 +1,13 @@
-"""Neo-Hookean material law of the membrane in plane stress (docs/theory/membrane_inverse.md, Eq.
-F4). Pure functions, SI units.
+"""Neo-Hookean material law of the membrane in plane stress.
+
+Pure functions, SI units (docs/theory/membrane_inverse.md, Eq. F4).
 
     W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2,    S = mu (I - c C^-1)
 
 C is the in-plane right Cauchy-Green tensor relative to the unstretched membrane. c is the square of
 the thickness stretch. Zero stress through the thickness determines it: mu (c - 1) + lambda/2 ln(c
-det C) = 0. In two dimensions det(C) C^-1 = tr(C) I - C. S is therefore linear in I and C, with
-coefficients that depend on tr C and det C.
+det C) = 0. In two dimensions det(C) C^-1 = tr(C) I - C. S is therefore linear in I and C. The
+coefficients depend on tr C and det C.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ def shear_modulus(young: float, poisson: float) -> float:
 
 
 def thickness_over_area(log_det: Array, poisson: float) -> Array:
-    """c / det C for ln det C = `log_det` (any shape); two Newton steps leave 1e-6 up to stretches
-    of 1.4."""
+    """Return c / det C for ln det C = `log_det` (any shape).
+
+    Two Newton steps leave an error of 1e-6 up to stretches of 1.4.
+    """
     half = poisson / (1 - 2 * poisson)  # lambda / 2 mu
     x = log_det * (-poisson / (1 - poisson))  # ln c, first order
     for _ in range(2):

@@ -177,16 +177,17 @@ def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
 
 
 def refract(camera: Camera, p_CP: ArrayLike) -> Array:
-    """Compute the normalized coordinates x/z, y/z (..., 2) of the ray before the glass, for points
-    `p_CP` (..., 3) beyond it.
+    """Compute the normalized coordinates x/z, y/z (..., 2) of the ray before the glass.
 
-    With x = tan(theta) of the ray in air, a point at depth Z and distance rho from the axis obeys
-    (Snell's law; n sin(theta_glass) = sin(theta))
+    The points `p_CP` (..., 3) lie beyond the glass.
+
+    Here x = tan(theta) of the ray in air. A point has depth Z and distance rho from the axis.
+    Snell's law (n sin(theta_glass) = sin(theta)) gives
 
         rho = (Z - t) x + t x / sqrt(n^2 + (n^2 - 1) x^2),
 
-    solved by Newton's method. The right side is increasing and almost linear in x, so that three
-    steps reach 1e-16.
+    solved by Newton's method. The right side is increasing and almost linear in x. Three steps
+    therefore reach 1e-16.
     """
     p = np.asarray(p_CP, dtype=float)
     z = p[..., 2]

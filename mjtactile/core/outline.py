@@ -5,11 +5,11 @@ Simulator and sensing use structured grids. One map in two parts transfers these
     square [-1, 1]^2 -> disc:  w = u sqrt(1 - v^2 / 2) + i v sqrt(1 - u^2 / 2)
     disc -> opening:           x + i y = sum_n a_n w^n + b_n conj(w)^n
 
-The second map is harmonic, and follows the outline at constant speed along the circle. For a convex
+The second map is harmonic. It follows the outline at constant speed along the circle. For a convex
 outline such a map is one to one (Rado, Kneser, Choquet; P. Duren, Harmonic Mappings in the Plane,
-ch. 3). For a circle a_1 is the radius. For an ellipse a_1 and b_1 are half the sum and half the
-difference of its half axes, so that the map is affine. The grid cells degenerate only where the
-square's four corners map to the smooth outline.
+ch. 3). For a circle a_1 is the radius. For an ellipse, the map is affine. Its a_1 and b_1 are half
+the sum and half the difference of the half axes. The grid cells degenerate at four points only.
+There the square's corners map to the smooth outline.
 """
 
 from __future__ import annotations
@@ -136,8 +136,10 @@ class Outline:
         return w
 
     def _mapped(self, w: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """Complex x + i y m at points `w` (N,) of the disc, and its derivatives by w and its
-        conjugate."""
+        """Return complex x + i y, m, at points `w` (N,) of the disc, and its derivatives.
+
+        The derivatives are by w and by its conjugate.
+        """
         value, by_w = _polynomial(self.powers, w)
         other, by_conjugate = _polynomial(self.conjugates, np.conj(w))
         return value + other, by_w, by_conjugate

@@ -1,10 +1,11 @@
-"""Observation and action of a learned policy, identical in a Gymnasium environment, in training,
-and in a controller on a rig.
+"""Observation and action of a learned policy.
 
-A policy maps one vector (`policy_observation`) to an action (3,) in [-1, 1]: opening speed, force
-limit and lift speed (`command_from_action`). The phase of the grasp, from approach to release,
-follows from touch and heights, and is part of the observation. A policy without memory can
-therefore lift, hold and set down.
+They are identical in a Gymnasium environment, in training, and in a controller on a rig.
+
+A policy maps one vector (`policy_observation`) to an action (3,) in [-1, 1]. The action sets
+opening speed, force limit and lift speed (`command_from_action`). The observation contains the
+phase of the grasp, from approach to release. Touch and heights determine it. A policy without
+memory can therefore lift, hold and set down.
 """
 
 from __future__ import annotations
@@ -77,7 +78,8 @@ def policy_bounds(fingers: int = 2) -> Array:
 @cache
 def _bounds(fingers: int) -> Array:
     return np.array(
-        [most for _ in range(fingers) for _, most in _FINGER] + [most for _, most in _RIG]
+        [maximum for _ in range(fingers) for _, maximum in _FINGER]
+        + [maximum for _, maximum in _RIG]
     )
 
 
@@ -106,8 +108,8 @@ def policy_observation(observation: Observation) -> Array:
     ]
     values = np.array([value for touch in observation.touch for value in _felt(touch)] + rig, float)
     values[~np.isfinite(values)] = 0.0
-    most = _bounds(len(observation.touch))
-    return np.minimum(np.maximum(values, -most), most).astype(np.float32)
+    maximum = _bounds(len(observation.touch))
+    return np.minimum(np.maximum(values, -maximum), maximum).astype(np.float32)
 
 
 def command_from_action(observation: Observation, action: ArrayLike) -> Command:

@@ -1,9 +1,8 @@
-"""Child processes of this package: common start, communication by lines of JSON, and termination
-with their parent.
+"""Child processes of this package: start, communication and termination.
 
-A child is a new interpreter, not a fork (this process may have threads). It has one BLAS thread and
-its own session: Ctrl-C in the terminal reaches the parent only, which ends its children after its
-shutdown.
+They communicate by lines of JSON and end with their parent. A child is a new interpreter, not a
+fork, since this process may have threads. It has one BLAS thread and its own session. Ctrl-C in the
+terminal reaches the parent only. The parent ends its children after its shutdown.
 """
 
 from __future__ import annotations
@@ -40,9 +39,12 @@ def start(
     talk: bool = False,
     grace: float = _PARENT_GRACE,
 ) -> subprocess.Popen[str]:
-    """Start `python -m MODULE ARGS`, which keeps these file `descriptors`; with `talk`, its stdin
-    and stdout are pipes for `ask`, else there are none. It is ended `grace` s after this process,
-    if it does not end by itself."""
+    """Start `python -m MODULE ARGS` as a child process.
+
+    It inherits these file `descriptors`. With `talk`, its stdin and stdout are pipes for `ask`;
+    otherwise they are the null device. It is ended `grace` s after this process, unless it ends
+    earlier.
+    """
     home = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     stream = subprocess.PIPE if talk else subprocess.DEVNULL

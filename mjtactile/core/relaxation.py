@@ -1,22 +1,23 @@
-"""Viscoelastic membrane: stress relaxation and softening in the first cycles, from a sensor file's
-`[relaxation]`. Pure functions, SI units.
+"""Viscoelastic membrane: stress relaxation, and softening in the first cycles.
 
-The file's Young's modulus is the long-term one. Maxwell elements act in parallel, each with a
-fraction a_i of the long-term stress S(C) and a time constant tau_i (a Prony series;
-docs/theory/membrane_inverse.md, F23):
+The parameters are a sensor file's `[relaxation]`. Pure functions, SI units.
+
+The file's Young's modulus is the long-term one. Maxwell elements act in parallel. Each has a
+fraction a_i of the long-term stress S(C) and a time constant tau_i. This is a Prony series
+(docs/theory/membrane_inverse.md, F23):
 
     S_total(t) = S + sum q_i,    dq_i/dt = a_i dS/dt - q_i / tau_i
 
-The stiffness for a fast deformation is 1 + sum a_i times the long-term one, which applies after a
-long hold. With the relaxed stress of each element, r_i = a_i S - q_i,
+The stiffness for a fast deformation is 1 + sum a_i times the long-term one. The long-term stiffness
+applies after a long hold. With the relaxed stress of each element, r_i = a_i S - q_i,
 
     S_total = (1 + sum a_i) S - sum r_i,    dr_i/dt = (a_i S - r_i) / tau_i
 
-without a derivative of the strain. Softening (Mullins) reduces S by a fraction that depends on the
-maximum energy ever stored at a position, W_most (Ogden and Roxburgh 1999, with their r = 1 / share
-and m = energy, beta = 0):
+without a derivative of the strain. Softening (Mullins) reduces S by a fraction. It depends on
+W_max, the maximum energy ever stored at a position (Ogden and Roxburgh 1999, with their r = 1 /
+share and m = energy, beta = 0):
 
-    S(C) -> (1 - share erf((W_most - W) / energy)) S(C)
+    S(C) -> (1 - share erf((W_max - W) / energy)) S(C)
 """
 
 from __future__ import annotations
@@ -138,7 +139,9 @@ def decades(rate: float, first: float = 1.0, last: float = 1e4) -> tuple[tuple[f
 
 
 def relaxed_modulus(relaxation: Relaxation, time: Any) -> Array:
-    """Stress over the lasting one at `time` s after a step of strain, any shape: 1 + sum a_i
-    exp(-t / tau_i)."""
+    """Return the ratio of the stress to the long-term stress after a strain step.
+
+    `time`, s, has any shape. The ratio is 1 + sum a_i exp(-t / tau_i).
+    """
     times = np.asarray(time, float)[..., None]
     return 1.0 + (relaxation.shares * np.exp(-times / relaxation.times)).sum(axis=-1)

@@ -1,5 +1,7 @@
-"""Location of the shipped sensors, objects, grippers and controllers: next to the package in a
-checkout, inside it in a wheel."""
+"""Location of the shipped sensors, objects, grippers and controllers.
+
+They are next to the package in a checkout, and inside it in a wheel.
+"""
 
 from __future__ import annotations
 

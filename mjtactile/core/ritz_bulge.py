@@ -1,16 +1,18 @@
-"""Inflated membrane by Ritz's method: reference for the height of a simulated membrane, to four
-digits. Pure functions, SI units. The method uses neither the simulator's triangles nor sensing's
-splines.
+"""Inflated membrane by Ritz's method, accurate to four digits.
 
-The displacement of the mounted membrane is a polynomial in the coordinates of a disc (of a square,
-for rectangles), multiplied by a bubble function. The bubble, 1 - r^2 or (1 - x^2)(1 - y^2),
-vanishes on the frame. The outline's map (`mjtactile.core.outline`) maps the disc to the opening.
-The coefficients satisfy the principle of virtual work for stress, gas and weight
-(docs/theory/closed_forms.md, Eq. M8):
+It is the reference for the height of a simulated membrane. Pure functions, SI units. The method
+uses neither the simulator's triangles nor sensing's splines.
+
+The displacement of the mounted membrane is a polynomial multiplied by a bubble function. The
+polynomial's coordinates are those of a disc (of a square, for rectangles). The bubble, 1 - r^2 or
+(1 - x^2)(1 - y^2), vanishes on the frame. The outline's map (`mjtactile.core.outline`) maps the
+disc to the opening. The coefficients satisfy the principle of virtual work for stress, gas and
+weight (docs/theory/closed_forms.md, Eq. M8):
 
     int P : grad v dA = p int (x_1 x x_2) . v dA - g rho h / l^2 int v_z dA,    P = h F S(l^2 F^T F)
 
-The solution is smooth if the outline is, and the error decreases by a factor with every degree.
+The solution is smooth if the outline is smooth. The error decreases by a factor with every
+degree.
 """
 
 from __future__ import annotations
@@ -82,9 +84,9 @@ def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) 
         moved = unknown + _SMALL * np.eye(len(unknown))
         slope = np.array([sheet.residual(one, pressure, weight) - missing for one in moved])
         step = np.linalg.solve(slope.T / _SMALL, -missing)
-        most = float(np.abs(step).max())
-        unknown = unknown + step * min(1.0, 1.0 / most)  # by 1 mm at most
-        if most < _CONVERGED:
+        maximum = float(np.abs(step).max())
+        unknown = unknown + step * min(1.0, 1.0 / maximum)  # by 1 mm at most
+        if maximum < _CONVERGED:
             return unknown
     return None
 
@@ -202,8 +204,11 @@ def _bubble(places: Array, disc: bool) -> tuple[Array, Array]:
 
 
 def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[int, int]]:
-    """Return the orders of the polynomials in x and y: symmetric or, where `odd`, antisymmetric
-    ones; all if not `symmetric`."""
+    """Return the orders of the polynomials in x and y.
+
+    If `symmetric`, they are even, or odd along the axes in `odd`. Otherwise all orders are
+    returned.
+    """
     if not symmetric:
         return [(i, total - i) for total in range(2 * degree + 1) for i in range(total + 1)]
     return [
@@ -216,13 +221,13 @@ def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[in
 def _products(places: Array, orders: list[tuple[int, int]]) -> tuple[Array, Array]:
     """Chebyshev's T_i(x) T_j(y) (k, q), and its derivatives (2, k, q)."""
     i, j = np.array(orders).T
-    most = int(max(i.max(), j.max()))
-    (x, by_x), (y, by_y) = (_chebyshev(one, most) for one in places.T)
+    maximum = int(max(i.max(), j.max()))
+    (x, by_x), (y, by_y) = (_chebyshev(one, maximum) for one in places.T)
     return x[i] * y[j], np.array([by_x[i] * y[j], x[i] * by_y[j]])
 
 
-def _chebyshev(at: Array, most: int) -> tuple[Array, Array]:
+def _chebyshev(at: Array, maximum: int) -> tuple[Array, Array]:
     """T_0 to T_most at places (q,), and their derivatives, both (most + 1, q)."""
-    values = chebvander(at, most)
-    slopes = values[:, : max(most, 1)] @ chebder(np.eye(most + 1), axis=0)
+    values = chebvander(at, maximum)
+    slopes = values[:, : max(maximum, 1)] @ chebder(np.eye(maximum + 1), axis=0)
     return values.T, slopes.T

@@ -1,9 +1,10 @@
-"""Clock of devices, emulator and loop. Its seconds may be longer than wall-clock seconds.
+"""Clock of devices, emulator and loop; its seconds may exceed wall-clock seconds.
 
-`MJTACTILE_TIME_SCALE=3` (the command line's `--time-scale 3`) makes each second last three
-wall-clock seconds. Emulated world, servo watchdogs, board heartbeat, cameras, host and all timeouts
-run at a third of the speed, so that a busy computer can keep up. Child processes inherit it. Real
-devices have their own clock: only emulated ones can be slowed down.
+`MJTACTILE_TIME_SCALE=3` makes each second last three wall-clock seconds. The command line's
+`--time-scale 3` does the same. Emulated world, servo watchdogs, board heartbeat and cameras then
+run at a third of the speed. The same applies to the host and all timeouts. A busy computer can
+therefore keep up. Child processes inherit the setting. Real devices have their own clock: only
+emulated ones can be slowed down.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""`Scenario`: definition of one run: object, task, controller, rig, sensors, simulation and seed.
+"""`Scenario`: definition of one run: object, task, controller, rig, sensors, and more.
 
-The command line creates it, files describe it, and results and recordings store it. All functions
-that run an episode take it. Speed and place of execution are not part of it: a scenario with the
-same versions yields the same numbers.
+It also holds the simulation and the seed. The command line creates it, and files describe it.
+Results and recordings store it. All functions that run an episode take it. Speed and place of
+execution are not part of it. A scenario with the same versions yields the same numbers.
 """
 
 from __future__ import annotations

@@ -55,8 +55,11 @@ _SIDED = (FrameShape.RECTANGLE, FrameShape.ELLIPSE, FrameShape.ROUNDED)
 
 @dataclass(frozen=True)
 class Frame:
-    """Rigid frame, m. Length and width are those of the rectangle about the origin that holds the
-    opening: of a circle both are its diameter."""
+    """Rigid frame, m.
+
+    Length and width are those of the rectangle, centered at the origin, that holds the opening. For
+    a circle both equal its diameter.
+    """
 
     length: float = number(
         "length_mm", 2, 500, MM, about="inner opening along x", only_if=("shape", _SIDED)
@@ -192,8 +195,8 @@ class Membrane:
     def pretension(self) -> float:
         """Tension per length T0, N/m, of the flat mounted membrane with equibiaxial stretch.
 
-        The force per *mounted* length is h S with the second Piola-Kirchhoff stress S (the factor l
-        of the deformation and the factor 1/l of the mounted length cancel).
+        The force per *mounted* length is h S with the second Piola-Kirchhoff stress S. The factor l
+        of the deformation and the factor 1/l of the mounted length cancel.
         """
         return self.thickness * equibiaxial_stress(
             self.pre_stretch, self.young, self.poisson, self.law
@@ -202,9 +205,11 @@ class Membrane:
 
 @dataclass(frozen=True)
 class MarkerLayout:
-    """Rigid black circles on the inside, a grid about the centre, m. Positions are those of the
-    mounted, flat membrane. Where the `frame` is no rectangle, the grid has those circles that lie
-    within it by `_CLEAR` radii or more."""
+    """Grid of rigid black circles on the inside, centered at the origin, m.
+
+    Positions are those of the mounted, flat membrane. For a non-rectangular `frame`, only some
+    circles remain. They lie at least `_CLEAR` radii within it.
+    """
 
     rows: int = whole("rows", 2, 200, about="along y")
     columns: int = whole("columns", 2, 200, about="along x")

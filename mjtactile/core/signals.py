@@ -31,8 +31,11 @@ OTHERS = (
     *_found("SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
     *range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1),
 )
-"""End a process that does not handle them, too: a batch queue's warning, a timer, processor time
-that is used up (which repeats every second)."""
+"""Further signals that end a process which does not handle them.
+
+Examples are a batch queue's warning, a timer, and used-up processor time. The last one repeats
+every second.
+"""
 ENDING = URGENT + OTHERS
 # debounce time, s: a repeated signal sooner after the first one is ignored (key bounce, a shell
 # that repeats it)

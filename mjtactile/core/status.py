@@ -30,10 +30,11 @@ class StatusCode(StrEnum):
 
 
 class Status(str):
-    """`"ok"`, or a short reason why a value should not be trusted; `code` is the same for programs.
+    """Status of a value: `"ok"`, or a short reason why it is not reliable.
 
-    It is text, so that `status == "ok"`, arrays of statuses and recordings (which hold the text)
-    need no conversion, and a message may carry numbers. "unknown" is an answer; zero is not.
+    `code` is the same for programs. The status is text, so that `status == "ok"` and arrays need no
+    conversion. Recordings hold the text. A message may carry numbers. "unknown" is a valid result;
+    zero is not.
     """
 
     __slots__ = ("code",)
@@ -46,8 +47,10 @@ class Status(str):
 
     @classmethod
     def of(cls, text: str) -> Status:
-        """Return `text` if it is a status already; otherwise a status with code "ok" or OTHER,
-        according to the text."""
+        """Return `text` if it is already a status; otherwise convert it.
+
+        The new status has code "ok" or OTHER, according to the text.
+        """
         if isinstance(text, cls):
             return text
         return cls(StatusCode.OK if text == StatusCode.OK else StatusCode.OTHER, text)

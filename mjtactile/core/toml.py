@@ -60,11 +60,11 @@ def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
 
 
 class Section:
-    """A table of a file (`source`) that is read once, field by field; `done` refuses keys that were
-    not read.
+    """Table of a file (`source`) that is read once, field by field.
 
-    `label` is the table's place in the file ("" for the whole file). A field without `default` is
-    required; a `default` is returned as it is, without scale.
+    `done` refuses keys that were not read. `label` is the table's position in the file ("" for the
+    whole file). A field without `default` is required. A `default` is returned unchanged, without
+    scale.
     """
 
     def __init__(self, table: Mapping[str, Any], label: str, source: str):
@@ -107,8 +107,11 @@ class Section:
         *,
         whole: bool = False,
     ) -> Any:
-        """One number for each of `names`, within [low, high] (in the file's unit), times `scale`,
-        as a tuple of floats; of ints where `whole`."""
+        """Return one number for each of `names` as a tuple of floats.
+
+        Each lies within [low, high] (in the file's unit) and is multiplied by `scale`. With `whole`
+        the numbers are ints.
+        """
         value = self._get(key, default)
         if value is None:
             return default

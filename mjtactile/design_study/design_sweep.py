@@ -50,7 +50,7 @@ class Requirements:
     """
 
     touch: float | None = None
-    most: float | None = None
+    maximum: float | None = None
     edge: float | None = None
     radius: float | None = None
 
@@ -64,7 +64,7 @@ class Requirements:
         ):
             if wanted is not None and not have <= wanted * (1 + 1e-9):
                 missed.append(words)
-        if self.most is not None and not reached.most >= self.most:
+        if self.maximum is not None and not reached.maximum >= self.maximum:
             missed.append("range")
         return missed
 
@@ -73,8 +73,8 @@ class Requirements:
 class DesignCandidate:
     """Design with its predicted performance and missed requirements.
 
-    `on_front` is True if no other design that misses as few requirements is better in force, edge
-    and marker count together.
+    `on_front` is True if the design is on the Pareto front. No other design that misses as few
+    requirements is then better in force, edge and marker count together.
     """
 
     design: SensorDesign
@@ -176,8 +176,10 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
 
 
 def longest_lens(design: SensorDesign) -> float:
-    """Return the maximum factor on the focal length until a flat marker reaches the image border,
-    with a pinhole model."""
+    """Return the maximum factor on the focal length, with a pinhole model.
+
+    At this factor a flat marker reaches the image border.
+    """
     markers = design.markers
     camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius

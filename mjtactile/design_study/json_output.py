@@ -74,7 +74,7 @@ def from_requirements(
         "force_N": force,
         "wish": {
             "detect_force_mN": None if wish.touch is None else 1e3 * wish.touch,
-            "range_N": wish.most,
+            "range_N": wish.maximum,
             "edge_mm": None if wish.edge is None else 1e3 * wish.edge,
             "radius_mm": None if wish.radius is None else 1e3 * wish.radius,
         },

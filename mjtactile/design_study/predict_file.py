@@ -61,8 +61,11 @@ class Change:
 
 @dataclass(frozen=True)
 class PredictionReport:
-    """The study of a file: its `score` where `force` N presses, the map of its face, its picture,
-    and changes."""
+    """Predicted performance of a sensor file.
+
+    It holds the `score` for an indenting `force`, N, and the map of its face. It also holds its
+    image and the effects of changes to the file.
+    """
 
     design: SensorDesign
     force: float

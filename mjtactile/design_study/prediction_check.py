@@ -1,5 +1,8 @@
-"""Comparison of predictions with full simulation: a ball indents the sensor at random positions and
-depths, and the sensing chain evaluates rendered images."""
+"""Comparison of predictions with full simulation.
+
+A ball indents the sensor at random positions and depths. The sensing chain evaluates rendered
+images.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""Resolution of a sensor at one position: standard deviations of the force, of its position, of an
-edge's position and of a ball's radius."""
+"""Resolution of a sensor at one position.
+
+It consists of standard deviations. They apply to the force and its position, an edge's position,
+and a ball's radius.
+"""
 
 from __future__ import annotations
 
@@ -98,11 +101,13 @@ class ResolutionPredictor:
         return Resolution(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
 
     def edge_sd(self, place: Array, force: float) -> float:
-        """Sd, m, of the place of an edge across the face, the larger of those along x and along y.
+        """Predict the standard deviation, m, of the position of an edge across the face.
+
+        It is the larger of the values for edges along x and along y.
 
         Args:
-            place: (2,) m in S, that it goes through.
-            force: N.
+            place: Position (2,) m in S on the edge.
+            force: Indenting force, N.
 
         Returns:
             The standard deviation; NaN where the sensor does not carry the force.
@@ -136,8 +141,8 @@ class ResolutionPredictor:
     ) -> Array | None:
         """Return the covariance (k, k) of the parameters of a shape loaded with a force.
 
-        It is the chain's covariance for an image without misfit, from the derivatives of the
-        markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
+        It is the chain's covariance for an image without misfit. It follows from the derivatives of
+        the markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
         """
         over = self._hint(place, force)
         pressed = self.stand.press(
@@ -191,7 +196,7 @@ def ball(at: Array, radius: float) -> Coming:
 def place_sd(wrench: Array, cov: Array, height: float) -> float:
     """Compute the standard deviation, m, of a wrench's position on the plane z = `height` m.
 
-    The position is x = (z Fx - My) / Fz and y = (z Fy + Mx) / Fz; the larger of both is returned.
+    The position is x = (z Fx - My) / Fz and y = (z Fy + Mx) / Fz. The larger of both is returned.
 
     Args:
         wrench: Wrench (6,) N, N m about the origin of S.

@@ -52,7 +52,7 @@ class Score:
     radius: float = _number(
         "smallest_radius_mm", 1e-3, "smallest ball whose radius is estimated to a quarter", 1
     )
-    most: float = _number("force_most_N", 1.0, "largest force of a 10 mm ball", 2)
+    maximum: float = _number("force_most_N", 1.0, "largest force of a 10 mm ball", 2)
 
     def table(self) -> dict[str, float]:
         """Return the values by key, in the key's unit."""
@@ -91,7 +91,7 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
         place_sd=_rms([one.place_sd for one in reaches]),
         edge_sd=_rms([one.edge_sd for one in reaches]),
         radius=smallest_radius(reacher, places, force),
-        most=largest_force(stand),
+        maximum=largest_force(stand),
     )
 
 

@@ -44,8 +44,10 @@ Coming = Callable[[float], Obstacle]
 
 @dataclass(frozen=True, eq=False)
 class PredictedTouch:
-    """Result of the chain for a membrane: the `touch` for an image of the equilibrium, and the
-    `state` of the chain after it."""
+    """Result of the chain for a membrane.
+
+    `touch` belongs to an image of the equilibrium. `state` is the state of the chain after it.
+    """
 
     touch: Touch
     state: PipelineState
@@ -182,8 +184,10 @@ class VirtualBench:
     # --------------------------------------------------------------------------------
 
     def poses(self, x: Array) -> tuple[Array, Array]:
-        """Return the positions and normals of the markers on a membrane displaced by `x` (3, nx,
-        ny) m, each (N, 3) in S."""
+        """Return the positions and normals of the markers, each (N, 3) in S.
+
+        The membrane is displaced by `x` (3, nx, ny) m.
+        """
         moved, by_x, by_y = self._by_node @ x.reshape(3, -1).T
         normal = np.cross(by_x + [1.0, 0.0, 0.0], by_y + [0.0, 1.0, 0.0])
         p_SM = self.design.markers.p_SM + moved
@@ -220,13 +224,14 @@ class VirtualBench:
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
     def noise(self, felt: PredictedTouch) -> Array:
-        """Return the covariance (3, 3) N^2 of the estimated force from pixel noise alone, from
-        image to image.
+        """Return the covariance (3, 3) N^2 of the estimated force from pixel noise alone.
 
-        The chain's tractions are linear in the whitened markers, traction = P^(1/2) half^T
+        It is the scatter from image to image.
+
+        The chain's tractions are linear in the whitened markers: traction = P^(1/2) half^T
         innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12). The covariance of y is the
-        camera's error bound for the markers, whitened as in the chain. It applies to a single
-        image: the chain's memory of the camera from earlier images reduces it by up to half.
+        camera's error bound for the markers, whitened in the same manner. It applies to a single
+        image. The chain's memory of the camera from earlier images reduces it by up to half.
 
         Args:
             felt: Result for one image.

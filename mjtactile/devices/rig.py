@@ -43,13 +43,14 @@ class MonotonicClock:
 
 
 class FrameClock(MonotonicClock):
-    """Monotonic clock synchronized with the cameras: a cycle starts when an image arrives, not up
-    to a period later.
+    """Monotonic clock synchronized with the cameras.
 
-    It wakes from half a period before the requested time to half a period after it, or after a
-    period from its last wake-up. The loop thus synchronizes with its cameras. It wakes even if they
-    fail; `CameraDevice.read` detects their faults. It does not wait for a camera without
-    `wait_newer` and `newest_time`, such as a third party's.
+    A cycle starts when an image arrives, not up to a period later.
+
+    It wakes at the earliest half a period before the requested time. It wakes at the latest half a
+    period after it, or a period after its last wake-up. The loop thus synchronizes with its
+    cameras. It wakes even if they fail; `CameraDevice.read` detects their faults. It does not wait
+    for a camera without `wait_newer` and `newest_time`, such as a third party's.
     """
 
     def __init__(self, cameras: Sequence[CameraDevice], period: float):

@@ -1,6 +1,5 @@
-"""Emulated hardware: a simulated grasp that looks like servos and valves on serial ports and
-cameras on the network.
+"""Emulated hardware: a simulated grasp behind the interfaces of real devices.
 
-It runs in its own process and shares no code with the drivers that talk to it, but for the servos'
-published tables.
+It appears as servos and valves on serial ports, and as cameras on the network. It runs in its own
+process. It shares no code with the drivers, except the servos' published tables.
 """

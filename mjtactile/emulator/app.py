@@ -1,10 +1,10 @@
-"""Process of the emulator: `python -m mjtactile.emulator.app`, started by
-`mjtactile.emulator.process`.
+"""Process of the emulator: `python -m mjtactile.emulator.app`.
 
-It reads its options from the first line of stdin. When it is ready, it prints one JSON line
-(`servo`, `valve`: pty paths; `cameras`: addresses; `pid`). Then it processes JSON lines on stdin,
-with one JSON line in answer to each: `{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop":
-true}`. It ends when its stdin closes, so that it never outlives its parent.
+`mjtactile.emulator.process` starts it. It reads its options from the first line of stdin. When it
+is ready, it prints one JSON line (`servo`, `valve`: pty paths; `cameras`: addresses; `pid`). Then
+it processes JSON lines on stdin: `{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop":
+true}`. It answers each with one JSON line. It ends when its stdin closes, so that it never outlives
+its parent.
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""Control tables of the emulated servos, transcribed from the pages of ROBOTIS's e-manual. They are
-independent of the driver's data.
+"""Control tables of the emulated servos, from the pages of ROBOTIS's e-manual.
 
-Addresses, sizes, access, initial values and ranges: "Control Table of EEPROM Area" and "... of RAM
-Area" of each model's page, https://emanual.robotis.com/docs/en/dxl/x/MODEL/ (sources:
-github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md), read in November 2026. A test compares the
-addresses with those that the SDK ships.
+They are independent of the driver's data.
+
+Each model's page gives addresses, sizes, access, initial values and ranges. Its tables are "Control
+Table of EEPROM Area" and "... of RAM Area". The page is
+https://emanual.robotis.com/docs/en/dxl/x/MODEL/, read in November 2026. Its source is
+github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md. A test compares the addresses with those of
+the SDK.
 """
 
 from __future__ import annotations
@@ -67,11 +69,11 @@ class TableEntry:
 
 @dataclass(frozen=True)
 class _Model:
-    """Differences of a model's page from the others. Initial values are in the page's units;
-    `volts` is the recommended supply.
+    """Differences of a model's page from the others.
 
-    `size` is 330, 430 or 540; voltage limits are in 0.1 V; `gains` are velocity I and P, position
-    D, I and P; `slope` is "PWM Slope".
+    Initial values are in the page's units. `volts` is the recommended supply. `size` is 330, 430 or
+    540. Voltage limits are in 0.1 V. `gains` are velocity I and P, position D, I and P. `slope` is
+    "PWM Slope".
     """
 
     size: int
@@ -111,9 +113,11 @@ _INDIRECT = {  # first indirect address, first indirect data, how many
 }
 _SHUTDOWN_BITS = 0b111101  # "Shutdown": bits 1, 6 and 7 are unused
 WATCHDOG_GOES_ON = {(330, 51)}
-"""Size and firmware of servos that report a trip of the watchdog but continue to turn. A member of
-ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
-(https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814)."""
+"""Size and firmware of servos that report a watchdog trip but continue to turn.
+
+A member of ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
+(https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814).
+"""
 
 _FIELDS = (
     TableEntry(0, 2, "Model Number"),
@@ -174,8 +178,10 @@ _FIELDS = (
 
 
 class ControlTable:
-    """All registers of one model: `fields` by name, `at` by first address, `indirect` from an
-    indirect datum's address to its indirect address'."""
+    """All registers of one model: `fields` by name, `at` by first address.
+
+    `indirect` maps an indirect datum's address to its indirect address'.
+    """
 
     def __init__(self, model: str):
         if model not in _MODELS:

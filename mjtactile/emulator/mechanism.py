@@ -17,8 +17,10 @@ _TICK = 2 * math.pi / 4096  # rad
 
 
 class Jaw:
-    """One servo's shaft and its part x (m) of the opening: x = x0 + r a on a rack, x0 + r sin a on
-    a crank."""
+    """One servo's shaft and its part x, m, of the opening.
+
+    On a rack, x = x0 + r a. On a crank, x = x0 + r sin a.
+    """
 
     def __init__(self, servo: EmulatedServo, config: ServoConfig, source: str):
         if config.transmission not in ("rack", "crank"):

@@ -13,8 +13,10 @@ from mjtactile.rig.sensors import finger_design
 
 @dataclass(frozen=True)
 class EmulatorOptions:
-    """The rig, the sensor on each finger, the object on the table, the seed of placement and noise,
-    faults from the start."""
+    """Options of the emulator: rig, sensor on each finger, and object on the table.
+
+    `seed` is that of placement and noise. `faults` are present from the start.
+    """
 
     rig_file: RigFile
     design: SensorDesign

@@ -1,7 +1,8 @@
-"""One emulated X-series servo: its registers, its rules, and the drive that they request.
+"""One emulated X-series servo: its registers, its rules, and its requested drive.
 
-Each rule names its heading in the e-manual (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/
-and .../xm430-w350/), or another source. The tables are in `mjtactile.emulator.control_table`.
+Each rule names its heading in the e-manual, or another source. The pages are
+https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/ and .../xm430-w350/. The tables are in
+`mjtactile.emulator.control_table`.
 """
 
 from __future__ import annotations
@@ -259,8 +260,8 @@ class EmulatedServo(ServoRegisters):
         """The shaft without any mechanism: it goes where it is driven, at most as fast as without
         load."""
         drive = self.drive()
-        most = _NO_LOAD_SPEED * period if drive.torque_max > 0 else 0.0
-        step = min(max(drive.goal - self.angle, -most), most)
+        maximum = _NO_LOAD_SPEED * period if drive.torque_max > 0 else 0.0
+        step = min(max(drive.goal - self.angle, -maximum), maximum)
         self.follow_load(self.angle + step, step / period, 0.0, period)
 
     def follow_load(self, angle: float, speed: float, torque: float, period: float) -> None:

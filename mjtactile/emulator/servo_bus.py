@@ -113,9 +113,11 @@ class ServoBus:
     def _broadcast(
         self, packet: p2.Instruction, awake: Sequence[EmulatedServo], now: float
     ) -> bytes:
-        """All act, but only a ping is answered, "according to their arranged order". A reset of
-        everything is not obeyed: "Factory Reset Instruction(0x06) will NOT be activated" for all
-        ids at once."""
+        """Execute a broadcast instruction on all servos.
+
+        Only a ping is answered, "according to their arranged order". A reset of everything is
+        ignored: "Factory Reset Instruction(0x06) will NOT be activated" for all ids together.
+        """
         if packet.code == p2.FACTORY_RESET and packet.parameters[:1] == b"\xff":
             return b""
         answer = b""
@@ -154,8 +156,10 @@ class ServoBus:
     def _read_fast(
         self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
     ) -> bytes:
-        """One packet to which each adds its part after the one before it: it ends at the first that
-        is not there."""
+        """Return one packet to which each servo appends its part.
+
+        The packet ends at the first missing servo.
+        """
         by_id = {servo.id: servo for servo in awake}
         if self._faults.occurs("servo_drop"):
             return b""

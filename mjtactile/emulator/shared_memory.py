@@ -1,6 +1,6 @@
 """Memory page shared by the emulator's two processes: commands to the world, and its state.
 
-Two processes are necessary: a servo must reply within a millisecond, and a physics step holds
+Two processes are necessary. A servo must reply within a millisecond, and a physics step holds
 Python's interpreter for longer. Each value has one writer. A double is written atomically, and each
 value is only ever "the newest".
 """

@@ -1,9 +1,9 @@
-"""An emulated valve board: the language and the rules of firmware/valve/README.md, with a chamber
-behind each channel.
+"""Emulated valve board with a chamber behind each channel.
 
-Written apart from that firmware and from the driver, its CRC too, so that a mistake in one of them
-shows. The supply reaches the chamber through a hose: its pressure follows the goal with a
-first-order lag. The board boots with a banner when its port is opened, as many do.
+It implements the language and the rules of firmware/valve/README.md. Its code, including the CRC,
+is independent of that firmware and of the driver. A mistake in one of them therefore becomes
+visible. The supply reaches the chamber through a hose. The chamber pressure follows the goal with a
+first-order lag. The board prints a banner when its port is opened, like many real boards.
 """
 
 from __future__ import annotations

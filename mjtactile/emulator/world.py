@@ -1,8 +1,8 @@
 """Process behind the emulated hardware: one simulated grasp in real time, and its cameras.
 
-`python -m mjtactile.emulator.world DESCRIPTOR` is started by `mjtactile.emulator.app`. It reads
-options from the first line of stdin and writes one JSON line to stdout when it is ready. It ends
-when its stdin closes. All other data pass through `SharedState`.
+`mjtactile.emulator.app` starts `python -m mjtactile.emulator.world DESCRIPTOR`. It reads options
+from the first line of stdin. It writes one JSON line to stdout when it is ready. It ends when its
+stdin closes. All other data pass through `SharedState`.
 """
 
 from __future__ import annotations
@@ -141,8 +141,10 @@ class EmulatedWorld:
         self._flagged |= self.scene.flags.keys()
 
     def _drive_jaws(self, goal: float, force: float) -> None:
-        """To the opening that is asked for; without torque the gears' friction holds them where
-        they are, unless something pushes harder."""
+        """Drive the jaws to the requested opening.
+
+        Without torque, gear friction holds the jaws in position unless a larger force acts.
+        """
         opening = self.scene.opening
         if not math.isnan(goal) and force > 0:
             self._rest_opening = None

@@ -161,9 +161,9 @@ def run_suite(
         InputError: Raised by `evaluate`.
         DeviceError: Raised by `evaluate`.
     """
-    for most in rounds(count):
-        resumed = replace(running, resume=running.resume or most > _ROUND)
-        run_round(suite, folder, controllers=controllers, count=most, running=resumed)
+    for maximum in rounds(count):
+        resumed = replace(running, resume=running.resume or maximum > _ROUND)
+        run_round(suite, folder, controllers=controllers, count=maximum, running=resumed)
 
 
 def rounds(count: int, each: int = _ROUND) -> list[int]:

@@ -37,8 +37,10 @@ def measures(line: Line) -> dict[str, float | None]:
 
 
 def flat(line: Line) -> dict[str, float | str]:
-    """The drawn values of one episode, one number or word a name: components of vectors by
-    themselves, of lists how many."""
+    """Return the randomized values of one episode, one number or word per name.
+
+    Components of vectors are separate entries. Lists are replaced by their length.
+    """
     values: dict[str, float | str] = {}
     for name, value in line.get("randomized", {}).items():
         if name.endswith("missing_markers"):
@@ -56,13 +58,14 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     Each entry covers the episodes without an error:
 
     - `bins`: success rate per bin; the edges come from `everybody`'s lines.
-    - `p`: p-value of the Mann-Whitney test between failures and successes. None if nothing failed,
+    - `p`: p-value of the Mann-Whitney test between failures and successes. None without failures,
       or if the value is a word.
     - `both_ways`: True if the test is on the distance from the median instead of the value.
     - `stands_out`: True if p is below 5 % divided by the number of tests (Bonferroni).
     - `correlation`: Spearman's correlation with each of `MEASURES`.
 
-    The order is by p, so that significant values come first, then by the strongest correlation.
+    Entries are sorted by p, so that significant values come first. The second key is the strongest
+    correlation.
     """
     ended = [line for line in lines if line["outcome"] != "error"]
     table = [flat(line) for line in ended]
@@ -113,8 +116,8 @@ def _one(
 def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
     """Return the p-value of the difference between failures and successes, and its kind.
 
-    The test is made on the value and on its distance from the median, which shows failures at both
-    ends. The p-value is twice the smaller of the two. The second result is True for the
+    The test is made on the value and on its distance from the median. The distance shows failures
+    at both ends. The p-value is twice the smaller of the two. The second result is True for the
     distance.
     """
     far = np.abs(numbers - np.median(numbers))

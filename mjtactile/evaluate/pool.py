@@ -33,14 +33,14 @@ class Pool:
     scheduler: str = ""
 
     @contextlib.contextmanager
-    def open(self, most: int) -> Iterator[dict[str, Any]]:
+    def open(self, maximum: int) -> Iterator[dict[str, Any]]:
         """joblib's arguments for at most so many jobs. Raises InputError for a cluster that is not
         there."""
         if self.backend == DASK:
             with _dask(self.scheduler) as jobs:
-                yield {"n_jobs": max(1, min(jobs, most)), "pre_dispatch": "2*n_jobs"}
+                yield {"n_jobs": max(1, min(jobs, maximum)), "pre_dispatch": "2*n_jobs"}
         elif self.backend == PROCESSES and not self.scheduler:
-            yield {"n_jobs": max(1, min(self.workers, most)), "pre_dispatch": "n_jobs"}
+            yield {"n_jobs": max(1, min(self.workers, maximum)), "pre_dispatch": "n_jobs"}
         elif self.backend == PROCESSES:
             raise InputError(
                 "applies to a cluster only", field="--scheduler", choices=[f"--backend {DASK}"]

@@ -223,8 +223,8 @@ def _distributions(lines: Sequence[Line]) -> str:
 def _quantiles(name: str, values: Sequence[float]) -> str:
     if not values:
         return f"{escape(name)}: -"
-    middle, most, high = (float(np.quantile(values, share)) for share in (0.5, 1.0, 0.95))
-    return f"{escape(name)}: median {middle:.3g}, 95 % below {high:.3g}, maximum {most:.3g}"
+    middle, maximum, high = (float(np.quantile(values, share)) for share in (0.5, 1.0, 0.95))
+    return f"{escape(name)}: median {middle:.3g}, 95 % below {high:.3g}, maximum {maximum:.3g}"
 
 
 def _varied(summary: Mapping[str, Any]) -> str:

@@ -20,16 +20,19 @@ FORCES = {
     "hold_N": "hold_force_true_N",
     **{name.removesuffix("_true"): name for name in JUDGED},
 }
-"""Measures for controllers that hold every object: true peak and hold force on a finger, N, and the
-measures of the task."""
+"""Measures for controllers that hold every object.
+
+They are true peak and hold force on a finger, N, and the measures of the task.
+"""
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     """Compare the success of two controllers over the episodes that both completed.
 
-    The result holds the success rate of `second` minus that of `first`, with its 95 % interval
-    (`paired_interval`), and the number of episodes with the same result. It also holds the number
-    of further similar episodes that would exclude zero from the interval (None: no difference).
+    The result holds the success rate of `second` minus that of `first`. It includes the 95 %
+    interval (`paired_interval`) and the number of episodes with the same result. Further similar
+    episodes could exclude zero from the interval. The result also holds their number (None: no
+    difference).
     """
     by_first = _held_by_episode(first)
     by_second = _held_by_episode(second)
@@ -56,14 +59,15 @@ def _held_by_episode(lines: Iterable[Line]) -> dict[int, bool]:
 
 
 def paired_interval(only_first: float, only_second: float, n: float) -> tuple[float, float]:
-    """Compute the 95 % interval of the difference of two success rates over the same `n` episodes.
+    """Compute the 95 % interval of the difference of two success rates.
 
-    Only the first held in `only_first` of them, and only the second in `only_second`.
+    Both rates cover the same `n` episodes. Only the first held in `only_first` of them, and only
+    the second in `only_second`.
 
-    The exact limits of these two proportions (Clopper & Pearson, Biometrika 26, 1934) are combined
-    by their deviations and their correlation in a multinomial (Zou & Donner, Stat. Med. 27, 2008).
-    By full enumeration, the coverage is 95 % or more from 24 episodes on (94 % for 8). Normal
-    approximations drop to 86 % when few episodes differ.
+    The method combines the exact limits of these two proportions (Clopper & Pearson, Biometrika 26,
+    1934). It uses their deviations and their correlation in a multinomial (Zou & Donner, Stat. Med.
+    27, 2008). By full enumeration, the coverage is 95 % or more from 24 episodes on (94 % for 8).
+    Normal approximations drop to 86 % when few episodes differ.
     """
     if not n:
         return -1.0, 1.0
@@ -101,17 +105,17 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None
         low, high = paired_interval(only_first * episodes / n, only_second * episodes / n, episodes)
         return low > 0 or high < 0
 
-    least = most = n
-    while not is_settled(most):
-        least = most
-        most = 2 * most
-    while most - least > 1:
-        middle = (least + most) // 2
+    minimum = maximum = n
+    while not is_settled(maximum):
+        minimum = maximum
+        maximum = 2 * maximum
+    while maximum - minimum > 1:
+        middle = (minimum + maximum) // 2
         if is_settled(middle):
-            most = middle
+            maximum = middle
         else:
-            least = middle
-    return most - n
+            minimum = middle
+    return maximum - n
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:

@@ -82,14 +82,14 @@ def histogram(
     counts = {
         name: np.histogram(np.minimum(values, high), edges)[0] for name, values in series.items()
     }
-    most = max(int(count.max()) for count in counts.values()) or 1
-    parts = [_axes([(0.0, "0"), (1.0, str(most))])]
+    maximum = max(int(count.max()) for count in counts.values()) or 1
+    parts = [_axes([(0.0, "0"), (1.0, str(maximum))])]
     wide = _WIDTH - _LEFT - 6
     for s, count in enumerate(counts.values()):
         bars = "".join(
-            f'<rect x="{_LEFT + k * wide / 24:.1f}" y="{_y(n / most):.1f}" '
+            f'<rect x="{_LEFT + k * wide / 24:.1f}" y="{_y(n / maximum):.1f}" '
             f'width="{wide / 24 - 0.6:.1f}" '
-            f'height="{_y(0) - _y(n / most):.1f}"/>'
+            f'height="{_y(0) - _y(n / maximum):.1f}"/>'
             for k, n in enumerate(count)
             if n
         )

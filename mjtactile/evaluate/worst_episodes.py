@@ -1,5 +1,7 @@
-"""The worst episodes of an evaluation, and a picture of each: they are run again, which gives the
-same grasp, and recorded."""
+"""The worst episodes of an evaluation, with a figure of each.
+
+They are run again and recorded. The repeated run gives the same grasp.
+"""
 
 from __future__ import annotations
 

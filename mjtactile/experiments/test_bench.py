@@ -107,8 +107,10 @@ class TestBench:
         return -float(ground_truth.contact_force(self.world, 0)[2])
 
     def look(self, images: int = 1) -> dict[str, float]:
-        """Means over some images: normal force, area of the whole membrane, how far the contact is
-        pressed in; NaN where no contact is seen."""
+        """Return means over some images: normal force, membrane area and indentation.
+
+        The area is that of the whole membrane. The indentation is NaN if no contact is detected.
+        """
         touches = [self.touch() for _ in range(images)]
         heights = [face[0] for touch in touches if (face := contact_face(touch)) is not None]
         areas = [touch.surface.area for touch in touches if touch.surface is not None]

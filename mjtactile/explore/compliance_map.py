@@ -50,9 +50,9 @@ class ComplianceMap:
         """
         if not math.isfinite(self.mean):
             return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
-        least = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)
+        minimum = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)
         seen = self.mean > _TOLD * self.mean_sd
         return {
             "stiffness_N_m": 1 / self.mean if seen else math.nan,
-            "stiffness_least_N_m": math.nan if seen else least,
+            "stiffness_least_N_m": math.nan if seen else minimum,
         }

@@ -29,8 +29,8 @@ _LIFTED = 3e-3  # start height of a lifted indenter above its goal, m
 def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> list[Patch]:
     """Compute surface patches from a recording.
 
-    It contains grips of two fingers (`probe`, `grasp` or `explore --out`, a real rig's `record`),
-    or indentations on a stage (`record --protocol`).
+    It contains grips of two fingers (`probe`, `grasp` or `explore --out`, a real rig's `record`).
+    Alternatively it contains indentations on a stage (`record --protocol`).
 
     Args:
         recording: Recording with images and references.
@@ -40,7 +40,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     Returns:
         A patch for each finger of each grip, in the object's frame. Its origin is the point between
         the fingers at the start of the gripper motion. For a stage, one patch in the frame of the
-        stage: the origin is the first contact point of the indenter, the axes are the sensor's.
+        stage. Its origin is the first contact point of the indenter; its axes are the sensor's.
 
     Raises:
         InputError: Images or references are missing, or it is neither kind of recording.

@@ -55,8 +55,8 @@ class GripCycle:
 class GripController:
     """Controller of a grip scan.
 
-    At each of the `heights`, m, it closes until each finger measures `force` N, holds, and opens;
-    then it lowers the gripper. A single finger is loaded with at most 1.5 times this force.
+    At each of the `heights`, m, it closes until each finger measures `force` N. It holds, opens,
+    and then lowers the gripper. A single finger is loaded with at most 1.5 times this force.
     """
 
     heights: tuple[float, ...]
@@ -99,8 +99,8 @@ class GripController:
         return replace(command, opening=command.opening - speed * period)
 
 
-def _towards(start: float, goal: float, most: float) -> float:
-    return start + max(-most, min(most, goal - start))
+def _towards(start: float, goal: float, maximum: float) -> float:
+    return start + max(-maximum, min(maximum, goal - start))
 
 
 class Log(Observer):
@@ -213,8 +213,8 @@ def patches_of_grip(
 
 def _strongest(moments: Sequence[GripCycle]) -> int | None:
     """Return the last cycle near the maximum grip force; None without contact on both fingers."""
-    least = np.array([min((t.force_normal for t in m.touch), default=0.0) for m in moments])
-    least = np.where(np.isfinite(least), least, 0.0)
-    if not len(least) or least.max() < _SEEN:
+    minimum = np.array([min((t.force_normal for t in m.touch), default=0.0) for m in moments])
+    minimum = np.where(np.isfinite(minimum), minimum, 0.0)
+    if not len(minimum) or minimum.max() < _SEEN:
         return None
-    return int(np.flatnonzero(least > 0.9 * least.max())[-1])
+    return int(np.flatnonzero(minimum > 0.9 * minimum.max())[-1])

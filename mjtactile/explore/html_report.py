@@ -1,5 +1,7 @@
-"""`explore.html`: the explored surface to turn, in one file that asks for nothing over a network;
-and a picture of it."""
+"""`explore.html`: the explored surface as a rotatable model, and an image of it.
+
+It is a single file that needs no network.
+"""
 
 from __future__ import annotations
 

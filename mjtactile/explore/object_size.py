@@ -96,8 +96,10 @@ def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
 
 
 def _ends(mesh: Mesh, axis: Array) -> list[Array]:
-    """Places (N, 3) m at either end of a surface along an axis: of a flat end its face, of a round
-    one its tip."""
+    """Return the positions (N, 3) m at both ends of a surface along an axis.
+
+    For a flat end they cover its face. For a round end it is the tip.
+    """
     found = []
     for way in (axis, -axis):
         along = mesh.vertices @ way
@@ -111,8 +113,8 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
 def _variance(surface: SurfacePosterior, ends: Sequence[Array], touched: Array) -> float:
     """Return the variance of the distance between two ends, m^2.
 
-    It includes shape and field, and three model errors: ends far from any touch, a poorly fitting
-    shape, and a common error of all touches.
+    It includes shape and field, and three model errors. These are ends far from any touch, a poorly
+    fitting shape, and a common error of all touches.
     """
     places = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])

@@ -157,16 +157,16 @@ def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
         plane = -z_axis[:2] / z_axis[2]
     else:
         plane = np.zeros(2)
-    most, least = np.nan_to_num(shape.curvatures)
+    maximum, minimum = np.nan_to_num(shape.curvatures)
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     c, s = math.cos(angle), math.sin(angle)
     along, across = c * x + s * y, c * y - s * x
-    z = plane[0] * x + plane[1] * y + _bent(least, along) + _bent(most, across)
+    z = plane[0] * x + plane[1] * y + _bent(minimum, along) + _bent(maximum, across)
     center_along, center_across = along.mean(), across.mean()
     slope = plane + np.array(
         [
-            least * center_along * c - most * center_across * s,
-            least * center_along * s + most * center_across * c,
+            minimum * center_along * c - maximum * center_across * s,
+            minimum * center_along * s + maximum * center_across * c,
         ]
     )
     return z, slope

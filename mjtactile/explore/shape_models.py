@@ -24,8 +24,10 @@ _ROTATION_SD = 2.0  # rad
 _TIED = 0.01  # standard deviation of parameters fixed by a family: exponents, tapers, equal sizes
 _ALIKE = 3e-3  # sd of the logarithm of sizes that a family has alike
 _SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
-"""Standard deviation and correlation length of the residual field of a simple shape, mm; the most
-likely one is selected."""
+"""Standard deviation and correlation length, mm, of the residual field of a simple shape.
+
+The most likely pair is selected.
+"""
 _FIELDS = (*_SMALL_FIELDS, (0.5, 8.0), (1.2, 8.0), (0.5, 14.0), (1.5, 14.0))
 
 

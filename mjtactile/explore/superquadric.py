@@ -27,10 +27,13 @@ NAMES = (
     "taper_y",
     "cut",
 )
-"""Names of the parameters. They are position in mm, rotation vector, logarithms of half sizes in
-mm, and exponents (1: round, 0: sharp) along and across its axis z. The tapers are the relative
+"""Names of the parameters.
+
+They start with the position in mm, the rotation vector, and the logarithms of half sizes in mm. The
+exponents (1: round, 0: sharp) apply along and across its axis z. The tapers are the relative
 increase of the width at its upper end. The cut is the remaining fraction of its lower half, up to a
-flat end (`WHOLE`: no cut)."""
+flat end (`WHOLE`: no cut).
+"""
 COUNT = len(NAMES)
 WHOLE = 1.3
 LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
@@ -102,12 +105,12 @@ def _level(theta: Array, p: Array) -> tuple[Array, Array]:
 
 def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
     """(|x|^p + |y|^p)^(1/p), and its derivatives."""
-    most = np.maximum(np.maximum(np.abs(x), np.abs(y)), _TINY)
-    sides = np.abs(x) / most, np.abs(y) / most
+    maximum = np.maximum(np.maximum(np.abs(x), np.abs(y)), _TINY)
+    sides = np.abs(x) / maximum, np.abs(y) / maximum
     total = np.maximum(sides[0] ** power + sides[1] ** power, _TINY)
     share = total ** (1 / power - 1)
     return (
-        most * total ** (1 / power),
+        maximum * total ** (1 / power),
         np.sign(x) * sides[0] ** (power - 1) * share,
         np.sign(y) * sides[1] ** (power - 1) * share,
     )

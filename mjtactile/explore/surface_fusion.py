@@ -1,6 +1,6 @@
 """Fusion of patches to one surface.
 
-Each family of shapes is fitted, with a field for the residual, and weighted by its evidence
+Each family of shapes is fitted, with a field for the residual. It is weighted by its evidence
 (docs/theory/exploration.md, Eq. E3 to E5).
 """
 
@@ -126,8 +126,8 @@ def _cost(found: OptimizeResult) -> float:
 class _Data:
     """Data of the fit.
 
-    Points in mm, their distances outside, mm, with covariance, mm^2; free-space points; the points
-    of each patch; and the log odds of all outliers.
+    Points are in mm. Their distances outside, mm, have a covariance, mm^2. Further data are
+    free-space points, the points of each patch, and the log odds of all outliers.
     """
 
     points: Array
@@ -311,8 +311,11 @@ def _with_field(
 
 
 def _starts(patches: Sequence[Patch]) -> list[Array]:
-    """Places, turns and sizes (9,) to start from: about the place where the patches' normals meet,
-    of a ball's size, in likely turns."""
+    """Return start vectors (9,) of position, rotation and sizes.
+
+    The position is near the intersection of the patches' normals. The sizes are those of a ball.
+    The rotations are likely ones.
+    """
     middles = _MM * np.stack([patch.middle for patch in patches])
     normals = np.stack([patch.normal for patch in patches])
     centre, radius = _meeting(middles, normals)

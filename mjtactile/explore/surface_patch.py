@@ -110,8 +110,8 @@ def _known(value: float | None) -> float:
 
 def tangents(normal: Array) -> Array:
     """Two unit vectors (2, 3) across a unit vector, and each other."""
-    least = int(np.argmin(np.abs(normal)))
-    first = np.cross(normal, np.eye(3)[least])
+    minimum = int(np.argmin(np.abs(normal)))
+    first = np.cross(normal, np.eye(3)[minimum])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])
 

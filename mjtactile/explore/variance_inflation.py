@@ -19,9 +19,9 @@ def excess(
 ) -> float:
     """Compute the variance inflation factor of a Gaussian surface.
 
-    A wrong shape family, or a common error of the touches, does not change the posterior
-    covariance: it does not depend on the measured values. The error of predicting each touch from
-    the others does.
+    The posterior covariance does not depend on the measured values. A wrong shape family, or a
+    common error of the touches, therefore does not change it. The error of predicting each touch
+    from the others does depend on them.
 
     Args:
         factor: Cholesky factor of the covariance of the points' distances (`cho_factor`), (N, N)

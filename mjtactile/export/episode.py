@@ -1,7 +1,7 @@
 """Episode to export: a recording, its sensors, and touches estimated again from its images.
 
-A recording contains the touch results, but no surface and no markers. If all of its images are
-available, the sensing chain processes them again, as in a replay, and adds these.
+A recording contains the touch results, but no surface and no markers. If all images are available,
+the sensing chain processes them again. It adds surface and markers, like a replay.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Foxglove messages, written to a file or sent to an open viewer.
 
-It uses foxglove-sdk, which contains these schemas; the plain mcap package would require writing
-them by hand. Data without a Foxglove schema (a wrench, a touch, a line of the log) are JSON with a
-custom schema.
+It uses foxglove-sdk, which contains these schemas. The plain mcap package would require manually
+written schemas. Some data have no Foxglove schema: a wrench, a touch, a line of the log. They are
+JSON with a custom schema.
 """
 
 from __future__ import annotations

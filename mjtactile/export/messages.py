@@ -17,8 +17,10 @@ FACING = {
     0: np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
     1: np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]),
 }
-"""R_GS of the two sensors of a pair: z towards the other finger, y up, as the shipped grippers
-carry them."""
+"""R_GS of the two sensors of a pair, in the mounting of the shipped grippers.
+
+z points towards the other finger, y up.
+"""
 
 
 class Source(Protocol):

@@ -188,8 +188,11 @@ def to_file(sink: RerunSink, path: Path) -> None:
 
 
 def to_viewer(sink: RerunSink, url: str = "") -> None:
-    """Have a sink send to the viewer at `url` ("": to the one that is open here, or a new one).
-    Raises InputError where there is no screen to open one on."""
+    """Send the data of a sink to the viewer at `url`.
+
+    "" selects the open local viewer, or starts a new one. Raises InputError without a display for a
+    new one.
+    """
     if url:
         sink.stream.connect_grpc(url, default_blueprint=sink.blueprint())
         sink.where = f"Rerun at {url}"

@@ -1,7 +1,7 @@
 """ROS 2 bags, one per episode.
 
-They use standard messages where possible, `mjtactile_msgs` for touches and commands, and JSON text
-for each line of the log.
+They use standard messages where possible. Touches and commands are `mjtactile_msgs`. Each line of
+the log is JSON text.
 """
 
 from __future__ import annotations

@@ -150,8 +150,8 @@ def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
 def force_arrow(traction: Traction, surface: Surface) -> Arrows:
     """Return an arrow of the net force on the membrane.
 
-    Its tip is the center of pressure, where the force produces the measured torque: (x, y) = (-t_y,
-    t_x) / f_z. There is no arrow for an unknown or tiny force.
+    Its tip is the center of pressure, (x, y) = (-t_y, t_x) / f_z. There the force produces the
+    measured torque. There is no arrow for an unknown or tiny force.
     """
     force = traction.wrench[:3]
     if not np.isfinite(traction.wrench).all() or abs(force[2]) < 0.02:

@@ -1,8 +1,11 @@
-"""Check of the camera: all markers in the image, sharp, unsmeared and lit; and the required lens.
+"""Check of the camera's image of the markers, and the required lens.
 
-Blur, px: a pixel's own square (sd 1/sqrt 12), diffraction (a Gaussian of sd 0.42 lambda N fits the
-Airy disc: Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 2007) and defocus. A thin lens of focal
-length f and f-number N is focused on Z_f. It shows a point at Z as a disc of diameter
+All markers must be in the image, sharp, unsmeared and lit.
+
+Blur, px, has three parts: a pixel's own square (sd 1/sqrt 12), diffraction and defocus. A Gaussian
+of sd 0.42 lambda N fits the Airy disc (Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 2007). A
+thin lens of focal length f and f-number N is focused on Z_f. It shows a point at Z as a disc of
+diameter
 
     c = f^2 / (N (Z_f - f)) |Z - Z_f| / Z,                                             sd c / 4,
 
@@ -123,7 +126,7 @@ def _margins(
     # the edge profiles that the fit needs
     camera = design.camera
     band = 2 + 3 * design.camera.blur_px
-    least = math.inf
+    minimum = math.inf
     worst = ""
     limits = {"fx": math.inf, "fy": math.inf}
     for state in states:
@@ -140,17 +143,17 @@ def _margins(
             limits[name] = min(
                 limits[name], float((f * room / np.maximum(np.abs(away), 1e-9)).min())
             )
-            if slack < least:
-                least = slack
+            if slack < minimum:
+                minimum = slack
                 worst = state.name
     for name, limit in limits.items():
         Limit(
             f"camera.{name}_px",
             getattr(camera, name),
-            f"places a marker edge {-least:.0f} px outside the usable image ({worst})",
+            f"places a marker edge {-minimum:.0f} px outside the usable image ({worst})",
             high=limit,
         ).check(source)
-    return least, worst
+    return minimum, worst
 
 
 def _range(design: SensorDesign, states: Sequence[MembraneState]) -> tuple[float, float]:
@@ -213,8 +216,10 @@ def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
 
 
 def _flux(design: SensorDesign, hardware: Hardware, stop: float, exposure: float) -> float:
-    """Light W that each LED has to give while the exposure lasts, so that the membrane's middle has
-    its grey level."""
+    """Return the required light power of each LED during the exposure, W.
+
+    The center of the membrane then has its specified gray level.
+    """
     electrons = design.leds.membrane_dn / 255 * hw.FULL_WELL
     # W/m^2
     on_sensor = electrons * _PHOTON / (hw.QUANTUM * exposure * (1e-3 * hardware.pixel) ** 2)

@@ -1,7 +1,7 @@
-"""Drawings on paper at 1:1: shapes in mm about the page's middle, written as SVG (units mm) or as
-pages of a PDF.
+"""Drawings on paper at 1:1, written as SVG (units mm) or as pages of a PDF.
 
-x to the right and y down, as the camera sees the inside of the membrane.
+Shapes are in mm, relative to the page's center. x points right and y down. This is the camera's
+view of the inside of the membrane.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ _STYLES = {
 
 @dataclass(frozen=True)
 class DrawingShape:
-    """A `contour`, a polyline through `points`, or a `text` at the first of them, in a `style`, of
-    a `group` with a name."""
+    """Shape of a drawing, with a `style` and the name of its `group`.
+
+    It is a `contour`, a polyline through `points`, or a `text` at the first of them.
+    """
 
     style: str
     group: str
@@ -69,8 +71,10 @@ def page(
     half_y: float,
     notes: Sequence[str] = (),
 ) -> PrintedPage:
-    """The smallest paper that holds `shapes` (within the half sizes) about its middle, with a
-    title, notes and a scale bar."""
+    """Return the smallest paper that holds `shapes` (within the half sizes).
+
+    The shapes are centered. Title, notes and scale bars are added.
+    """
     need = 2 * (half_x + _BORDER), 2 * (half_y + max(HEAD, FOOT))
     width, height = next(
         (paper for paper in _PAPERS if paper[0] >= need[0] and paper[1] >= need[1]), need
@@ -124,8 +128,11 @@ def _scale_bars(width: float, height: float) -> list[DrawingShape]:
 
 
 def write_svg(sheet: PrintedPage) -> str:
-    """The page as SVG: one user unit is a millimetre, the origin the page's middle, each round
-    contour a `<circle>`."""
+    """Write the page as SVG.
+
+    One user unit is a millimeter. The origin is the page's center. Each round contour is a
+    `<circle>`.
+    """
     groups: dict[str, list[str]] = {}
     for shape in sheet.shapes:
         groups.setdefault(shape.group, []).append(_svg(shape))

@@ -1,10 +1,10 @@
-"""`Layout`: all dimensions of the housing from the sensor file and the hardware, mm, frame S.
+"""`Layout`: all dimensions of the housing from the sensor file and the hardware.
 
-Designs that cannot be built are rejected.
+Dimensions are in mm, frame S. Designs that cannot be built are rejected.
 
-From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, glass in its
-seat, mount with LED ring and camera. One set of bolts passes through all parts; the mount's tube
-lies inside of them.
+From the front, the membrane at z = 0 over the rim comes first. The clamping ring, frame and gasket
+follow. Behind them are the glass in its seat, and the mount with LED ring and camera. One set of
+bolts passes through all parts. The mount's tube lies inside of them.
 """
 
 from __future__ import annotations
@@ -115,8 +115,10 @@ class Layout:
 
     @property
     def groove(self) -> tuple[float, float, float] | None:
-        """Lowest and highest height of the space behind the lip that fiducials are on, and how far
-        its walls stand back; None: there is none."""
+        """Groove behind the lip that carries the fiducials; None without one.
+
+        The values are its lowest and highest height, and the setback of its walls.
+        """
         fiducials = self.design.fiducials
         if fiducials is None or fiducials.surface != "rim":
             return None

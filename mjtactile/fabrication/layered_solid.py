@@ -1,9 +1,9 @@
 """Solids as stacks of plates.
 
-Each layer is bounded by rounded rectangles, circles and convex polygons, which may be nested but
+Each layer is bounded by rounded rectangles, circles and convex polygons. They may be nested but
 never cross. This is sufficient for a milled, printed or laser-cut housing, and it keeps the exact
-shape. `step` writes its planes and cylinders, `mesh` its triangles, and its volume has a closed
-form. mm, frame S of the sensor: z outward, flat membrane at z = 0.
+shape. `step` writes its planes and cylinders, `mesh` its triangles. Its volume has a closed form.
+Units are mm, in frame S of the sensor: z outward, flat membrane at z = 0.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ _CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
 @dataclass(frozen=True)
 class Contour:
-    """A rectangle about (x, y) with half sizes `hx`, `hy` and corners rounded with radius `r`; a
-    circle where r = hx = hy."""
+    """Rectangle about (x, y) with half sizes `hx`, `hy`.
+
+    Its corners are rounded with radius `r`. It is a circle if r = hx = hy.
+    """
 
     hx: float
     hy: float
@@ -111,8 +113,8 @@ class Traced(Contour):
     def around(cls, outline: Outline, by: float = 0.0, flat: float = 0.0) -> Traced:
         """Return the polygon `by` mm outside of an outline (m).
 
-        With `flat`, mm, its +x side is straight over that distance on both sides of the axis, for a
-        bore.
+        With `flat`, mm, its +x side has a straight part for a bore. That part extends over `flat`
+        on both sides of the axis.
         """
         at = 1e3 * outline.points(_CORNERS)
         along = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
@@ -211,8 +213,10 @@ class Layer:
 
 @dataclass(frozen=True)
 class Bore:
-    """A hole of `radius` along x at (y, z) from the +x side of the contour `inner` to that of
-    `outer`."""
+    """Hole of `radius` along x at (y, z).
+
+    It runs from the +x side of the contour `inner` to that of `outer`.
+    """
 
     inner: Contour
     outer: Contour
@@ -232,8 +236,10 @@ class Bore:
 
 @dataclass(frozen=True)
 class Part:
-    """A solid: contiguous `layers` from behind to the front, and at most one `bore`; `make`: it is
-    to be made, and has files."""
+    """Solid: contiguous `layers` from behind to the front, and at most one `bore`.
+
+    `make` is True if the part is to be manufactured and has files.
+    """
 
     name: str
     layers: tuple[Layer, ...]
@@ -265,8 +271,10 @@ class Part:
 
 
 def crossing(part: Part) -> tuple[Contour, Contour] | None:
-    """Two contours of the same layer, or of neighbouring ones, that cross or touch; None where all
-    are nested or apart."""
+    """Return two contours of the same or neighboring layers that cross or touch.
+
+    None if all are nested or apart.
+    """
     found = [
         [c for region in layer.regions for c in (region.outer, *region.holes)]
         for layer in part.layers

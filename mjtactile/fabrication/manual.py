@@ -21,8 +21,11 @@ from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 @dataclass(frozen=True)
 class ManualStep:
-    """A step and its picture: `parts` by name, from front to back, pulled apart unless it is a
-    `cut`; `{}` in the text are `facts`."""
+    """Step of the manual and its figure.
+
+    `parts` lists the names from front to back. The figure is an exploded view, unless it is a
+    `cut`. `{}` in the text are `facts`.
+    """
 
     title: str
     picture: str

@@ -187,8 +187,8 @@ def opening_margins(design: SensorDesign) -> tuple[float, float]:
     frame = design.frame
     markers = design.markers
     if frame.outline is not None:
-        least = MM * float(frame.inside(markers.p_SM[:, :2]).min() - markers.radius)
-        return least, least
+        minimum = MM * float(frame.inside(markers.p_SM[:, :2]).min() - markers.radius)
+        return minimum, minimum
     return (
         MM * ((frame.length - (markers.columns - 1) * markers.pitch_x) / 2 - markers.radius),
         MM * ((frame.width - (markers.rows - 1) * markers.pitch_y) / 2 - markers.radius),
@@ -204,9 +204,9 @@ def marker_shrink(design: SensorDesign, hardware: Hardware) -> float:
 def glass_stress(design: SensorDesign) -> float:
     """Return the largest bending stress of the glass, N/mm^2.
 
-    It is simply supported on the opening's edge under the supply's pressure: beta p b^2 / t^2 with
-    beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for stress and strain, flat rectangular
-    plates).
+    It is simply supported on the opening's edge under the supply's pressure. The stress is beta p
+    b^2 / t^2 with beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for stress and strain, flat
+    rectangular plates).
     """
     b, a = sorted((design.frame.length, design.frame.width))
     beta = 0.75 / (1 + 1.61 * (b / a) ** 3)

@@ -1,5 +1,7 @@
-"""Triangles of a `Part`, by manifold3d, whose results are closed and consistent by construction,
-and STL files of them."""
+"""Triangles of a `Part` and STL files of them.
+
+manifold3d creates them; its results are closed and consistent by construction.
+"""
 
 from __future__ import annotations
 

@@ -175,8 +175,11 @@ def _label(
 
 
 def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:
-    """Shifts along z, mm, that set the parts of `order` one behind the other. Bolts stay in the
-    ring that follows them by a third, nuts are behind the flange of the mount before them."""
+    """Return the shifts along z, mm, that separate the parts of `order`.
+
+    Parts are placed one behind the other. Bolts stay in the following ring by a third. Nuts are
+    behind the flange of the mount that precedes them.
+    """
     gap = _GAP * max(parts[name].size[0] for name in order)
     shifts: dict[str, float] = {}
     edge = 0.0  # the back of the last one

@@ -65,14 +65,19 @@ def mouth(layout: Layout) -> Contour:
 
 
 def opening(layout: Layout) -> Contour:
-    """The chamber's wall behind the rim: the same, but where its +x side is not straight, with a
-    flat there for the port."""
+    """Return the contour of the chamber's wall behind the rim.
+
+    It equals the rim's opening, unless the +x side is not straight. Then that side has a flat for
+    the port.
+    """
     return _outline(layout, _BACK, layout.flat) if layout.is_traced else mouth(layout)
 
 
 def rim_outer(layout: Layout, more: float = 0.0) -> Contour:
-    """Outside of the rim that the sheet is laid over, with round corners so that it does not tear,
-    and `more` mm around it."""
+    """Return the outside of the rim over which the membrane is laid, plus `more` mm.
+
+    Its corners are round so that the membrane does not tear.
+    """
     return _outline(layout, layout.rim + more)
 
 

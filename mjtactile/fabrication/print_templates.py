@@ -121,8 +121,10 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
 
 
 def _register(layout: Layout, scale: float) -> list[DrawingShape]:
-    """Marks on the axes and the corners of the flange, for a jig or a second print; an arrow to +x,
-    where air comes in."""
+    """Return registration marks on the axes and the corners of the flange.
+
+    They are for a jig or a second print. An arrow points to +x, the side of the air inlet.
+    """
     x = layout.outer_x * scale
     y = layout.outer_y * scale
     marks = [

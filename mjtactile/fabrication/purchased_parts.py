@@ -92,11 +92,11 @@ class Hardware:
     """Camera module and its use.
 
     `pixel`: pixel size, mm. `f_number` (None: the widest aperture that is sharp enough). `holes`:
-    distance of its four M2 holes, mm. `lens`: diameter, and `lens_front`: distance from the
+    distance of its four M2 holes, mm. `lens`: its diameter, mm. `lens_front`: distance from the
     entrance pupil to the front of the barrel, mm. `pupil`: distance from the board's front to the
     entrance pupil, mm. `speed`: speed of a marker with a smear of SMEAR px, mm/s. `press`: largest
-    indentation, mm (None: 4 mm, but at most a quarter of the chamber and of the frame's shorter
-    side). `markers`: "ink" or "discs".
+    indentation, mm. None is 4 mm, but at most a quarter of the chamber and of the frame's shorter
+    side. `markers`: "ink" or "discs".
     """
 
     pixel: float = 0.003

@@ -227,7 +227,10 @@ def _mouths(
     *,
     outer: bool,
 ) -> list[Loop]:
-    """The bound that a bore makes in a face on the +x side of a contour, if it ends there."""
+    """Return the bounds of a bore in a face on the +x side of a contour.
+
+    The list is empty if the bore does not end in that face.
+    """
     if bore is None or not low < bore.z < high:
         return []
     if contour != (bore.outer if outer else bore.inner):

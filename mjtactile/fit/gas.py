@@ -60,9 +60,10 @@ def sealed_runs(
 ) -> list[Sealed]:
     """Return pressure and volume of each recording with a pressure sensor.
 
-    The volume under the smoothed surface omits a small part between the outermost markers, the
-    frame and the edge of an indentation. A correction is fitted to the simulated holds. It is a
-    function of this volume and of the pressure, which grows with the indentation depth.
+    The volume under the smoothed surface omits a small part. That part lies between the outermost
+    markers, the frame and the edge of an indentation. A correction is fitted to the simulated
+    holds. It is a function of this volume and of the pressure, which grows with the indentation
+    depth.
     """
     runs = [e for e in evidence if e.has_pressure and len(e.series.time) > 10]
     smooth = []
@@ -98,8 +99,10 @@ def sealed_runs(
 
 
 def predict(design: SensorDesign, run: Sealed) -> Array:
-    """Gauge pressures, Pa, of the sealed gas that has the run's first pressure with its first
-    volume, as warm as its walls."""
+    """Return the gauge pressures, Pa, of the sealed gas over a run.
+
+    The gas starts with the run's first pressure and first volume, at wall temperature.
+    """
     gas = ChamberGas(design.chamber)
     flat = design.chamber_volume_flat
     gas.seal(flat + float(run.volume[0]), float(np.median(run.pressure[:10])))
@@ -151,8 +154,8 @@ def fit_gas(
 class _Problem:
     """Least-squares problem of the gas fit.
 
-    The unknowns x are the gas parameters (see `Scale`), then the amplitudes, in sd, of each run's
-    pressure error modes: a constant, and the given modes.
+    The first unknowns x are the gas parameters (see `Scale`). The others are the amplitudes, in sd,
+    of each run's pressure error modes. These modes are a constant and the given modes.
     """
 
     def __init__(

@@ -21,8 +21,11 @@ _FLAT = 1e-3  # relative change of the sum of squares caused by simulation noise
 
 @dataclass(frozen=True)
 class Scale:
-    """A parameter: `low` and `high` allowed; x = log(value/nominal), or (value - nominal)/`unit`
-    where given; `step` of x for a Jacobian."""
+    """Scale of a parameter: its limits `low` and `high`, and its unknown x.
+
+    x = log(value/nominal), or (value - nominal)/`unit` if `unit` is given. `step` is the step of x
+    for a Jacobian.
+    """
 
     low: float
     high: float

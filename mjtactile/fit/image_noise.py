@@ -1,6 +1,6 @@
 """Light, noise and blur of a camera from its images of the flat membrane.
 
-Light: gray = membrane_DN (1 - vignetting s), s being the normalized loss of LED light towards the
+Light: gray = membrane_DN (1 - vignetting s). Here s is the normalized loss of LED light towards the
 corners (docs/theory/rendering.md, L1). This is linear in membrane_DN and membrane_DN vignetting.
 The same holds inside the markers with marker_DN. Noise: the sd of each pixel over images of the
 same scene, minus that of rounding. Blur: the width of the marker edges.

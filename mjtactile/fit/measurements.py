@@ -39,9 +39,10 @@ Say = Callable[[str], None]
 class Hold:
     """Static state of the sensor.
 
-    Mean marker positions `p_SM` (N, 3), m, in S (NaN: not visible), with the covariance `cov` (N,
-    3, 3) of that mean; gauge pressure, Pa (NaN: not measured). `move` is the preceding stage move,
-    None for the rest state of the references. `time` is relative to the first cycle, s.
+    `p_SM` (N, 3), m, are the mean marker positions in S (NaN: not visible). `cov` (N, 3, 3) is the
+    covariance of that mean. The gauge pressure is in Pa (NaN: not measured). `move` is the
+    preceding stage move, None for the rest state of the references. `time` is relative to the first
+    cycle, s.
     """
 
     p_SM: Array
@@ -80,7 +81,7 @@ class Evidence:
     """One recording of one finger.
 
     `stage` is None if no contact is known. `flat` are the reference's images. `height_fraction` is
-    the standard deviation of a common relative error of all heights; a wrong lens shows on the flat
+    the standard deviation of a common relative error of all heights. A wrong lens shows on the flat
     membrane.
     """
 

@@ -1,8 +1,8 @@
-"""Membrane fit: simulated holds of the recordings' moves, fitted to the markers by Gauss-Newton.
+"""Membrane fit: simulated holds of the recordings' moves, fitted to the markers.
 
-The chamber is held at the pressure measured in each hold, so that the gas has no effect. The
-unknowns are the modulus, the pre-stretch and the friction of the membrane, and each recording's
-offset of the first contact from its mark.
+The method is Gauss-Newton. The chamber is held at the pressure measured in each hold, so that the
+gas has no effect. The unknowns are the modulus, the pre-stretch and the friction of the membrane.
+Each recording adds the offset of the first contact from its mark.
 """
 
 from __future__ import annotations
@@ -58,8 +58,11 @@ SCALES = {
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A hold as the simulator has it: markers (N, 3) m in S, volume under the membrane m^3, force
-    of the stage (3,) N."""
+    """Simulated hold.
+
+    It holds the markers (N, 3) m in S, the volume under the membrane, m^3, and the stage force (3,)
+    N.
+    """
 
     p_SM: Array
     volume: float
@@ -153,8 +156,10 @@ def _go(world: PressWorld, move: Move, offset: float) -> None:
 
 
 def _press_with(world: PressWorld, move: Move) -> None:
-    """Go to where the stage pushes with the move's force: false position between depths that are
-    too little and too much."""
+    """Move the stage to the depth at which it exerts the move's force.
+
+    The method is false position between depths with too little and too much force.
+    """
     low = 0.0
     high = _FIRST_DEPTH
     too_little = -move.force
@@ -220,9 +225,9 @@ def fit_membrane(
 class _Problem:
     """Least-squares problem of the membrane fit.
 
-    The unknowns x are one value per parameter (see `Scale`), the first contact of each loaded
-    recording, and common marker errors. These are a relative error of all heights, and a shift of
-    all heights in each hold. First contacts and common errors are in sd.
+    The unknowns x are one value per parameter (see `Scale`), and the first contact of each loaded
+    recording. Common marker errors are also unknown. These are a relative error of all heights, and
+    a shift of all heights in each hold. First contacts and common errors are in sd.
 
     A recording that does not depend on a parameter is not simulated again for its column.
     """

@@ -20,18 +20,18 @@ TOGETHER = 0.9  # correlation threshold of the report
 class ParameterInfo:
     """Information on a field of the sensor file.
 
-    `name` is its name in a sentence. The value counts as known up to an sd of the larger of
-    `share`, relative to its value, and `least`, in the file's unit. `record` describes the
-    necessary recording.
+    `name` is its name in a sentence. The value counts as known up to a certain sd. This sd is the
+    larger of `share`, relative to its value, and `least`, in the file's unit. `record` describes
+    the necessary recording.
     """
 
     name: str
     record: str
     share: float = 0.1
-    least: float = 0.0
+    minimum: float = 0.0
 
     def is_finite_value(self, value: float, sd: float) -> bool:
-        return sd <= max(self.share * abs(value), self.least)
+        return sd <= max(self.share * abs(value), self.minimum)
 
 
 _BULGE = (

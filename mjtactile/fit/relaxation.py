@@ -1,12 +1,13 @@
-"""Stress relaxation of the rubber, from a recording with a free membrane after inflation or
-unloading.
+"""Stress relaxation of the rubber, from a recording with a free membrane.
 
-The stress that has not relaxed yet is q = sum a_i (S - s_i), s_i being the stress S as element i
-remembers it (docs/theory/membrane_inverse.md, F23). It displaces a free membrane by -K^-1 F(q), to
-first order, from its long-term equilibrium at the measured gauge pressure p. Markers minus the
-effect of the pressure are therefore linear in the fractions a_i. A constant at each marker absorbs
-the errors of the sensor file. S comes from the shapes estimated by the chain, also during
-contact.
+The membrane is free after inflation or unloading.
+
+The stress that has not relaxed yet is q = sum a_i (S - s_i). s_i is the stress S remembered by
+element i (docs/theory/membrane_inverse.md, F23). To first order, q displaces a free membrane by
+-K^-1 F(q). The displacement is relative to its long-term equilibrium at the measured gauge pressure
+p. Markers minus the effect of the pressure are therefore linear in the fractions a_i. A constant at
+each marker absorbs the errors of the sensor file. S comes from the shapes estimated by the chain,
+also during contact.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ _ALIKE = 2.0  # neighbouring images that are wrong alike, by the pressure betwee
 class RelaxationFit:
     """Fractions (k,) of elements with the time constants `times` (k,), s.
 
-    `faded` is the relaxation `within` (from, to) s as a fraction of the long-term stress, and
-    `faded_sd` its sd.
+    `faded` is the relaxation `within` (from, to) s, as a fraction of the long-term stress.
+    `faded_sd` is its sd.
     """
 
     times: Array
@@ -143,8 +144,8 @@ def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
 class _Memories:
     """Processed recording.
 
-    For each image it holds `time`, s, gauge `pressure`, Pa, the flag `free` of an unloaded
-    membrane, the markers, and the stresses remembered by elements of `times`, s.
+    For each image it holds `time`, s, gauge `pressure`, Pa, and the flag `free` of an unloaded
+    membrane. It also holds the markers, and the stresses remembered by elements of `times`, s.
     """
 
     def __init__(self, recording: Recording, design: SensorDesign, finger: str):
@@ -192,8 +193,8 @@ class _Memories:
     def equations(self) -> tuple[Array, Array]:
         """Return the least-squares equations of the n free images.
 
-        They are the response to a fraction of 1 of each element, (n, k, 3 N) m, and the markers
-        minus the effect of the pressure, (n, 3 N) m.
+        The first array is the response to a fraction of 1 of each element, (n, k, 3 N) m. The
+        second array is the markers minus the effect of the pressure, (n, 3 N) m.
         """
         shown = np.array([one for one, free in zip(self._unfaded, self.free, strict=True) if free])
         bulge = self._at_markers(self._inverse.sheet.state(self._rest.c).gradient)

@@ -120,14 +120,14 @@ def _plot_map(axes: Any, result: FitResult) -> None:
         for hold, found in zip((e.rest, *e.holds), holds, strict=True)
     ]
     p = 1e3 * result.design.markers.p_SM
-    most = 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
+    maximum = 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
     shown = axes.scatter(
         p[:, 0],
         p[:, 1],
         c=1e6 * np.nanmean(off, axis=0),
         cmap="coolwarm",
-        vmin=-most,
-        vmax=most,
+        vmin=-maximum,
+        vmax=maximum,
         s=60,
     )
     axes.figure.colorbar(shown, ax=axes, label="um")

@@ -1,5 +1,7 @@
-"""A sensor file with other numbers: the text of the one that there was, its comments kept, each
-changed line with a comment."""
+"""Sensor file with changed numbers.
+
+The existing text and its comments are kept. Each changed line gets a comment.
+"""
 
 from __future__ import annotations
 

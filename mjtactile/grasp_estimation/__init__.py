@@ -1,8 +1,8 @@
 """Properties of the grasped object from touch, for any controller.
 
-`touch_statics` evaluates one moment and `slip_test` tests for slip. `friction_estimator`,
-`frame_load`, `load_estimator`, `grip_stiffness` and `friction_probe` track friction, load and
-stiffness from image to image.
+`touch_statics` evaluates one moment and `slip_test` tests for slip. Other modules track friction,
+load and stiffness from image to image. These are `friction_estimator`, `frame_load`,
+`load_estimator`, `grip_stiffness` and `friction_probe`.
 """
 
 from mjtactile.grasp_estimation.frame_load import FrameLoadEstimator

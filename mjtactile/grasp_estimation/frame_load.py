@@ -32,7 +32,7 @@ class FrameLoadEstimator:
         time: Time since the servo force exceeds the measured contact force, s.
     """
 
-    most: float = 100.0
+    maximum: float = 100.0
     time: float = 0.0
 
     def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
@@ -49,8 +49,8 @@ class FrameLoadEstimator:
         press = float(np.mean([one.force_normal for one in touch]))
         beyond = (1 - _ERROR) * effort - press - _GEARS
         if not (math.isfinite(beyond) and beyond > 0):
-            return FrameLoadEstimator(self.most * (1 + _GROWTH * period))
+            return FrameLoadEstimator(self.maximum * (1 + _GROWTH * period))
         time = self.time + period
         return FrameLoadEstimator(
-            min(self.most, _LOOSER * press) if time > _LASTS else self.most, time
+            min(self.maximum, _LOOSER * press) if time > _LASTS else self.maximum, time
         )

@@ -97,7 +97,7 @@ class FrictionEstimator:
         proven = self.proven * math.exp(-period / _PROOF_TIME)
         since_slip = self.since_slip + period
         if math.isnan(told.slipped) and since_slip > _PAUSE:
-            proven = max(proven, told.least)
+            proven = max(proven, told.minimum)
         ages = self._ages(touch, period)
         press = self.press
         drag = self.drag
@@ -134,10 +134,10 @@ class FrictionEstimator:
         return [0.0 if now else age + period for now, age in zip(slips, before, strict=True)]
 
     def _was_carried(self, touch: Sequence[Touch]) -> bool:
-        """Return True if the shear at the last slip sign was a load, i.e. did not grow with the
-        grip.
+        """Return True if the shear at the last slip sign was a load.
 
-        Return False if the grip has not grown, or if this is unknown.
+        A load does not grow with the grip. Return False if the grip has not grown, or if this is
+        unknown.
         """
         press, drag = _means(touch)
         if not (press > _HARDER * self.press > 0 and self.drag > 0):

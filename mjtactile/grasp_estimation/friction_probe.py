@@ -1,5 +1,7 @@
-"""Friction is tried before it is relied on: the grip loosens for a moment, close over the table,
-where a slip costs nothing."""
+"""Friction test before the controller relies on the friction.
+
+The grip loosens briefly, close above the table, where a slip causes no damage.
+"""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class LoadEstimator:
         last: Load in the previous image alone, N; negative: no image.
     """
 
-    most: float = 0.0
+    maximum: float = 0.0
     ahead: float = 0.0
     past: float = -1.0
     down: Sequence[Sequence[float]] = ()
@@ -44,7 +44,7 @@ class LoadEstimator:
     @property
     def worst(self) -> float:
         """Load on each finger that the grip must hold, N."""
-        return max(self.most, self.ahead) + _SPARE
+        return max(self.maximum, self.ahead) + _SPARE
 
     def standing(self, touch: Sequence[Touch]) -> LoadEstimator:
         """Store the internal shear between the fingers, while the object is gripped and still
@@ -120,7 +120,7 @@ class LoadEstimator:
         sure = now if self.last < 0 else min(now, self.last)
         past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
         ahead = sure + (max(sure - past, 0.0) if len(self.down) else 0.0)
-        most = max(sure, self.most * math.exp(-period / _KEPT))
+        maximum = max(sure, self.maximum * math.exp(-period / _KEPT))
         slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
         inner = () if slips else self.inner
-        return LoadEstimator(most, ahead, past, self.down, mass, inner, now)
+        return LoadEstimator(maximum, ahead, past, self.down, mass, inner, now)

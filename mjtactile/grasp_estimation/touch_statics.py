@@ -1,9 +1,11 @@
-"""Estimate properties of the grasped object from touch: mass, friction coefficient, load per
-finger, and external support or pull (table, person).
+"""Properties of the grasped object from touch: mass, friction, loads, external support.
+
+The friction is a coefficient, and the load is per finger. External support or pull comes from a
+table or a person.
 
 Pure functions of touches, for any controller and any number of fingers; N, kg, m/s^2. A finger
-measures the force on its membrane in its own frame S, without the direction of gravity. It is not
-needed: the fingers alone carry a hanging object, in parallel contact planes. For tips inclined by
+measures the force on its membrane in its own frame S. The direction of gravity is unknown and not
+needed. The fingers alone carry a hanging object, in parallel contact planes. For tips inclined by
 an angle, the shear is underestimated by the cosine of that angle.
 
     found = weigh(touch)                # lifted: 0.0602 kg +- 0.0014
@@ -23,8 +25,10 @@ from mjtactile.core.types import Array, Touch
 
 GRAVITY = 9.81  # acceleration of gravity, m/s^2
 GAIN_SD = 0.015
-"""Relative error (sd) of a measured shear force, in addition to noise: the residual of stiffness
-and geometry after a calibration (docs/validation/accuracy.md)."""
+"""Relative error (sd) of a measured shear force, in addition to noise.
+
+It is the residual of stiffness and geometry after a calibration (docs/validation/accuracy.md).
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,7 @@ class Friction:
 
     used: Array
     sd: Array
-    least: float
+    minimum: float
     slipped: float
 
 
@@ -122,9 +126,9 @@ def friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
     states = ["unknown" if one.slip is None else one.slip.state for one in touch]
     slips = np.array([state == "slipping" for state in states]) & presses
     holds = np.array([state in ("sticking", "incipient") for state in states]) & presses
-    least = float(np.max((used - 2 * sd)[holds], initial=0.0))
+    minimum = float(np.max((used - 2 * sd)[holds], initial=0.0))
     slipped = float(np.min(used[slips])) if slips.any() else math.nan
-    return Friction(used, sd, least, slipped)
+    return Friction(used, sd, minimum, slipped)
 
 
 def min_grip_force(

@@ -1,9 +1,8 @@
-"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down, with the fingers' camera
-data as observation.
+"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down.
 
-A step is a camera period. As in the control loop, the world continues during the computation: an
-action takes effect one period after its images. The same supervisor and limits act between action
-and gripper.
+The observation is the fingers' camera data. A step is a camera period. As in the control loop, the
+world continues during the computation. An action takes effect one period after its images. The same
+supervisor and limits act between action and gripper.
 """
 
 from __future__ import annotations
@@ -51,8 +50,11 @@ PROGRESS = {
     "done": (2.5, 0.0),
 }
 """Progress of a grasp at the start of a phase, and its increase during the phase.
-`reward="progress"` pays the increase over the episode's maximum so far, with contact on all fingers
-(not required for closing and releasing). Releasing is not rewarded if the object was never held."""
+
+`reward="progress"` pays the increase over the episode's maximum so far, with contact on all
+fingers. Closing and releasing do not require contact. Releasing is not rewarded if the object was
+never held.
+"""
 _TOUCHLESS = ("approach", "close", "release", "done")
 _AFTER_HOLDING = ("release", "done")
 

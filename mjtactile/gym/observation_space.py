@@ -22,8 +22,8 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
     that cannot be stacked."""
     if kind not in KINDS:
         raise InputError(f"{kind!r}", source="Grasp-v0", field="observation", choices=KINDS)
-    most = policy_bounds(len(designs)).astype(np.float32)
-    vector = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+    maximum = policy_bounds(len(designs)).astype(np.float32)
+    vector = gymnasium.spaces.Box(-maximum, maximum, dtype=np.float32)
     if kind == "wrench":
         return vector
     sizes = {(d.markers.count, d.camera.height, d.camera.width) for d in designs}

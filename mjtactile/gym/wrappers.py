@@ -1,8 +1,8 @@
 """Wrapper that adapts `mjtactile/Grasp-v0` to standard reinforcement learning algorithms.
 
-It scales observations to about one, centers actions on a useful value, and repeats actions so that
-a grasp has about thirty decisions. `save_policy` writes the file format of `controllers/policy.py`,
-in the units of the environment.
+It scales observations to about one and centers actions on a useful value. It repeats actions so
+that a grasp has about thirty decisions. `save_policy` writes the file format of
+`controllers/policy.py`, in the units of the environment.
 """
 
 from pathlib import Path
@@ -40,8 +40,8 @@ class ActionRepeatScaling(gymnasium.Wrapper):
         super().__init__(env)
         self._steps = steps
         self._fear = fear
-        most = (env.observation_space.high / SCALE).astype(np.float32)  # pyright: ignore[reportAttributeAccessIssue]
-        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        maximum = (env.observation_space.high / SCALE).astype(np.float32)  # pyright: ignore[reportAttributeAccessIssue]
+        self.observation_space = gymnasium.spaces.Box(-maximum, maximum, dtype=np.float32)
         low, high = ((end - MIDDLE) / SPAN for end in (-1.0, 1.0))
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float64)
 

@@ -2,10 +2,10 @@
 
 The file name of a library holds a hash of its source, its platform and its instruction set. A
 library built from other sources is therefore never loaded. The build of a wheel or of an editable
-install (`hatch_build.py`) compiles it, otherwise the first import does. The compiler is Zig's, a
-pip package (`ziglang`), or the system's C compiler. Zig cross-compiles for all platforms, and for
-the oldest system that the wheel tag promises: glibc 2.17 on Linux, macOS 11. This module imports
-nothing else of the package: the build runs it before the package is importable.
+install (`hatch_build.py`) compiles it. Otherwise the first import does. The compiler is Zig's, a
+pip package (`ziglang`), or the system's C compiler. Zig cross-compiles for all platforms. It
+targets the oldest system that the wheel tag promises: glibc 2.17 on Linux, macOS 11. This module
+imports no other module of the package. The build runs it before the package is importable.
 """
 
 from __future__ import annotations

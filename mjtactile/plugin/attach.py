@@ -47,8 +47,8 @@ class AttachedSensor:
         """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 
         It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in
-        `data`; nothing else of the scene is touched. One model carries one bound state: bind again
-        after `spec.recompile`, or to start over.
+        `data`. The rest of the scene is unchanged. One model carries one bound state. Bind again
+        after `spec.recompile`, or to restart.
 
         Args:
             model: Compiled from the spec.

@@ -51,9 +51,10 @@ class SimFinger:
     processes its own images when they are due, since the user runs the loop. `AttachedSensor.bind`
     creates it, inflated and with its references taken.
 
-    After every step it writes `data.sensordata`: PREFIXwrench (6 numbers: estimated force, N, and
-    torque about the origin of S, N m, as in `touch.traction.wrench`), PREFIXpressure (Pa, gauge)
-    and PREFIXtouching (0 or 1). The values are NaN where the touch is unknown.
+    After every step it writes three entries of `data.sensordata`. PREFIXwrench holds 6 numbers:
+    estimated force, N, and torque about the origin of S, N m, as in `touch.traction.wrench`.
+    PREFIXpressure is in Pa, gauge, and PREFIXtouching is 0 or 1. The values are NaN where the touch
+    is unknown.
     """
 
     def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
@@ -126,8 +127,8 @@ class SimFinger:
         """Return the contact wrench of the simulation, for evaluation only.
 
         Returns:
-            (6,) Force, N, and torque about the origin of S, N m, frame S, with the convention of
-            `touch.traction.wrench`; from the last step.
+            (6,) Force, N, and torque about the origin of S, N m, frame S, from the last step. The
+            convention is that of `touch.traction.wrench`.
         """
         return membrane_wrench(self._data, self.sensor)
 

@@ -7,9 +7,9 @@ gas. The grid is regular with a spacing of 1 to 2 mm. A non-rectangular outline 
 (`cut_cells.py`). The membrane is in equilibrium on obstacles, which are height fields over it.
 Nodes move in all three directions. Each step has two solves. The heights use the stiffness of a
 tensioned membrane, the in-plane displacements use one constant matrix. The residuals are those of
-the full membrane model, so the matrices affect convergence but not the result. The solver
-extrapolates the last change of the state (`MembraneSolution.trend`): obstacles in steady motion
-need one step.
+the full membrane model. The matrices therefore affect convergence but not the result. The solver
+extrapolates the last change of the state (`MembraneSolution.trend`). Obstacles in steady motion
+therefore need one step.
 
 Limits and their cost (docs/validation/benchmarks.md, `bench quasistatic`):
 - Bending is neglected. For a membrane of 0.3 mm this matters only for features narrower than about
@@ -19,22 +19,23 @@ Limits and their cost (docs/validation/benchmarks.md, `bench quasistatic`):
   without a change of the contact region. Its stiffness is within 10 %, and within 4 % from a radius
   of 16 mm on.
 - Mass and damping are neglected: the membrane is always in equilibrium.
-- Obstacles are height fields along z (`obstacles.py`): undercuts and slopes steeper than about 75
+- Obstacles are height fields along z (`obstacles.py`). Undercuts and slopes steeper than about 75
   degrees are not represented. Flanks of boxes and cylinders beyond 63 degrees are in contact at
   their edges only.
 - Contact is evaluated at nodes only. A contact smaller than a few cells depends on its position
-  between the nodes. The force of a 4 mm ball 0.5 mm deep varies by up to 14 % on nodes 2 mm apart,
-  that of a thin rod by more. Blades are in contact with the nearest line of nodes. Ridges are 10 %
-  too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are rejected.
-  `MembraneSolution.doubt` is the error bound that holds for 9 of 10 such forces (1: a tip that
-  touches no node). `relative_area_error` is the same for areas, which are unknown if the contact is
-  a point or a line on this grid. `QuasistaticMembrane.refined_for` selects a grid for an obstacle:
-  41 x 31 nodes take three times as long. Obstacles thinner than a tenth of the spacing may be
-  missed, and needles slip aside.
+  between the nodes. The force of a 4 mm ball 0.5 mm deep varies by up to 14 % on nodes 2 mm apart.
+  That of a thin rod varies by more. Blades are in contact with the nearest line of nodes. Ridges
+  are 10 % too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are
+  rejected. `MembraneSolution.doubt` is the error bound that holds for 9 of 10 such forces. It is 1
+  for a tip that touches no node. `relative_area_error` is the same for areas. The area is unknown
+  if the contact is a point or a line on this grid. `QuasistaticMembrane.refined_for` selects a grid
+  for an obstacle. 41 x 31 nodes take three times as long. Obstacles thinner than a tenth of the
+  spacing may be missed, and needles slip aside.
 
-The solver rejects an obstacle with a one-line error if it touches the rim, lies on the glass, or
-passes between nodes. It also rejects an inverted membrane, and stretch beyond the range of the
-material model. If a solution does not converge, `state.converged` is False and its numbers are NaN.
+The solver rejects some obstacles with a one-line error. Such an obstacle touches the rim, lies on
+the glass, or passes between nodes. It also rejects an inverted membrane, and stretch beyond the
+range of the material model. If a solution does not converge, `state.converged` is False and its
+numbers are NaN.
 
 Frame S, SI units. The gas follows p V^gamma with the design's gamma, or its pressure is held.
 Equations: docs/theory/quasistatic_membrane.md, X1-X8. Rationale: docs/decisions/0025-film.md.

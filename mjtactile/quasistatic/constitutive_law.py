@@ -1,9 +1,9 @@
 """Constitutive law of a membrane in the form that the kernel uses. SI units.
 
 See docs/theory/membrane_inverse.md, Eq. F4 and X2. The stress of a neo-Hookean membrane is mu h (I
-- q A) with A = tr(C) I - C, where q is a function of det C alone. Over the stretch range of a
-membrane, a polynomial of 1 / sqrt(det C) represents q accurately. The inner loop therefore needs no
-logarithm.
+- q A) with A = tr(C) I - C. Here q is a function of det C alone. Over the stretch range of a
+  membrane, a polynomial of 1 / sqrt(det C) represents q accurately. The inner loop therefore needs
+  no logarithm.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
 
 
 def tension(sheet: Membrane, area_ratio: float) -> float:
-    """Tension, N/m of the deformed sheet, when all of it is stretched alike to `area_ratio` times
-    its mounted area.
+    """Return the tension, N/m, of the uniformly deformed membrane.
 
-    The force per mounted length is h S l with l = sqrt(J); over the deformed length it is h S.
+    `area_ratio` is its area relative to the mounted area. The force per mounted length is h S l
+    with l = sqrt(J). Over the deformed length it is h S.
     """
     stretch = sheet.pre_stretch * np.sqrt(area_ratio)
     return sheet.thickness * equibiaxial_stress(

@@ -1,10 +1,11 @@
-"""Discretization error of the quasi-static membrane for narrow obstacles, and a sufficient grid.
+"""Discretization error of the quasi-static membrane for narrow obstacles.
 
-The force of a contact narrower than a few cells depends on its position between the nodes. Edged
-obstacles are slightly too soft. A table gives the error. It comes from balls, rods, pins and blades
-of 0.4 to 16 mm at random positions and angles, compared with membranes of 81 x 61 and 121 x 91
-nodes. It also includes loads of the independent membrane model. For its accuracy on other obstacles
-see docs/validation/benchmarks.md, "Quasi-static membrane".
+The module also selects a sufficient grid. The force of a contact narrower than a few cells depends
+on its position between the nodes. Edged obstacles are slightly too soft. A table gives the error.
+It comes from balls, rods, pins and blades of 0.4 to 16 mm at random positions and angles. They are
+compared with membranes of 81 x 61 and 121 x 91 nodes. The table also includes loads of the
+independent membrane model. For its accuracy on other obstacles see docs/validation/benchmarks.md,
+"Quasi-static membrane".
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def row_error(rows: Sequence[Array] | Array, spacing: float) -> float:
 
 def error_of_few_nodes(nodes: int) -> float:
     """The same share because so few nodes touch, however wide the body is."""
-    return next(share for least, share in _FEW if nodes >= least)
+    return next(share for minimum, share in _FEW if nodes >= minimum)
 
 
 def gap_error(gap: float, force: float, tension: float) -> float:
@@ -94,7 +95,7 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
         shares = ()
     else:
         shares = _ROUND
-    return next((share for least, share in shares if width >= least), float("inf"))
+    return next((share for minimum, share in shares if width >= minimum), float("inf"))
 
 
 def _is_face(body: Obstacle) -> bool:
@@ -154,7 +155,7 @@ def _share(row: Array, spacing: float) -> float:
     if row[0] == _CONE:
         return _TIP
     wide = _width(row) / spacing
-    share = next(share for least, share in _SHARES if wide >= least)
+    share = next(share for minimum, share in _SHARES if wide >= minimum)
     return max(share, _AT_EDGES) if row[0] in _EDGED else share
 
 

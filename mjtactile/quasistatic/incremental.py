@@ -136,8 +136,9 @@ class IncrementalMembrane:
     def doubt(self) -> float:
         """Return the relative force error not exceeded in 9 of 10 cases.
 
-        It is that of the narrowest obstacle that can reach over the frame's opening and below the
-        membrane's top (`mjtactile.quasistatic.discretization_error`).
+        It is that of the narrowest reachable obstacle
+        (`mjtactile.quasistatic.discretization_error`). Such an obstacle can reach over the frame's
+        opening and below the membrane's top.
         """
         film, rows = self.film, self.rows
         place, reach = rows[:, 13:16], rows[:, 19]

@@ -47,8 +47,8 @@ class QuasistaticMembrane:
     """Quasi-static model of a sensor's membrane.
 
     The object holds no state: `solve` takes one and returns one. `x` (nx,) and `y` (ny,), m, are
-    the node positions on the mounted flat membrane, including those on the frame. `spacing` is the
-    larger of the two spacings. `rest` is the equilibrium without contact. Nodes outside a
+    the node positions on the mounted flat membrane. They include those on the frame. `spacing` is
+    the larger of the two spacings. `rest` is the equilibrium without contact. Nodes outside a
     non-rectangular outline are fixed.
     """
 

@@ -3,8 +3,8 @@
 The kernel's format is that of kernels/qs_obstacles.c. Sizes are half sizes, as in MJCF. The surface
 of an obstacle is its first intersection with a line along z, from the side of the glass. Undercuts
 and slopes too steep for the membrane are ignored. This is exact for objects that approach from
-outside with slopes up to about 75 degrees at the contact. Objects that approach from the side or
-hook under the membrane are outside the model.
+outside. Their slopes at the contact may reach about 75 degrees. Objects that approach from the side
+or hook under the membrane are outside the model.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 NUMBERS = 20
-"""Entries of an obstacle: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number
-of entries, its minimum width and its reach."""
+"""Entries of an obstacle: kind, sizes (3), R_SO (9) and p_SO (3).
+
+Then follow its first entry in the pool, the number of entries, its minimum width and its reach.
+"""
 
 # Name: the kernel's code, and the meaning of `sizes`.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -165,13 +167,13 @@ def ready(
     turned = _NOT_TURNED.tolist() if R_SO is None else R_SO.ravel().tolist()
     sides = [0.0, 0.0, 0.0]
     sides[: len(sizes)] = sizes
-    pool, least, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
+    pool, minimum, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
     if kind == "sphere":
-        least = _min_width(kind, sides[:1], None)
+        minimum = _min_width(kind, sides[:1], None)
     if heights is not None:
         sides[:2] = heights.shape
-        pool, least, reach = heights.ravel(), math.inf, math.inf
-    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, least, reach]
+        pool, minimum, reach = heights.ravel(), math.inf, math.inf
+    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, reach]
     return Obstacle(kind, np.array(numbers, dtype=float), pool)
 
 

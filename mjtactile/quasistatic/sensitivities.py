@@ -50,10 +50,10 @@ class SolutionSensitivities:
 
     Each quantity is in SI units, divided by the unit of the parameter. The derivatives are exact
     while the set of nodes in contact is unchanged. That set changes every few hundredths of a
-    millimeter, and there the derivatives are one-sided. For obstacles thinner than the spacing they
-    are approximate, since such obstacles are sampled at elevenths of the spacing and moved under
-    nodes. For a blade, the derivative of the force by height has an error of 13 %. The one by
-    position is not valid.
+    millimeter. There the derivatives are one-sided. For obstacles thinner than the spacing they are
+    approximate. Such obstacles are sampled at elevenths of the spacing and moved under nodes. For a
+    blade, the derivative of the force by height has an error of 13 %. The one by position is not
+    valid.
 
     Attributes:
         displacements: (n, 3, nx, ny) Derivatives of the node displacements.

@@ -122,9 +122,10 @@ class MembraneSolution:
     def doubt(self) -> float:
         """Relative force error not exceeded in 9 of 10 cases.
 
-        The causes are narrow obstacles, a contact of few nodes, and a tip behind the membrane
-        between its nodes (`QuasistaticMembrane.doubt`, `QuasistaticMembrane.refined_for`). It is 0
-        without contact. It is 1 if an obstacle should be in contact and is not.
+        Its causes are narrow obstacles and a contact of few nodes. Another cause is a tip behind
+        the membrane between its nodes. See `QuasistaticMembrane.doubt` and
+        `QuasistaticMembrane.refined_for`. It is 0 without contact. It is 1 if an obstacle should be
+        in contact and is not.
         """
         if not self.converged:
             return float("nan")
@@ -140,8 +141,8 @@ class MembraneSolution:
     def relative_area_error(self) -> float:
         """Relative error of `area` not exceeded in 9 of 10 cases.
 
-        It is infinite if the contact is a point or a line on this grid, so that its area is
-        unknown. It is 0 without contact.
+        It is infinite if the contact is a point or a line on this grid. Its area is then unknown.
+        It is 0 without contact.
         """
         if not self.converged:
             return float("nan")
@@ -215,8 +216,11 @@ def judged(state: MembraneSolution) -> MembraneSolution:
 
 @dataclass(frozen=True, eq=False)
 class MembraneSolutionBatch:
-    """Films of n environments at rest: `x` (n, 3, nx, ny), `force` (n, nx, ny), `found`
-    (n, FOUND) and `trend` (n, 4, nx, ny), as of `MembraneSolution`."""
+    """Membranes of n environments in equilibrium.
+
+    Shapes: `x` (n, 3, nx, ny), `force` (n, nx, ny), `found` (n, FOUND) and `trend` (n, 4, nx, ny).
+    Their meaning is that of `MembraneSolution`.
+    """
 
     x: Array
     force: Array

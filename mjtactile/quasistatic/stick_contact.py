@@ -1,8 +1,8 @@
-"""Sticking contact of a quasi-static membrane: the stiffness of a patch against drag and rotation.
+"""Sticking contact of a quasi-static membrane: stiffness of a patch in drag and rotation.
 
 The membrane solution itself is frictionless. Nodes in contact move with their obstacle. The
-membrane's stiffness gives the reaction to that motion, while all other nodes go to equilibrium in
-height and in the plane. No parameter is fitted (docs/theory/quasistatic_membrane.md, X7).
+membrane's stiffness gives the reaction to that motion. All other nodes go to equilibrium in height
+and in the plane. No parameter is fitted (docs/theory/quasistatic_membrane.md, X7).
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ class DecimatedHistory:
     large. When it is full, every second one goes, and from then on every second one is not
     taken."""
 
-    def __init__(self, most: int = _MOST):
+    def __init__(self, maximum: int = _MOST):
         self.kept: list[tuple[Seen, Any]] = []
         """Cycles, each with its scene."""
-        self._most = most - most % 2
+        self._maximum = maximum - maximum % 2
         self._every = 1
         self._seen = 0
 
@@ -26,10 +26,10 @@ class DecimatedHistory:
         """Take a cycle, or pass it over."""
         if not self._seen:
             size = sum(image.pixels.nbytes for image in cycle.images)
-            self._most = max(4, min(self._most, 2 * int(_ROOM / 2 / max(size, 1))))
+            self._maximum = max(4, min(self._maximum, 2 * int(_ROOM / 2 / max(size, 1))))
         if self._seen % self._every == 0:
             self.kept.append((cycle, view))
-        if len(self.kept) > self._most:
+        if len(self.kept) > self._maximum:
             del self.kept[1::2]
             self._every *= 2
         self._seen += 1

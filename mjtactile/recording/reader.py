@@ -218,10 +218,9 @@ def _read_image(path: Path, time: float) -> Image:
 
 
 def load_recording(path: str | Path) -> Recording:
-    """Read a recording, however its run ended.
+    """Read a recording, even if its run was interrupted.
 
-    A line that is cut in half or damaged is left out with all that follows, and named in
-    `problems`.
+    A truncated or damaged line is omitted, together with all following lines. `problems` names it.
 
     Args:
         path: The recording's folder, or a run's folder around it.

@@ -1,15 +1,16 @@
 """Indentation protocol of a recording: the indenter, its position, and its moves over time.
 
-A protocol is a CSV file with one line per move. A person with a stage follows it, as does the
-simulated stage:
+A protocol is a CSV file with one line per move. A person with a stage follows it. The simulated
+stage does the same:
 
     time_s,depth_mm,shear_mm,speed_mm_s,force_N
 
 `time_s` counts from the recording's first cycle. `depth_mm` is measured from first contact with the
-inflated membrane. `shear_mm` is along x of the sensor (empty: 0), and `speed_mm_s` is the speed of
-the move (empty: 2). `force_N` is the force during the following hold, from a load cell or a weight
-on the indenter (empty: unknown). With a force alone, for example a weight, the depth is free. With
-neither depth nor force there is no contact. The recording stores all of it as the note `stage`.
+inflated membrane. `shear_mm` is along x of the sensor (empty: 0). `speed_mm_s` is the speed of the
+move (empty: 2). `force_N` is the force during the following hold (empty: unknown). It comes from a
+load cell or a weight on the indenter. With a force alone, for example a weight, the depth is free.
+With neither depth nor force there is no contact. The recording stores all of it as the note
+`stage`.
 """
 
 from __future__ import annotations
@@ -61,8 +62,10 @@ class Move:
 
 @dataclass(frozen=True)
 class Stage:
-    """An indenter ("sphere:8", as `mjtactile press` has them) over the place `at` (x, y) m in S,
-    and its moves in order."""
+    """Indenter over the position `at` (x, y) m in S, and its moves in order.
+
+    The format of the indenter ("sphere:8") is that of `mjtactile press`.
+    """
 
     indenter: str
     at: tuple[float, float]

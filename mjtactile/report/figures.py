@@ -1,5 +1,7 @@
-"""Empty figures for pictures that are written to files; matplotlib is optional, and without it only
-the pictures are lost."""
+"""Empty figures for image files.
+
+matplotlib is optional. Without it only the figures are missing.
+"""
 
 from __future__ import annotations
 

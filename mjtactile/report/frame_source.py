@@ -104,8 +104,10 @@ def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArra
 
 
 def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses | None) -> NDArray[np.uint8]:
-    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre,
-    or without `poses` that of the ellipse."""
+    """Return the image with each ellipse (green: ok, orange: unreliable) and its center.
+
+    The center is the projected circle center. Without `poses` it is that of the ellipse.
+    """
     if pixels.dtype == np.uint8:
         eight = pixels
     else:

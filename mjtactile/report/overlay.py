@@ -24,8 +24,10 @@ _TOO_LARGE = 3.0
 
 
 def find_ellipses(image: Image) -> Ellipses:
-    """Those in the image, or those that stand for it; without a round frame's own edge, which is
-    a circle around all of them."""
+    """Return the ellipses in the image, or the synthetic ones that replace them.
+
+    The edge of a round frame, which is a circle around all of them, is excluded.
+    """
     if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
         return image.ellipses
     found = detect(image)
@@ -40,8 +42,10 @@ def find_ellipses(image: Image) -> Ellipses:
 
 
 def followed(image: Image, tracks: Tracks | None) -> Ellipses | None:
-    """Those of `tracks`, where it is of this image and has all markers; a search takes a hundred
-    times as long."""
+    """Return the ellipses of `tracks` if they are from this image and complete.
+
+    A new search takes a hundred times as long.
+    """
     if tracks is None or tracks.time != image.time or len(tracks.fit.center) < tracks.count:
         return None
     return as_ellipses(tracks.fit, np.full(tracks.count, "ok", dtype="<U24"))

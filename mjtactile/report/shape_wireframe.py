@@ -23,8 +23,11 @@ _ABOVE = 8e-3
 
 
 def lines_of(shape: ContactShape) -> list[Array]:
-    """Lines (P, 3) m in S: the outline, at the height of the body's nearest point, closed; an arc
-    along its smaller curvature and one across. None where the shape is unknown."""
+    """Return lines (P, 3) m in S that show a contact shape.
+
+    They are the closed outline, at the height of the object's nearest point, and two arcs. The arcs
+    run along and across its smaller curvature. The list is empty if the shape is unknown.
+    """
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return []
     lines = []
@@ -52,8 +55,8 @@ def _arc(curvature: float) -> tuple[Array, Array]:
         way = np.linspace(-_REACH, _REACH, _POINTS)
         return way, np.zeros(_POINTS)
     radius = 1 / curvature
-    most = min(_ARC, _REACH / abs(radius)) if abs(radius) > _REACH else _ARC
-    turn = np.linspace(-most, most, _POINTS)
+    maximum = min(_ARC, _REACH / abs(radius)) if abs(radius) > _REACH else _ARC
+    turn = np.linspace(-maximum, maximum, _POINTS)
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
 

@@ -1,5 +1,7 @@
-"""A picture of a simulated scene without OpenGL: triangles, seen from afar, the nearest at each
-pixel, shaded by one light."""
+"""Rendering of a simulated scene without OpenGL.
+
+The view is from far away. Each pixel shows the nearest triangle, shaded by one light.
+"""
 
 from __future__ import annotations
 

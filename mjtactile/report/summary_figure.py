@@ -347,8 +347,10 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
 
 
 def _sample_break_force(axes: Any, force: Any, top: float) -> float:
-    """A line where the object breaks, or a note when that is so far up that it would flatten the
-    curves; the new top."""
+    """Plot a line at the break force of the object and return the new upper limit.
+
+    A note replaces the line if it is so high that it would flatten the curves.
+    """
     if not isinstance(force, (int, float)) or not np.isfinite(force):
         return top
     if force > 2.5 * top:

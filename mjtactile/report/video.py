@@ -233,9 +233,9 @@ class _Curve:
         self._start = float(time[0])
         self._end = max(float(time[-1]), float(time[0]) + 1e-3)
         self._width = width
-        most = np.nanmax(np.concatenate([felt.ravel(), true.ravel(), [0.2]]))
-        self._top = 1.3 * float(most)
-        self._low = -0.1 * float(most)
+        maximum = np.nanmax(np.concatenate([felt.ravel(), true.ravel(), [0.2]]))
+        self._top = 1.3 * float(maximum)
+        self._low = -0.1 * float(maximum)
         self._picture = np.full((_CURVE, width, 3), 255, np.uint8)
         self._shade(recording)
         self._scale()

@@ -211,8 +211,10 @@ def camera_pose(design: SensorDesign, specimen: AsBuiltSensor) -> tuple[Array, A
 
 
 def marker_radii(design: SensorDesign, specimen: AsBuiltSensor) -> Array:
-    """Radius (N,) m of each marker of the true `design` as it is drawn: none of those that are
-    missing."""
+    """Return the rendered radius (N,) m of each marker of the true `design`.
+
+    It is 0 for missing markers.
+    """
     radii = np.full(design.markers.count, design.markers.radius)
     radii[[number for number in specimen.missing if number < len(radii)]] = 0.0
     return radii

@@ -1,7 +1,8 @@
-"""Faults of a camera image: `[emulator.as_built.FINGER.camera]` of a rig file and `[camera]` of a
-randomization file.
+"""Faults of a camera image.
 
-All are off by default. For their effects see mjtactile/sim/rendering/image_faults.
+They are set in `[emulator.as_built.FINGER.camera]` of a rig file. In a randomization file the
+section is `[camera]`. All are off by default. For their effects see
+mjtactile/sim/rendering/image_faults.
 """
 
 from __future__ import annotations

@@ -14,10 +14,10 @@ PRESSURE_STEP = 45.0
 class CommandLimits:
     """Limits that apply to the commands of every controller.
 
-    `opening`, m (minimum, maximum), `speed` of the opening, m/s, `force` of the servo, N, `lift`, m
-    (minimum, maximum), `lift_speed`, m/s. `pressure` in the chambers, Pa above ambient (minimum,
-    maximum; None: no controlled valve, or no pressure sensor). `pressure_rate`, Pa/s; the change
-    per period is at most `PRESSURE_STEP`.
+    `opening`, m, is (minimum, maximum), with `speed` of the opening, m/s. `force` of the servo is
+    in N. `lift`, m, is (minimum, maximum), with `lift_speed`, m/s. `pressure` in the chambers, Pa
+    above ambient, is (minimum, maximum). None: no controlled valve, or no pressure sensor.
+    `pressure_rate` is in Pa/s; the change per period is at most `PRESSURE_STEP`.
     """
 
     opening: tuple[float, float] = (0.0, 0.12)

@@ -158,8 +158,8 @@ _OF_FINGERS = ("sensor", "gas", CAMERA)
 class Spread:
     """Distribution of a parameter.
 
-    It is uniform from `low` to `high`, normal with `mean` and `sd` (truncated at three), or one of
-    `choices` with equal probability.
+    It is uniform from `low` to `high`, or normal with `mean` and `sd` (truncated at three). It may
+    also be one of `choices` with equal probability.
     """
 
     low: float = 0.0
@@ -188,8 +188,10 @@ class Randomization:
     path: Path | None = None
 
     def draw(self, seed: int, *, fingers: Sequence[str], markers: int) -> Drawn:
-        """The world of `seed` for these fingers, with so many `markers` on each; the same whatever
-        else is drawn or run."""
+        """Return the randomized world of `seed` for these fingers, with `markers` on each.
+
+        The result does not depend on other randomized values or runs.
+        """
         values: dict[str, Any] = {}
         for name, (entry, spread) in self.spreads.items():
             section, _, key = name.partition(".")
@@ -220,10 +222,10 @@ class Randomization:
 
 
 def load_variation(name_or_path: str | Path) -> Randomization:
-    """Read a randomization by shipped name or from a TOML file; "none" randomizes nothing.
+    """Read a randomization by shipped name or from a TOML file; "none" disables randomization.
 
-    Raises InputError that names file, field and valid choices for an unknown name, a value out of
-    range or an invalid distribution.
+    Raises InputError that names file, field and valid choices. Causes are an unknown name, a value
+    out of range or an invalid distribution.
     """
     if name_or_path == NONE:
         return Randomization(NONE, {})

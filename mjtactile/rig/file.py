@@ -178,8 +178,10 @@ class ValveConfig:
     supply_gauge: float | None = number("supply_kPa", -100, 1000, KPA, default=None)
 
     def validate(self, section: Section) -> None:
-        """A port is a device file, or one of two of pyserial's URLs: others of them write to files
-        that a rig file names."""
+        """Check that the port is a device file, or one of two of pyserial's URLs.
+
+        Other URLs of pyserial write to files that a rig file names.
+        """
         scheme, separator, _ = self.port.partition("://")
         if separator and scheme not in _PORT_SCHEMES:
             urls = " or ".join(f"{scheme}://" for scheme in _PORT_SCHEMES)
@@ -272,10 +274,10 @@ class RigFile:
 
 
 def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
-    """Read a rig by shipped name or from a TOML file; a simulated one is known by its section
-    [sim].
+    """Read a rig by shipped name or from a TOML file.
 
-    Raises InputError naming file, field, value and valid choices.
+    The section [sim] identifies a simulated rig. Raises InputError naming file, field, value and
+    valid choices.
     """
     path = resources.find(name_or_path, "models/rigs", ".toml")
     table = read_toml(path)

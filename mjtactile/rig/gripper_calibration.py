@@ -20,10 +20,12 @@ def gripper_fingerprint(config: GripperConfig) -> str:
 
 
 def calibrated_gripper(config: GripperConfig) -> GripperConfig:
-    """The servos as they were measured, where the rig file names a calibration that is there and
-    not older than it.
+    """Return the configuration with measured servo values.
 
-    Raises InputError for a file that is broken, or of other servos.
+    They come from the calibration file that the rig file names. Without that file, or if it is for
+    another gripper configuration (fingerprint), `config` is returned unchanged.
+
+    Raises InputError if the file is broken or belongs to other servos.
     """
     table = _read(config)
     if table is None or table.text("fingerprint") != gripper_fingerprint(config):

@@ -1,15 +1,15 @@
 """Jaw transmissions of rig files, for real and simulated grippers.
 
-Each drive has a coordinate a: a servo's angle (rad), or the length of a simulated actuator (rad, or
-m for a slide or a tendon). It determines a part x (m) of the gripper's opening by one of three
-laws:
+Each drive has a coordinate a. It is a servo's angle (rad) or the length of a simulated actuator.
+That length is in rad, or in m for a slide or a tendon. The coordinate determines a part x (m) of
+the gripper's opening by one of three laws:
 
 - linear (a rack, a slide, a tendon): x = x0 + r a, with r m/rad of the pinion, or m/m;
-- crank: x = x0 + r sin a, with the crank's length r m (a parallel linkage; |a| < 90 degrees);
+- crank (a parallel linkage): x = x0 + r sin a, with the crank's length r m and |a| < 90 degrees;
 - table: measured pairs (a, x), strictly monotonic in both, linear between.
 
-By virtual work, a torque (or force) tau along a gives the closing force f = -tau / (dx/da) of the
-jaws.
+A torque (or force) tau along a closes the jaws. The closing force is f = -tau / (dx/da), from
+virtual work.
 """
 
 from __future__ import annotations

@@ -91,8 +91,11 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
 def as_scenario(
     scenario: Scenario | str, design: SensorDesign | None = None, **fields: Any
 ) -> Scenario:
-    """A scenario as it is; or that of a rig's name, the sensor on its fingers and other fields
-    (`object_name` is its object)."""
+    """Return a scenario unchanged, or create one from a rig's name.
+
+    A new scenario takes the sensor `design` for the fingers, and other fields. `object_name` is its
+    object.
+    """
     if isinstance(scenario, Scenario):
         return scenario
     if "object_name" in fields:

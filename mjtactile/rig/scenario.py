@@ -61,9 +61,9 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
 def resolve_scenario(scenario: Scenario) -> Scenario:
     """Fill in the actual sensor of each of the rig's fingers.
 
-    The fingers of a rig file or of a replayed recording may name their own sensors. If all fingers
-    have the same one, it becomes the scenario's `sensor`. A recording is replayed with its own
-    sensor unless another one is requested, and with shapes if it has them.
+    The fingers of a rig file or of a replayed recording may name their own sensors. A sensor common
+    to all fingers becomes the scenario's `sensor`. A recording is replayed with its own sensor
+    unless another one is requested. It is replayed with shapes if it has them.
 
     Args:
         scenario: The requested scenario.

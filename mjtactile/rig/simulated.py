@@ -1,8 +1,8 @@
-"""A rig file's simulated rig: the user's MJCF, its fingertip sites, jaws and lift. The format:
-docs/reference/rig_files.md.
+"""Simulated rig of a rig file: the user's MJCF, its fingertip sites, jaws and lift.
 
-Every quantity is SI inside; the file's keys carry the unit. Names of sites, actuators and bodies
-are those of the MJCF, and are looked up when the rig is built.
+The format is described in docs/reference/rig_files.md. Every quantity is SI inside; the file's keys
+carry the unit. Names of sites, actuators and bodies are those of the MJCF. They are resolved when
+the rig is built.
 """
 
 from __future__ import annotations
@@ -119,12 +119,15 @@ class SimGripperConfig:
 
 @dataclass(frozen=True)
 class SimLift:
-    """Lift of the hand by `travel`, m, at `speed`, m/s. By `kind`:
+    """Lift of the hand by `travel`, m, at `speed`, m/s.
 
-    "actuator": the position actuator `name`, with `ratio` m of height per unit of its length;
-    "mocap": the mocap body `name`; "arm": the position actuators `actuators` (empty: all on joints
-    between the world and the hand); "none": no lift, and the requested height is reported as
-    reached.
+    The values of `kind`:
+
+    - "actuator": the position actuator `name`, with `ratio` m of height per unit of its length;
+    - "mocap": the mocap body `name`;
+    - "arm": the position actuators `actuators` (empty: all on joints between the world and the
+      hand);
+    - "none": no lift; the requested height is reported as reached.
     """
 
     kind: str = text("kind", ("actuator", "mocap", "arm", "none"))

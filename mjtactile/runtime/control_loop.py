@@ -44,10 +44,10 @@ def run_loop(
 ) -> Command:
     """Run the controller until it returns the phase "done" or "abort".
 
-    The loop stops early on an error, after `time_limit`, on request through `stop`, or if the
-    controller ends with the hand in the air. The controller is then no longer called. The hand is
-    lowered and opened first, and the error is raised afterwards. An immediate stop skips this
-    retreat.
+    The loop stops early on an error, after `time_limit`, or on request through `stop`. It also
+    stops if the controller ends with the hand in the air. The controller is then no longer called.
+    The hand is lowered and opened first, and the error is raised afterwards. An immediate stop
+    skips this retreat.
 
     Args:
         rig: The rig; the caller closes it.
@@ -195,8 +195,11 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
 
 
 def _make_room(cycle: ControlCycle) -> None:
-    """The process has no more memory: nothing of the controller's is kept, and the hand retreats;
-    where it did so before, devices' own watchdogs act."""
+    """Discard the controller's memory and start the retreat after the process ran out of memory.
+
+    If the hand was already retreating, latch the supervisor. The devices' own watchdogs then
+    act.
+    """
     retreats = cycle.supervisor.state == "safe"
     cycle.last = replace(cycle.last, memory={})
     cycle.give_up(SafeStop("stopped safely: no memory is left"))

@@ -53,8 +53,8 @@ class Controller:
     def step(self, observation: Observation) -> Command:
         """Run the user's `step`.
 
-        Raises ControllerError. It names the file and the line if `step` raises an exception, and
-        the field if `step` returns no Command. A Command checks its own numbers.
+        Raises ControllerError. It names the file and the line if `step` raises an exception. It
+        names the field if `step` returns no Command. A Command checks its own numbers.
         """
         try:
             command = self.function(observation)
@@ -81,10 +81,10 @@ class Controller:
 
 
 class ControllerThread:
-    """Asks a controller in a thread of its own, so that a step that does not return holds up
-    nothing. Use as a context manager.
+    """Thread for a controller, so that a step that does not return blocks nothing else.
 
-    A step is given `limit` s of wall time. A switch to the thread and back takes some 0.03 ms.
+    Use as a context manager. A step is given `limit` s of wall time. A switch to the thread and
+    back takes about 0.03 ms.
     """
 
     def __init__(self, controller: LoadedController, limit: float):
@@ -119,8 +119,11 @@ class ControllerThread:
         return answer
 
     def _answer(self) -> Command | BaseException:
-        """Raises queue.Empty. Where the whole process stood still, the time is up before the
-        controller could go on: it is given another moment."""
+        """Return the controller's command or error; raises queue.Empty after the time limit.
+
+        If the whole process was suspended, the limit may expire before the controller could
+        continue. So the call waits a second, short time.
+        """
         with contextlib.suppress(queue.Empty):
             return self._answers.get(timeout=scaled_clock.wall(self._patience))
         return self._answers.get(timeout=scaled_clock.wall(_ANOTHER_MOMENT))

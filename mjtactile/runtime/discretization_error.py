@@ -28,8 +28,10 @@ _RESTING = 0.3
 
 
 def coarser(mesh: tuple[int, int], timestep: float) -> tuple[tuple[int, int], float]:
-    """The mesh with `RATIO` times the width, odd stays odd so that its middle stays a vertex, and
-    up to twice the step."""
+    """Return a mesh with `RATIO` times the cell width, and up to twice the time step.
+
+    Vertex counts stay odd, so that the center stays a vertex.
+    """
 
     def fewer(count: int) -> int:
         return max(7, 2 * round((count - 1) / RATIO / 2) + 1)
@@ -40,8 +42,10 @@ def coarser(mesh: tuple[int, int], timestep: float) -> tuple[tuple[int, int], fl
 def richardson(
     fine: float, coarse: float, mesh: tuple[int, int], coarse_mesh: tuple[int, int]
 ) -> float:
-    """Estimated error of `fine`, N, from the two forces and the real ratio of the meshes' widths;
-    NaN for equal meshes."""
+    """Return the estimated error of `fine`, N; NaN for equal meshes.
+
+    It follows from the two forces and the actual ratio of the mesh widths.
+    """
     ratio = ((mesh[0] - 1) * (mesh[1] - 1) / ((coarse_mesh[0] - 1) * (coarse_mesh[1] - 1))) ** 0.5
     return abs(fine - coarse) / (ratio**2 - 1) if ratio > 1 else float("nan")
 
@@ -52,8 +56,10 @@ def press_errors(
     mesh: tuple[int, int],
     timestep: float,
 ) -> list[float]:
-    """Estimated error, N, of every step's `force_true_N`; `press` runs the same plan with another
-    mesh and time step."""
+    """Return the estimated error, N, of every step's `force_true_N`.
+
+    `press` runs the same plan with another mesh and time step.
+    """
     coarse_mesh, coarse_step = coarser(mesh, timestep)
     others = press(coarse_mesh, coarse_step)
     return [

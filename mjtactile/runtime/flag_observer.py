@@ -8,10 +8,10 @@ from mjtactile.recording.observer import Observer
 
 
 class FlagObserver(Observer):
-    """Observer that notes `flags` (kind of model error to reason) whenever those of `ask` change.
+    """Observer that notes `flags` whenever those of `ask` change.
 
-    It is a context manager that checks the flags once more at the end of the run, also after an
-    error.
+    The flags map the kind of model error to its reason. It is also a context manager. At the end of
+    the run it checks the flags again, also after an error.
     """
 
     def __init__(self, ask: Callable[[], Mapping[str, str]], observer: Observer):

@@ -179,8 +179,10 @@ class GraspScore:
         return ground_truth.object_position(self.world, self._bodies)
 
     def _track_slip(self, relative: Array) -> None:
-        """Largest motion of the object against the hand since it was lifted, m; `relative` (3,) m
-        is where it is now."""
+        """Update the largest motion of the object relative to the hand since it was lifted, m.
+
+        `relative` (3,), m, is its current position.
+        """
         if self._grip_start is None:
             self._grip_start = relative
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))

@@ -27,8 +27,8 @@ _STEPS = PHASES[: PHASES.index("done")]  # the phases of a grasp in order: the b
 class Progress(Observer):
     """Progress display, as an observer of a run or on its own.
 
-    On its own, call `update` in each cycle, `message` for messages before and after the run, and
-    `close` to end the line.
+    On its own, call `update` in each cycle. Call `message` for messages before and after the run.
+    Call `close` to end the line.
     """
 
     def __init__(self, stream: TextIO | None = None, *, quiet: bool = False):

@@ -83,8 +83,10 @@ def inflate(fingers: Sequence[Finger], clock: Clock) -> None:
 def settled_images(
     fingers: Sequence[Finger], clock: Clock, with_each: Callable[[], None] = lambda: None
 ) -> Shots:
-    """Wait until everything is still, then take REFERENCE_IMAGES images of each camera, and do
-    `with_each` with each of them."""
+    """Wait until all motion has settled, then take REFERENCE_IMAGES images of each camera.
+
+    `with_each` is called after each of them.
+    """
     period = control_period(fingers)
     clock.wait_until(clock.now() + SETTLE_TIME)
     shots: Shots = [[] for _ in fingers]

@@ -93,7 +93,7 @@ class Session:
     def flags(self) -> Mapping[str, str]:
         """Reasons for reduced accuracy so far, by kind of model error.
 
-        On a real rig the only kind is "unsensed_force": the servo forces exceed the forces
+        On a real rig the only kind is "unsensed_force". The servo forces then exceed the forces
         estimated on the fingers.
         """
         return {**self.rig.flags(), **self._push.flags}

@@ -1,11 +1,16 @@
 """Supervisor: state machine between controller and rig, for protection against faults.
 
-States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (an estimate
-is unknown: the jaws do not close and the hand does not rise), `safe` (the hand is lowered and
-opened automatically: `mjtactile.runtime.retreat`), `latched` (final). In `latched`, `reason` holds
-the cause, and `doubt` the unverified part of the safe state (empty: none). The controller's command
-is passed on only in `running`; the other states restrict or replace it. For the faults and their
-detectors see docs/how-to/hardware.md.
+States:
+
+- `idle`: nothing is sent.
+- `armed`: the references are taken, and the rig is ready.
+- `running`: the controller's command is passed on. The other states restrict or replace it.
+- `holding`: an estimate is unknown. The jaws do not close and the hand does not rise.
+- `safe`: the hand is lowered and opened automatically (`mjtactile.runtime.retreat`).
+- `latched`: final. `reason` holds the cause, and `doubt` the unverified part of the safe state
+  (empty: none).
+
+For the faults and their detectors see docs/how-to/hardware.md.
 """
 
 from __future__ import annotations

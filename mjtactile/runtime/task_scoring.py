@@ -1,9 +1,9 @@
-"""Ground-truth score of a task: grip force relative to the minimum, final pose, impact, and
-handover.
+"""Ground-truth score of a task: relative grip force, final pose, impact, and handover.
 
-The minimum grip force follows from Coulomb's law for soft fingers. The load along the membranes and
-the torque about the axis through the fingers share the friction limit as an ellipse (Howe &
-Cutkosky, Int. J. Robotics Research 15, 1996). All fingers have the same normal force.
+The grip force is relative to its minimum, which follows from Coulomb's law for soft fingers. Two
+loads share the friction limit as an ellipse (Howe & Cutkosky, Int. J. Robotics Research 15, 1996).
+These are the load along the membranes and the torque about the axis through the fingers. All
+fingers have the same normal force.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class TaskScorer:
         """Return center and radius of the contact patch on a membrane.
 
         The center (3,), m, is in frame W. The radius, m, is the force-weighted mean distance from
-        it, the ratio of the friction limits in torque and force. It is 0 without contact.
+        it. It is the ratio of the friction limits in torque and force. It is 0 without contact.
         """
         middle, radius = ground_truth.patch(self.world, number)
         if radius <= 0:
@@ -189,8 +189,10 @@ class TaskScorer:
         return data.xpos[body] + R_WS @ middle, max(radius, 5e-4)
 
     def _axis(self) -> Array | None:
-        """The unit vector from one finger to the other; None for more than two, between whose
-        planes every direction lies."""
+        """Return the unit vector from one finger to the other; None for more than two fingers.
+
+        Every direction lies between the planes of more than two fingers.
+        """
         if len(self.world.sensors) != 2:
             return None
         data = self.world.data

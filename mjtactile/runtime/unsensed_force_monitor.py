@@ -38,7 +38,7 @@ class UnsensedForceMonitor(Observer):
         self._efforts: deque[float] = deque(maxlen=count)
         self._felt: deque[float] = deque(maxlen=count)
         self._free = 0.0
-        self._most = 0.0
+        self._maximum = 0.0
         self._text = ""
 
     @property
@@ -68,14 +68,14 @@ class UnsensedForceMonitor(Observer):
         """Compute the minimum excess force over the window and set the flag text if it is too
         large."""
         beyond = effort - felt
-        least = int(beyond.argmin())
-        allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[least]))
-        if beyond[least] <= max(allowed, self._most):
+        minimum = int(beyond.argmin())
+        allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[minimum]))
+        if beyond[minimum] <= max(allowed, self._maximum):
             return
-        self._most = float(beyond[least])
+        self._maximum = float(beyond[minimum])
         names = " and ".join(self._names)
         self._text = (
-            f"the servos push with {effort[least]:.1f} N, but {names} measure "
-            f"{felt[least]:.1f} N on average: frames, finger sides or the jaws carry "
-            f"{self._most:.1f} N, more than the allowed {allowed:.1f} N"
+            f"the servos push with {effort[minimum]:.1f} N, but {names} measure "
+            f"{felt[minimum]:.1f} N on average: frames, finger sides or the jaws carry "
+            f"{self._maximum:.1f} N, more than the allowed {allowed:.1f} N"
         )

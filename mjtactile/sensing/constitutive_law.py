@@ -1,9 +1,10 @@
-"""Membrane stress and its derivative by the constitutive law of the sensor file
-(docs/theory/membrane_inverse.md, Eq. F4). For sensing only; the simulator has separate code.
+"""Membrane stress and its derivative by the constitutive law of the sensor file.
+
+See docs/theory/membrane_inverse.md, Eq. F4. For sensing only; the simulator has separate code.
 
 Both are functions of the right Cauchy-Green tensor C of the membrane, relative to its free state.
-For a neo-Hookean membrane S = mu (I - q A) with A = tr(C) I - C and q = c / det C. dq/dC = q' A,
-since A is the derivative of det C.
+For a neo-Hookean membrane S = mu (I - q A). Here A = tr(C) I - C and q = c / det C. A is the
+derivative of det C, so dq/dC = q' A.
 """
 
 from __future__ import annotations
@@ -97,9 +98,12 @@ class ConstitutiveLaw:
 
 
 def _thickness(half: float) -> Array:
-    """The square c of the thickness's stretch over `_LOG_DET`: c - 1 + half ln(c det C) = 0, by
-    Newton's method for ln c. The left side rises and is convex, so that from above it goes down to
-    the root. (It is Lambert's equation, but scipy takes a sixth of a second to import.)"""
+    """Compute the squared thickness stretch c over `_LOG_DET`.
+
+    It solves c - 1 + half ln(c det C) = 0 by Newton's method for ln c. The left side is increasing
+    and convex. So iterations from above decrease to the root. The equation is Lambert's, but the
+    import of scipy takes a sixth of a second.
+    """
     log_c = np.maximum(0.0, -_LOG_DET)
     for _ in range(_NEWTON_STEPS):
         c = np.exp(log_c)

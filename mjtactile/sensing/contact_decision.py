@@ -38,8 +38,11 @@ class ContactDecision:
         self._settings = settings
 
     def lost(self, state: PipelineState) -> PipelineState:
-        """After an image that nothing explains. The next one begins where the last that something
-        did left off (a torn picture is gone then), unless that is long ago."""
+        """Return the state after an image that no membrane shape explains.
+
+        The next image starts from the last explained one, because a torn image is gone by then.
+        After too many unexplained images it starts without a shape.
+        """
         shape = state.shape
         force = state.lost_at
         if force is None and shape is not None:
@@ -55,8 +58,8 @@ class ContactDecision:
         Several such images in a row after a large force mean an overload.
         """
         force = state.lost_at
-        most = self._settings.inverse.overload_min
-        if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < most:
+        maximum = self._settings.inverse.overload_min
+        if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < maximum:
             return Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
         return Status(
             StatusCode.OVERLOADED,

@@ -131,8 +131,10 @@ class MarkerDetector:
         return markers
 
     def _require_levels(self, image: Image, ellipses: Ellipses, what: str) -> None:
-        """Raise DeviceError for a picture that is white around most circles: how large they are
-        changes with the light then."""
+        """Raise DeviceError if the image is overexposed around most circles.
+
+        Their apparent size then changes with the light.
+        """
         if isinstance(image, SyntheticEllipses):
             return
         if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):

@@ -1,5 +1,7 @@
-"""Estimation of the membrane shape from the markers of one image, together with the gas state from
-a pressure sensor."""
+"""Estimation of the membrane shape from the markers of one image.
+
+The gas state from a pressure sensor is included.
+"""
 
 from __future__ import annotations
 
@@ -123,8 +125,8 @@ class MembraneEstimator:
         s = self._settings
         drifted = shape.drift > s.zero.drift_max
         load = float(np.linalg.norm(self._inverse.force(shape)))
-        most = s.inverse.excess_max * max(1.0, load / s.inverse.overload_min) ** 2
-        sharp = float(shape.excess[0].mean()) > most and not drifted
+        maximum = s.inverse.excess_max * max(1.0, load / s.inverse.overload_min) ** 2
+        sharp = float(shape.excess[0].mean()) > maximum and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_max
 
     def _is_doubtful(
@@ -167,12 +169,12 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate | None:
-        """Return the estimate for a wide face that presses, if the markers favor it, else None.
+        """Return the estimate for a wide face in contact, if the markers favor it, else None.
 
-        A face that is wider than the frame moves nearly all markers alike, as a changed camera or
-        a lost gas does. The prior of compact contacts would discount the markers, or take the load
-        for such a change. The hypotheses are compared by their evidence; a camera that changes in
-        the very image has the prior probability exp(-`face_change`).
+        A face wider than the frame moves nearly all markers alike. A changed camera or lost gas
+        does the same. The prior of compact contacts would discount the markers, or attribute the
+        load to such a change. The hypotheses are compared by their evidence. The prior probability
+        of a camera change in this very image is exp(-`face_change`).
         """
         s = self._settings.inverse
         fresh = replace(state, shape=None)
@@ -183,13 +185,13 @@ class MembraneEstimator:
             )
 
         wide = s.face_correlations[1]
-        least = found.shape.log_evidence + s.face_margin
+        minimum = found.shape.log_evidence + s.face_margin
         camera = self._camera(state, time)
         rough = self._inverse.evidence(found.shape, found.markers, found.rest, camera, wide)
-        if rough < least - s.face_rough:
+        if rough < minimum - s.face_rough:
             return None
         evidence = fit(fresh, wide).shape.log_evidence
-        if evidence < least:
+        if evidence < minimum:
             return None
         # while a face presses, its load is not taken for a camera that changes
         for other in () if state.face else self._changed(state, found):

@@ -1,14 +1,13 @@
-"""Sensing chain of one sensor, from an image to a touch; the only module where the stages meet. It
-uses pixels only.
+"""Sensing chain of one sensor, from an image to a touch.
 
-A `SensingPipeline` is the constant part: the sensor and the operators made from its design. A
-`PipelineState` is the part passed from one image to the next. `step(state, image, now)` returns the
-touch and the next state and changes nothing. So a state can be stored, replayed, passed to another
-process, or used twice.
+It is the only module where the stages meet, and it uses pixels only. A `SensingPipeline` is the
+constant part: the sensor and the operators made from its design. A `PipelineState` is the part
+passed from one image to the next. `step(state, image, now)` returns the touch and the next state
+and changes nothing. So a state can be stored, replayed, passed to another process, or used twice.
 
-A sensor first measures its own reference, as the real device must: the flat membrane with the valve
-open, then the inflated one without contact. `StatefulPipeline` combines a chain with its newest
-state, for purely sequential use.
+A sensor first measures its own reference, as the real device must. It measures the flat membrane
+with the valve open, then the inflated one without contact. `StatefulPipeline` combines a chain with
+its newest state, for purely sequential use.
 """
 
 from __future__ import annotations

@@ -48,17 +48,17 @@ class PipelineState:
     - `tracks`: marker tracks; `apart` (M, 3): deviation of the markers from the zero, m.
     - `gas`: gas state, with a pressure sensor.
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
-    - `knocked`: number of successive images in which the camera seemed knocked, or, with fiducials,
-      gas seemed lost; from `KNOCKS_SURE` on this is accepted.
+    - `knocked`: number of successive images in which the camera seemed knocked. With fiducials, it
+      counts images in which gas seemed lost. From `KNOCKS_SURE` on this is accepted.
     - `face`: True if a face wider than the frame pressed in the last image.
-    - `unexplained`: number of images since the markers could not be explained; `lost_at` (3,):
-      force in the last explained image, N.
-    - `fiducials`: those of the last image; `camera`: camera drift from them; `belief`: without
-      fiducials, camera drift from the markers.
+    - `unexplained`: number of images since the markers could not be explained.
+    - `lost_at` (3,): force in the last explained image, N.
+    - `fiducials`: those of the last image; `camera`: camera drift from them.
+    - `belief`: without fiducials, camera drift from the markers.
     - `blend`: blending of images in the camera.
     - `press`: shape history of this contact episode, if shapes are requested.
-    - `flat_at`: time of the last flat membrane, s, and `rubber`: relaxation state, for rubber with
-      relaxation.
+    - `flat_at`: time of the last flat membrane, s.
+    - `rubber`: relaxation state, for rubber with relaxation.
     """
 
     flat: FlatReference

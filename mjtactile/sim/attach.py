@@ -1,4 +1,4 @@
-"""`attach_membrane`: add the membrane, the gas and the housing of a sensor to any MuJoCo scene.
+"""`attach_membrane`: add a sensor's membrane, gas and housing to any MuJoCo scene.
 
 `mjtactile.attach` adds the sensing chain.
 
@@ -119,17 +119,16 @@ def attach_membrane(
     contact: str = "auto",
     effects: Collection[str] = PHYSICS,
 ) -> Attachment:
-    """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at
-    `site`.
+    """Attach `sensor` (a design, a shipped name or a TOML file) to `spec` at `site`.
 
-    `prefix` distinguishes several sensors; `mesh` is the number of vertices along x and y; `mass`
-    kg is that of frame, glass and camera. `contact` selects the contact geometry of the membrane:
-    its "vertices", its triangles ("elements"), "both", or "auto" by the scene's smallest feature.
-    `effects` are those of `Effect`, or their names.
+    `spec` is the parent scene. `prefix` distinguishes several sensors. `mesh` is the number of
+    vertices along x and y. `mass`, kg, is that of frame, glass and camera. `contact` selects the
+    contact geometry of the membrane. It is its "vertices", its triangles ("elements"), "both", or
+    "auto" by the scene's smallest feature. `effects` are those of `Effect`, or their names.
 
-    Raises InputError for an unknown site or effect, a prefix already used, or a membrane that the
-    method cannot carry. It is also raised for options of `spec` that cannot (MuJoCo never takes
-    them from an attached child).
+    Raises InputError for an unknown site or effect, or a prefix already used. It is also raised for
+    a membrane that the method cannot carry, and for such options of `spec`. MuJoCo never takes
+    options from an attached child.
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
@@ -375,8 +374,10 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
 
 
 def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, float, float, float]]:
-    """Walls of this width, m, that touch an outline from outside: x, y, half length, half width,
-    m, and the angle of each to x."""
+    """Compute walls of width `rim`, m, that touch an outline from outside.
+
+    Each has x, y, half length and half width, m, and its angle to x.
+    """
     at = outline.points(2 * _WALLS)
     ends = at[::2]
     touching = at[1::2]

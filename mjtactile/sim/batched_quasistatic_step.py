@@ -1,11 +1,10 @@
-"""`QuasistaticStepper`: many steps of a gripper with quasi-static membranes, without Python in
-between.
+"""`QuasistaticStepper`: many steps of a gripper with quasi-static membranes in one kernel.
 
 In a step of 2 ms, MuJoCo and the membranes need about 40 us. Calling them one after the other from
 Python takes several times that. Here one kernel (`kernels/qs_substeps.c`) performs the steps of
-`GripperWorld` and `Stepper`. It calls MuJoCo by the addresses of its functions, and releases the
-Python GIL meanwhile, so that worlds in threads use all processors. It stops early where Python must
-check an event.
+`GripperWorld` and `Stepper`, without Python in between. It calls MuJoCo by the addresses of its
+functions. It releases the Python GIL meanwhile, so that worlds in threads use all processors. It
+stops early if Python must check an event.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ class QuasistaticStepper:
         self._goals = np.zeros(8)
         self._goals[7] = drive.opening
         self.goals = self._goals[:4]
-        self.most = self._goals[4:7]
+        self.maximum = self._goals[4:7]
         self._wrenches = np.zeros((MOST, len(sensors), 6))
         self._told = np.zeros(4, np.int64)
         self._hurry = np.ascontiguousarray(hurry, float)
@@ -144,8 +143,10 @@ def is_there() -> bool:
 
 @cache
 def _functions() -> tuple[int, ...]:
-    """Addresses of mj_kinematics and mj_step in the library that Python's module uses; none where
-    it is not found."""
+    """Return the addresses of mj_kinematics and mj_step; empty if the library is not found.
+
+    The library is the one that Python's module uses.
+    """
     folder = Path(mujoco.__file__).parent
     found = [
         *folder.glob("libmujoco.so*"),

@@ -18,8 +18,11 @@ _SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers
 
 
 class SimCamera:
-    """Renderer of one sensor's image, on `read` or earlier by `draw`, in parallel with the
-    processing of the previous image."""
+    """Renderer of one sensor's image.
+
+    It renders on `read`, or earlier by `draw`, in parallel with the processing of the previous
+    image.
+    """
 
     def __init__(
         self,

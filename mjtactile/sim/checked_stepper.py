@@ -29,10 +29,10 @@ _QS_CHECK_PERIOD = 0.1
 class Stepper:
     """Checked stepper of a scene with `sensors`, which are bound to its model and data.
 
-    `flags` maps the kind of each warning to its reason at first occurrence; for the kinds in
-    `limits.GROWS`, which report an amount, to the largest so far. `step_count` is the number of
-    steps so far. Each of `watchers` is called at every check, 20 ms apart, and returns flags of its
-    own.
+    `flags` maps the kind of each warning to its reason at first occurrence. The kinds in
+    `limits.GROWS` report an amount; for these it is the largest so far. `step_count` is the number
+    of steps so far. Each of `watchers` is called at every check, 20 ms apart, and returns flags of
+    its own.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[AnySensor]):
@@ -76,8 +76,8 @@ class Stepper:
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:
         """Check the state after `count` steps.
 
-        `unsolved` is the number of steps in which the solver ran out of iterations (None: check the
-        last step).
+        `unsolved` is the number of steps in which the solver ran out of iterations. With None, the
+        last step is checked.
 
         Raises:
             SimulationError: The state is not finite, MuJoCo warned, a membrane is outside the

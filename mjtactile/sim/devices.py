@@ -217,8 +217,10 @@ class SimGripper:
         return state
 
     def command(self, command: Command) -> Command:
-        """Set the goals of jaw and lift, and the force limit unless it is None; return them as the
-        rig's file cuts them."""
+        """Set the goals of jaw and lift, and the force limit unless it is None.
+
+        Return the command with its values limited to the ranges of the rig's file.
+        """
         file = self._world.rig
         if command.force_limit is not None:
             self._force_limit = _within(command.force_limit, (0.0, file.gripper.force_max))

@@ -1,5 +1,7 @@
-"""A simulated rig that goes back to where it was, with its object at another place: nothing is
-compiled again."""
+"""Restart of a simulated rig from its start, with its object at another position.
+
+Nothing is compiled again.
+"""
 
 from __future__ import annotations
 
@@ -107,8 +109,10 @@ def _own_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def _planar(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
-    """R (3, 3) and p (3,) m in W of the object's file's world, placed at `pose` seen from the hand;
-    as `GraspWorld` does."""
+    """Return R (3, 3) and p (3,), m, in W, of the object's file's world.
+
+    It is placed at `pose` relative to the hand, like in `GraspWorld`.
+    """
     x, y, turn = pose
     cos = math.cos(yaw)
     sin = math.sin(yaw)

@@ -1,12 +1,13 @@
-"""A MuJoCo step without the first solve, on which the result does not depend.
+"""MuJoCo step without the first solve, on which the result does not depend.
 
-Under `discrete`, `mj_step` solves twice. The first solve is for the acceleration without contacts
-and equalities (`qacc_smooth`), by conjugate gradients up to `opt.tolerance`. The second is for the
-real acceleration; it uses the first only as a start value if that is the better one. With
-membranes, the first takes half of a step's time. No public switch separates the two. The stages
-that make up a step in the manual lack the operations of `discrete` between them. `mj_forwardSkip`
-has them: here it runs once without iterations, followed by the real solve alone with the requested
-tolerance (decision 16).
+Under `discrete`, `mj_step` solves twice. The first solve computes `qacc_smooth`, the acceleration
+without contacts and equalities. It uses conjugate gradients up to `opt.tolerance`. The second solve
+computes the real acceleration. It uses the first only as a start value, if that is the better one.
+With membranes, the first solve takes half of a step's time.
+
+No public switch separates the two solves. The manual's stages of a step lack the operations of
+`discrete` between them. `mj_forwardSkip` contains these operations. Here it runs once without
+iterations. Then the real solve runs alone with the requested tolerance (decision 16).
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ _EULERDAMP = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 def advance(
     model: mujoco.MjModel, data: mujoco.MjData, *, first_tolerance: float = NO_ITERATION
 ) -> None:
-    """Advance `data` by one time step in place of `mj_step`: equal within the tolerance of
-    `model.opt`.
+    """Advance `data` by one time step in place of `mj_step`.
 
-    The first solve goes to `first_tolerance`; with `opt.tolerance` the state is that of `mj_step`
-    bit for bit. Afterwards `data.qacc_smooth` has the accuracy of the first solve. Where the result
-    depends on it, as for a body without constraints or contacts, `mj_step` is called. The same
-    holds for unsupported options. A control callback is called twice per step.
+    The result is equal within the tolerance of `model.opt`. The first solve goes to
+    `first_tolerance`. With `opt.tolerance` the state is that of `mj_step` bit for bit. Afterwards
+    `data.qacc_smooth` has the accuracy of the first solve.
+
+    `mj_step` is called where the result depends on the first solve. An example is a MuJoCo body
+    without constraints or contacts. The same holds for unsupported options. A control callback is
+    called twice per step.
     """
     option = model.opt
     if not _is_known_kind(option):

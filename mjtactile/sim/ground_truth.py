@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     """Return contact forces on membrane `sensor`, their points, and penetration depths.
 
-    Forces `f_S` (n, 3) N are those that the world exerts on the membrane, at points `p_S` (n, 3) m;
-    depths (n,) m. There is one row per contact, in the order of MuJoCo's contact list.
+    The world exerts the forces `f_S` (n, 3) N on the membrane at points `p_S` (n, 3) m. Depths are
+    (n,) m. There is one row per contact, in the order of MuJoCo's contact list.
     """
     data = world.data
     device = world.sensors[sensor]
@@ -176,18 +176,21 @@ def contact_torque(world: World, sensor: int) -> Array:
 
 
 def contact_wrench(world: World, sensor: int) -> Array:
-    """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane
-    `sensor`, frame S."""
+    """Return the total contact wrench (6,) on membrane `sensor`, frame S.
+
+    It is the force, N, and the torque about the origin of S, N m. The world exerts it on the
+    membrane.
+    """
     return loads.membrane_wrench(world.data, world.sensors[sensor])
 
 
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     """Return the area of the membrane in contact, m^2; 0 without contact.
 
-    Vertices are too far apart to determine the area. It is that of a quasi-static membrane on the
-    object as projected along the sensor's axis (`film.py`). That membrane has the tension near the
-    contact, the same pressure and the same normal force. A row of edges or points has the area of
-    the cells of `spacing` m, or less, that it crosses.
+    Vertices are too far apart to determine the area. A quasi-static membrane on the projected
+    object determines it (`film.py`). The projection is along the sensor's axis. That membrane has
+    the tension near the contact, the same pressure and the same normal force. A row of edges or
+    points has the area of the cells that it crosses. These cells have `spacing` m or less.
     """
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):

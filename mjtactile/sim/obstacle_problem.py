@@ -1,13 +1,13 @@
-"""Shape of a stretched membrane on an obstacle under pressure, finer than the simulation mesh.
+"""Shape of a stretched membrane on an obstacle under pressure.
 
-The model membrane has the uniform tension T found near the contact, the gas pressure p, and a
-height w over the frame:
+It is finer than the simulation mesh. The model membrane has the uniform tension T found near the
+contact. It has the gas pressure p and a height w over the frame:
 
     div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,
     w <= obstacle,   q >= 0,   q = 0 where it does not touch.
 
 It leaves smooth objects without a kink and edges with one. The depth of the obstacle follows from
-the force: the model carries the same force as the simulated membrane. The solution uses five-point
+the force. The model carries the same force as the simulated membrane. The solution uses five-point
 differences and active sets (Hintermueller, Ito, Kunisch 2003).
 """
 
@@ -31,8 +31,9 @@ _TINY = 1e-9  # of a cell's pressure, and m
 class ObstacleContact:
     """Solution of the obstacle problem.
 
-    Heights `w` (nx, ny) m of the membrane, contact fraction `share` (nx, ny) of each cell of
-    `spacing` m, the `force` (nx, ny) N on it, and True if the active set converged.
+    Fields: heights `w` (nx, ny) m of the membrane and the `force` (nx, ny) N on each cell. `share`
+    (nx, ny) is the contact fraction of each cell of `spacing` m. `settled` is True if the active
+    set converged.
     """
 
     w: Array
@@ -60,11 +61,10 @@ def lie_on(
     tension: float,
     force: float,
 ) -> ObstacleContact:
-    """The film that carries `force` N on `obstacle` (nx, ny) m, which is meant up to a shift, and
-    inf where nothing is.
+    """Solve for the membrane that carries `force` N on `obstacle` (nx, ny) m.
 
-    `inside` (nx, ny) are the nodes that are free, the others are the frame; `pressure` Pa gauge,
-    `tension` N/m.
+    The obstacle is defined up to a shift. It is inf where there is no obstacle. `inside` (nx, ny)
+    is True for free nodes; the others are the frame. `pressure` is Pa gauge, `tension` N/m.
     """
     psi = obstacle[inside]
     load = np.full(int(inside.sum()), pressure * spacing**2 / tension)
@@ -96,10 +96,10 @@ def lie_on(
 def _carry(
     stiffness: csc_array, psi: Array, touching: NDArray[np.bool_], load: Array, force: float
 ) -> tuple[Array, float]:
-    """Return the heights of the membrane on `psi` + shift where it is `touching`, and the shift.
+    """Return the heights of the membrane and the shift of the obstacle.
 
-    The shift is chosen so that the contact carries `force` (N over N/m); all are linear in the
-    shift.
+    The membrane lies on `psi` + shift where it is `touching`. With this shift the contact carries
+    `force` (N over N/m). All quantities are linear in the shift.
     """
     free = ~touching
     solve = splu(stiffness[free][:, free]).solve
@@ -130,8 +130,10 @@ def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
 
 
 def _stiffness(inside: NDArray[np.bool_], w: Array, spacing: float) -> csc_array:
-    """Matrix of -div(k grad) over the free nodes, times spacing^2, with k = 1/sqrt(1 + |grad w|^2)
-    between the nodes of `w`."""
+    """Return the matrix of -div(k grad) over the free nodes, times spacing^2.
+
+    Here k = 1/sqrt(1 + |grad w|^2) between the nodes of `w`.
+    """
     height = np.zeros(inside.shape)
     number = np.full(inside.shape, -1)
     height[inside] = w

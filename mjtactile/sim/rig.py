@@ -269,8 +269,8 @@ def build(request: RigRequest) -> Rig:
 def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:
     """Return the default random values of a seed.
 
-    These are the object's pose (m, m, fraction of its yaw range), and a function that returns the
-    given number of camera seeds.
+    The first is the object's pose (m, m, fraction of its yaw range). The second is a function that
+    returns the given number of camera seeds.
     """
     rng = np.random.default_rng(seed)
     pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
@@ -280,8 +280,8 @@ def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], lis
 def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return the position and yaw of the object.
 
-    They come from the object's randomized changes, or else from the seed's `pose` (m, m, fraction
-    of the yaw range).
+    They come from the object's randomized changes. Otherwise they come from the seed's `pose` (m,
+    m, fraction of the yaw range).
     """
     x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
     yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw

@@ -1,13 +1,17 @@
 """Error model of a sensor's sensing chain, measured by `mjtactile bench error-model`.
 
 `--effects -mesh,-pipeline` samples the touch from it. An estimated wrench is w + G w + b(n) + e.
-Here w is the ground truth (6,), n the normal force, G the relative mean error of each component,
-and b the mean remainder at that load. The standard deviations of e depend on n, its correlations do
-not. A part of e is independent in each image: the markers' noise, which is small and hardly depends
-on n. The other part persists and decays with the time constant `slow_time`: the error that an edge
-causes also affects the next image. Objects differ more than images do. The persistent,
-load-dependent part is scaled throughout a grasp by a log-normal factor. All shear of a grasp is
-scaled by one common factor, because a finger's stiffness differs from that in its file.
+Here w is the ground truth (6,) and n the normal force. G is the relative mean error of each
+component, and b the mean remainder at that load. The standard deviations of e depend on n. Its
+correlations do not.
+
+A part of e is independent in each image: the markers' noise. It is small and hardly depends on n.
+The other part persists and decays with the time constant `slow_time`. The error that an edge causes
+also affects the next image.
+
+Objects differ more than images do. A log-normal factor therefore scales the persistent,
+load-dependent part throughout a grasp. One common factor scales all shear of a grasp. The reason is
+that a finger's stiffness differs from that in its file.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Touch without the sensing chain (`--effects -sheet,-chain`): loads of a quasi-static membrane
-plus the errors of the sensing chain at that load.
+"""Touch without the sensing chain (`--effects -sheet,-chain`).
 
-It models the sensor together with its software, and may therefore read the ground truth, as a
-camera model may. Its output is a measurement. It takes the place of a camera and returns
-`SyntheticTouch` instead of an image.
+It combines loads of a quasi-static membrane with the errors of the sensing chain at that load.
+
+It models the sensor together with its software. Like a camera model, it may read the ground truth.
+Its output is a measurement. It takes the place of a camera and returns `SyntheticTouch` instead of
+an image.
 """
 
 from __future__ import annotations

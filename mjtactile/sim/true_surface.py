@@ -17,8 +17,10 @@ _FAR = 0.15  # distance at which rays start, m
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """Points (N, 3) m spread evenly over an object's outside, in its body's axes; `model` and
-    `data` are of the object alone."""
+    """Points (N, 3) m spread evenly over an object's outside, in its body axes.
+
+    `model` and `data` are of the object alone.
+    """
 
     points: Array
     model: mujoco.MjModel

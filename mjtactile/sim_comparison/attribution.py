@@ -1,17 +1,16 @@
-"""Attribution of a difference to the single cause that explains the largest fraction of it.
+"""Attribution of a difference to the single cause that explains its largest fraction.
 
-Each cause is simulated, and its effect is fitted to the difference by least squares.
-
-The difference is expressed in tolerances (`signals.TOLERANCE`), with equal weight for forces,
-markers and pressures: S = sum over these kinds of the mean of (difference / tolerance)^2. Cause j
-has columns J_j (the change per unit on finger f). Nuisance parameters have columns N and standard
-deviations s:
+Each cause is simulated, and its effect is fitted to the difference by least squares. The difference
+is expressed in tolerances (`signals.TOLERANCE`). Forces, markers and pressures have equal weight. S
+is the sum over these kinds of the mean of (difference / tolerance)^2. Cause j has columns J_j (the
+change per unit on finger f). Nuisance parameters have columns N and standard deviations s:
 
     S_j = min over a, n of |d - J_j a - N n|^2_W + |n / s|^2 / m,
 
-with the number of kinds m. The cause with the smallest S_j is reported if it explains at least half
-of S and leaves clearly less than the nuisance parameters alone. The simulator then runs with this
-cause. The reported remainder comes from that run, not from the linear fit.
+with the number of kinds m. The cause with the smallest S_j is reported under two conditions. It
+explains at least half of S, and it leaves clearly less than the nuisance parameters alone. The
+simulator then runs with this cause. The reported remainder comes from that run, not from the linear
+fit.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Possible causes of a difference between a rig and its simulation, each one number for the
-simulator.
+"""Possible causes of a difference between a rig and its simulation.
 
-`CAUSES` is the whole list. A cause of a sensor has one value per finger; a cause of the gripper or
-of the object has one value. Quantities that cannot be set exactly (position of the object, offset
-of the jaws from their reading) have a `spread`. They serve as nuisance parameters for every other
-cause.
+Each is one number for the simulator. `CAUSES` is the whole list. A cause of a sensor has one value
+per finger. A cause of the gripper or of the object has one value.
+
+Some quantities cannot be set exactly (position of the object, offset of the jaws from their
+reading). These have a `spread`. They serve as nuisance parameters for every other cause.
 """
 
 from __future__ import annotations
@@ -163,8 +163,10 @@ ON_STAGE = ("sensor", "stage")
 
 
 def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[DiscrepancyParameter, ...]:
-    """Those that a recording of a stage, or of a hand, can have; of `names` alone, if there are
-    any."""
+    """Return the causes that apply to a recording of a stage, or else of a gripper.
+
+    `names` restricts them to the named causes, if it is not empty.
+    """
     places = ON_STAGE if staged else IN_STOCK
     return tuple(
         cause for cause in CAUSES if cause.on in places and (not names or cause.name in names)

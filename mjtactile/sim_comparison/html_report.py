@@ -141,8 +141,8 @@ def _legend(shadow: SimComparison) -> str:
 def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
     """Return the plotted curve of a kind (t,).
 
-    It is the normal force, N, the rms distance of the markers from the recorded ones, um, or the
-    pressure, Pa.
+    It is the normal force, N, or the pressure, Pa. The third kind is the rms distance of the
+    markers from the recorded ones, um.
     """
     if kind == "force":
         return -signals.force[:, finger, 2]

@@ -1,5 +1,7 @@
-"""Simulation of a recording with the same commands at the same times, or the same moves of a stage,
-observed by the rig's sensing chain."""
+"""Simulation of a recording, observed by the rig's sensing chain.
+
+It repeats the same commands at the same times, or the same moves of a stage.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""MuJoCo Studio with touch in it: a session watched live (`mjtactile studio`), or `Panel` in a
-Studio of your own."""
+"""MuJoCo Studio with touch: a live view of a session, or `Panel` in the user's own Studio.
+
+The command `mjtactile studio` starts the live view.
+"""
 
 from mjtactile.studio.local_server import launch as launch
 from mjtactile.studio.panel import Panel as Panel

@@ -140,14 +140,16 @@ class ControlWindow(plugin.ViewerPlugin):
             show.wish = ManualGoal(state.opening, state.lift_height) if on else None
         if wish is None or not on:
             return
-        most = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
+        maximum = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
         squeezes = math.isfinite(wish.force)
         imgui.BeginDisabled(squeezes)
         _, opening = imgui.SliderFloat(
-            "opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * most[0], "%.1f"
+            "opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * maximum[0], "%.1f"
         )
         imgui.EndDisabled()
-        _, lift = imgui.SliderFloat("lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * most[1], "%.1f")
+        _, lift = imgui.SliderFloat(
+            "lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * maximum[1], "%.1f"
+        )
         changed, squeezes = imgui.Checkbox("regulate the force", squeezes)
         force = (0.5 if changed else wish.force) if squeezes else math.nan
         if squeezes:

@@ -1,8 +1,8 @@
-"""MuJoCo Studio in the browser for the local computer only: MuJoCo's server, bound to loopback,
-that answers only its own pages.
+"""MuJoCo Studio in the browser for the local computer only.
 
-MuJoCo's server binds every interface and has no option for it. It also lets any web page that the
-user has open read the model and send messages, without an option against it.
+Here MuJoCo's server is bound to loopback and answers only its own pages. Unmodified, it binds every
+interface and has no option for it. It also lets any open web page of the user read the model and
+send messages. There is no option against that either.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ _SERVO_FORCE = 4.0  # force limit of the servo, N
 class ManualGoal:
     """Target opening and lift height, m.
 
-    A finite `force`, N, is the target of the measured grip force and replaces the opening (NaN: the
-    opening applies).
+    A finite `force`, N, is the target of the measured grip force and replaces the opening. NaN
+    means that the opening applies.
     """
 
     opening: float
@@ -57,16 +57,16 @@ class ManualGoal:
         if not math.isfinite(felt):
             return last
         touching = any(touch.touching for touch in observation.touch)
-        most = _SQUEEZE_SPEED if touching else _OPENING_SPEED
-        speed = _SQUEEZE_GAIN * (self.force - felt) if touching else most
-        wanted = last - max(-most, min(most, speed)) * period
+        maximum = _SQUEEZE_SPEED if touching else _OPENING_SPEED
+        speed = _SQUEEZE_GAIN * (self.force - felt) if touching else maximum
+        wanted = last - max(-maximum, min(maximum, speed)) * period
         if math.isfinite(actual):
             return max(actual - _REACH, min(actual + _REACH, wanted))
         return wanted
 
 
-def _towards(start: float, goal: float, most: float) -> float:
-    return start + max(-most, min(most, goal - start))
+def _towards(start: float, goal: float, maximum: float) -> float:
+    return start + max(-maximum, min(maximum, goal - start))
 
 
 class ManualControl:

@@ -56,8 +56,8 @@ def ellipses_of(felt: FingerSnapshot) -> Ellipses:
 class Panel(plugin.ViewerPlugin):
     """One window per finger, one with plots, and one with the overlay options.
 
-    `fingers` are sensors in a user's scene (`mjtactile.attach(...).bind(...)`), in a list that may
-    be filled later, or another source of snapshots.
+    `fingers` are sensors in a user's scene (`mjtactile.attach(...).bind(...)`). Their list may be
+    filled later. Another source of snapshots is also possible.
     """
 
     def __init__(self, fingers: Sequence[Any] | SnapshotSource):
@@ -100,7 +100,7 @@ class Panel(plugin.ViewerPlugin):
                 self._brush,
                 fingers,
                 self.look,
-                least=_LEAST if self._has_membranes(moment) else 0.0,
+                minimum=_LEAST if self._has_membranes(moment) else 0.0,
             )
             self._mine = self._brush.drawn
             scene_overlays.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)

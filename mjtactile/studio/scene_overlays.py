@@ -101,7 +101,11 @@ class GeomPool:
 
 
 def draw(
-    brush: GeomPool, fingers: Sequence[FingerSnapshot], look: OverlayOptions, *, least: float = 0.0
+    brush: GeomPool,
+    fingers: Sequence[FingerSnapshot],
+    look: OverlayOptions,
+    *,
+    minimum: float = 0.0,
 ) -> None:
     """Render the overlays of all fingers with a known pose.
 
@@ -118,7 +122,7 @@ def draw(
             continue
         if (
             field is not None
-            and (found := surface_colormap.sheet(felt, field, scale, least=least)) is not None
+            and (found := surface_colormap.sheet(felt, field, scale, minimum=minimum)) is not None
         ):
             corners, rgb = found
             brush.triangles(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
@@ -214,7 +218,10 @@ def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
 
 
 def keep(
-    geoms: list[mujoco.MjvGeom], mine: list[mujoco.MjvGeom], drawn: list[mujoco.MjvGeom], most: int
+    geoms: list[mujoco.MjvGeom],
+    mine: list[mujoco.MjvGeom],
+    drawn: list[mujoco.MjvGeom],
+    maximum: int,
 ) -> None:
     """Replace `mine` by `drawn` in the viewer's list, up to `most` geoms in total.
 
@@ -222,4 +229,4 @@ def keep(
     """
     own = {id(geom) for geom in mine}
     geoms[:] = [geom for geom in geoms if id(geom) not in own]
-    geoms += drawn[: max(0, most - len(geoms))]
+    geoms += drawn[: max(0, maximum - len(geoms))]

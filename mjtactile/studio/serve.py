@@ -1,5 +1,7 @@
-"""Runs, one after the other, and Studio in which they are watched: in the browser, or in a window
-of its own."""
+"""Consecutive runs, and the Studio that displays them.
+
+Studio opens in the browser or in a separate window.
+"""
 
 from __future__ import annotations
 

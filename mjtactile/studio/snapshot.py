@@ -59,8 +59,8 @@ class StudioSnapshot:
     """One cycle.
 
     `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) at that time, if there is one.
-    `session` holds the values of a session: phase, the supervisor's state and reason, opening and
-    lift, m, and the time of perception, ms. `flags` are the reasons for reduced accuracy of a
+    `session` holds the values of a session. These are phase, the supervisor's state and reason,
+    opening and lift, m, and perception time, ms. `flags` are the reasons for reduced accuracy of a
     simulation.
     """
 
@@ -144,8 +144,8 @@ def _gas(felt: FingerSnapshot) -> str:
 class Row:
     """One sample of the plots.
 
-    It holds `time` s, estimated forces (n,) N, their standard deviations and ground truth, gauge
-    pressures (n,) Pa, and `opening` m.
+    It holds `time` s, estimated forces (n,) N, their standard deviations and ground truth. It also
+    holds gauge pressures (n,) Pa, and `opening` m.
     """
 
     time: float

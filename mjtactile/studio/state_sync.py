@@ -1,5 +1,7 @@
-"""`StateSync`, on Studio's simulation thread: it copies the session's state to Studio's scene, and
-the mouse's pull forces to the session."""
+"""`StateSync`, which runs on Studio's simulation thread.
+
+It copies the session's state to Studio's scene, and the mouse's pull forces to the session.
+"""
 
 from __future__ import annotations
 

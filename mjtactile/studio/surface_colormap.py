@@ -139,7 +139,7 @@ def picture(
 
 
 def sheet(
-    felt: FingerSnapshot, field: Field, scale: float, *, least: float = 0.0
+    felt: FingerSnapshot, field: Field, scale: float, *, minimum: float = 0.0
 ) -> tuple[Array, Array] | None:
     """Return triangles of the estimated surface: corners (m, 3, 3) m in S, colors (m, 3) from 0 to
     1.
@@ -157,13 +157,15 @@ def sheet(
     values = at(field, x, y)
     corners = triangles(np.dstack([*np.meshgrid(x, y), z]))
     level = triangles(values[:, :, None])[:, :, 0].mean(axis=1)
-    some = level > least * scale if least else np.ones(len(level), bool)
+    some = level > minimum * scale if minimum else np.ones(len(level), bool)
     return corners[some], colours(level[some], scale) / 255
 
 
 def triangles(nodes: Array) -> Array:
-    """(ny, nx, d) at the nodes of a grid to (m, 3, d) at the corners of its triangles,
-    counter-clockwise seen from +z."""
+    """Convert values (ny, nx, d) at grid nodes to (m, 3, d) at the corners of triangles.
+
+    The corners are counter-clockwise seen from +z.
+    """
     a = nodes[:-1, :-1]
     b = nodes[:-1, 1:]
     c = nodes[1:, 1:]

@@ -109,11 +109,11 @@ def code_lines(name):
 
 
 @pytest.mark.parametrize(
-    "name, most",
+    "name, maximum",
     [("touch_in_my_scene", 18), ("touch_in_robosuite", 39), ("touch_in_dm_control", 39)],
 )
-def test_a_newcomers_script_is_short(name, most):
-    assert len(code_lines(name)) <= most
+def test_a_newcomers_script_is_short(name, maximum):
+    assert len(code_lines(name)) <= maximum
 
 
 def test_two_sensors_on_an_arm():

@@ -263,6 +263,6 @@ def _dot(a: Array, b: Array) -> Array:
     return a[0] * b[0] + a[1] * b[1]
 
 
-def _shorten(vectors: Array, most: Array) -> Array:
+def _shorten(vectors: Array, maximum: Array) -> Array:
     """The vectors (2, n), none longer than `most` (n,)."""
-    return vectors * np.minimum(most / np.sqrt(np.maximum(_dot(vectors, vectors), _LEAST)), 1.0)
+    return vectors * np.minimum(maximum / np.sqrt(np.maximum(_dot(vectors, vectors), _LEAST)), 1.0)

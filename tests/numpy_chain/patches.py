@@ -112,8 +112,8 @@ def _area(
     share /= share.sum()
     off = p - share @ p
     variance = float(share @ (off * off).sum(axis=1)) / 2
-    least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
-    disc = 4 * np.pi * max(variance, least)
+    minimum = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
+    disc = 4 * np.pi * max(variance, minimum)
     seen = s.area_disc * (disc / s.area_disc) ** s.area_power
     carrying = force / (max(gauge, 0.0) + s.area_pressure)
     return float((seen**-s.area_blend + carrying**-s.area_blend) ** (-1 / s.area_blend))

@@ -159,7 +159,7 @@ def _approach(
     return center, shape, sigma
 
 
-def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray, NDArray]:
+def _retreat(blur: NDArray, line: _Outline, maximum: float) -> tuple[Array, NDArray, NDArray]:
     """Return each marker's blur (N,), the inward shift (N, K) of its 50 % level, and the part of
     the blur (N,) that motion adds, all px.
 
@@ -170,7 +170,7 @@ def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
-    bound = np.minimum(variance, most * middle(variance))
+    bound = np.minimum(variance, maximum * middle(variance))
     mx, my = line.m
     mxx = mx * mx
     mxy = 2 * mx * my

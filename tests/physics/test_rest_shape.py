@@ -56,8 +56,8 @@ def some_specimen(rng):
     """Stiffness within 30 %, focal length 3 %, centre 6 px, k1 0.04, the camera moved and turned,
     larger markers."""
 
-    def off(most):
-        return float(rng.uniform(-most, most))
+    def off(maximum):
+        return float(rng.uniform(-maximum, maximum))
 
     return AsBuiltSensor(
         "left",

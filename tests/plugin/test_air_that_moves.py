@@ -46,7 +46,7 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
     volume = 24e-6
     constant = (chamber.ambient + 1000.0) * volume
     rng = np.random.default_rng(0)
-    for loss, most in ((0.0, 3.0), (3e-4, 10.0)):  # 1/s; Pa: 0, and 30 Pa/s
+    for loss, maximum in ((0.0, 3.0), (3e-4, 10.0)):  # 1/s; Pa: 0, and 30 Pa/s
         state = follow.begin(Gas(1000.0, constant), 0.0, volume)
         for k in range(1, 200):
             time = k / 30
@@ -54,8 +54,8 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
             state = follow.saw(state, time, volume, 0.03)
             state, _ = follow.read(state, reading(true + 5.0 * rng.standard_normal(), time))
         gas, sd = follow.gas_at(state, time)
-        assert abs(gas.gauge - true) < most
-        assert sd < most
+        assert abs(gas.gauge - true) < maximum
+        assert sd < maximum
 
 
 def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:

@@ -66,11 +66,11 @@ def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
 
 def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
     held = grasp_estimation.friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
-    assert held.least == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
+    assert held.minimum == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
     slid = grasp_estimation.friction([touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)])
-    assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.least < 0.2
+    assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.minimum < 0.2
     nothing = grasp_estimation.friction([touch(0.0, 0.0, 0.01), UNKNOWN])
-    assert nothing.least == 0.0 and np.isnan(nothing.used).all()
+    assert nothing.minimum == 0.0 and np.isnan(nothing.used).all()
 
 
 def test_a_grip_is_as_hard_as_coulomb_asks():
@@ -199,7 +199,7 @@ def test_a_grip_that_does_not_change_tells_nothing():
     assert math.isnan(grasp_estimation.follows([0.8, math.nan] * 6, [0.4] * 12).share)
 
 
-def tried(mu, load, least):
+def tried(mu, load, minimum):
     """Run a friction trial to its end.
 
     Coulomb: each finger carries `load` N, limited to its grip force times mu. Within 0.3 s the grip
@@ -208,7 +208,7 @@ def tried(mu, load, least):
     trial = grasp_estimation.FrictionProbe(0.6)
     press = 1.3 * load / 0.6
     for _ in range(150):
-        goal = max(least, load / trial.friction if trial.is_on else press)
+        goal = max(minimum, load / trial.friction if trial.is_on else press)
         press += (goal - press) / 3
         finger = touch(0, -min(load, mu * press), press)
         trial = grasp_estimation.FrictionProbe(**asdict(trial)).after([finger] * 2, 1 / 30, 0.6)
@@ -219,8 +219,8 @@ def tried(mu, load, least):
 
 @pytest.mark.parametrize("mu", [0.3, 0.45, 0.7, 1.2])
 @pytest.mark.parametrize("load", [0.03, 0.1, 0.4])
-@pytest.mark.parametrize("least", [0.02, 0.1])
-def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
+@pytest.mark.parametrize("minimum", [0.02, 0.1])
+def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, minimum):
     """A trial proves as much friction as was in use.
 
     Shear over normal force is at most mu, and at most the load over the minimum grip. The trial
@@ -228,10 +228,10 @@ def test_a_trial_shows_as_much_friction_as_was_in_use(mu, load, least):
     value if nothing slipped. If the grip is not the limit, the friction is known within the last
     step of a quarter.
     """
-    trial = tried(mu, load, least)
-    in_use = min(mu, load / least)
+    trial = tried(mu, load, minimum)
+    in_use = min(mu, load / minimum)
     assert trial.passed <= in_use + 1e-9
-    slips = mu < min(load / least, 1.0)
+    slips = mu < min(load / minimum, 1.0)
     assert slips or not trial.slipped
     assert trial.friction <= max(in_use, 0.0 if trial.slipped else 0.6) + 1e-9
     if slips:
@@ -390,7 +390,7 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
 
 
 @pytest.mark.parametrize(
-    ("effort", "time", "most"),
+    ("effort", "time", "maximum"),
     [
         (4.0, 0.4, 0.8),  # frames carry 3 of 4 N: the measured force, less a fifth
         (4.0, 0.1, math.inf),  # jaws that are stopped push for a moment
@@ -398,15 +398,17 @@ def test_what_is_pushed_over_its_place_does_not_hide_the_load():
         (math.nan, 0.4, math.inf),
     ],
 )
-def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, most):
+def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, maximum):
     felt = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
     frames = grasp_estimation.FrameLoadEstimator()
     for _ in range(round(30 * time)):
         frames = grasp_estimation.FrameLoadEstimator(**asdict(frames.after(felt, effort, 1 / 30)))
-    if math.isinf(most):
-        assert frames.most > 10.0
+    if math.isinf(maximum):
+        assert frames.maximum > 10.0
         return
-    assert frames.most == pytest.approx(most)
+    assert frames.maximum == pytest.approx(maximum)
     for _ in range(30):  # a second without data about the frames
         frames = frames.after(felt, 1.0, 1 / 30)
-    assert frames.most == pytest.approx(most * math.exp(0.05), rel=0.01)  # it grows by 5 % a second
+    assert frames.maximum == pytest.approx(
+        maximum * math.exp(0.05), rel=0.01
+    )  # it grows by 5 % a second

@@ -292,10 +292,10 @@ def _live(
         rig_file, emulator = stack.enter_context(
             live_rig(options.rig, design, object_name=options.object)
         )
-        most = rig_file.gripper.force_max
-        if not 0.2 <= options.force <= most:
+        maximum = rig_file.gripper.force_max
+        if not 0.2 <= options.force <= maximum:
             raise InputError(
-                f"{options.force:g} N is outside 0.2 to {most:g} N (force_max_N of the rig file)",
+                f"{options.force:g} N is outside 0.2 to {maximum:g} N (force_max_N in the rig)",
                 field="--force-N",
             )
         rig = stack.enter_context(live_fingers(rig_file, design))
@@ -338,7 +338,9 @@ def _load_cell(emulator: Any) -> Callable[[str], float | None]:
     return read
 
 
-def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], manually: bool) -> Loads:
+def _squeezed(
+    rig: Any, maximum: float, cell: Callable[[str], float | None], manually: bool
+) -> Loads:
     from mjtactile.calibrate.interactive import dropped_images, keepalive
 
     if manually:
@@ -347,7 +349,9 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], manual
                 "now put the load cell between the jaws, its button at the center of a "
                 "finger; the jaws will close on it"
             )
-    yield from dropped_images(rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say)
+    yield from dropped_images(
+        rig, [maximum * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say
+    )
 
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:

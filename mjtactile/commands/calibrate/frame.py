@@ -90,8 +90,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 Taken = tuple[list[Image], list[Image], float | None, bool]
-"""Images of the flat membrane, images of the inflated one (empty: only flat), the pressure sensor's
-reading, Pa (None: no sensor), and the sealed state of the chamber."""
+"""Images and pressure state of a calibration.
+
+Images of the flat membrane, and of the inflated one (empty: only flat). Reading of the pressure
+sensor, Pa (None: no sensor), and the sealed state of the chamber.
+"""
 
 
 def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
@@ -112,8 +115,10 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:
-    """All images of a source; one that cannot be used is an error here, since a calibration should
-    not be guesswork."""
+    """Return all images of a source.
+
+    Raises InputError for an unusable image, since a calibration must not omit data.
+    """
     images = []
     for frame in read_frames(source):
         image = to_image(frame, design)

@@ -131,7 +131,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         )
         config = rig_file.gripper
         low, high = _range(options, config)
-        most = _force_max(options, config)
+        maximum = _force_max(options, config)
         gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = _instruments(emulator)
         say(
@@ -145,18 +145,18 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
             return openings, None
         if emulator is None:
             confirm("now put the load cell between the jaws")
-        limits = [most * part for part in _FORCE_PARTS]
+        limits = [maximum * part for part in _FORCE_PARTS]
         return openings, measure_forces(gripper, limits, load_cell, say)
 
 
 def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
     """Lowest and highest opening, m, to move to. Raises InputError where they are too near, or
     beyond the gripper's."""
-    least, most = config.opening
-    low, high = (least + part * (most - least) for part in _OPENING_PARTS)
+    minimum, maximum = config.opening
+    low, high = (minimum + part * (maximum - minimum) for part in _OPENING_PARTS)
     if options.range:
         low, high = (1e-3 * value for value in options.range)
-    if not least <= low < high - 5e-3 <= most:
+    if not minimum <= low < high - 5e-3 <= maximum:
         raise InputError(
             f"the openings {1e3 * low:g} and {1e3 * high:g} mm must be 5 mm apart and within "
             "the gripper's range",
@@ -168,13 +168,13 @@ def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
 def _force_max(options: argparse.Namespace, config: Any) -> float:
     """The largest force, N, to squeeze with. Raises InputError for one that the rig does not
     allow."""
-    most = 0.5 * config.force_max if options.force is None else options.force
-    if not 0 < most <= config.force_max:
+    maximum = 0.5 * config.force_max if options.force is None else options.force
+    if not 0 < maximum <= config.force_max:
         raise InputError(
-            f"{most:g} N is outside 0 to {config.force_max:g} N (force_max_N of the rig file)",
+            f"{maximum:g} N is outside 0 to {config.force_max:g} N (force_max_N of the rig file)",
             field="--force-N",
         )
-    return most
+    return maximum
 
 
 def _instruments(emulator: Any) -> tuple[Instrument, Instrument]:

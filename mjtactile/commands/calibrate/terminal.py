@@ -32,8 +32,11 @@ def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[st
 def finish_all(
     options: argparse.Namespace, results: Mapping[str, tuple[Path, dict[str, Any], list[str]]]
 ) -> int:
-    """The same of one finger or several: the file, the result and the lines of each; 1 when one of
-    them was refused."""
+    """Finish the calibration of one or several fingers and return the exit code.
+
+    `results` holds the file, the result and the text lines of each finger. The code is 1 if any
+    result was refused.
+    """
     if options.json and len(results) > 1:
         reasons = [
             f"{finger}: {reason}"

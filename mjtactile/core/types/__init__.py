@@ -1,9 +1,12 @@
-"""Frozen, validated values exchanged between the stages; arrays in them are read-only.
+"""Frozen, validated values exchanged between the stages; their arrays are read-only.
 
-SI units throughout, except if a name ends in `_px`. Frames (monogram notation,
-docs/reference/conventions.md): S sensor (origin at the center of the frame, in the flat membrane's
-plane, z outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is
-the position of marker M expressed in S.
+SI units throughout, except if a name ends in `_px`. Frames use monogram notation
+(docs/reference/conventions.md):
+
+- S: sensor. The origin is the center of the frame, in the flat membrane's plane. z points outward,
+  away from the camera.
+- C: camera. x right, y down, z forward.
+- M: marker. `p_SM` is the position of marker M expressed in S.
 
 A controller may import only this and `mjtactile.grasp_estimation` of the project.
 """

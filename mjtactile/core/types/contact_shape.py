@@ -14,9 +14,12 @@ from mjtactile.core.status import OK, Status
 from mjtactile.core.types.arrays import Array, freeze, keep_status
 
 SHAPES: tuple[str, ...] = ("smooth", "flat", "edge", "point", "multiple")
-"""Kinds of contact shapes: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
-an edge all around (round, or with straight sides), an edge and a tip (radius below 4 mm, along a
-line or at a point), and several contacts together (`ContactShape.parts`)."""
+"""Kinds of contact shapes.
+
+"smooth" has two curvatures: plane, ball, lying cylinder. "flat" is a face with an edge all around,
+round or with straight sides. "edge" and "point" have a radius below 4 mm, along a line or at a
+point. "multiple" is several contacts together (`ContactShape.parts`).
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,27 +37,25 @@ class Command:
     This is the contract of every gripper: simulated, emulated, real, replayed, or a test's
     (`tests/contract/test_command.py`). No number has a special meaning; "unchanged" is None.
     `Command` rejects non-finite values. `CommandLimits` of the rig then limit each goal to its
-    range and to the rig's speed, starting from the previous command. The gripper also limits it to
-    the range of its own devices.
+    range. They also limit its speed, starting from the previous command. The gripper further limits
+    it to the range of its own devices.
 
     Attributes:
         opening: Goal of the gripper's opening, m; limited to `CommandLimits.opening` and
             `CommandLimits.speed`. 0: closed.
-        force_limit: Maximum force of the servo on each finger, N, opening or closing; limited to 0
-            and `CommandLimits.force`. 0: no force, so that nothing moves. None: the current limit
-            is kept. A gripper returns the limit in force, never None. Only a replay of a recording
-            without it returns None.
+        force_limit: Maximum force of the servo on each finger, N, opening or closing. Limited to 0
+            and `CommandLimits.force`. 0: no force, so that the gripper does not move. None: the
+            current limit is kept. A gripper returns the limit in force, never None. Only a replay
+            of a recording without it returns None.
         lift_height: Goal of the gripper's height above its start, m; limited to
             `CommandLimits.lift` and `CommandLimits.lift_speed`. 0: the start.
         phase: One of PHASES; "done" and "abort" end the run.
-        memory: The controller's own state. The loop returns it in the next `Observation.command`,
-            so that `step` can be a pure function.
-        reason: Reason for an abort, or for an early set-down; for the result and the log. Empty:
-            none.
-        gauge_pressure: Gauge pressure in each finger's chamber, in their order, Pa, which the
-            valves then maintain; limited to `CommandLimits.pressure` and
-            `CommandLimits.pressure_rate`. 0: the pressure of the ambient air. None: the chambers
-            stay sealed.
+        memory: The controller's own state. The loop returns it in the next `Observation.command`.
+            `step` can therefore be a pure function.
+        reason: Reason for an abort or an early set-down, for the result and the log. Empty: none.
+        gauge_pressure: Gauge pressure, Pa, in each finger's chamber, in their order. The valves
+            then maintain it. Limited to `CommandLimits.pressure` and `CommandLimits.pressure_rate`.
+            0: the pressure of the ambient air. None: the chambers stay sealed.
     """
 
     opening: float

@@ -77,12 +77,11 @@ class SyntheticEllipses(Image):
 
 @dataclass(frozen=True, eq=False)
 class CirclePoses:
-    """N circles in the camera frame: center `p_CM` (N, 3) m, the two candidate unit normals `n_C`,
-    `n_C_alt` (N, 3).
+    """Poses of N circles in the camera frame, with two candidate normals.
 
-    Normals point towards the camera. `p_CM_alt` is the center for `n_C_alt`. `uv_px` (N, 2) is the
-    projected *center* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2; `status` (N,)
-    strings.
+    `p_CM` (N, 3) m is the center for the unit normals `n_C` (N, 3). `p_CM_alt` is the center for
+    `n_C_alt` (N, 3). Normals point towards the camera. `uv_px` (N, 2) is the projected *center*
+    (not the ellipse's) in distorted pixels. `cov_p` (N, 3, 3) m^2; `status` (N,) strings.
     """
 
     uv_px: Array
@@ -179,11 +178,13 @@ class CameraDrift:
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Identified markers in the sensor frame: `ids` (N,) are indices into the design's layout,
-    `p_SM`, `n_S` (N, 3) positions and normals.
+    """Identified markers in the sensor frame.
 
-    `darkness` (N,) is as in `Ellipses` (None: unknown). `fiducials` are the fiducials detected in
-    the same image (None: there are none).
+    `ids` (N,) are indices into the design's layout. `p_SM` and `n_S` (N, 3) are positions and
+    normals.
+
+    `darkness` (N,) has the same meaning as in `Ellipses` (None: unknown). `fiducials` are the
+    fiducials detected in the same image (None: there are none).
     """
 
     ids: NDArray[np.int64]

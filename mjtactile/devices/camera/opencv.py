@@ -1,11 +1,12 @@
-"""`OpenCvCamera`: a UVC camera through V4L2 (or a network stream), with all settings verified by
-read-back.
+"""`OpenCvCamera`: a UVC camera through V4L2 (or a network stream).
+
+All settings are verified by read-back.
 
 The order of the settings matters. Size, FOURCC and buffer size reset the stream and its controls,
-so they come first; exposure, gain and white balance come last. Drivers clamp values although `set`
-returns True, so each value is read back, and a different value is refused. Automatic controls cause
-drift of the forces, so each is switched off. Images queue in the driver's buffers, so a thread
-reads all of them and keeps the newest.
+so they come first. Exposure, gain and white balance come last. Drivers clamp values although `set`
+returns True. Each value is therefore read back, and a different value is refused. Automatic
+controls cause drift of the forces, so each is switched off. Images queue in the driver's buffers. A
+thread therefore reads all of them and keeps the newest.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class CameraCounters:
 class OpenCvCamera:
     """One finger's camera, streaming. `capture` replaces `cv2.VideoCapture` in tests.
 
-    Raises DeviceError naming the camera: it is missing, its image size differs from the file, or a
-    control cannot be set.
+    Raises DeviceError naming the camera in three cases. It is missing, its image size differs from
+    the file, or a control cannot be set.
     """
 
     def __init__(

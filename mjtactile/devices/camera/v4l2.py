@@ -119,8 +119,10 @@ def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl)
 
 
 def _stable_path(root: Path, device: Path) -> str:
-    """A name that stays when it is plugged in again; two of the same kind without serial numbers
-    differ by their sockets."""
+    """Return a device name that persists when the camera is plugged in again.
+
+    Two cameras of the same kind without serial numbers differ by their sockets.
+    """
     for folder in ("by-id", "by-path"):
         names = [
             link

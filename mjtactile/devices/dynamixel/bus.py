@@ -79,8 +79,11 @@ class DynamixelBus:
     there or taken."""
 
     def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
-        """Open the bus. `reply_timeout` s is the allowance for a reply in addition to its
-        transmission time: USB latency and return delay."""
+        """Open the bus.
+
+        `reply_timeout`, s, is the allowance for a reply in addition to its transmission time. It
+        covers USB latency and return delay.
+        """
         self.name = port
         self._lock = threading.RLock()
         self._port = Port(port, reply_timeout)
@@ -144,10 +147,10 @@ class DynamixelBus:
     def read_many(
         self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """Read the same registers of several servos (sync or fast sync read); return the replies,
-        and the errors of the other servos.
+        """Read the same registers of several servos (sync or fast sync read).
 
-        Raises BusError only when the port itself fails.
+        Return the replies, and the errors of the other servos. Raises BusError only when the port
+        itself fails.
         """
         self.request_many(servos, address, size, fast=fast)
         return self.answers(servos, size, fast=fast)
@@ -210,8 +213,10 @@ class DynamixelBus:
                 self._port.is_using = False
 
     def _drain(self) -> None:
-        """Throw away a late reply, which would otherwise pass for the answer to the next question:
-        listen until it is quiet."""
+        """Discard late replies by reading until the bus is quiet.
+
+        A late reply would otherwise be taken as the answer to the next request.
+        """
         deadline = scaled_clock.monotonic() + _DRAIN_MAX
         while (
             scaled_clock.monotonic() < deadline
@@ -286,8 +291,11 @@ class DynamixelBus:
     def _receive_fast(
         self, servos: Sequence[int], size: int
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """One packet for all: (error, id, data, CRC) for each servo; only the last CRC was checked,
-        and covers all."""
+        """Receive one packet with the replies of all servos.
+
+        It holds (error, id, data, CRC) for each servo. Only the last CRC is checked; it covers
+        all.
+        """
         packet, result = self._packets.rxPacket(self._port, True)
         if result == COMM_SUCCESS and len(packet) != 8 + (size + 4) * len(servos):
             result = COMM_RX_CORRUPT

@@ -43,9 +43,9 @@ _SILENCE_IDLE = 30.0  # allowed silence before the first command, s (references 
 class DynamixelGripper:
     """Connected jaws of a rig file's gripper, holding their position with torque on.
 
-    Raises DeviceError at connect when a servo does not answer, differs from the file's model,
-    cannot limit its force, has a latched error, stands outside the gripper's range, or does not
-    keep a setting.
+    Raises DeviceError at connect when a servo does not answer or differs from the file's model. It
+    also raises it for a servo that cannot limit its force or has a latched error. Further causes
+    are a position outside the gripper's range and a setting that is not kept.
     """
 
     def __init__(

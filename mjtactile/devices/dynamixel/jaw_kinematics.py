@@ -50,8 +50,10 @@ class JawServo:
         return -current * self.torque_per_A / self.slope(ticks)
 
     def current_units(self, force: float, ticks: float) -> int:
-        """Goal current, in the model's units, that gives `force` N at the jaw: 0 for none, else at
-        least 1, at most the model's limit."""
+        """Return the goal current, in the model's units, for `force` N at the jaw.
+
+        It is 0 for zero force. Otherwise it is at least 1 and at most the model's limit.
+        """
         if force == 0:
             return 0
         ampere = abs(force * self.slope(ticks)) / self.torque_per_A
@@ -68,8 +70,11 @@ class JawServo:
         return max(self.current_units(force, self.ticks(part)) for part in parts)
 
     def set_revolution_offset(self, ticks: int, low: float, high: float) -> None:
-        """After power-up a servo knows its angle within one turn only: find the turn in which its
-        jaw is within [`low`, `high`] m. Raises ValueError when none or several are."""
+        """Find the turn in which the jaw is within [`low`, `high`] m.
+
+        After power-up a servo reports its angle within one turn only. Raises ValueError if no turn
+        or several turns fit.
+        """
         self.revolution_offset_ticks = 0
         margin = 0.02 * (high - low) + 0.001
         fits = []
@@ -115,8 +120,11 @@ class JawGeometry:
     def goals(
         self, opening: float, ticks: dict[int, int] | None = None, lead: float = math.inf
     ) -> dict[int, int]:
-        """Goal positions for an opening, shared equally; closing, no jaw's is further ahead of
-        where it stands (`ticks`) than its share of `lead` m."""
+        """Return the goal positions for an opening, divided equally among the jaws.
+
+        While closing, `lead`, m, is divided equally too. Each jaw's goal is at most that far ahead
+        of its current position (`ticks`).
+        """
         share = opening / len(self.servos)
         lead = lead / len(self.servos)
         return {

@@ -225,11 +225,11 @@ class Servo:
         self._note_fault(text)
 
     def poll(self) -> None:
-        """Check the watchdog, which the state block does not contain: it may have tripped, or an
-        unnoticed restart may have reset it to 0.
+        """Check the watchdog, which the state block does not contain.
 
-        A tripped watchdog is cleared: until then the servo accepts no goal, and the gripper could
-        not retreat. Raises BusError.
+        It may have tripped, or an unnoticed restart may have reset it to 0. A tripped watchdog is
+        cleared. Until then the servo accepts no goal, and the gripper could not retreat. Raises
+        BusError.
         """
         register = self.model.table["Bus Watchdog"]
         reply = self.bus.read(self.id, register.address, register.size)

@@ -1,10 +1,10 @@
-"""Properties of each servo model for the driver: registers (read from the tables shipped with the
-SDK) and units.
+"""Properties of each servo model for the driver: registers and units.
 
-The SDK's tables give addresses, but no usable current unit (1.0 "raw", or "N/m"). The mA per unit
-are therefore defined here, from the "Goal Current" entry of each model's page at
-https://emanual.robotis.com/docs/en/dxl/x/. Torque over current are the stall values of the same
-page's specifications. The sources of all values: docs/how-to/hardware.md.
+The registers are read from the tables shipped with the SDK. These tables give addresses, but no
+usable current unit (1.0 "raw", or "N/m"). The mA per unit are therefore defined here. They come
+from the "Goal Current" entry of each model's page at https://emanual.robotis.com/docs/en/dxl/x/.
+Torque over current are the stall values of the same page's specifications. The sources of all
+values: docs/how-to/hardware.md.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ HARDWARE_ERRORS = {
 
 @dataclass(frozen=True)
 class ServoModel:
-    """Servo model: `ampere_per_unit` of goal and present current, and `current_max_units`, the
-    maximum of Current Limit.
+    """Servo model: units and limits of its current, and its torque.
 
-    `torque_per_A` N m/A is at the shaft: stall torque over stall current of the data sheet,
-    accurate to 20 %; `calibrate gripper` measures it.
+    `ampere_per_unit` applies to goal and present current. `current_max_units` is the maximum of
+    Current Limit. `torque_per_A`, N m/A, is at the shaft. It is stall torque over stall current of
+    the data sheet, accurate to 20 %. `calibrate gripper` measures it.
     """
 
     number: int

@@ -47,8 +47,10 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class ValveReading:
-    """One answer of the board, with the monotonic time of the question, s; `fault`: why it vented
-    by itself, "" if not."""
+    """One reply of the board, with the monotonic time of the request, s.
+
+    `fault` is the reason why the board vented by itself; "" if it did not.
+    """
 
     is_open: bool
     gauge_pressure: float | None
@@ -198,7 +200,7 @@ class ValveBoard:
             f"{_HANDSHAKE_TIME:g} s: {what}; are port and baud rate right, is firmware/valve on it?"
         )
 
-    def _check(self, version: str, channels: int, most: float) -> None:
+    def _check(self, version: str, channels: int, maximum: float) -> None:
         self.firmware = version
         needed = protocol.HOLD_VERSION if self._hold else protocol.VERSION_MIN
         if self._version < needed:
@@ -213,9 +215,9 @@ class ValveBoard:
                     f"{channel} does not exist: the board has {channels} channels",
                     field="valve.channel",
                 )
-            if config.pressure_max > most:
+            if config.pressure_max > maximum:
                 raise InputError(
-                    f"{config.pressure_max / 1e3:g} exceeds the board's maximum of {most / 1e3:g}",
+                    f"{config.pressure_max / 1e3:g} exceeds the board's limit of {maximum / 1e3:g}",
                     field="valve.pressure_max_kPa",
                 )
 
@@ -284,8 +286,10 @@ class ValveBoard:
         return reply
 
     def _answer(self, disk_wait_time: float) -> str:
-        """The line that bears the number of the last command; damaged ones and late answers to
-        others are passed over."""
+        """Return the line with the number of the last command.
+
+        Damaged lines and late replies to other commands are skipped.
+        """
         asked = scaled_clock.monotonic()
         damaged = 0
         while True:

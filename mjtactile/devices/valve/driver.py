@@ -72,10 +72,10 @@ class BoardValve:
         self._goal = None
 
     def follow(self, gauge_pressure: float | None) -> None:
-        """Set the sensor reading `gauge_pressure`, Pa, that the board shall maintain; None: seal
-        the chamber, if it was maintained.
+        """Set the sensor reading `gauge_pressure`, Pa, that the board shall maintain.
 
-        The heartbeat's thread sends it to the board.
+        None: seal the chamber, if it was maintained. The heartbeat's thread sends it to the
+        board.
         """
         if gauge_pressure is None:
             self.board.aim(self.config.channel, None)
@@ -115,8 +115,10 @@ class BoardValve:
 def connect_valves(
     configs: Sequence[ValveConfig], hold: float = 0.0
 ) -> tuple[list[ValveBoard], list[BoardValve]]:
-    """Connect every board once and return the valves in the order of `configs`; chambers stay
-    sealed for `hold` s when the host is lost. Raises DeviceError."""
+    """Connect every board once and return the valves in the order of `configs`.
+
+    Chambers stay sealed for `hold` s when the host is lost. Raises DeviceError.
+    """
     boards: dict[str, ValveBoard] = {}
     try:
         for config in configs:

@@ -1,5 +1,7 @@
-"""`summary.html` of a run: one file with curves to zoom, images by a slider and membranes to turn,
-that needs no network."""
+"""`summary.html` of a run: one file that needs no network.
+
+It shows zoomable curves, images with a slider, and rotatable membranes.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,8 @@ def write_page(
 ) -> None:
     """Write the HTML page of a run to `path`.
 
-    It shows the `recording`, the `strip` of cycles with their scenes (`recording.strip`), and the
-    `summary` that the command printed. The page opens at the cycle `snapshot`.
+    It shows the `recording` and the `strip` of cycles with their scenes (`recording.strip`). It
+    also shows the `summary` that the command printed. The page opens at the cycle `snapshot`.
     """
     page = document(_title(summary), _body(recording, strip, summary, snapshot), style=_STYLE)
     part = path.with_name(path.name + ".part")

@@ -85,8 +85,9 @@ def _area(
 ) -> float:
     """Return the contact area of one part, m^2.
 
-    For a flat face, use the fraction of the face with touching nodes. For a round shape, correct
-    the area of the membrane model, which has uniform tension, for the stretch of the membrane.
+    For a flat face, use the fraction of the face with touching nodes. For a round shape, use the
+    area of the membrane model, which has uniform tension. Correct it for the stretch of the
+    membrane.
     """
     state = found.state
     if family.name in FACES:

@@ -1,5 +1,7 @@
-"""Data of one image, prior of the shape parameters, and state of a fit
-(docs/theory/contact_shape.md, Eq. F18)."""
+"""Image data, prior of the shape parameters, and fit state.
+
+See docs/theory/contact_shape.md, Eq. F18.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,11 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one image: `heights` (n,), m, of the markers `ids` (n,), relative to the membrane
-    model; the whitening `root` (n, n) of their noise; and the estimated normal `force`, N."""
+    """Data of one image: marker heights, their noise, and the normal force.
+
+    `heights` (n,), m, are those of the markers `ids` (n,), relative to the membrane model. `root`
+    (n, n) whitens their noise. `force`, N, is the estimated normal force.
+    """
 
     ids: NDArray[np.int64]
     heights: Array
@@ -88,8 +93,11 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """State of a fit: the parameters `theta`, the membrane solution, its marker `heights` (N,), m,
-    the whitened `residual`, and the `cost`."""
+    """State of a fit: parameters, membrane solution, and residual.
+
+    `theta` are the parameters, `heights` (N,), m, the marker heights of the membrane solution.
+    `residual` is whitened; `cost` is its cost.
+    """
 
     theta: Array
     state: MembraneSolution

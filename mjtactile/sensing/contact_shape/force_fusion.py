@@ -26,8 +26,8 @@ _BELOW = 1e-4  # depth below the frame with full weight, m
 class ContactLoad:
     """Load that indents the membrane with the estimated shape to its depth.
 
-    `load` (3,) holds the normal force, N, and the torques about x and y, N m, which give the
-    pressure center. `cov` is its covariance. `rows` (3, 6) map a wrench to these numbers.
+    `load` (3,) holds the normal force, N, and the torques about x and y, N m. The torques give the
+    pressure center. `cov` is the covariance of `load`. `rows` (3, 6) map a wrench to these numbers.
     `explained` is the fraction of the variance due to sharp features that the shape explains.
     """
 
@@ -91,16 +91,16 @@ def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
 
     cov = found.cov_with(noise)
     if found.family.name == "ball":
-        least = float(found.theta[3])
+        minimum = float(found.theta[3])
         variance = cov[3, 3]
     elif found.family.name == "smooth":
-        least = principal(found.theta)[1]
+        minimum = principal(found.theta)[1]
         variance = max(cov[3, 3], cov[5, 5])
     else:
         return 0.0
     light = min(found.state.force_normal / s.tip_light, 1.0)
     limit = s.tip_curvature * math.sqrt(max(light, 0.0))
-    return float(ndtr((least - limit) / math.sqrt(max(variance, 1.0))))
+    return float(ndtr((minimum - limit) / math.sqrt(max(variance, 1.0))))
 
 
 def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:

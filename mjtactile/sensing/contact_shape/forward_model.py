@@ -81,8 +81,10 @@ class ForwardModel:
         return higher / rise * absolute / (1 + yields)
 
     def heights(self, x: Array) -> Array:
-        """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny); only the
-        last component of the second axis is used."""
+        """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny).
+
+        Only the last component of the second axis is used.
+        """
         if self._by_node is not None:
             return x[:, -1].reshape(len(x), -1) @ self._by_node.T
         rows = self._across @ x[:, -1]
@@ -93,8 +95,8 @@ class ForwardModel:
     ) -> tuple[Array, Array]:
         """Approximate the changes of marker heights (n, N), m, and normal force (n,), N.
 
-        The changes are from a state on the first of `bodies` to the others, each of which is one of
-        `steps` (n,) further (`film.derivatives.answered`).
+        The changes are from a state on the first of `bodies` to the others. Each of the others is
+        one of `steps` (n,) further (`film.derivatives.answered`).
         """
         by_z, by_force = answered(self.film, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))

@@ -1,5 +1,8 @@
-"""A family's numbers from markers: Gauss-Newton with Levenberg's damping, the film as forward
-model, and the family's evidence (docs/theory/contact_shape.md, Eq. F18-F20)."""
+"""Gauss-Newton fit of shape parameters to markers, with Levenberg damping.
+
+The membrane is the forward model. The result includes the model evidence
+(docs/theory/contact_shape.md, Eq. F18-F20).
+"""
 
 from __future__ import annotations
 

@@ -27,9 +27,9 @@ _BEHIND = 10.0  # log evidence behind the best: the model is not searched again 
 class Candidate:
     """Shape model that may be the right one.
 
-    It holds the `fit` of the last evaluation, the log evidence of the images, and the filter
-    `common` of the constant parameters over all evaluations. `behind` is the log evidence by which
-    it trailed the best model when it was dropped.
+    It holds the `fit` of the last evaluation, and the log evidence of the images. The filter
+    `common` combines the constant parameters over all evaluations. `behind` is the log evidence by
+    which it trailed the best model when it was dropped.
     """
 
     family: ShapeModel
@@ -47,8 +47,11 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Fit to the newest image with the history of its model: the log evidence `image_log` and the
-    filter `common`. The evidence of the new image is weighted by `share`."""
+    """Fit to the newest image, with the history of its model.
+
+    It holds the log evidence `image_log` and the filter `common`. The evidence of the new image is
+    weighted by `share`.
+    """
 
     fit: Fit
     image_log: float
@@ -138,13 +141,13 @@ def weighed(
         return None
     noise = max(s.noise_min, min(one.fit.misfit for one in found))
     roughly = [one.with_noise(noise) for one in found]
-    most = max(one.log for one in roughly)
-    least = most - s.log_lost
-    likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > least]
+    maximum = max(one.log for one in roughly)
+    minimum = maximum - s.log_lost
+    likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > minimum]
     kept = [one.exactly(films.fine, data, noise).with_noise(noise) for one in likely]
     kept.sort(key=lambda one: -one.log)
     spoken = _spoken(kept, noise)
-    lost = [replace(one, behind=most - one.log) for one in roughly if not one.log > least]
+    lost = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
     if past is not None:
         seen = {one.family.name for one in roughly}
         before = (*past.left, *past.candidates)
@@ -157,10 +160,10 @@ def weighed(
 
 def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
     """The likeliest of the likeliest kind."""
-    most = candidates[0].log
+    maximum = candidates[0].log
     shares = [
         {
-            kind: share * math.exp(one.log - most)
+            kind: share * math.exp(one.log - maximum)
             for kind, share in kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise)).items()
         }
         for one in candidates

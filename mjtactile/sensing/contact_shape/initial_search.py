@@ -32,7 +32,10 @@ _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
 @dataclass(frozen=True, eq=False)
 class Films:
-    """The film of one sensor, and by how much markers' heights (N,) m go up with a share of gas."""
+    """Membrane model of one sensor, and the response of its markers to gas.
+
+    `by_gas` (N,), m, is the rise of the marker heights for a relative increase of the gas.
+    """
 
     fine: ForwardModel
     by_gas: Array
@@ -70,9 +73,9 @@ def search(
     if not found:
         return []
     found = _reuse_curvature(films.fine, hint, data, found, noise)
-    least = min(one.chi2 for one in found)
-    noise = max(noise, least / len(data.heights))
-    return [one for one in found if one.chi2 <= least + _HOPELESS * noise]
+    minimum = min(one.chi2 for one in found)
+    noise = max(noise, minimum / len(data.heights))
+    return [one for one in found if one.chi2 <= minimum + _HOPELESS * noise]
 
 
 def _reuse_curvature(
@@ -83,15 +86,15 @@ def _reuse_curvature(
     smooth, line = (by_name.get(name) for name in ("smooth", "cylinder"))
     if smooth is None or line is None or line.chi2 > smooth.chi2:
         return found
-    most, direction = line.theta[3:5]
+    maximum, direction = line.theta[3:5]
     across = np.array([math.sin(direction), -math.cos(direction)])
-    bent = most * np.outer(across, across)
+    bent = maximum * np.outer(across, across)
     theta = np.array([*line.theta[:3], bent[0, 0], bent[0, 1], bent[1, 1]])
     at = begin(forward, smooth.family, hint, theta, data, smooth.prior, line.state)
     if at is None or at.cost > smooth.at.cost:
         return found
-    least = min(one.chi2 for one in found)
-    other = refine(forward, smooth.family, hint, at, data, smooth.prior, known=least, noise=noise)
+    minimum = min(one.chi2 for one in found)
+    other = refine(forward, smooth.family, hint, at, data, smooth.prior, known=minimum, noise=noise)
     return [other if one is smooth else one for one in found]
 
 
@@ -103,7 +106,7 @@ def _best_start(
     known: Sequence[Fit],
     noise: float,
     near: MembraneSolution | None,
-    least: float,
+    minimum: float,
 ) -> Fit | None:
     """Fit a model from the start that explains the markers best after matching the force."""
     reached = []
@@ -120,9 +123,9 @@ def _best_start(
     reached.sort(key=lambda one: one[0].cost)
     if not family.parts:
         del reached[1:]  # of several bodies each start may end elsewhere
-    least = min([least, *(one.chi2 for one in known)])
+    minimum = min([minimum, *(one.chi2 for one in known)])
     fits = [
-        refine(forward, family, hint, at, data, prior, known=least, noise=noise)
+        refine(forward, family, hint, at, data, prior, known=minimum, noise=noise)
         for at, prior in reached
     ]
     return min(fits, key=lambda one: one.at.cost)
@@ -146,8 +149,8 @@ def _starts(
         return (np.array([*theta[:4], 0.0, theta[3]]),)
     if family.name == "cylinder" and "smooth" in by_name:
         theta = by_name["smooth"]
-        most, _, direction = principal(theta)
-        return (np.array([*theta[:3], most, direction, 0.0]),)
+        maximum, _, direction = principal(theta)
+        return (np.array([*theta[:3], maximum, direction, 0.0]),)
     if pressed is None:
         return family.starts(hint)
     x, y = 1e3 * (pressed.middle - hint.place)
@@ -166,8 +169,11 @@ def _starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pressed:
-    """Contact region of a membrane solution: center `middle` (2,), m, and `area`, m^2; `angle` of
-    the longer axis, rad, and half-extents (2,), m, of the rectangle with the same force spread."""
+    """Contact region of a membrane solution.
+
+    It holds the center `middle` (2,), m, and `area`, m^2. `angle` is that of the longer axis, rad.
+    The half-extents (2,), m, are those of a rectangle with the same force spread.
+    """
 
     middle: Array
     area: float
@@ -209,7 +215,7 @@ def beside(
 ) -> FitState | None:
     """Put a shape in the place of another one.
 
-    Its height is first chosen so that the contact forces do no work on the change, then adjusted to
+    First choose its height so that the contact forces do no work on the change. Then adjust it to
     the force.
 
     Args:

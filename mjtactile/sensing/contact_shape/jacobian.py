@@ -1,5 +1,7 @@
-"""Derivatives of the marker heights by the shape parameters: exact, approximate, or updated from a
-step (docs/theory/contact_shape.md, Eq. F18)."""
+"""Derivatives of the marker heights by the shape parameters.
+
+They are exact, approximate, or updated from a step (docs/theory/contact_shape.md, Eq. F18).
+"""
 
 from __future__ import annotations
 
@@ -100,7 +102,7 @@ def exact_jacobian(
 ) -> Jacobian:
     """Compute the exact Jacobian from the analytic derivatives of the membrane model.
 
-    If these do not exist (a face about to slide off its rim), finite differences of membrane
+    These do not exist for a face about to slide off its rim. Then finite differences of membrane
     solutions are used.
 
     Args:

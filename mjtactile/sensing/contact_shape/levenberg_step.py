@@ -22,8 +22,10 @@ _SIZE_STEP = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost; `cut`: True
-    if the step was limited."""
+    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost.
+
+    `cut` is True if the step was limited.
+    """
 
     by: Array
     promised: float
@@ -47,42 +49,44 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
     normal = J.T @ J
     H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
     step = -np.linalg.solve(H, gradient)
-    most = _straight(family, at.theta) / family.sd
-    far = np.abs(step) > most
+    maximum = _straight(family, at.theta) / family.sd
+    far = np.abs(step) > maximum
     cut = bool(far.any())
     if cut:
-        step = _within(H, gradient, step, most, far)
+        step = _within(H, gradient, step, maximum, far)
     return Step(step, float(-(2 * gradient + H @ step) @ step), cut)
 
 
-def _within(H: Array, gradient: Array, step: Array, most: Array, far: NDArray[np.bool_]) -> Array:
+def _within(
+    H: Array, gradient: Array, step: Array, maximum: Array, far: NDArray[np.bool_]
+) -> Array:
     """Return a step within its limits.
 
     Parameters that would go too `far` are held at their limit, and the others are solved again. If
     these then exceed their limits, the whole step is shortened.
     """
     held = step.copy()
-    held[far] = np.clip(step, -most, most)[far]
+    held[far] = np.clip(step, -maximum, maximum)[far]
     near = ~far
     asked = gradient[near] + H[np.ix_(near, far)] @ held[far]
     held[near] = -np.linalg.solve(H[np.ix_(near, near)], asked)
     falls = (2 * gradient + H @ held) @ held < 0
-    if falls and (np.abs(held) <= most).all():
+    if falls and (np.abs(held) <= maximum).all():
         return held
-    return step * float((most / np.maximum(np.abs(step), 1e-12)).min())
+    return step * float((maximum / np.maximum(np.abs(step), 1e-12)).min())
 
 
 def _straight(family: ShapeModel, theta: Array) -> Array:
     """Return the maximum step (k,) of each parameter."""
     bent = [abs(value) for value, name in zip(theta, family.names, strict=True) if name[0] == "k"]
     curved = _BEND_STEP * max([_FLAT, *bent])
-    most = []
+    maximum = []
     for value, name in zip(theta, family.names, strict=True):
         kind = name.split("_")[0]
         if kind == "k":
-            most.append(curved)
+            maximum.append(curved)
         elif kind in ("half", "radius"):
-            most.append(_SIZE_STEP * value)
+            maximum.append(_SIZE_STEP * value)
         else:
-            most.append(_STRAIGHT[kind])
-    return np.array(most)
+            maximum.append(_STRAIGHT[kind])
+    return np.array(maximum)

@@ -90,12 +90,12 @@ def _first(
     else:
         now = but.now
         found = search(films, but.near(_ONE), hint, data, s.noise_min, now.state, now.chi2)
-    least = min((one.misfit for one in found), default=math.inf)
-    if len(hint.parts) > 1 and least > s.misfit_one:
+    minimum = min((one.misfit for one in found), default=math.inf)
+    if len(hint.parts) > 1 and minimum > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
         both = search(films, (balls,), hint, data, s.noise_min)
         found += both
-        if both and s.misfit_one < both[0].misfit < least:
+        if both and s.misfit_one < both[0].misfit < minimum:
             found += other_parts(films, both[0], data, s)
     given = [
         Evaluation(
@@ -148,8 +148,8 @@ def _look(
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
         body = warm_start(films, one, start, press.noise, hint, data, LOOKED, known)
-        least = press.noise if best is None else best.misfit
-        if body is None or body.misfit > _STUCK * least:
+        minimum = press.noise if best is None else best.misfit
+        if body is None or body.misfit > _STUCK * minimum:
             near = (best or press.now).state
             body = restart_fit(films, one, body, press.noise, hint, data, known, near)
         if body is not None:

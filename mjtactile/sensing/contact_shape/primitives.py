@@ -102,9 +102,9 @@ def _above(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, f
 def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
     are exact."""
-    most, least, direction = principal(theta)
-    tall = 1 / max(most, _FLAT)
-    sizes = (math.sqrt(tall / max(least, _FLAT)), math.sqrt(tall / max(most, _FLAT)), tall)
+    maximum, minimum, direction = principal(theta)
+    tall = 1 / max(maximum, _FLAT)
+    sizes = (math.sqrt(tall / max(minimum, _FLAT)), math.sqrt(tall / max(maximum, _FLAT)), tall)
     return (ready("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
 
 
@@ -158,8 +158,10 @@ def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, 
 
 
 def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
-    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`: x (m, nx, 1), y (m,
-    1, ny), heights (m, nx, ny)."""
+    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`.
+
+    They are x (m, nx, 1), y (m, 1, ny), heights (m, nx, ny).
+    """
     place = 1e-3 * thetas[:, :3, None, None]
     x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
     y = (hint.nodes[1][:1] - hint.place[1]) - place[:, 1]

@@ -1,5 +1,7 @@
-"""Refit of one shape model to the next image: from its last pose, or restarted
-(docs/theory/contact_shape.md, Eq. F19)."""
+"""Refit of one shape model to the next image: from its last pose, or restarted.
+
+See docs/theory/contact_shape.md, Eq. F19.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""Motion of the estimated shape relative to the rubber: rolling, sliding and spinning rates over
-the last images (docs/theory/slip.md, Eq. F22)."""
+"""Motion of the estimated shape relative to the rubber over the last images.
+
+It consists of rolling, sliding and spinning rates (docs/theory/slip.md, Eq. F22).
+"""
 
 from __future__ import annotations
 
@@ -51,10 +53,10 @@ def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) ->
 class ShapePose:
     """Pose of a shape of model `family` in the image at `time`, s.
 
-    `values` (6,) holds the position relative to the rubber since the track started (2,), m, the
-    angle about z relative to the rubber, rad, and the rotations about x, y and z (3,), rad (NaN:
-    the model has none). `var` (6,) are their variances. `dragged`, m, and `twisted`, rad, are the
-    motion of the rubber so far.
+    `values` (6,) starts with the position relative to the rubber since the track started (2,), m.
+    Then follows the angle about z relative to the rubber, rad. Last are the rotations about x, y
+    and z (3,), rad (NaN: the model has none). `var` (6,) are their variances. `dragged`, m, and
+    `twisted`, rad, are the motion of the rubber so far.
     """
 
     family: str

@@ -1,10 +1,11 @@
-"""Filter of a shape's constant parameters over a contact episode: those that do not change while it
-moves and rotates (docs/theory/contact_shape.md, Eq. F19).
+"""Filter of a shape's constant parameters over a contact episode.
 
-A ball's curvature is the same in all images, and so is a face's radius. A model that needs another
-value at each depth is the wrong one. Each evaluation gives mean and precision of these parameters,
-marginalized over the pose. Errors of the membrane model are about the same in all evaluations. They
-are not noise between them, so the parameters are compared with the precision of the markers.
+These parameters do not change while the shape moves and rotates (docs/theory/contact_shape.md, Eq.
+F19). A ball's curvature is the same in all images, and so is a face's radius. A model that needs
+another value at each depth is the wrong one. Each evaluation gives mean and precision of these
+parameters, marginalized over the pose. Errors of the membrane model are about the same in all
+evaluations. They are not noise between them, so the parameters are compared with the precision of
+the markers.
 """
 
 from __future__ import annotations

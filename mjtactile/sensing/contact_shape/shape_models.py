@@ -1,7 +1,8 @@
 """Parametric shape models, each with a prior of its parameters.
 
-The parameters of a model are fitted as listed in `names`: positions in mm relative to the estimated
-contact position, curvatures in 1/m, angles in rad. Frame S; the shape approaches from +z.
+The parameters of a model are fitted as listed in `names`. Positions are in mm relative to the
+estimated contact position, curvatures in 1/m, angles in rad. The frame is S; the shape approaches
+from +z.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from mjtactile.sensing.contact_shape.primitives import (
 
 SHARP = 240.0
 """Curvature above which a contact is an edge or a tip, 1/m. Radii from 4 mm down to a sharp edge
-look alike, because the membrane leaves them before the flat sides start."""
+are indistinguishable. The membrane leaves them before the flat sides start."""
 LINE = 0.25
 """Ratio of the smaller to the larger curvature below which the contact is a line."""
 
@@ -119,21 +120,20 @@ def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
     if family.name in ("disc", "block"):
         return {"flat": 1.0}
     if family.name == "smooth":
-        most, least, _ = principal(theta)
+        maximum, minimum, _ = principal(theta)
         variance = max(cov[3, 3], cov[5, 5])
     else:
-        most = float(theta[3])
+        maximum = float(theta[3])
         variance = cov[3, 3]
-        least = most if family.name == "ball" else 0.0
-    sharp = float(ndtr((most - SHARP) / math.sqrt(max(variance, 1.0))))
-    return {"smooth": 1 - sharp, "edge" if least < LINE * most else "point": sharp}
+        minimum = maximum if family.name == "ball" else 0.0
+    sharp = float(ndtr((maximum - SHARP) / math.sqrt(max(variance, 1.0))))
+    return {"smooth": 1 - sharp, "edge" if minimum < LINE * maximum else "point": sharp}
 
 
 def face_of(
     family: ShapeModel, theta: Array, hint: InitialGuess, moved: Array
 ) -> tuple[Array, float]:
-    """Return the signed distance of each node from the rim of a flat face (nx, ny), m, and its
-    area, m^2.
+    """Return signed distances (nx, ny), m, from a flat face's rim, and its area, m^2.
 
     The distance is negative inside the rim. `moved` (2, nx, ny) are the node displacements, m.
     """
@@ -180,8 +180,10 @@ _SHARE = {"k": 0.03, "radius": 0.05, "half": 0.05}
 
 
 def several(names: Sequence[str]) -> ShapeModel:
-    """Bodies that touch at the same time, each of a family of its own; their hint has as many
-    parts."""
+    """Return a shape model of several simultaneous contacts, one named model for each.
+
+    The initial guess has the same number of parts.
+    """
     parts = tuple(FAMILIES[name] for name in names)
 
     def build(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:

@@ -126,7 +126,7 @@ def _several(
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
     borne = sticks(forward, found.state, s) * found.state.force_normal
-    most = max(sum(sizes), 1e-12)
+    maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
     for place, part in enumerate(family.parts):
@@ -136,7 +136,7 @@ def _several(
         whole = _ContactSummary(
             sizes[place],
             carry[place] * borne,
-            (sizes[place] / most * interval[0], sizes[place] / most * interval[1]),
+            (sizes[place] / maximum * interval[0], sizes[place] / maximum * interval[1]),
             found.misfit,
         )
         body = _body(
@@ -169,25 +169,25 @@ def _several(
 
 
 def _smooth(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
-    most, least, direction = principal(theta)
+    maximum, minimum, direction = principal(theta)
     step = 1e-3
     rows = np.array(
         [
-            np.subtract(principal(theta + step * e)[:2], (most, least)) / step
+            np.subtract(principal(theta + step * e)[:2], (maximum, minimum)) / step
             for e in np.eye(len(theta))
         ]
     ).T
     sd = np.sqrt(np.maximum(np.diag(rows @ cov @ rows.T), 0))
-    bent = most - least
+    bent = maximum - minimum
     direction_sd = min(math.sqrt(cov[4, 4]) / max(bent / 2, 1e-9) / 2, _UNTOLD)
     measures: dict[str, Any] = {
-        "curvatures": (most, least),
+        "curvatures": (maximum, minimum),
         "curvatures_sd": sd,
         "direction": direction,
         "direction_sd": direction_sd,
     }
-    mean = (most + least) / 2
-    if least > 0 and most < s.ball_ratio * least:
+    mean = (maximum + minimum) / 2
+    if minimum > 0 and maximum < s.ball_ratio * minimum:
         measures |= _radius(mean, math.hypot(*sd) / 2)
     return measures
 

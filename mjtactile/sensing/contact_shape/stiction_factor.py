@@ -1,5 +1,7 @@
-"""Force correction for a membrane that sticks to an object, while the membrane model slides
-(docs/theory/contact_shape.md, Eq. F21)."""
+"""Force correction for a membrane that sticks to an object, while the membrane model slides.
+
+See docs/theory/contact_shape.md, Eq. F21.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,8 @@ from mjtactile.sensing.settings import ContactShapeSettings
 def sticks(forward: ForwardModel, state: MembraneSolution, s: ContactShapeSettings) -> float:
     """Return the ratio of the force with a sticking membrane to that of the model.
 
-    Between the object and the nearer side of the frame, the membrane is stretched more than on the
-    other side. A sticking membrane cannot equalize this by sliding, as the model does.
+    The membrane is stretched more between the object and the nearer side of the frame. A sticking
+    membrane cannot equalize this by sliding, unlike the model.
 
     Args:
         forward: Membrane model.
@@ -20,8 +22,8 @@ def sticks(forward: ForwardModel, state: MembraneSolution, s: ContactShapeSettin
         s: Settings.
 
     Returns:
-        The ratio: `friction` at the center. It grows with the square of the distance of the
-        pressure center from there, relative to the frame's half-extents.
+        The ratio: `friction` at the center. It grows with the square of the pressure center's
+        distance from there, relative to the frame's half-extents.
     """
     force = state.contact_forces
     total = float(force.sum())

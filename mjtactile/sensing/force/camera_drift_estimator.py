@@ -1,8 +1,8 @@
-"""Camera drift since the rest reference, with covariance, estimated from fiducials (Eq. F11).
+"""Camera drift since the rest reference, with covariance, from fiducials (Eq. F11).
 
-Each drift mode of the camera (`mjtactile.sensing.force.camera_drift_model`, and the image center)
-moves the centers and sizes of fiducials as it moves those of markers. The fiducials do not depend
-on the tractions. So their rows in the fit of the tractions are equivalent to a better prior of the
+The drift modes are those of `mjtactile.sensing.force.camera_drift_model`, and the image center.
+Each moves the centers and sizes of fiducials like those of markers. The fiducials do not depend on
+the tractions. So their rows in the fit of the tractions are equivalent to a better prior of the
 camera. Their normal equations are solved first, and the markers are corrected by the mean. The
 remaining uncertainty enters the fit as unknowns.
 """
@@ -43,9 +43,10 @@ _LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not
 class CameraDriftEstimate:
     """Camera drift in one image.
 
-    `mean` (K,) holds the modes in units of their standard deviation, `root` (K, K) the lower factor
-    of their covariance. `darker` is the mean darkening of the fiducials. `change` is the drift in
-    physical terms (None: no fiducials were detected, and the drift is from an earlier image).
+    `mean` (K,) holds the modes in units of their standard deviation. `root` (K, K) is the lower
+    factor of their covariance. `darker` is the mean darkening of the fiducials. `change` is the
+    drift in physical terms. It is None if no fiducials were detected, and the drift is from an
+    earlier image.
     """
 
     mean: Array
@@ -57,8 +58,11 @@ class CameraDriftEstimate:
 def observed_modes(
     design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
 ) -> Array:
-    """Return the apparent marker motion (m, 3, OBSERVED_MODES), m, for one standard deviation of
-    each mode observed by fiducials; arguments as for `camera_modes`."""
+    """Return the apparent marker motion (m, 3, OBSERVED_MODES), m.
+
+    It is the motion for one standard deviation of each mode observed by fiducials. Arguments are
+    those of `camera_modes`.
+    """
     modes = np.zeros((len(p_SM), 3, OBSERVED_MODES))
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
@@ -225,8 +229,8 @@ class CameraDriftEstimator:
     def _likely(self, moved_px: float) -> Array:
         """Return the prior standard deviations (K,) of the modes for the observed image motion.
 
-        They scale with this motion. Planar circles do not separate all modes, and modes that cancel
-        are as unlikely as a knock without image motion.
+        They scale with this motion. Planar circles do not separate all modes. Modes that cancel are
+        as unlikely as a knock without image motion.
         """
         s = self._s
         camera = self.design.camera
@@ -264,8 +268,10 @@ class CameraDriftEstimator:
         return found
 
     def _outlines(self, R: Array, aside: Array) -> Array:
-        """Centre u, v and radius (F, 3) px of the fiducials turned by `R` about the camera and
-        moved by `aside` (3,) m."""
+        """Return center u, v and radius (F, 3), px, of the moved fiducials.
+
+        They are rotated by `R` about the camera and shifted by `aside` (3,), m.
+        """
         outline = (self._p_CF[:, None] + self._ring) @ R.T + aside
         uv = optics.project(self.camera, outline)
         ahead = np.roll(uv, -1, axis=1)
@@ -341,7 +347,7 @@ def _darker(
 ) -> Array:
     """Return the change (n,) of the log ratio of inside to outside level.
 
-    It is set to zero where it is only noise of the levels, which would give a false slope of the
+    It is set to zero if it is only noise of the levels. Such noise would give a false slope of the
     curve.
     """
     then = rest.inside[there] / rest.outside[there]

@@ -1,9 +1,9 @@
 """Effect of camera drift since the references on the apparent marker positions (Eq. F11).
 
 A knock changes position and orientation of the camera. Lens breathing scales the image. A changed
-tone curve moves all edges inward or outward by about the same amount, so every circle looks larger,
-and nearer. Each moves all markers in a pattern that no load on the membrane produces, since the
-membrane is fixed at its frame.
+tone curve moves all edges inward or outward by about the same amount. So every circle looks larger,
+and nearer. Each moves all markers in a pattern that no load on the membrane produces. The reason is
+that the membrane is fixed at its frame.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.settings import InverseSettings
 
 MODES = 9
-"""Place x, y, z; turn about x, y, z; scale of the picture; size of the circles, alike for all, and
-as their levels changed."""
+"""Number of drift modes: position x, y, z; rotation about x, y, z; and image scale. The last two
+are the circle size: one common to all, one that follows their levels."""
 _SIZE = 7
 _STEADY = 1e-6  # of a mode's sd: none
 
@@ -55,8 +55,8 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
 class CameraDriftFilter:
     """Camera drift estimated from the markers of all images up to `time`, s.
 
-    `mean` (MODES,) holds the modes in units of their standard deviation, `known` (MODES, MODES) the
-    lower factor of their covariance. In each image all circles look larger by an independent
+    `mean` (MODES,) holds the modes in units of their standard deviation. `known` (MODES, MODES) is
+    the lower factor of their covariance. In each image all circles look larger by an independent
     `jitter`, in standard deviations of the size mode.
     """
 
@@ -135,8 +135,8 @@ class CameraDriftFilter:
 def drift_of(found: Array, seen: Array) -> float:
     """Return the mean square drift relative to its expected value; 1 means as assumed.
 
-    `found` is the estimated drift in standard deviations (gas, then the camera's modes), `seen` the
-    fraction of their variance that estimates have. Gas counts as one mode of four.
+    `found` is the estimated drift in standard deviations (gas, then the camera's modes). `seen` is
+    the fraction of their variance that estimates have. Gas counts as one mode of four.
     """
     share = found**2 / seen
     return float((share[0] + 3 * share[1:].mean()) / 4)

@@ -1,9 +1,9 @@
-"""Contact detection, and a zero that tracks temperature and weather without contact (Eq. F15).
+"""Contact detection, and a zero that tracks temperature and weather (Eq. F15).
 
-A change of 0.1 K in the gas or 0.3 hPa in the ambient pressure changes the estimated force as much
-as a light touch. Without contact, the gas amount and the marker offsets are tracked slowly; in
-contact they are frozen. The force does not detect a contact that grows slowly. But such a contact
-is local, while weather is not.
+A change of 0.1 K in the gas, or 0.3 hPa in the ambient pressure, resembles a light touch. Both
+change the estimated force by as much. Without contact, the gas amount and the marker offsets are
+tracked slowly. In contact they are frozen. The force does not detect a contact that grows slowly.
+But such a contact is local, while weather is not.
 """
 
 from __future__ import annotations
@@ -126,8 +126,10 @@ def follow(
 
 
 def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
-    """Coefficients (3, n) m by which the sheet bulges further for a whole more of the gas; 0 where
-    a valve keeps the pressure."""
+    """Return the bulge change (3, n), m, in coefficients, per relative change of the gas amount.
+
+    It is 0 where a valve keeps the pressure.
+    """
     if rest.gas.constant is None and rest.gas_sd is None:
         return np.zeros_like(rest.c)
     state = estimator.sheet.state(rest.c, rest.young)
@@ -143,11 +145,10 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
-    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the remaining
-    misfit.
+    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the misfit.
 
-    The misfit is the mean square of the remainder after gas and camera motion, relative to the
-    markers' covariance `cov` (m, 3, 3).
+    The misfit is the mean square of the remainder after gas and camera motion. It is relative to
+    the markers' covariance `cov` (m, 3, 3).
     """
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
     camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))

@@ -122,8 +122,10 @@ def estimate_force_from_surface(
 
 
 def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure: float) -> Array:
-    """Tension (nx, ny) N/m that holds a resting surface of curvatures `bent` (nx, ny) 1/m, smooth:
-    p over a quadric through them."""
+    """Compute the smooth tension (nx, ny), N/m, of a resting surface.
+
+    It is the pressure divided by a quadric fitted to the curvatures `bent` (nx, ny), 1/m.
+    """
     X, Y = np.meshgrid(grid.x - grid.x.mean(), grid.y - grid.y.mean(), indexing="ij")
     columns = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], axis=-1)
     found, *_ = np.linalg.lstsq(columns[seen], bent[seen], rcond=None)
@@ -135,8 +137,10 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
 
 
 def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
-    """Return the factor on the curvature pressure `held` (nx, ny), Pa, that makes the contact
-    pressure zero on the free surface."""
+    """Return a factor on the curvature pressure `held` (nx, ny), Pa.
+
+    It makes the contact pressure zero on the free surface.
+    """
     factor = 1.0
     for _ in range(_ROUNDS):
         contact = seen & (np.abs(pressure - factor * held) > _PRESSED * pressure)

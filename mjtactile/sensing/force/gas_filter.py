@@ -152,7 +152,7 @@ class GasFilter:
         if not state.is_open:
             volume, beyond = state.volume_at(reading.time)
             law = state.amount / volume**self._gamma / self._ambient
-            measured = math.log(max(1 + measured, s.least) / law)
+            measured = math.log(max(1 + measured, s.minimum) / law)
             variance += (self._gamma * beyond / volume) ** 2
         off = measured - value
         deviation = off / math.sqrt(cov[0, 0] + variance)

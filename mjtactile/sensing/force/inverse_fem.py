@@ -1,12 +1,13 @@
-"""Traction on the membrane from its markers by inverse finite elements (level 3;
-docs/theory/membrane_inverse.md, Eq. F9-F12).
+"""Traction on the membrane from its markers by inverse finite elements (level 3).
+
+See docs/theory/membrane_inverse.md, Eq. F9-F12.
 
 The unknowns are the tractions at the nodes of a grid. They deform the membrane model of
-`mjtactile.sensing.force.spline_fem` from its computed rest shape, so the bulge is not interpolated.
+`mjtactile.sensing.force.spline_fem` from its computed rest shape. So the bulge is not interpolated.
 Markers measure the deformation at their positions and, if they are far apart, its slopes. Contacts
-cover a small area: the prior of `mjtactile.sensing.force.prior` follows the earlier tractions, so
-that contacts become compact. The gas amount and the camera pose may have drifted slightly since
-they were measured. They are unknowns, too. Next to a sharp edge, markers move in patterns that the
+cover a small area. So the prior of `mjtactile.sensing.force.prior` follows the earlier tractions,
+and contacts become compact. The gas amount and the camera pose may have drifted slightly since they
+were measured. They are unknowns, too. Next to a sharp edge, markers move in patterns that the
 splines cannot follow. So a marker gets a smaller weight the worse it was explained.
 
 A frame takes one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept
@@ -332,8 +333,10 @@ class InverseMembrane(LoadedMembrane):
     def _camera_modes(
         self, p_SM: Array, changed: Array, camera: CameraDriftFilter | CameraDriftEstimate
     ) -> Array:
-        """Return the motion (m, 3, modes), m, of markers at `p_SM` (m, 3) for one standard
-        deviation of each camera mode."""
+        """Return the motion (m, 3, modes), m, of markers at `p_SM` (m, 3).
+
+        It is the motion for one standard deviation of each camera mode.
+        """
         if isinstance(camera, CameraDriftFilter):
             return camera_modes(self.design, p_SM, changed, self.settings)
         return observed_modes(self.design, p_SM, changed, self.settings, self._known)
@@ -341,8 +344,11 @@ class InverseMembrane(LoadedMembrane):
     def _gas_drift(
         self, state: State, rest: InverseRest, lost: float | None
     ) -> tuple[float, Array]:
-        """One sd of the gas's drift, as pressure, Pa, and as a load (3, n); that of its amount is
-        `lost` where some may have been."""
+        """Return one standard deviation of the gas drift.
+
+        It is given as pressure, Pa, and as a load (3, n). `lost` is the standard deviation of the
+        amount if some gas may have been lost.
+        """
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
@@ -368,8 +374,8 @@ class InverseMembrane(LoadedMembrane):
     ) -> Traction:
         """Return nodal forces on the grid, the net wrench and its covariance.
 
-        The covariance grows with the motion since `before`, `seconds` ago. It also grows with the
-        gas's own pressure change since then, `air_moved`, Pa, and with the `lag`, images, of a
+        The covariance grows with the motion since `before`, `seconds` ago. It grows with the gas's
+        own pressure change since then, `air_moved`, Pa. It also grows with the `lag`, images, of a
         camera that blends images.
         """
         force = shape.traction * self.node_area
@@ -435,8 +441,11 @@ def _net(force: Array, positions: Array) -> Array:
 
 
 def _observed_drift(gas: Array, camera: Array) -> Array:
-    """The whitened markers' response (r, 1 + modes) to one sd of drift: of the `gas` (r,), and of
-    the `camera`'s modes (m, 3, modes). Slopes, the rows after 3 m, hardly see the camera move."""
+    """Return the whitened markers' response (r, 1 + modes) to one standard deviation of drift.
+
+    The drift is that of the `gas` (r,) and of the `camera`'s modes (m, 3, modes). Slopes, the rows
+    after 3 m, are nearly independent of camera motion.
+    """
     markers, _, modes = camera.shape
     drift = np.zeros((len(gas), 1 + modes))
     drift[:, 0] = gas

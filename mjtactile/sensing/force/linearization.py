@@ -25,12 +25,13 @@ class Linearization:
     """Linearization at `c` (3, n) for markers `ids`.
 
     - `stiffness`: factorized stiffness of the membrane.
-    - `half` (r, 3 J): whitened markers' covariance by the prior of the tractions (r = 3 m
-      positions, and 2 m slopes if used).
+    - `half` (r, 3 J): whitened markers' covariance by the prior of the tractions. The r rows are 3
+      m positions, and 2 m slopes if used.
     - `weights` (m, 3, 3): whitening of the positions.
-    - `slope_weights` (m,), `tilts` (2, m, 2, 3): whitening of the slopes, and whitened derivatives
-      of the slopes by the membrane's tangents, or None.
-    - `distrust` (2, m): factors on the standard deviations contained in both.
+    - `slope_weights` (m,): whitening of the slopes, or None.
+    - `tilts` (2, m, 2, 3): whitened derivatives of the slopes by the membrane's tangents, or None.
+    - `distrust` (2, m): factors on the standard deviations in the whitening of positions and
+      slopes.
     - `drift` (r, 1 + modes): response to one standard deviation of drift (gas, the camera's modes).
     - `drift_gas`: the gas drift as pressure, Pa, and as a load (3, n).
     - `observed_drift` (1 + modes,): fraction of the drift variances that estimates have.
@@ -76,8 +77,11 @@ class Linearization:
         lost: bool,
         correlation: float,
     ) -> bool:
-        """Return True if it is valid near `c`, for these markers, this knowledge of gas and camera,
-        and this correlation length, m, of the prior."""
+        """Return True if it is valid near `c` for these markers.
+
+        The gas and camera priors and the correlation length of the tractions, m, must also
+        match.
+        """
         if correlation != self.correlation:
             return False
         if lost != self.lost or not _equally_certain(camera, self.camera):
@@ -96,9 +100,9 @@ class Linearization:
 class Shape:
     """Membrane estimate, to be passed to the next frame.
 
-    `c` (3, n), m, are the coefficients of the deformation, `traction` (3, J), Pa, the nodal
-    tractions, and `gauge_pressure`, Pa, the pressure. `misfit` is the mean square of the markers
-    over their predicted standard deviation, and `gain` the linearization used. `excess` (2, N) is
+    `c` (3, n), m, are the coefficients of the deformation. `traction` (3, J), Pa, are the nodal
+    tractions, and `gauge_pressure`, Pa, is the pressure. `misfit` is the mean square of the markers
+    over their predicted standard deviation. `gain` is the linearization used. `excess` (2, N) is
     the mean square noise of each marker's position and slopes over its standard deviation. `drift`
     is the mean square drift relative to its expected value (`drift_of`). `camera` (modes,) are the
     camera's modes relative to their prior, in units of the remaining uncertainty.

@@ -1,9 +1,10 @@
-"""Variance of the wrench due to errors of the membrane model, which the posterior covariance does
-not contain (docs/theory/membrane_inverse.md, Eq. F12).
+"""Variance of the wrench due to errors of the membrane model.
 
-Standard deviations of shear, normal force, tilting and spinning torque; torques are divided by a
-lever. They are fractions of the estimated load, plus the drag of a moving membrane. Their values
-were measured on simulated indentations, taps, drags and holds (`bench uncertainty`).
+The posterior covariance does not contain it (docs/theory/membrane_inverse.md, Eq. F12).
+
+The values are standard deviations of shear, normal force, tilting and spinning torque. Torques are
+divided by a lever. They are fractions of the estimated load, plus the drag of a moving membrane.
+They were measured on simulated indentations, taps, drags and holds (`bench uncertainty`).
 """
 
 from __future__ import annotations
@@ -117,12 +118,14 @@ def _outside(layout: MarkerLayout, nodes: Array) -> Array:
     It is 1 from half a marker pitch outside, and 0 from half a pitch inside, where markers surround
     the node.
     """
-    most = np.abs(layout.p_SM[:, :2]).max(axis=0)
-    beyond = (np.abs(nodes) - most) / [layout.pitch_x, layout.pitch_y]
+    maximum = np.abs(layout.p_SM[:, :2]).max(axis=0)
+    beyond = (np.abs(nodes) - maximum) / [layout.pitch_x, layout.pitch_y]
     return np.square(np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1))
 
 
 def _burst(change: float, size: float) -> float:
-    """The part of a `change`, N, that comes at once: none while it is less than half of the force
-    `size`, N."""
+    """Return the sudden part of a force `change`, N.
+
+    It is zero for a change below half of the force `size`, N.
+    """
     return change * min(max(2 * change / max(size, 1e-9) - 1, 0.0), 1.0)

@@ -1,10 +1,11 @@
-"""Prior of the tractions on a grid of nodes before a frame is evaluated
-(docs/theory/membrane_inverse.md, Eq. F11).
+"""Prior of the tractions on a grid of nodes before a frame is evaluated.
+
+See docs/theory/membrane_inverse.md, Eq. F11.
 
 Contacts are compact: the variance of a node follows the last estimated pressure there. The pressure
-is smoothed over part of the grid spacing and limited to the load capacity of a membrane. Pressures
-of neighboring nodes are correlated. Shear is proportional to pressure by friction. Tractions are
-(3, J) Pa, component by component, J = jx * jy nodes with y fastest.
+is smoothed over part of the grid spacing. It is limited to the load capacity of a membrane.
+Pressures of neighboring nodes are correlated. Shear is proportional to pressure by friction.
+Tractions are (3, J) Pa, component by component, J = jx * jy nodes with y fastest.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ class LoadPrior:
     """Prior covariance S C S of nodal tractions.
 
     S holds the standard deviations of the nodes. C is a Gaussian correlation over the grid lines
-    `x` (jx,) and `y` (jy,), m, the same for each component. `root` are the lower factors of C along
-    x and along y.
+    `x` (jx,) and `y` (jy,), m. It is the same for each component. `root` are the lower factors of C
+    along x and along y.
     """
 
     def __init__(self, x: Array, y: Array, settings: PriorSettings = DEFAULTS.prior):

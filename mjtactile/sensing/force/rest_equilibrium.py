@@ -28,14 +28,14 @@ class InverseRest:
 
     `gas` is the gas. `stiffness_scale` is the apparent stiffness of the bulge relative to the
     sensor file. It is attributed to the factors `young` on Young's modulus and `stretch` on the
-    pre-stretch (Eq. F25). `c` (3, n), m, are the coefficients of the model that bulges as far as
-    the markers. `offset` (N, 3), m, is the remainder, measured minus modeled marker positions.
+    pre-stretch (Eq. F25). `c` (3, n), m, are the coefficients of the model with the markers' bulge.
+    `offset` (N, 3), m, is the remainder: measured minus modeled marker positions.
 
-    With a pressure sensor, `gas_sd`, Pa, is the standard deviation of the pressure in a chamber of
-    `gas_volume`, m^3. `gauge_pressure`, Pa, is the pressure at rest. `darkness` (N,) is that of the
-    markers at rest; NaN, or None: unknown. For rubber with relaxation, the scale refers to the
-    long-term modulus. `faded` (3, qx, qy), N/m, is the relaxed part of the instantaneous stress;
-    None: no relaxation.
+    With a pressure sensor, `gas_sd`, Pa, is the standard deviation of the pressure. It holds in a
+    chamber of `gas_volume`, m^3. `gauge_pressure`, Pa, is the pressure at rest. `darkness` (N,) is
+    that of the markers at rest; NaN, or None: unknown. For rubber with relaxation, the scale refers
+    to the long-term modulus. `faded` (3, qx, qy), N/m, is the relaxed part of the instantaneous
+    stress; None: no relaxation.
     """
 
     gas: Gas
@@ -78,8 +78,10 @@ class MarkedMembrane:
         sealed: bool = True,
         inflated_s: float = math.inf,
     ) -> InverseRest:
-        """Calibrate on a state with nothing touching and a known gauge pressure, Pa, in which the
-        membrane has been for `inflated_s` s: see `InverseRest`."""
+        """Calibrate on a state without contact and with a known gauge pressure, Pa.
+
+        The membrane has been in this state for `inflated_s` s. For the result see `InverseRest`.
+        """
         valve = Gas(gauge_pressure)
         scale = young = stretch = 1.0
         c = self.sheet.equilibrium(valve)
@@ -127,8 +129,10 @@ class MarkedMembrane:
         return self.design.chamber_volume_flat + self.sheet.state(c).volume
 
     def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
-        """The same sensor at rest with `gas` in it, whose pressure is known to `sd` Pa in a chamber
-        of `volume` m^3."""
+        """Return the rest state of the same sensor, filled with `gas`.
+
+        The standard deviation of its pressure is `sd`, Pa, in a chamber of `volume`, m^3.
+        """
         rest = self.at_rest(replace(rest, gas=gas))
         return replace(rest, gas_sd=sd, gas_volume=volume)
 
@@ -160,8 +164,10 @@ class MarkedMembrane:
 
 
 def _spans(design: SensorDesign, settings: InverseSettings) -> tuple[int, int]:
-    """Intervals of the sheet along x and y: the settings', or, in an outline, about as many cells
-    with even sides."""
+    """Return the number of spline intervals along x and y.
+
+    They are those of the settings. For an outline, they are about as many with equal sides.
+    """
     nx, ny = settings.spans
     if design.frame.outline is None:
         return nx, ny

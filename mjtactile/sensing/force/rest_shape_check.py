@@ -1,11 +1,12 @@
-"""Check that the membrane at rest has the predicted bulge, or detect a contact
-(docs/theory/membrane_inverse.md, Eq. F16).
+"""Check that the membrane at rest has the predicted bulge, or detect a contact.
 
-A contact makes the membrane look stiffer, which a stiffness fit would absorb. But it also changes
-the shape of the bulge. The residual heights relative to the best-fitting bulge are compared with
-all errors possible without contact: noise, discretization of the model, and the lens. An
-uncalibrated lens scales heights by an error that varies smoothly over the image. This error is
-larger, the more the flat membrane's markers deviated from their layout.
+See docs/theory/membrane_inverse.md, Eq. F16.
+
+A contact makes the membrane appear stiffer, which a stiffness fit would absorb. But it also changes
+the shape of the bulge. The residual heights are relative to the best-fitting bulge. They are
+compared with all errors possible without contact: noise, discretization of the model, and the lens.
+An uncalibrated lens scales heights by an error that varies smoothly over the image. This error
+grows with the flat membrane's marker deviations from their layout.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ def require_bulge(
         DeviceError: The rest state is not that bulge.
     """
     gauge_pressure = rest.gas.gauge
-    most = settings.reference.stiffness_off_max
-    if not 1 / most < rest.stiffness_scale < most:
+    maximum = settings.reference.stiffness_off_max
+    if not 1 / maximum < rest.stiffness_scale < maximum:
         height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
         raise DeviceError(
             f"sensor {design.name}: at {gauge_pressure:.0f} Pa the markers are at most "

@@ -19,8 +19,11 @@ from mjtactile.sensing.surface.slope_noise import slope_sd
 
 
 class MarkerSlopes:
-    """Slopes (dz/dx, dz/dy) of one sheet at its markers (N, 3), m, mounted and flat; `distance` m
-    of the camera."""
+    """Slopes (dz/dx, dz/dy) of one membrane at its markers.
+
+    The marker positions (N, 3), m, are those of the mounted flat membrane. `distance`, m, is that
+    of the camera.
+    """
 
     def __init__(self, sheet: Sheet, p_SM: Array, distance: float, settings: InverseSettings):
         self._settings = settings

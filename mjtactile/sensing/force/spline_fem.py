@@ -1,18 +1,18 @@
-"""Spline finite element model of the membrane: forces, tangent stiffness and equilibrium with the
-rubber and gas of the sensor file.
+"""Spline finite element model of the membrane: forces, tangent stiffness and equilibrium.
 
-The displacement u(X) of the mounted flat membrane is a tensor-product cubic B-spline, zero on the
-frame. Its generalized forces are those of membrane stress, of gas at gauge pressure p, and of loads
-on the surface (docs/theory/membrane_inverse.md, Eq. F3-F5, F9). Coefficients are stored as (3, n):
-component by component, n = kx * ky splines with y fastest. Splines overlap only their neighbors, so
-the stiffness is banded, except for the rank-one term of the gas. The Sherman-Morrison formula
-handles that term separately. The arithmetic is in mjtactile/kernels/spline_fem.c.
+It uses the rubber and gas of the sensor file. The displacement u(X) of the mounted flat membrane is
+a tensor-product cubic B-spline, zero on the frame. Its generalized forces are those of membrane
+stress, gas at gauge pressure p, and surface loads. See docs/theory/membrane_inverse.md, Eq. F3-F5,
+F9. Coefficients are stored as (3, n): component by component, n = kx * ky splines with y fastest.
+Splines overlap only their neighbors. So the stiffness is banded, except for the rank-one term of
+the gas. The Sherman-Morrison formula handles that term separately. The arithmetic is in
+mjtactile/kernels/spline_fem.c.
 
 The splines are functions of the membrane's parametric coordinates, which fill a rectangle. For a
 rectangular frame they are the positions X. Another outline is the image of the rectangle under the
-smooth map of `mjtactile.core.outline`. The equations then stay the same, with derivatives by X from
-the chain rule and areas from the determinant of the map (isogeometric analysis: Hughes, Cottrell &
-Bazilevs, 2005).
+smooth map of `mjtactile.core.outline`. The equations then stay the same. Derivatives by X follow
+from the chain rule, areas from the determinant of the map. This is isogeometric analysis (Hughes,
+Cottrell & Bazilevs, 2005).
 """
 
 from __future__ import annotations
@@ -39,8 +39,11 @@ _CONVERGED = 1e-9  # convergence tolerance of a step, m
 
 @dataclass(frozen=True, eq=False)
 class Gas:
-    """Gas in the chamber: a sealed amount, p V^gamma = `constant`, or, with None, a valve that
-    keeps `gauge` Pa."""
+    """Gas in the chamber.
+
+    It is a sealed amount, p V^gamma = `constant`. If `constant` is None, a valve keeps `gauge`
+    Pa.
+    """
 
     gauge: float
     constant: float | None = None
@@ -83,8 +86,11 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Factorized tangent of `sheet`: the Cholesky `factor` of the band at constant pressure, and
-    the gas's change of the inverse, -`share` w w^T with w = `softened` (3 n,)."""
+    """Factorized tangent stiffness of `sheet`.
+
+    `factor` is the Cholesky factor of the band at constant pressure. The gas changes the inverse by
+    -`share` w w^T with w = `softened` (3 n,).
+    """
 
     sheet: Sheet
     factor: Array
@@ -101,11 +107,11 @@ class Stiffness:
 
 
 class Sheet:
-    """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
-    Young's modulus, `stretch` the pre-stretch.
+    """Operators of one sensor's membrane on `spans` (x, y) spline intervals.
 
-    `cells` (qx, qy) m^2 are the areas of the Gauss points in the sheet's own coordinates, `weights`
-    those on the mounted sheet. Raises InputError for too few intervals.
+    `scale` multiplies Young's modulus, `stretch` the pre-stretch. `cells` (qx, qy), m^2, are the
+    areas of the Gauss points in the membrane's own coordinates. `weights` are those on the mounted
+    membrane. Raises InputError for too few intervals.
     """
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
@@ -192,8 +198,10 @@ class Sheet:
     def state(
         self, c: Array, scale: float = 1.0, faded: Array | None = None, stretch: float = 1.0
     ) -> State:
-        """Compute the state of the membrane at coefficients `c` (3, n), m, less its relaxed stress
-        `faded` (3, qx, qy), N/m."""
+        """Compute the state of the membrane at coefficients `c` (3, n), m.
+
+        Its relaxed stress `faded` (3, qx, qy), N/m, is subtracted.
+        """
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
         volume = np.empty(1)
@@ -272,8 +280,11 @@ class Sheet:
         return state.elastic - gauge_pressure * state.gradient
 
     def tangent(self, state: State, gauge_pressure: float) -> Array:
-        """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
-        kernels/band_cholesky_f64.h has it, with the three components of a spline together."""
+        """Compute d(residual)/dc at constant pressure, N/m (Eq. F10).
+
+        The result is the lower band (3 n, stride) in the format of kernels/band_cholesky_f64.h. The
+        three components of a spline are stored together.
+        """
         band = np.empty((3 * self.count, band_stride(self.width)))
         law = self._law(state.stretch)
         kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, gauge_pressure, band)
@@ -323,10 +334,12 @@ class Sheet:
         faded: Array | None = None,
         stretch: float = 1.0,
     ) -> Array:
-        """Coefficients (3, n) at rest under `gas` and generalised loads (3, n) N, by Newton steps
-        from `start`; `faded` as for `state`.
+        """Compute the coefficients (3, n) at equilibrium by Newton steps from `start`.
 
-        Raises MjtactileError when no equilibrium is found (a design that cannot hold its own
+        The membrane is under `gas` and generalized loads (3, n), N. `faded` is the same as for
+        `state`.
+
+        Raises MjtactileError if no equilibrium is found (a design that cannot hold its own
         pressure).
         """
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()

@@ -1,5 +1,7 @@
-"""Stress relaxation of the rubber in sensing: the model of `mjtactile.core.relaxation` at the Gauss
-points of the membrane model. For sensing only; the simulator has separate code.
+"""Stress relaxation of the rubber in sensing.
+
+It uses the model of `mjtactile.core.relaxation` at the Gauss points of the membrane model. For
+sensing only; the simulator has separate code.
 
 The estimated shape gives the stress S at every point. From one image to the next, each term relaxes
 as this stress determines (Eq. F23). The relaxed stress is a load on the membrane like any other.
@@ -19,8 +21,10 @@ from mjtactile.sensing.force.spline_fem import Sheet
 
 @dataclass(frozen=True, eq=False)
 class RelaxationState:
-    """Relaxed stress of each term, `faded` (terms, 3, qx, qy), N/m, with the long-term `stress` (3,
-    qx, qy), N/m, at `time`, s."""
+    """Relaxed stress of each term, `faded` (terms, 3, qx, qy), N/m.
+
+    `stress` (3, qx, qy), N/m, is the long-term stress. Both hold at `time`, s.
+    """
 
     faded: Array
     stress: Array
@@ -42,8 +46,10 @@ class RelaxingMembrane:
         self._shares = relaxation.shares[:, None, None, None]
 
     def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
-        """Return the state at `time` s of a membrane that was always flat, then at `c` (3, n), m,
-        for `inflated_s` s."""
+        """Return the state at `time`, s, of a membrane after inflation.
+
+        The membrane was always flat, then at `c` (3, n), m, for `inflated_s` s.
+        """
         flat = scale * self._sheet.stress(np.zeros_like(c))
         stress = scale * self._sheet.stress(c)
         kept = self._kept(inflated_s)

@@ -1,5 +1,7 @@
-"""Tone curve of the camera relative to the reference, from circles with known reference levels:
-exposure, gamma, and black level."""
+"""Tone curve of the camera relative to the reference: exposure, gamma, and black level.
+
+It is estimated from circles with known reference levels.
+"""
 
 from __future__ import annotations
 

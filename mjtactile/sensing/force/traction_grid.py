@@ -18,8 +18,9 @@ REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction gr
 
 
 class LoadedMembrane(MarkedMembrane):
-    """The sheet of one sensor, its markers, and J nodes on its inner grid lines `x` (nx,), `y`
-    (ny,) m.
+    """Membrane of one sensor, with its markers and J nodes.
+
+    The nodes lie on its inner grid lines `x` (nx,), `y` (ny,), m.
 
     Args:
         design: The sensor's values.
@@ -95,8 +96,10 @@ class LoadedMembrane(MarkedMembrane):
         return nodal
 
     def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
-        """Rows, columns and shares (J,) of the four grid places around each node; None where nodes
-        stand on the grid."""
+        """Return rows, columns and weights (J,) of the four grid positions around each node.
+
+        Return None if the nodes lie on the grid.
+        """
         if self.design.frame.outline is None:
             return None
         places = []

@@ -71,8 +71,11 @@ def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
 
 
 class Pixels:
-    """The pixels of some markers as flat float32 arrays: `x`, `y` from each marker's origin,
-    `observed`, and the bounds of each marker's stretch."""
+    """Pixels of some markers as flat float32 arrays.
+
+    `x` and `y` are relative to each marker's origin. The others are `observed`, and the bounds of
+    each marker's range.
+    """
 
     def __init__(self, x: NDArray, y: NDArray, observed: NDArray, counts: NDArray):
         self.x = x

@@ -1,16 +1,16 @@
-"""Sub-pixel ellipses by least squares on the image, for all markers together (no per-marker call).
+"""Sub-pixel ellipses by least squares on the image, for all markers together.
 
 Estimator for small or strongly blurred markers; `profiles` is ten times faster for larger ones.
 Model of the pixels near one marker's edge, (dx, dy) from its center:
 
     I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
 
-F is the filled ellipse blurred by a Gaussian of standard deviation sigma (lens, pixel and the
-softening below together). For large markers F = Phi(-(n + kappa sigma^2/2)/sigma), with the outward
-distance n and the edge curvature kappa. The blurred curved edge has its 50 % level further inward
-(41 um of depth in the paper's geometry). For small markers F is integrated. Ten parameters per
-marker: center, shape, inside, outside, gradient g of the light, sigma. Gauss-Newton, robust
-weights.
+F is the filled ellipse blurred by a Gaussian of standard deviation sigma. Sigma combines lens,
+pixel and the softening below. For large markers F = Phi(-(n + kappa sigma^2/2)/sigma). Here n is
+the outward distance and kappa the edge curvature. The blurred curved edge has its 50 % level
+further inward. In the paper's geometry this changes the depth by 41 um. For small markers F is
+integrated. Ten parameters per marker: center, shape, inside, outside, gradient g of the light,
+sigma. The solver is Gauss-Newton with robust weights.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class EdgeFit:
     """N fits: `center` (N, 2), `shape` (N, 3), px, and `cov` (N, 5, 5) of (u, v, p, q, s).
 
     `inside` and `outside` are levels (N,), and `blur` (N,) is in px. `residual` (N,) is the rms in
-    gray levels, `pixels` (N,) the number of pixels used, and `lost` (N,) the lost fraction of
+    gray levels. `pixels` (N,) is the number of pixels used, and `lost` (N,) the lost fraction of
     robust weight. `motion` (N,), px, is the part of the blur correction due to motion.
     """
 
@@ -65,8 +65,10 @@ class EdgeFit:
 
 @dataclass(frozen=True)
 class _KnownBlur:
-    """A blur of `sigma` px (softening included) and the `weight` of a prior for it, over the
-    pixels' noise variance."""
+    """Blur of `sigma` px (softening included).
+
+    `weight` is that of a prior for it, over the pixels' noise variance.
+    """
 
     sigma: float
     weight: float
@@ -95,11 +97,11 @@ def fit(
     others: tuple[Array, Array] | None = None,
     s: EdgeSettings = DEFAULTS.edges,
 ) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the
-    right size, known to `blur_sd` px from elsewhere.
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px.
 
-    Pixels that another of them darkens are left out; `others`: centres and shapes of more markers
-    that may.
+    The blur is approximate; `blur_sd`, px, is its standard deviation from another source. Pixels
+    that another marker darkens are left out. `others` holds centers and shapes of more such
+    markers.
     """
     width = max(5.0, 3.5 * blur)
     known = _KnownBlur(
@@ -216,8 +218,10 @@ def _fit_some(
 def gather(
     image: NDArray, center: Array, shape: Array, around: Around, width: float
 ) -> tuple[Pixels, NDArray, Array]:
-    """Return the band pixels without those darkened by neighbors, their true count per marker, and
-    each marker's origin (whole px)."""
+    """Return the band pixels without those darkened by neighbors.
+
+    Also return their true count per marker, and each marker's origin (whole px).
+    """
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
     if around.near.size:
         clear = around.clear(u, v, used)

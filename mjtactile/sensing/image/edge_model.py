@@ -67,8 +67,8 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
 def _numbers(theta: Array) -> Array:
     """Return the values common to all pixels of a marker (12, n).
 
-    Center, inverse shape, squared determinant of it, step height of the edge, outside level,
-    gradient of the light, inverse blur, blur.
+    The first are center, inverse shape and its squared determinant. Then follow step height of the
+    edge and outside level. The last are gradient of the light, inverse blur and blur.
     """
     cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
     det = 1 / (p * s - q * q)
@@ -111,13 +111,13 @@ def _blurred_disc(
     sigma: NDArray,
     sharp: NDArray,
 ) -> tuple[NDArray, NDArray]:
-    """The filled ellipse blurred by a Gaussian of sd `sigma`, and its slope across the edge times
-    sigma.
+    """Compute the filled ellipse blurred by a Gaussian of standard deviation `sigma`.
 
-    Pixels are at `e`, moves along the normal and the tangent are `f` and `d`, all in unit-circle
-    coordinates. Across the edge the blur is an integral over a chord, exact: Phi at its near end
-    less Phi at its far end. Along the edge it is the five-point Gauss-Hermite mean of such chords,
-    exact to ninth order in the offset.
+    Also return its slope across the edge times sigma. Pixels are at `e`; moves along the normal and
+    the tangent are `f` and `d`. All are in unit-circle coordinates. Across the edge the blur is an
+    exact integral over a chord. It is Phi at the near end minus Phi at the far end. Along the edge
+    it is the five-point Gauss-Hermite mean of such chords. The mean is exact to ninth order in the
+    offset.
     """
     A = f[0] * f[0] + f[1] * f[1] + np.float32(1e-9)
     F = np.zeros_like(A)

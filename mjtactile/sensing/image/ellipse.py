@@ -1,9 +1,10 @@
 """Ellipses as (center, symmetric shape matrix S): the points c + S (cos t, sin t).
 
-Batched; not singular for circles. `shape` is (N, 3): the entries p, q, s of S = [[p, q], [q, s]],
-positive definite, in pixels. The five parameters (u, v, p, q, s) move the boundary along its
-outward normal m by m . dc + m . dS e, with e = (cos t, sin t). This is smooth everywhere. Semi-axes
-and angle are not (the angle of a circle is undefined), so they are used only at the interfaces.
+The functions are batched, and not singular for circles. `shape` is (N, 3): the entries p, q, s of S
+= [[p, q], [q, s]], positive definite, in pixels. The five parameters (u, v, p, q, s) move the
+boundary along its outward normal m. The move is m . dc + m . dS e, with e = (cos t, sin t). This is
+smooth everywhere. Semi-axes and angle are not (the angle of a circle is undefined). So they are
+used only at the interfaces.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ _ROUND = 1e-6  # below this (a - b)/a the angle is meaningless; the floor keeps 
 
 
 def middle(values: Array) -> float:
-    """The upper median of all `values`: np.median for scales, where half a rank does not matter, at
-    a fifth of its price."""
+    """Return the upper median of all `values`, at a fifth of np.median's cost.
+
+    Use it for scales, where half a rank does not matter.
+    """
     flat = values.ravel()
     return float(np.partition(flat, flat.size // 2)[flat.size // 2])
 
@@ -90,8 +93,10 @@ def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
 
 
 def covariance_of_shape(cov: Array, semi_axes: Array, angle: Array) -> Array:
-    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle); inverse of
-    `covariance_of_axes`."""
+    """Return the covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle).
+
+    It is the inverse of `covariance_of_axes`.
+    """
     J = axes_jacobian(semi_axes, angle)
     return J @ cov @ J.transpose(0, 2, 1)
 
@@ -109,8 +114,8 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
 def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
     """Return the ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]].
 
-    It is in units of the local radius (clipped at 0.4): center c + S w, and the shape whose square
-    is that of S (I + V).
+    The move is in units of the local radius (clipped at 0.4). The center is c + S w. The square of
+    the new shape is that of S (I + V).
     """
     w0, w1, v0, v1, v2 = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
     p, q, s = shape.T

@@ -1,5 +1,8 @@
-"""Ellipse fit of each candidate: by edge profiles if it is large enough, else by all its pixels, at
-ten times the cost."""
+"""Ellipse fit of each candidate.
+
+Large enough candidates are fitted by edge profiles, others by all their pixels at ten times the
+cost.
+"""
 
 from __future__ import annotations
 
@@ -35,8 +38,10 @@ def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> Edge
 
 
 def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Settings) -> EdgeFit:
-    """Fits of candidates with these semi-minor axes (N,) px by profiles; by pixels, again, where
-    the blur turns out to leave profiles no room."""
+    """Fit candidates with these semi-minor axes (N,), px, by profiles.
+
+    They are fitted again by pixels if the blur turns out too large for profiles.
+    """
     s = settings.markers
     fit = profile_fit.fit(grey, found.center, found.shape, settings.profiles)
     # fits by pixels know of no motion
@@ -61,8 +66,11 @@ def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Se
 
 
 def sound(fit: EdgeFit) -> EdgeFit:
-    """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those
-    of a minimum."""
+    """Return `fit` with invalid fits marked as untrusted.
+
+    Invalid fits have values that are not those of a minimum. Their covariance is set to the
+    marker's size.
+    """
     variances = np.diagonal(fit.cov, axis1=1, axis2=2)
     bad = ~(
         np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual)

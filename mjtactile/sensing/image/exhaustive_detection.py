@@ -1,12 +1,11 @@
-"""Detection of every circle in a photograph, with a status for every candidate. `locate` adds this
-to `markers.detect`.
+"""Detection of every circle in a photograph, with a status for every candidate.
 
-Touch sensing knows its markers in advance: their size is in the sensor file, and they are dark on
-an evenly lit membrane. A photograph may have a bright window next to the board, dots of three
-pixels, or synthetic images without gray edges. So a second search takes pixels darker than a
-closing of the image. This "black hat" finds blobs of one size independent of their surroundings,
-and runs at several scales. A failed fit is repeated with the blur common to the others in the
-image. Rejected candidates are listed with the reason.
+`locate` adds this to `markers.detect`. Touch sensing has known markers: their size is in the sensor
+file. They are dark on an evenly lit membrane. A photograph may have a bright window next to the
+board, or dots of three pixels. Synthetic images may have no gray edges. So a second search takes
+pixels darker than a closing of the image. This "black hat" finds blobs of one size independent of
+their surroundings. It runs at several scales. A failed fit is repeated with the blur common to the
+others in the image. Rejected candidates are listed with the reason.
 """
 
 from __future__ import annotations
@@ -58,10 +57,10 @@ def detect_thoroughly(
     min_radius_px: float = 1.5,
     settings: Settings = DEFAULTS,
 ) -> tuple[Ellipses, Rejected]:
-    """`markers.detect` with a second look at everything, and all other candidates with the reason
-    for which they are none.
+    """Detect markers as `markers.detect`, followed by a second search.
 
-    Raises InputError as `markers.detect`.
+    All other candidates are returned with the reason for their rejection. Raises InputError as
+    `markers.detect`.
     """
     grey = _with_grey_edges(markers.grey_image(image), settings.thorough)
     s = settings.markers
@@ -138,8 +137,8 @@ def _new(
 ) -> NDArray[np.bool_]:
     """Return a mask (N,) of the new candidates.
 
-    A candidate is not new if it repeats an earlier one, or is part of one up to `larger` times
-    larger.
+    A candidate is not new if it repeats an earlier one. It is not new either if it is part of one
+    up to `larger` times larger.
     """
     center = all_of_them.center
     xx, xy, yy = ellipse.inverse_shape(all_of_them.shape).T

@@ -43,8 +43,10 @@ STATUSES = np.array(
 
 
 def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
-    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further
-    if cut); "" if it can."""
+    """Return the reason why each candidate cannot be a marker; "" if it can.
+
+    Reasons: too small or long, or a border far from its own ellipse (further if cut).
+    """
     codes = np.empty(len(found), np.int64)
     kernel("judge_borders")(
         len(found), found.shape, found.misfit, found.cut, min_radius_px, as_numbers(s), codes
@@ -62,10 +64,10 @@ def judge(
 ) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
     """Return the status (N,) of each fit, and a mask (N,) of likely markers, trusted or not.
 
-    Weak edges, non-elliptic outlines and partly covered edges are detected from the fit itself,
-    relative to typical values in this image. Blur is common to the image, so a marker much sharper
-    or more blurred than the others is rejected. A fit that moved away from its candidate fitted
-    something else.
+    Weak edges, non-elliptic outlines and partly covered edges are detected from the fit itself. The
+    limits are relative to typical values in this image. Blur is common to the image. So a marker
+    much sharper or more blurred than the others is rejected. A fit that moved away from its
+    candidate fitted something else.
     """
     n = len(fit.center)
     levels = np.stack([fit.inside, fit.outside])

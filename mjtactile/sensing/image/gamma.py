@@ -1,12 +1,12 @@
-"""Conversion of gray levels to light: inversion of a camera's gamma curve, and estimation of gamma
-from the circles.
+"""Conversion of gray levels to light, and estimation of gamma from the circles.
 
-A gamma curve E = c L^(1/gamma) makes a blurred edge asymmetric. Its half-way level is no longer at
-half of the light, which moves the edges of dark circles inward by 0.2 px and more at 2.2. This
-asymmetry determines gamma. One common gamma and every circle's ten parameters (`edges`) are fitted
-to the original gray levels. Gamma is eliminated by its Schur complement. This requires blur of at
-least half a pixel, a dark level well below the bright one, and no other asymmetry: no clipping, no
-sharpening. The scatter between circles gives the uncertainty.
+The conversion inverts the camera's gamma curve. A gamma curve E = c L^(1/gamma) makes a blurred
+edge asymmetric. Its half-way level is no longer at half of the light. At gamma 2.2 this moves the
+edges of dark circles inward by 0.2 px and more. This asymmetry determines gamma. One common gamma
+and every circle's ten parameters (`edges`) are fitted to the original gray levels. Gamma is
+eliminated by its Schur complement. This requires blur of at least half a pixel. The dark level must
+be well below the bright one. Clipping and sharpening are excluded, because they add asymmetry. The
+scatter between circles gives the uncertainty.
 """
 
 from __future__ import annotations
@@ -138,11 +138,11 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
 
 
 def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Grey levels (P,) of the model, their derivatives (10, P) by the parameters, and (P,) by log
-    gamma.
+    """Compute gray levels (P,) of the model and their derivatives.
 
-    With grey levels relative to `_MIDDLE`, so that light is of order one: L = model(..., I =
-    i^gamma, O = o^gamma, ...), E = L^(1/gamma).
+    The derivatives are (10, P) by the parameters, and (P,) by log gamma. Gray levels are relative
+    to `_MIDDLE`, so that light is of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E =
+    L^(1/gamma).
     """
     edge = theta[:, 5:7] / _MIDDLE
     linear = theta.copy()
@@ -170,8 +170,11 @@ def _moved(theta: Array, change: Array) -> Array:
 
 
 def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
-    """The common value with an sd that knows how much the circles differ, each `own` from it;
-    unknown if it is no camera's."""
+    """Return the common gamma, with a standard deviation that includes the scatter of circles.
+
+    `own` are the deviations of the circles from it. It is unknown if it is not plausible for a
+    camera.
+    """
     good = np.isfinite(own) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
     if good.sum() < s.min_circles or not s.range[0] <= gamma <= s.range[1]:

@@ -31,7 +31,7 @@ def detect(
     """Find circular markers in `image` ((H, W) or (H, W, 3) uint8 or uint16, or an `Image`).
 
     `polarity`: markers "dark" on bright or "bright" on dark. `camera` is accepted so that all
-    stages have the same interface; ellipses are in distorted pixels, as in the image.
+    stages have the same interface. Ellipses are in distorted pixels, like the image.
     `min_radius_px` is the minimum semi-minor axis. From 4 px on, the search runs at half the
     resolution (the fit does not).
 
@@ -79,8 +79,10 @@ def check_polarity(polarity: str) -> None:
 
 
 def grey_image(image: NDArray | Image) -> NDArray:
-    """The grey channel (H, W), uint8 or uint16, of an array or `Image`; colour by the mean of its
-    channels."""
+    """Return the gray channel (H, W), uint8 or uint16, of an array or `Image`.
+
+    Color images are converted by the mean of their channels.
+    """
     pixels = np.asarray(image.pixels if isinstance(image, Image) else image)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(

@@ -1,14 +1,14 @@
 """Sub-pixel ellipses from edge profiles, for all markers together, at camera rate.
 
-K profiles cross each ellipse along its normals. Filters reduce each to a few numbers (levels, area,
-offset of the edge by a matched filter, width). Robust least squares then move the ellipses. Offsets
-first come from the area (correct even two pixels away), then from the matched filter (near the
-Cramer-Rao bound close to the edge).
+K profiles cross each ellipse along its normals. Filters reduce each to a few numbers: levels, area,
+offset of the edge by a matched filter, width. Robust least squares then move the ellipses. Offsets
+first come from the area, which is correct even two pixels away. Then they come from the matched
+filter, which is near the Cramer-Rao bound close to the edge.
 
-A disc blurred by a Gaussian of standard deviation sigma has its 50 % level further inward by kappa
-sigma^2/2 (kappa: curvature of the edge). Sigma is measured from the profiles and the bias is
-removed. This is first order in kappa sigma; `edges` is for small markers that need more. The
-arithmetic is in mjtactile/kernels/ellipse_profiles.c.
+A disc blurred by a Gaussian of standard deviation sigma has its 50 % level further inward. The
+shift is kappa sigma^2/2 (kappa: curvature of the edge). Sigma is measured from the profiles and the
+bias is removed. This is first order in kappa sigma; `edges` is for small markers that need more.
+The arithmetic is in mjtactile/kernels/ellipse_profiles.c.
 """
 
 from __future__ import annotations

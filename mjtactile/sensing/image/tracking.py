@@ -1,10 +1,10 @@
-"""Marker tracking in a sequence of images: fits start at predicted positions, with occasional
-searches of the whole image.
+"""Marker tracking in a sequence of images.
 
-A fit finds its edge from two pixels away, and between images markers move less. A fit is accepted
-if it ended near its prediction, with the marker's earlier shape and contrast, and with a residual
-like the others'. Otherwise the whole image is searched. It is also searched after a gap, at regular
-intervals, every other time while markers are missing, and after any suspicious image.
+Fits start at predicted positions, with occasional searches of the whole image. A fit finds its edge
+from two pixels away, and between images markers move less. A fit is accepted if it ended near its
+prediction. It must have the marker's earlier shape and contrast, and a residual like the others'.
+Otherwise the whole image is searched. It is also searched after a gap, at regular intervals, and
+after any suspicious image. While markers are missing, it is searched every other time.
 """
 
 from __future__ import annotations
@@ -79,8 +79,10 @@ def follow(
 def _tracked(
     grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings
 ) -> edge_fit.EdgeFit | None:
-    """Return the fits of `before` tracked to this image; None if a search is due or a fit is
-    rejected."""
+    """Return the fits of `before` tracked to this image.
+
+    Return None if a search is due or a fit is rejected.
+    """
     s = settings.tracking
     step = time - before.time
     if before.left < 1 or not 0 <= step <= s.max_gap:
@@ -118,8 +120,10 @@ def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:
-    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2), from the nearest of
-    those `before`; 0 if unknown."""
+    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2); 0 if unknown.
+
+    It follows from the nearest of those `before`.
+    """
     unknown = np.zeros_like(center)
     if before is None or not before.time < time:
         return unknown

@@ -1,19 +1,19 @@
-"""Circle poses from ellipses: the corrected closed form of the paper's Eq. 3-5, both solutions,
-with covariance.
+"""Circle poses from ellipses: both solutions in closed form, with covariance.
 
-With Q the circle's cone in ideal normalized coordinates (x^T Q x = 0 on the boundary), eigenvalues
-l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
-l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
+The closed form is the corrected Eq. 3-5 of the paper. Q is the circle's cone in ideal normalized
+coordinates (x^T Q x = 0 on the boundary). Its eigenvalues are l1 >= l2 > 0 > l3, its eigenvectors
+v1, v3 (v3 away from the camera). With sin psi = sqrt((l1 - l2)/(l1 - l3)) and cos psi = sqrt((l2 -
+l3)/(l1 - l3)):
 
     C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),
     n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Differences from the paper (docs/theory/circle_pose.md): Q = K^T M K instead of the pixel conic M.
-The sign applies to the sine term only. C is the center in space, not only its image, so no sine
-rule is needed. n faces the camera.
+Differences from the paper (docs/theory/circle_pose.md): Q = K^T M K replaces the pixel conic M. The
+sign applies to the sine term only. C is the center in space, not only its image. So no sine rule is
+needed. The normal n faces the camera.
 
-The arithmetic is in mjtactile/kernels/circles.c: the closed form, the glass's rescaling of the
-boundary, and the derivative.
+The arithmetic is in mjtactile/kernels/circles.c. It covers the closed form, the glass's rescaling
+of the boundary, and the derivative.
 """
 
 from __future__ import annotations
@@ -54,13 +54,12 @@ def estimate_poses(
 def pose_covariances(
     ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array
 ) -> tuple[Array, Array]:
-    """Return the covariances (N, 3, 3) of centers, m^2, and of unit normals, of either of the two
-    poses.
+    """Return the covariances (N, 3, 3) of centers, m^2, and of unit normals.
 
-    `p_CM` (N, 3) and `n_C` (N, 3) are the poses estimated from `ellipses`. The derivative of the
-    pose by the ellipse is that of the ellipse by the pose, inverted. With e the unit circle's
-    points, a change of either moves the boundary, in units of the local radius, by e . w + e^T V
-    e.
+    They hold for either of the two poses. `p_CM` (N, 3) and `n_C` (N, 3) are the poses estimated
+    from `ellipses`. The derivative of the ellipse by the pose is inverted. Points e of the unit
+    circle describe the boundary. A change of either moves it by e . w + e^T V e. The move is in
+    units of the local radius.
     """
     n = len(ellipses)
     cov = np.empty((len(ellipses), 5, 5))

@@ -64,8 +64,8 @@ class DetectedCircles:
       alone).
     - `rejected`: candidates that are not circles, each with a reason.
     - `overexposed`: True if the circles' bright side is clipped.
-    - `assumed`: assumed gamma of the camera; `gamma`: its estimate from the circles; `nonlinear`:
-      True if they clearly differ.
+    - `assumed`: assumed gamma of the camera; `gamma`: its estimate from the circles.
+    - `nonlinear`: True if they clearly differ.
     """
 
     ellipses: Ellipses
@@ -257,8 +257,10 @@ def locate(
 
 
 def plain_grey(image: NDArray | Image) -> NDArray | Image:
-    """Colour to grey (mean of the channels) in one pass over the image; anything else is left for
-    `detect` to judge."""
+    """Convert a color image to gray (mean of the channels) in one pass.
+
+    Any other input is passed on for `detect` to check.
+    """
     if (
         isinstance(image, np.ndarray)
         and image.ndim == 3

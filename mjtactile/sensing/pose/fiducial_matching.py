@@ -16,8 +16,8 @@ from mjtactile.core.types import Array, Ellipses, FiducialDetections
 class FiducialFinder:
     """Fiducial finder of one sensor.
 
-    Each fiducial is the good circle nearest to its last position, within half the distance to the
-    next one, or to the nearest marker.
+    Each fiducial is the good circle nearest to its last position. The limit is half the distance to
+    the next fiducial, or to the nearest marker.
 
     Args:
         design: Sensor design.

@@ -1,10 +1,9 @@
-"""Flat reference of the sensor, measured with the valve open: camera pose, and true size of each
-marker.
+"""Flat reference of the sensor: camera pose, and true size of each marker.
 
-The flat membrane is a target of known layout. Its marker *centers* in the image determine the
-camera's pose relative to the frame, independent of the radii. With the pose known, each marker's
-apparent depth gives its radius, to which depth is proportional (the paper determines the frame's
-pose in the same way, II-B.3).
+It is measured with the valve open. The flat membrane is a target of known layout. Its marker
+*centers* in the image determine the camera's pose relative to the frame, independent of the radii.
+With the pose known, each marker's apparent depth gives its radius, to which depth is proportional.
+The paper determines the frame's pose in the same way (II-B.3).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class FlatReference:
     """Camera pose `R_SC` (3, 3), `p_SC` (3,), m, and marker sizes from the flat membrane.
 
     `scale` (N,) is the true over the nominal radius of each marker (1 if not detected).
-    `residual_px` is the rms of the marker centers, and `scale_sd` the rms scatter of `scale` over
+    `residual_px` is the rms of the marker centers. `scale_sd` is the rms scatter of `scale` over
     the images.
     """
 
@@ -48,8 +47,10 @@ class FlatReference:
         return cls(np.eye(3), design.camera.p_SC, np.ones(design.markers.count), 0.0, 0.0)
 
     def to_nominal(self, design: SensorDesign, poses: CirclePoses) -> CirclePoses:
-        """The same circles as a camera at the sensor file's pose would have them: C parallel to S,
-        at `camera.p_SC`."""
+        """Transform the circles to a camera at the sensor file's pose.
+
+        There, C is parallel to S, at `camera.p_SC`.
+        """
         shift = self.p_SC - design.camera.p_SC
         R = self.R_SC
         p, p_alt, n, n_alt = np.array([poses.p_CM, poses.p_CM_alt, poses.n_C, poses.n_C_alt]) @ R.T
@@ -144,9 +145,9 @@ def _apparent_depth(camera: Camera, p_CM: Array) -> Array:
     return p_CM[:, 2] - optics.glass_shift(camera, p_CM)
 
 
-def _check_scale(design: SensorDesign, scale: Array, most: float) -> None:
+def _check_scale(design: SensorDesign, scale: Array, maximum: float) -> None:
     worst = int(np.argmax(np.abs(scale - 1)))
-    if abs(scale[worst] - 1) > most:
+    if abs(scale[worst] - 1) > maximum:
         raise DeviceError(
             f"sensor {design.name}: flat reference: the size of marker {worst} deviates by "
             f"{100 * (scale[worst] - 1):+.0f} %; check [markers] radius_mm, and that the "

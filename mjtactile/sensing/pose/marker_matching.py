@@ -1,10 +1,10 @@
-"""Assignment of detected circles to marker ids, and choice between the two normals of each circle.
+"""Assignment of detected circles to marker ids, and choice between their two normals.
 
-Matching uses the lateral position in S: markers keep their distance from each other, while depth
+Matching uses the lateral position in S. Markers keep their distance from each other, while depth
 changes fast under a contact load. At start-up the expected positions are those of the flat
 membrane. A common offset (a slightly misaligned camera) is removed first. In a sequence the
 expected positions are those of the previous image. Wrong matches are detected because neighboring
-markers move together: the displacement of each marker is compared with the median of its neighbors'
+markers move together. The displacement of each marker is compared with the median of its neighbors'
 displacements.
 """
 
@@ -36,11 +36,12 @@ def identify(
 ) -> Markers:
     """Return identified markers in S from circle poses in C and the circles' `darkness` (N,).
 
-    `expected` (M, 3) m are the expected positions in S, by default those of the flat membrane.
-    `scale` (M,) is each marker's true radius divided by the nominal radius used for the poses; the
-    apparent depth is proportional to it. Circles are left out if their status is not "ok", if they
-    match no marker, or if they do not move with their neighbors. Of the two poses of a circle, the
-    one whose normal fits the surface through all centers is kept.
+    `expected` (M, 3), m, are the expected positions in S, by default those of the flat membrane.
+    `scale` (M,) is each marker's true radius divided by the nominal radius used for the poses. The
+    apparent depth is proportional to it. Circles are left out if their status is not "ok", or if
+    they match no marker. They are also left out if they do not move with their neighbors. Two poses
+    of a circle are possible. The kept one has the normal that fits the surface through all
+    centers.
     """
     layout = design.markers.p_SM
     p_SM = poses.p_CM + design.camera.p_SC

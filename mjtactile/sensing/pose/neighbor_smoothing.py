@@ -4,10 +4,10 @@ On a smooth surface the elongation of the ellipses changes smoothly over the ima
 distance of a circle depends on its longest axis. Half of the error of that axis comes from the
 ellipse's elongation. With known tilt the variance would be a third (the factor 3 in the Cramer-Rao
 bound). The many circles of a board or of a smooth membrane together determine the tilt. Only the
-elongation is shared, never the size: each distance still depends on its own marker only.
+elongation is shared, never the size. Each distance still depends on its own marker only.
 
-The elongation is shared only if the data support it: the residuals about a second-order field must
-not exceed a few times the standard deviations of the ellipses. Circles with independent tilts stay
+The elongation is shared only if the data support it. The residuals about a second-order field must
+not exceed a few standard deviations of the ellipses. Circles with independent tilts stay
 unchanged.
 """
 
@@ -60,8 +60,11 @@ def smooth_aspect_ratio(
 
 
 def _field(uv: Array, D: Array, sd: Array, outlier: float) -> tuple[Array, Array, Array, float]:
-    """Field (N, 2) of `D`, its sd over that of D (N,), robust weights (N,), and the scatter over
-    the predicted sd."""
+    """Fit a smooth field (N, 2) to `D`.
+
+    Also return its standard deviation relative to that of D (N,), and robust weights (N,). The last
+    result is the scatter relative to the predicted standard deviation.
+    """
     x = (uv - uv.mean(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
     A = np.stack(
         [np.ones(len(x)), x[:, 0], x[:, 1], x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=1

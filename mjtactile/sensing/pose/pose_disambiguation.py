@@ -3,9 +3,10 @@
 One image of one circle allows two poses that fit the image equally. The preference comes from other
 information:
 
-- typical target orientation: tilts from 0 to 90 degrees are assumed equally likely (per solid angle
-  1/sin of the tilt against the camera's axis), so that the less tilted pose is slightly likelier;
-- the neighboring circles: if their centers lie on a smooth surface, its normal is one of the two.
+- Typical target orientation. Tilts from 0 to 90 degrees are assumed equally likely. The density per
+  solid angle is 1/sin of the tilt against the camera's axis. So the less tilted pose is slightly
+  likelier.
+- The neighboring circles. If their centers lie on a smooth surface, its normal is one of the two.
 
 Circles need not lie on a surface. The fraction that does, w, is estimated from the image itself. It
 is the weight of a mixture whose other component is the prior of tilts. The fit uses
@@ -14,10 +15,10 @@ expectation-maximization. With q_i the two densities of a circle's normals,
     q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),
     P(first) = q_1/(q_1 + q_2).
 
-The surface's normal is that of a plane (inverse depth linear in the image) through the circle and
-its nearest neighbors. Its covariance follows from their scatter about the plane. Circles at
-independent depths scatter so much that the plane carries no information. Touch sensing has a known
-membrane and does not use this module (`identity.identify`).
+The surface's normal is that of a plane (inverse depth linear in the image). The plane passes
+through the circle and its nearest neighbors. Its covariance follows from their scatter about the
+plane. Circles at independent depths scatter so much that the plane carries no information. Touch
+sensing has a known membrane and does not use this module (`identity.identify`).
 """
 
 from __future__ import annotations
@@ -104,13 +105,16 @@ def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
     )
 
 
-def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
-    """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by
-    `cov` (2, N, 3, 3) and `least` rad more."""
+def _density(n: Array, mean: Array, cov: Array, minimum: float) -> Array:
+    """Compute the normal density (2, N) per steradian of unit vectors `n` (2, N, 3).
+
+    The mean is `mean` (N, 3). The covariance is `cov` (2, N, 3, 3) plus the square of `minimum`,
+    rad.
+    """
     T = np.stack(geometry.tangents(mean), axis=1)  # shape (N, 2, 3)
     d = np.einsum("nij,knj->kni", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)
-    S += least**2 * np.eye(2)
+    S += minimum**2 * np.eye(2)
     far = np.einsum("kni,kni->kn", d, np.linalg.solve(S, d[..., None])[..., 0])
     behind = np.einsum("kni,ni->kn", n, mean) < 0
     return np.where(behind, 0.0, np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(S))))

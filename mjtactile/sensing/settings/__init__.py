@@ -118,9 +118,11 @@ class Settings:
     gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
-        """These settings with others for fields named like "zero.touch_sd". Raises InputError for a
-        name that does not exist, and for a value that is not of the field's kind, or out of its
-        range."""
+        """Return these settings with new values for fields named like "zero.touch_sd".
+
+        Raises InputError for a name that does not exist. It also does so for a value of the wrong
+        type or out of range.
+        """
         result = self
         for path, value in values.items():
             stage, _, name = path.rpartition(".")

@@ -460,13 +460,15 @@ class GasFilterSettings:
         "pressure change in an image, Pa, above which the force is unknown",
         "bench camera-faults: valves, holes",
     )
-    least: float = number(0.01, "minimum pressure of a chamber, relative to ambient", "vacuum")
+    minimum: float = number(0.01, "minimum pressure of a chamber, relative to ambient", "vacuum")
 
 
 @dataclass(frozen=True)
 class ContactDetectionSettings:
-    """Is there a touch, and the zero that follows the weather while there is none
-    (sensing/force/contact_detection.py)."""
+    """Settings of contact detection, and of the zero that tracks weather without contact.
+
+    See sensing/force/contact_detection.py.
+    """
 
     touch_sd: float = number(
         5.0, "minimum force of a touch, or of its mean, in standard deviations of the noise", TRIED

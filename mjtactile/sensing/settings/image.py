@@ -42,8 +42,10 @@ class CandidateSettings:
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """Ellipses from the image itself, for small or much blurred markers (sensing/image/edge_fit.py,
-    sensing/image/edge_bands.py)."""
+    """Settings of the ellipse fit by pixels, for small or strongly blurred markers.
+
+    See sensing/image/edge_fit.py, sensing/image/edge_bands.py.
+    """
 
     small_radius: float = number(
         7.0,

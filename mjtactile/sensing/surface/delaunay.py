@@ -1,7 +1,7 @@
 """Surface reconstruction from markers by the method of the paper (II-B.3).
 
-Steps: Delaunay triangulation of the marker centers and points on the frame, barycentric
-interpolation on a Cartesian grid, B-spline surface through it.
+Marker centers and points on the frame are connected by Delaunay triangulation. Then follow
+barycentric interpolation on a Cartesian grid and a B-spline surface through it.
 """
 
 from __future__ import annotations

@@ -1,19 +1,19 @@
-"""Depth of equal circles on a smooth surface, by a smoothing spline over neighboring circles.
+"""Depth of equal circles on a smooth surface, by a smoothing spline over neighbors.
 
 The depth of a small circle depends on a few hundredths of a pixel of its size. The processing of a
-consumer camera (demosaicing, sharpening, clipping) changes that size from circle to circle far
-beyond the noise. Many equal circles on one smooth surface do determine the change of depth between
-neighbors.
+consumer camera (demosaicing, sharpening, clipping) changes that size from circle to circle. This
+change is far beyond the noise. Many equal circles on one smooth surface do determine the change of
+depth between neighbors.
 
-The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x_i) + s sd_i e_i.
-The weight of its bending energy and s are both found by restricted maximum likelihood. Bends that
-the markers support are kept; deviations that look independent from marker to marker are treated as
-error. A plane's inverse depth is linear in the image, so that flat boards have no bending energy.
-Neither flatness nor any spacing is assumed: the spline keeps at least one degree of freedom for
-every `_PER_FREEDOM` circles, so that no depth averages more than about as many.
+The prior is a thin-plate spline for the inverse depth over the image. The model is w_i = f(x_i) + s
+sd_i e_i. The weight of its bending energy and s are both found by restricted maximum likelihood.
+Bends that the markers support are kept. Deviations that appear independent from marker to marker
+are treated as error. A plane's inverse depth is linear in the image, so that flat boards have no
+bending energy. Neither flatness nor any spacing is assumed. The spline keeps at least one degree of
+freedom for every `_PER_FREEDOM` circles. So a depth averages at most about as many circles.
 
 This is a prior on the scene. It does not hold for circles at independent depths. It is rejected if
-the scatter about the spline exceeds the error that a camera's processing may explain. Touch sensing
+the scatter about the spline exceeds the possible error of a camera's processing. Touch sensing
 never uses it, because its purpose is to measure a membrane's small bumps.
 
 Wahba (1990), Spline Models for Observational Data, ch. 2 (spline), 4.8 (likelihood), 5 (posterior

@@ -6,15 +6,15 @@ coefficients are left out, so that z is exactly zero on the frame. Its coefficie
     sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2
         + integral (|grad lap z| / g)^2 / A + integral (lap z / k)^2 / A
 
-The third term is the membrane's physics. Outside the contact, a membrane of uniform tension under
-uniform pressure has a constant Laplacian (Young-Laplace), so that inflation is not penalized. Under
-a sphere the Laplacian is constant again (2 / R). `g` is the expected rms gradient of the Laplacian,
+The third term is the membrane's physics. A membrane of uniform tension under uniform pressure has a
+constant Laplacian outside the contact (Young-Laplace). So inflation is not penalized. Under a
+sphere the Laplacian is constant again (2 / R). `g` is the expected rms gradient of the Laplacian,
 which comes from contact edges. A is the opening's area. The fourth term only keeps the fit finite
-where markers are missing. In the Gaussian process interpretation, the inverse Hessian is the
+if markers are missing. In the Gaussian process interpretation, the inverse Hessian is the
 coefficients' covariance. The uncertainties of heights, area and volume follow from it.
 
-For an opening that is not rectangular, the splines cover its bounding rectangle and two more
-intervals on each side, so that the surface may leave the outline with any slope. Integrals are over
+For an opening that is not rectangular, the splines cover its bounding rectangle. They cover two
+more intervals on each side. So the surface may leave the outline with any slope. Integrals are over
 the opening. On its outline z is zero to `_RIM_SD`, as if measured there. Beyond the outline the
 fourth term, much weakened, keeps the fit finite.
 
@@ -117,10 +117,10 @@ class Spline:
 class SurfaceFitter:
     """Spline fitter of one sensor; keeps the tables that are the same for all images.
 
-    The settings' `roughness` 1/m^2 and `laplacian` 1/m are the g and k of the module's docstring.
-    The number of spline intervals exceeds the markers in a row by two or three; it is at least 8
-    and even. With a knot in the center, where contacts are typical, errors under a sphere are half
-    as large.
+    The settings' `roughness`, 1/m^2, and `laplacian`, 1/m, are the g and k of the module's
+    docstring. The number of spline intervals exceeds the markers in a row by two or three. It is at
+    least 8 and even. So a knot lies in the center, where contacts are typical. This halves the
+    errors under a sphere.
     """
 
     def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
@@ -207,13 +207,12 @@ class SurfaceFitter:
     def fit_spline(
         self, p_SM: ArrayLike, cov_p: ArrayLike | None = None, n_S: ArrayLike | None = None
     ) -> Spline:
-        """Fit markers at `p_SM` (N, 3) m with covariance `cov_p` (N, 3, 3) m^2 (default: 10 um) in
-        S.
+        """Fit markers at `p_SM` (N, 3), m, with covariance `cov_p` (N, 3, 3), m^2, in S.
 
-        With normals `n_S` (N, 3) of either sign, their slopes also contribute if they are accurate
-        enough. `slope_sd_of` is evaluated at the tilts of a first fit without slopes, because the
-        measured tilts would favor their own errors. A marker that is not finite, or far off the
-        surface of the others, is left out.
+        The default covariance is that of 10 um. With normals `n_S` (N, 3) of either sign, their
+        slopes also contribute if accurate enough. `slope_sd_of` is evaluated at the tilts of a
+        first fit without slopes. The measured tilts would favor their own errors. A marker is left
+        out if it is not finite, or far off the surface of the others.
         """
         p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         if cov_p is None:
@@ -241,8 +240,10 @@ class SurfaceFitter:
         return Spline(self, c, factor, misfit, enough(int(markers), self.settings.markers_min))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
-        """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per
-        coefficient."""
+        """Return the design matrix (N, ny * nx) at `x`, `y` (N,), m.
+
+        It is z or its derivative of order (dx, dy) per coefficient.
+        """
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
 
     def _fraction_inside(self, frame: Frame) -> Array:
@@ -313,12 +314,12 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
     )
 
 
-def enough(markers: int, least: int) -> Status:
+def enough(markers: int, minimum: int) -> Status:
     """Return the status OK if there are at least `least` markers, else TOO_FEW_MARKERS."""
-    if markers >= least:
+    if markers >= minimum:
         return OK
     return Status(
-        StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers}; at least {least} are needed"
+        StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers}; at least {minimum} are needed"
     )
 
 

@@ -1,10 +1,14 @@
 """Material classification from the object width as a function of the squeeze force.
 
-All functions are pure functions of a `Squeeze`. Solid: the width stays constant, only the membranes
-deform. Soft: the width decreases with the force and recovers; the curve is parabolic if the
-material stiffens (the sponge of the paper). Amorphous: the object flows and keeps most of its
-deformation. The membranes are in series with the object, but its width is measured separately from
-theirs (docs/theory/exploration.md, Eq. P1-P5).
+All functions are pure functions of a `Squeeze`.
+
+- Solid: the width stays constant, only the membranes deform.
+- Soft: the width decreases with the force and recovers. The curve is parabolic if the material
+  stiffens (the sponge of the paper).
+- Amorphous: the object flows and keeps most of its deformation.
+
+The membranes are in series with the object. Its width is measured separately from theirs. See
+docs/theory/exploration.md, Eq. P1-P5.
 """
 
 from __future__ import annotations
@@ -29,8 +33,10 @@ _CLOSING_FRACTION = 0.9
 
 @dataclass(frozen=True, eq=False)
 class _Phases:
-    """Indices of the press, of the hold after it, of the release, and of the second touch (may be
-    empty)."""
+    """Indices of the load, hold, release, and second-touch phases.
+
+    The hold follows the load. The second touch may be empty.
+    """
 
     load: NDArray[np.int64]
     hold: NDArray[np.int64]
@@ -72,12 +78,12 @@ def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material
     seen = (
         np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
     )
-    most = float(np.max(squeeze.force[seen], initial=0.0))
+    maximum = float(np.max(squeeze.force[seen], initial=0.0))
     shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
-    if most < s.force_min and shrunk < s.shrunk_enough:
+    if maximum < s.force_min and shrunk < s.shrunk_enough:
         return _unknown(
             StatusCode.INCOMPLETE_DATA,
-            f"not enough contact yet: the maximum force is {most:.2f} N; at least "
+            f"not enough contact yet: the maximum force is {maximum:.2f} N; at least "
             f"{s.force_min:g} N are needed",
         )
     phases = _phases(squeeze, np.flatnonzero(seen), s)

@@ -1,12 +1,11 @@
-"""Contact patches from the traction field, each with outline, area, centroid, depth and axes (Eq.
-F13).
+"""Contact patches from the traction field (Eq. F13).
 
-Several patches are possible at the same time. The inverse solution cannot resolve pressure more
-sharply than its grid, but the second moment of a pressure survives such a blur. It gives the area
-of a uniformly loaded disc. That area is too large where the blur exceeds the contact. There the
-force gives the better estimate, because a membrane on a sphere carries its own tension's pressure
-in addition to the gas pressure. The outline encloses the region of highest pressure that has this
-area. The arithmetic is in mjtactile/kernels/patches.c.
+Each has outline, area, centroid, depth and axes. Several patches are possible at the same time. The
+inverse solution cannot resolve pressure more sharply than its grid. But the second moment of a
+pressure survives such a blur. It gives the area of a uniformly loaded disc. That area is too large
+if the blur exceeds the contact. There the force gives the better estimate. On a sphere, a membrane
+carries its own tension's pressure in addition to gas pressure. The outline encloses the region of
+highest pressure that has this area. The arithmetic is in mjtactile/kernels/patches.c.
 """
 
 from __future__ import annotations

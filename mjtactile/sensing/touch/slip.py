@@ -1,27 +1,26 @@
-"""Slip detection from the motion of the contact over the rubber, relative to the rubber's own
-motion.
+"""Slip detection from the motion of the contact over the rubber.
 
-Markers are material points, so that the center of pressure is known in the membrane's *material*
-coordinates. While the object sticks, the center of pressure stays there, however far the membrane
-is dragged. When the object slips, the center moves along the shear force, and the rubber under it
-no longer follows. This needs no coefficient of friction. Two other causes of motion are accounted
-for. Partial slip is proportional to the drag distance of the rubber. Tilting of the object is
-proportional to the change of shear over normal force and to the contact's length squared. The
-remainder is tested for a ramp that started a few images ago, by its matched filter (Eq. F14). A
-patch that moves without shear rolls.
+The motion is relative to the rubber's own motion. Markers are material points. So the center of
+pressure is known in the membrane's *material* coordinates. While the object sticks, the center
+stays there, however far the membrane is dragged. If the object slips, the center moves along the
+shear force. The rubber under it no longer follows. This needs no coefficient of friction. Two other
+causes of motion are accounted for. Partial slip is proportional to the drag distance of the rubber.
+Tilting of the object is proportional to two factors. They are the change of shear over normal
+force, and the contact's length squared. The remainder is tested for a ramp that started a few
+images ago, by its matched filter (Eq. F14). A patch that moves without shear rolls.
 
-The shear distribution inside the contact carries more information. On flat faces, where the center
-of pressure does not move, it is the only evidence. Under full sliding each part of the contact is
-dragged by friction alone, so that shear over pressure is uniform (Coulomb), whatever the friction
+The shear distribution inside the contact carries more information. On flat faces the center of
+pressure does not move, and it is the only evidence. Under full sliding each part of the contact is
+dragged by friction alone. So shear over pressure is uniform (Coulomb), independent of the friction
 coefficient. While the center sticks, the ratio is lower there (Cattaneo, Mindlin). Uniform shear is
-slip. Nonuniform shear is evidence against slip, so that stronger evidence of the other kinds is
-required. An object that rotates on the spot neither translates nor has a net shear force: its shear
+slip. Nonuniform shear is evidence against slip. Then stronger evidence of the other kinds is
+required. An object that rotates on the spot neither translates nor has a net shear force. Its shear
 is uniform along the circles about the center.
 
-The used fraction of the friction limit needs the coefficient, as does the sticking fraction of the
-area, (1 - Q / mu N)^(2/3) (Cattaneo 1938, Mindlin 1949). The coefficient is that of the sensor
-file, until a slip or a hold beyond it gives another value. A used fraction close to 1 is no
-evidence of slip: for an unknown object the coefficient is unknown too.
+The used fraction of the friction limit needs the coefficient. So does the sticking fraction of the
+area, (1 - Q / mu N)^(2/3) (Cattaneo 1938, Mindlin 1949). The coefficient comes from the sensor
+file, until a slip or a hold beyond it changes it. A used fraction close to 1 is not evidence of
+slip. For an unknown object the coefficient is unknown too.
 """
 
 from __future__ import annotations
@@ -51,9 +50,10 @@ _POINT = 1e-4  # minimum patch size, m; a patch of a single node has no extent
 class SlipSample:
     """Sample of one image for slip detection.
 
-    `time` s; center of pressure `p` (2,) m in material coordinates; displacement `dragged` (3,) m
-    of the rubber under it since the touch started; `ratio` (3,) of shear to normal force;
-    `turning`, the nonuniformity of the shear along a rotation (inf: no rotation).
+    `time`, s, is that of the image. `p` (2,), m, is the center of pressure in material coordinates.
+    `dragged` (3,), m, is the displacement of the rubber under it since the touch started. `ratio`
+    (3,) is that of shear to normal force. `turning` is the nonuniformity of the shear along a
+    rotation (inf: no rotation).
     """
 
     time: float
@@ -67,8 +67,8 @@ class SlipSample:
 class SlipHistory:
     """State carried to the next image.
 
-    It holds the last `samples`, the `weight` (J,) and `position` (J, 3) m of the nodes, the slip
-    `distance` m, and the current estimate of the coefficient of `friction`.
+    It holds the last `samples`, and the `weight` (J,) and `position` (J, 3), m, of the nodes. It
+    also holds the slip `distance`, m, and the current estimate of the coefficient of `friction`.
     """
 
     samples: tuple[SlipSample, ...]
@@ -90,8 +90,10 @@ def judge(
     before: SlipHistory | None,
     s: SlipSettings = DEFAULTS.slip,
 ) -> tuple[Slip, SlipHistory | None]:
-    """Slip state of the strongest patch at `time` s, and the history for the next image (None: the
-    touch has ended)."""
+    """Return the slip state of the strongest patch at `time`, s.
+
+    Also return the history for the next image (None: the touch has ended).
+    """
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
@@ -152,21 +154,21 @@ def shear_nonuniformity(
 
 
 def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
-    """Return the nonuniformity of the shear along the motion of an object that rotates on the spot.
+    """Return the nonuniformity of the shear along a rotation on the spot.
 
-    For one rigid object with a force f and a torque t per newton of normal force, the sliding
-    velocity is f + (t / c^2) z x (r - r0). Here the limits of both form an ellipse, and the motion
-    is normal to it (Howe & Cutkosky 1996). Each part of the contact is dragged in that direction by
-    friction alone.
+    One rigid object has a force f and a torque t per newton of normal force. Its sliding velocity
+    is f + (t / c^2) z x (r - r0). Here the limits of both form an ellipse, and the motion is normal
+    to it (Howe & Cutkosky 1996). Each part of the contact is dragged in that direction by friction
+    alone.
 
     Args:
         estimator: Membrane model that defines the nodes.
         shape: With the tractions.
 
     Returns:
-        Ratio of spread to mean of the shear over pressure along that direction, weighted by the
-        normal force and by the local speed: 0 under full sliding; inf where translation dominates,
-        or if too few nodes are loaded. And the mean.
+        Ratio of spread to mean of the shear over pressure along that direction, and the mean.
+        Weights are the normal force and the local speed. The ratio is 0 under full sliding. It is
+        inf if translation dominates, or if too few nodes are loaded.
     """
     press = np.maximum(-shape.traction[2], 0.0)
     inside = press > _PRESSED * press.max()
@@ -199,8 +201,8 @@ def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
     """Return the displacement of the center of pressure along the shear, in standard deviations.
 
-    The displacement is a ramp that started within the last `s.recent` s, minus the part explained
-    by the rubber's own motion and by tilting (Eq. F14). `normal` is the normal force, N.
+    The displacement is a ramp that started within the last `s.recent` s. The part explained by the
+    rubber's own motion and by tilting is subtracted (Eq. F14). `normal` is the normal force, N.
     """
     samples = history.samples
     time = np.array([sample.time for sample in samples])
@@ -212,7 +214,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     size = max(size, _POINT)
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
     lean = s.lean * (length / s.noise_size) ** s.lean_power
-    most = 0.0
+    maximum = 0.0
     for b in range(s.min_before, len(samples)):  # the first image of the ramp
         if time[-1] - time[b] > s.recent:
             continue
@@ -225,8 +227,8 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
         if left[-1] > s.min_displacement:
             ramp = time[b:] - time[b - 1]
             ramp_sd = sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))
-            most = max(most, float(ramp @ left) / ramp_sd)
-    return most
+            maximum = max(maximum, float(ramp @ left) / ramp_sd)
+    return maximum
 
 
 def _follow(
@@ -255,8 +257,10 @@ def _follow(
 
 
 def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, float]:
-    """Velocity (2,) m/s of the centre of pressure over the material, and its way along the shear,
-    m, over the last `s.recent` s."""
+    """Compute the velocity (2,), m/s, of the center of pressure over the material.
+
+    Also return its path along the shear, m. Both are over the last `s.recent` s.
+    """
     first = next(old for old in samples if samples[-1].time - old.time <= s.recent)
     way = samples[-1].p - first.p
     elapsed = samples[-1].time - first.time

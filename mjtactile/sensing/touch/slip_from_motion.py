@@ -1,8 +1,8 @@
 """Slip detection for a known contact shape with known motion relative to the rubber.
 
-The position of the object is more accurate than the center of pressure, which moves when a face
-tilts. An object that rotates about its own normal leaves that center unchanged: only its motion
-reveals the slip (docs/theory/slip.md, Eq. F22).
+The position of the object is more accurate than the center of pressure. That center moves when a
+face tilts. An object that rotates about its own normal leaves that center unchanged. Only its
+motion reveals the slip (docs/theory/slip.md, Eq. F22).
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Object size from a squeeze between two fingers (or against a wall), from sensing alone.
 
-The membranes deform too, but the cameras measure their deformation. The object's width is the
-opening between the two sensors' frames, minus the height of each membrane over its frame at the
-contact (docs/theory/exploration.md, Eq. P1). No model of membrane or gas is needed.
+The membranes deform too, but the cameras measure their deformation. The object's width starts from
+the opening between the two sensors' frames. The height of each membrane over its frame at the
+contact is subtracted (docs/theory/exploration.md, Eq. P1). No model of membrane or gas is
+needed.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from mjtactile.sensing.settings import DEFAULTS, SqueezeSettings
 class Squeeze:
     """History of a squeeze with T samples; all arrays are (T,).
 
-    `time` s; `opening` m between the sensors' frames (one sensor: from its frame to the wall behind
-    the object); `force` N (mean over the fingers) with `force_sd`; `width` m of the object (NaN
-    without contact) with `width_sd`; contact `area` m^2 (mean over the fingers).
+    `time` is in s. `opening`, m, is between the sensors' frames. For one sensor it is from its
+    frame to the wall behind the object. `force`, N, with `force_sd`, is the mean over the fingers.
+    `width`, m, with `width_sd`, is that of the object (NaN without contact). `area`, m^2, is the
+    contact area (mean over the fingers).
     """
 
     time: Array
@@ -83,14 +85,14 @@ def _sample(touch: Sequence[Touch], opening: float, s: SqueezeSettings) -> tuple
 def object_width(
     touch: Sequence[Touch], opening: float, s: SqueezeSettings = DEFAULTS.squeeze
 ) -> tuple[float, float]:
-    """Return the width of the held object and its sd, m; NaN if a sensor has no contact.
+    """Return the width of the held object and its standard deviation, m.
 
-    Two sensors face each other, y up: x of the second is -x of the first. Faces that are not
-    parallel to the frames touch at different positions. Their planes are extrapolated to the point
-    halfway, and the width is measured there. A face that touches with an edge only appears less
-    tilted than it is, so that a fraction of the extrapolation is added to the uncertainty. For more
-    than two sensors around the object, the width is twice the mean distance of the faces from the
-    center.
+    Both are NaN if a sensor has no contact. Two sensors face each other, y up: x of the second is
+    -x of the first. Faces that are not parallel to the frames touch at different positions. Their
+    planes are extrapolated to the point halfway, and the width is measured there. A face that
+    touches with an edge only appears less tilted than it is. So a fraction of the extrapolation is
+    added to the uncertainty. For more than two sensors around the object, the width follows from
+    the faces. It is twice their mean distance from the center.
     """
     faces = [contact_face(t, s) for t in touch]
     if any(face is None for face in faces):
@@ -113,9 +115,10 @@ def contact_face(
 ) -> tuple[float, Array, Array] | None:
     """Return the height and slope of the object's face; None without contact.
 
-    The results are the height of the membrane at the contact's centroid, m, the centroid (2,) m and
-    the slope (2,) there. A paraboloid is fitted to the surface inside the contact, so that the
-    height of a curved face is that of its nearest point and does not fall as the contact grows.
+    The results are the height of the membrane at the contact's centroid, m, and the centroid (2,),
+    m. The last is the slope (2,) there. A paraboloid is fitted to the surface inside the contact.
+    So the height of a curved face is that of its nearest point. It does not fall as the contact
+    grows.
     """
     surface = touch.surface
     contact = touch.contact
@@ -146,8 +149,8 @@ def contact_face(
 def covered_area(touch: Touch) -> float:
     """Return the area covered by the contact, m^2; 0 without contact.
 
-    It is the area of the convex hull: a face has its highest pressure along its edges, so that a
-    patch derived from pressure has holes.
+    It is the area of the convex hull. A face has its highest pressure along its edges. So a patch
+    derived from pressure has holes.
     """
     contact = touch.contact
     traction = touch.traction

@@ -26,8 +26,8 @@ _SHADED = 0.06
 class Scene:
     """Input of the gates.
 
-    `feature` m: the object's smallest radius; `sharp`: it has edges; `half_extents` m: half its
-    size along and across a membrane that closes on it.
+    `feature`, m, is the object's smallest radius. `sharp` is True if it has edges. `half_extents`,
+    m, are half its size along and across a membrane that closes on it.
     """
 
     design: SensorDesign

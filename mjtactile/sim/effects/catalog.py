@@ -5,9 +5,9 @@
     world = GraspWorld(design, item, effects=chosen.on)
 
 The gates are those of docs/reference/effects.md. An effect is on if leaving it out would change
-force or surface by more than the requested accuracy. It is also on if the scene depends on it
-(friction carries the object). Costs and errors are measured on the shipped membrane by `mjtactile
-bench effects` (models/fidelity/effects.json).
+force or surface too much. The limit is the requested accuracy. It is also on if the scene depends
+on it (friction carries the object). Costs and errors are measured on the shipped membrane by
+`mjtactile bench effects` (models/fidelity/effects.json).
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def choose(
 ) -> Chosen:
     """Choose the effects for a sensor, an object and a force error (N); then apply `overrides`.
 
-    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect
-    that is not built and is forced on, or one that cannot be left out and is forced off.
+    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name. It also does
+    so for an unbuilt effect forced on, or a required one forced off.
     """
     forced = _with_what_goes_along(parse(overrides))
     scene = Scene(design, grasped, force_error, *_feature(grasped))
@@ -239,8 +239,8 @@ EFFECTS: tuple[EffectEntry, ...] = (
 def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
     """Return True if `--accuracy` may choose a quasi-static membrane.
 
-    It requires that no override sets the membrane model, and that the object is rigid and round,
-    like the objects on which the error was measured.
+    It requires that no override sets the membrane model. The object must be rigid and round, like
+    the objects on which the error was measured.
     """
     if Effect.SHEET in parse(overrides) or design.relaxation is not None:
         return False
@@ -248,8 +248,11 @@ def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: 
 
 
 def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:
-    """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the
-    fingers' way, m."""
+    """Return the smallest radius of the object, m, its sharpness, and its half-extents, m.
+
+    The sharpness is True for sharp edges. The half-extents are those across the fingers' closing
+    direction.
+    """
     if grasped is None:
         return math.inf, False, (math.inf, math.inf)
     model = read_spec(grasped).compile()

@@ -1,5 +1,4 @@
-"""`Fidelity`: simulation accuracy. For a requirement, it selects the cheapest setting that was
-measured to meet it.
+"""`Fidelity`: simulation accuracy, as the cheapest setting measured to meet a requirement.
 
     Fidelity.for_force_error(0.02)  the cheapest setting whose force error is at most 0.02 N
     Fidelity.for_real_time()        the most accurate one that runs at least as fast as the clock
@@ -7,8 +6,8 @@ measured to meet it.
 
 The table, models/fidelity/measured.json, is written by `mjtactile bench accuracy`. It states the
 machine and the versions of the measurement. Errors are those of the shipped sensors' membrane (see
-docs/validation/accuracy.md). Where a quasi-static membrane is valid, its settings are included too:
-models/fidelity/levels.json, by `mjtactile bench meshless`.
+docs/validation/accuracy.md). If a quasi-static membrane is valid, its settings are included too.
+They are in models/fidelity/levels.json, written by `mjtactile bench meshless`.
 """
 
 from __future__ import annotations
@@ -37,13 +36,16 @@ DEFAULT_FORCE_ERROR = 0.02
 class Fidelity:
     """A setting of the simulator with its measured performance.
 
-    `mesh` vertices along x and y, `timestep` s (upper limit; a rig takes the next shorter one that
-    divides its camera's period), solver `tolerance`; `force_error` N and `surface_error` m (root
-    mean square against the converged reference), `force_noise` N (standard deviation while an
-    object is held), `cost` ms of one core per simulated second of two sensors holding an object.
-    `met` is False if no measured setting meets the requirement; `basis` gives the reason of the
-    choice. `asked` N is the force error used for the choice of effects; a real-time request keeps
-    the default, without costly effects.
+    - `mesh`: vertices along x and y.
+    - `timestep`, s: upper limit; a rig takes the next shorter one that divides its camera's period.
+    - `tolerance`: that of the solver.
+    - `force_error`, N, and `surface_error`, m: root mean square against the converged reference.
+    - `force_noise`, N: standard deviation while an object is held.
+    - `cost`, ms: time of one core per simulated second of two sensors holding an object.
+    - `met`: False if no measured setting meets the requirement.
+    - `basis`: reason of the choice.
+    - `asked`, N: force error used for the choice of effects. A real-time request keeps the default,
+      without costly effects.
     """
 
     mesh: tuple[int, int]

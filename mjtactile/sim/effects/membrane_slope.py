@@ -19,9 +19,10 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
         F = pi [(a + b) T(t) + a b p] sin(t)^2,
         T = T0 + E h / (1 - nu^2) (1 / cos(t) - 1) / 2                  (Eq. L5)
 
-    The contact extends to the point where the object has this slope; the stretch of the flank
-    spreads over twice its length. For spheres of 4-16 mm up to 1.8 N, with 21 to 47 degrees in
-    simulation, the error is -4 to +4 degrees. Next to the frame's wall the slope is larger.
+    The contact extends to the point where the object has this slope. The stretch of the flank
+    spreads over twice its length. The error is -4 to +4 degrees for spheres of 4-16 mm up to 1.8 N.
+    Their slopes are 21 to 47 degrees in simulation. Next to the frame's wall the slope is
+    larger.
     """
     sheet = design.membrane
     a, b = half_extents

@@ -1,5 +1,7 @@
-"""Fiducials as the camera sees them: white ground and black circles that never move, which become
-part of the background."""
+"""Fiducials in the camera image: white ground and black circles that never move.
+
+They become part of the background.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,11 @@ _INWARD = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class FiducialRenderer:
-    """Fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and their white background.
+    """Fiducials of a sensor and their white background.
 
-    The background extends `ground` m around each disc, or covers the area between the outlines
-    `white` (outer, inner), (n, 3) m each. `blur_px` is the minimum blur of their image.
+    The discs `p_SF`, `n_S` (F, 3) have a `radius` in m. The background extends `ground` m around
+    each disc. Alternatively, it covers the area between the outlines `white` (outer, inner), (n, 3)
+    m each. `blur_px` is the minimum blur of their image.
     """
 
     p_SF: Array

@@ -23,10 +23,10 @@ Floats = NDArray[np.float32]
 
 
 def block_slopes(camera: Camera, block: int) -> Array:
-    """Return slopes x/z, y/z (nv, nu, 2) in C of the rays in air through the centers of pixel
-    blocks.
+    """Return slopes x/z, y/z (nv, nu, 2) in C of the rays through pixel blocks.
 
-    The blocks are `block` px wide. The slope is 0 where the lens model cannot be inverted.
+    The rays are in air and pass through the block centers. The blocks are `block` px wide. The
+    slope is 0 where the lens model cannot be inverted.
     """
     nu = -(-camera.width // block)
     nv = -(-camera.height // block)
@@ -37,13 +37,15 @@ def block_slopes(camera: Camera, block: int) -> Array:
 
 
 class Light:
-    """Illumination of the membrane by a ring of LEDs around the camera: the inverse-square law and
-    two cosines.
+    """Illumination of the membrane by a ring of LEDs around the camera.
 
-    Without LEDs the light is uniform. The field is 1 in the center of the flat membrane and 1 -
-    vignetting at its corners. A membrane closer to the camera becomes brighter. Heights between the
-    markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the
-    markers best. It is smooth, as light is, and is not intended as a model of the surface.
+    The model is the inverse-square law and two cosines. Without LEDs the light is uniform. The
+    field is 1 in the center of the flat membrane. It is 1 - vignetting at the corners. A membrane
+    closer to the camera becomes brighter.
+
+    Heights between the markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy).
+    The bubble is fitted to the markers. It is smooth, as light is, and is not a model of the
+    surface.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):

@@ -99,10 +99,10 @@ class Renderer:
         rng: np.random.Generator | None = None,
         effects: Effects = Effects(),
     ) -> Image:
-        """The image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) of either
-        sign, in S.
+        """Render the image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3), in S.
 
-        `time` s is passed on. Noise comes from `rng`, or from the renderer's own generator.
+        The normals may have either sign. `time` s is passed on. Noise comes from `rng`, or from the
+        renderer's own generator.
         """
         return self.expose(
             self.irradiance_image(p_SM, n_S, effects=effects), time, rng=rng, effects=effects
@@ -197,18 +197,21 @@ def render_discs(
 ) -> None:
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
 
-    `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs
-    that are behind the camera, not wholly beyond the glass or not finite are left out.
+    Centers `p_CM` (N, 3) m and unit normals `n_C` (N, 3) of either sign are in C. `radius` m is one
+    value or (N,). Discs behind the camera, not wholly beyond the glass, or not finite are left out.
 
-    With the point spread function h(u) h(v), h = pixel * Gaussian, and H its integral, by Green's
-    theorem
+    The point spread function is h(u) h(v), h = pixel * Gaussian, and H is its integral. Green's
+    theorem gives
 
         coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = closed integral of
         h(u - x) H(v - y) dx.
 
-    The integrand is smooth, so that the trapezium rule converges exponentially. Each node adds h(u
-    - x) (H(v - y) - H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is the
-    coverage. The sign is the curve's orientation.
+    The integrand is smooth, so that the trapezium rule converges exponentially. Each node adds
+
+        h(u - x) (H(v - y) - H(v - 1 - y)) dx
+
+    to the few pixels around it. The sum of the rows above is the coverage. The sign is the curve's
+    orientation.
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
     per_px = 1 / (_STEP_PER_BLUR * max(blur_px, BLUR_MIN_PX))
@@ -252,9 +255,9 @@ def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: 
 def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     """Return the contribution of a node to the pixels around it, for `_BINS` subpixel positions.
 
-    The results are the number of bins, the number of pixels, h across (bins, pixels), and the
-    increase of H from row to row (bins, pixels + 1). The first pixel is pixels/2 - 1 before the
-    node's.
+    The results are the number of bins and the number of pixels. They are followed by h across
+    (bins, pixels). The last is the increase of H from row to row (bins, pixels + 1). The first
+    pixel is pixels/2 - 1 before the node's.
     """
     sd = max(blur_px, BLUR_MIN_PX)
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors

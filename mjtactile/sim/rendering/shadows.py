@@ -1,15 +1,19 @@
-"""Shadows: the LEDs light the deformed membrane, and obstacles block part of the light (Eq. L1-L4).
+"""Shadows: the LEDs light the deformed membrane, and obstacles block part of the light.
 
-The renderer receives the membrane only as marker positions. The membrane is the thin-plate spline
-that interpolates their displacements and is fixed to the frame; on the shipped layouts its
-resolution equals that of the simulation's own mesh. It gives a height field on a regular grid of
-the opening. On that grid each LED's irradiance with the slope's cosine is computed. The clearance
-of each LED's ray over the membrane and past the frame's inner wall is computed too. Camera rays are
-intersected with the deformed height field, so that light moves in the image with the surface.
+The equations are Eq. L1-L4. The renderer receives the membrane only as marker positions. The
+membrane is the thin-plate spline that interpolates their displacements. It is fixed to the frame.
+On the shipped layouts its resolution equals that of the simulation mesh.
 
-Left out: refraction of the LEDs' light in the glass (it seems to come from 0.7 mm nearer), light
-scattered within the rubber (it softens edges by about a thickness), and overhanging membranes,
-which a height field cannot represent.
+The spline gives a height field on a regular grid of the opening. Each LED's irradiance with the
+slope's cosine is computed on that grid. The clearance of each LED's ray is computed too, over the
+membrane and past the frame's inner wall. Camera rays are intersected with the deformed height
+field. Light therefore moves in the image with the surface.
+
+Left out:
+
+- refraction of the LEDs' light in the glass (it seems to come from 0.7 mm nearer);
+- light scattered within the rubber (it softens edges by about a thickness);
+- overhanging membranes, which a height field cannot represent.
 """
 
 from __future__ import annotations
@@ -47,8 +51,8 @@ _MAX_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
 class ShadowedLight(Light):
     """`Light` on the membrane through the markers, with local cosine and shadow of each LED.
 
-    If the design's vignetting is less than that of the LEDs alone, the difference is uniform light
-    (white walls), which throws no shadows.
+    The design's vignetting may be less than that of the LEDs alone. The difference is then uniform
+    light (white walls), which throws no shadows.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
@@ -67,8 +71,10 @@ class ShadowedLight(Light):
         self._wall = super().field(np.zeros((0, 3))) * (1 - self._opening)
 
     def field(self, p_SM: Array) -> Floats:
-        """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3), all of the design's
-        and in its order."""
+        """Return the relative light (H, W) on a membrane with markers at `p_SM` (N, 3).
+
+        All markers of the design are required, in its order.
+        """
         if self._even:
             return np.ones(self._size[::-1], np.float32)
         sheet = self._sheet
@@ -112,8 +118,8 @@ class ShadowedLight(Light):
     def _lines(self, block: int) -> tuple[Array, Array]:
         """Return ray slopes (nv, nu, 2) and apparent depth offsets (nv, nu) per block of pixels.
 
-        The slopes are those beyond the glass, in C. The glass shifts a ray and keeps its direction;
-        the offset is the depth in C from which the ray appears to come.
+        The slopes are those beyond the glass, in C. The glass shifts a ray and keeps its direction.
+        The offset is the depth in C from which the ray appears to come.
         """
         slopes = block_slopes(self._camera, block)
         return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
@@ -142,8 +148,10 @@ class ShadowedLight(Light):
 
 
 class SmoothMembrane:
-    """The smooth sheet through the markers, fixed to the frame; `xy` (ny, nx, 2) m are its nodes, a
-    regular grid of S."""
+    """Smooth membrane through the markers, fixed to the frame.
+
+    Its nodes `xy` (ny, nx, 2) m are a regular grid of S.
+    """
 
     def __init__(self, design: SensorDesign):
         self.frame = frame = design.frame
@@ -207,11 +215,10 @@ def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
 
 
 def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> bool:
-    """Return True if the membrane can shade itself: its steepest slope against the lowest ray (Eq.
-    L2).
+    """Return True if the membrane can shade itself (Eq. L2).
 
-    By the mean value theorem, a chord of the membrane as steep as a ray requires a slope that
-    steep.
+    The test compares its steepest slope with the lowest ray. A chord as steep as a ray requires a
+    slope that steep, by the mean value theorem.
     """
     along_x, along_y = (
         np.abs(np.diff(z, axis=a)) / (xy[1, 1, 1 - a] - xy[0, 0, 1 - a]) for a in (1, 0)
@@ -237,15 +244,15 @@ def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> A
     steps = int(np.clip(np.ceil((end * across).max() / sample), 1, _MAX_STEPS))
     first = xy[0, 0]
     scale = 1 / (xy[1, 1] - xy[0, 0])
-    least = np.full(down.shape, np.inf)
+    minimum = np.full(down.shape, np.inf)
     for k in range(1, steps + 1):
         part = end * (k / steps)
         x = xy[..., 0] + part * to_x
         y = xy[..., 1] + part * to_y
         at = np.stack([(x - first[0]) * scale[0], (y - first[1]) * scale[1]], axis=-1)
-        np.minimum(least, (bilinear(z, at) - z) / part, out=least)
+        np.minimum(minimum, (bilinear(z, at) - z) / part, out=minimum)
     # a sheet right below an LED sees it
-    return (least + down) / down * np.maximum(across, 2 * radius) / radius
+    return (minimum + down) / down * np.maximum(across, 2 * radius) / radius
 
 
 def wall_clearance(

@@ -1,8 +1,9 @@
 """Marker ellipses with the errors of the image stages, simulated without rendering an image.
 
 The ellipse of a circle is that of its boundary, projected exactly through glass and lens. Its error
-is sampled from the Cramer-Rao bound of an edge of contrast C, blur s px (sd, the pixel's own
-included) and noise sigma. The edge's information on a shift along its normal is
+is sampled from the Cramer-Rao bound of an edge. The edge has contrast C, blur s px and noise sigma.
+The blur is a standard deviation and includes the pixel's own. The edge's information on a shift
+along its normal is
 
     dI/dl = C^2 / (2 sqrt(pi) s sigma^2)      per px of edge,
 
@@ -30,10 +31,13 @@ _ROUNDING = 1 / 12  # px^2 of a pixel's square, DN^2 of a rounded grey level
 
 LOSS = np.array([1.17, 1.17, 1.04, 1.0, 1.04])
 LOSS_BY_BLUR = np.array([0.0, 0.0, 6.2, 0.0, 6.2])
-"""Ratio of the standard deviations of (u, v, p, q, s), actual and reported by the image stages, to
-the bound, and its increase per square of blur over radius. The image stages also fit light and
-blur, which takes some of the information (`bench no-images`; 0.7 to 2 px of blur, flat to 39
-degrees steep)."""
+"""Ratio of the standard deviations of (u, v, p, q, s) to the bound.
+
+It holds for the actual deviations and for those reported by the image stages. `LOSS_BY_BLUR` is its
+increase per square of blur over radius. The image stages also fit light and blur, which takes some
+of the information. `bench no-images` measures it at 0.7 to 2 px of blur, flat to 39 degrees
+steep.
+"""
 
 
 class EllipseSampler:
@@ -100,9 +104,12 @@ class EllipseSampler:
         )
 
     def _true(self, p_SM: Array, n_S: Array) -> tuple[Array, Array]:
-        """Centres (N, 2) px and shapes (N, 3) of the ellipses with the projected circles' moments;
-        NaN where one is not to be seen. S^2 = 4 times the second moments of the area, which Green's
-        theorem takes from the boundary."""
+        """Return centres (N, 2) px and shapes (N, 3) of the marker ellipses.
+
+        The ellipses have the moments of the projected circles. Values are NaN for a missing marker.
+        S^2 = 4 times the second moments of the area. Green's theorem takes them from the
+        boundary.
+        """
         p = (p_SM - self._p_SC) @ self._R_SC
         n = n_S @ self._R_SC
         across = np.cross(n, np.where(np.abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
@@ -172,5 +179,7 @@ _DERIVATIVE = np.real(
         axis=0,
     )
 )
-"""Derivative matrix (K, K) with respect to the angle, for K samples around the circle; exact up to
-K/2 - 1 harmonics."""
+"""Derivative matrix (K, K) with respect to the angle, for K samples around the circle.
+
+It is exact up to K/2 - 1 harmonics.
+"""

@@ -1,9 +1,10 @@
-"""Position actuators of any model, described by their length: they drive jaws, lifts and arms of a
-simulated rig.
+"""Position actuators of any model, described by their length.
 
-A position actuator has the force g u + b0 + b1 l + b2 l' (MuJoCo's "fixed" gain and "affine" bias,
-b1 < 0), so that the control u sets a goal for its length l. The length is an angle or a distance of
-its joint or tendon, times the gear.
+They drive jaws, lifts and arms of a simulated rig.
+
+A position actuator has the force g u + b0 + b1 l + b2 l'. This is MuJoCo's "fixed" gain and
+"affine" bias, with b1 < 0. The control u therefore sets a goal for its length l. The length is an
+angle or a distance of its joint or tendon, times the gear.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ _ROTATION_MAX = math.radians(60)
 
 
 class DisturbanceSchedule:
-    """The disturbances of one grasp.
+    """Disturbances of one grasp.
 
-    `step`, called after each batch of world steps, prepares the next batch, which ends when the
+    `step`, called after each batch of world steps, prepares the next batch. The batch ends when the
     schedule is `due` again. During a disturbance that is after each step.
     """
 
@@ -126,7 +126,7 @@ class DisturbanceSchedule:
         """Return the pulling force (3,), N.
 
         Once the gripper releases the object, the puller has taken it. From then on the object is
-        held in place, whatever the gripper touches: the pull ends, and the object is not moved
+        held in place, independent of gripper contact. The pull ends, and the object is not moved
         against a finger.
         """
         data = self._world.data

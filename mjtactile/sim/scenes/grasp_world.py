@@ -48,10 +48,10 @@ class GraspWorld(GripperWorld):
     ):
         """Create the scene.
 
-        `timestep` s and `mesh` trade accuracy for speed. `object_pose` is x, y (m) and yaw (rad) of
-        the object's file on the table, relative to the gripper. `opening` m is the initial jaw
-        opening (default: the rig file's), `effects` are those of `Effect`. `specimens` are the
-        as-built sensors of the fingers, if they differ from `sensor`.
+        `timestep` s and `mesh` trade accuracy for speed. `object_pose` is x, y (m) and yaw (rad),
+        relative to the gripper. It is that of the object's file on the table. `opening` m is the
+        initial jaw opening (default: the rig file's). `effects` are those of `Effect`. `specimens`
+        are the as-built sensors of the fingers, if they differ from `sensor`.
         """
         self.design = load_sensor(sensor)
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)

@@ -27,10 +27,10 @@ DEFAULT_TIMESTEP = 4e-3
 
 
 class GripperWorld(World):
-    """A gripper with a sensor on each finger, in the order of the rig file, and its lift.
+    """Gripper with a sensor on each finger, in the order of the rig file, and its lift.
 
-    The jaws are current-limited. They move towards their target opening at most at the rig's speed,
-    and their force is at most the force limit. `rig` is the rig file, `start` the initial state.
+    The jaws are current-limited. They move towards their target opening at most at the rig's speed.
+    Their force is at most the force limit. `rig` is the rig file, `start` the initial state.
     """
 
     def __init__(
@@ -101,10 +101,10 @@ class GripperWorld(World):
     # -- commands of a real gripper
 
     def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
-        """Set the goal for the gap between the sensors' frames, m, and the most that each finger
-        may push, N (None: as before).
+        """Set the target gap between the sensors' frames, m, and the force limit per finger, N.
 
-        Raises InputError for a value that is not finite or negative.
+        None leaves the force limit unchanged. Raises InputError for a value that is negative or not
+        finite.
         """
         if not np.isfinite(opening) or opening < 0:
             raise InputError(
@@ -121,8 +121,10 @@ class GripperWorld(World):
             self._jaws.limit_force(force_limit)
 
     def set_lift_target(self, height: float, speed: float | None = None) -> None:
-        """Set the goal of the lift, m above where the hand started, and the speed to it, m/s (None:
-        the rig's). Raises InputError when it is out of reach."""
+        """Set the target height of the lift, m above the gripper's start, and its speed, m/s.
+
+        None selects the rig's speed. Raises InputError when the target is out of reach.
+        """
         if not np.isfinite(height) or not 0 <= height <= self.rig.lift.travel:
             raise InputError(
                 f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m",
@@ -215,7 +217,7 @@ class GripperWorld(World):
     def _handover(self, ahead: QuasistaticStepper) -> None:
         jaw_step = self.rig.gripper.speed * self.timestep
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
-        ahead.most[:] = jaw_step, reach, self._lift_speed * self.timestep
+        ahead.maximum[:] = jaw_step, reach, self._lift_speed * self.timestep
         ahead.goals[:] = (
             self._opening_goal,
             self._opening_target,
@@ -248,8 +250,10 @@ class GripperWorld(World):
         data.mocap_pos[:] = self.start.mocap_pos
 
     def _hold_still(self) -> None:
-        """Set every control so that nothing moves at first: jaws and lift at their goals, other
-        servos where they are."""
+        """Set every control so that nothing moves initially.
+
+        Jaws and lift are at their goals, other servos at their present lengths.
+        """
         for number in range(self.model.nu):
             try:
                 actuator = PositionActuator(
@@ -264,9 +268,9 @@ class GripperWorld(World):
             self.data.act[self.model.actuator_actadr[number]] = self.data.ctrl[number]
 
 
-def _nearer(start: float, goal: float, most: float) -> float:
+def _nearer(start: float, goal: float, maximum: float) -> float:
     """Return `goal`, limited to a distance of `most` from `start`."""
-    return start + min(max(goal - start, -most), most)
+    return start + min(max(goal - start, -maximum), maximum)
 
 
 def _dofs_without(model: mujoco.MjModel, prefixes: Sequence[str]) -> Array:

@@ -1,5 +1,7 @@
-"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it, as in the
-paper's experiment."""
+"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it.
+
+The setup is that of the paper's experiment.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +43,12 @@ class Indentations(Protocol):
 
 @dataclass(frozen=True)
 class Indenter:
-    """A rigid shape.
+    """Rigid indenter shape.
 
-    `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face
-    down), edge of a "box" (face down). `path` of a "mesh" in STL or OBJ, in mm, or of a "model" in
-    MJCF. All geoms of a model act as one rigid indenter.
+    `size` m is the radius of a "sphere" or "cylinder", or the edge of a "box". The cylinder is 30
+    mm long, axis along z, end face down. The box has a face down. `path` is the file of a "mesh" or
+    "model". A mesh is in STL or OBJ, in mm, a model in MJCF. All geoms of a model act as one rigid
+    indenter.
     """
 
     kind: str
@@ -108,13 +111,13 @@ class Indenter:
 
 
 class PressWorld(World):
-    """Indentation test: the sensor faces up (S is the world frame), and the indenter moves down
-    along -z.
+    """Indentation test: the sensor faces up, and the indenter moves down along -z.
 
-    The indenter can also be dragged along x. `at` (x, y) m in S, `tilt` rad about y. Depths are
-    relative to the first touch of the membrane in its shape at that time. Sensor and drive stand on
-    a carrier that is rotated by `mount` (rotation vector, rad) and shaken along its x with `shake`
-    (amplitude m, frequency Hz).
+    S is the world frame. The indenter can also be dragged along x. `at` is (x, y) m in S, `tilt`
+    rad about y. Depths are relative to the first touch of the membrane in its shape at that time.
+
+    Sensor and drive stand on a carrier. It is rotated by `mount` (rotation vector, rad). It is
+    shaken along its x with `shake` (amplitude m, frequency Hz).
     """
 
     def __init__(
@@ -175,11 +178,10 @@ class PressWorld(World):
         return settled
 
     def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
-        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle;
-        True when it did.
+        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle.
 
-        It shears slowly: the sheet's damping would load the contact's edge and let it slip, and
-        friction remembers that.
+        Return True if it settled. Shear is slow. The membrane's damping would otherwise load the
+        contact's edge and let it slip, and friction remembers that.
         """
         moves = abs(shear - float(self.data.ctrl[self._x])) > 0
         self.drive(depth, shear, min(speed, _SHEAR_SPEED) if moves else speed)
@@ -241,12 +243,11 @@ class PressWorld(World):
         self._place(AWAY)
 
     def _find_touch(self) -> None:
-        """Lower the indenter by its distance from the smooth membrane until that is nothing, then
-        raise it by a clearance.
+        """Lower the indenter onto the smooth membrane, then raise it by a clearance.
 
-        The smooth membrane is the one that carries the markers: a mesh's vertices alone may leave
-        the indenter 0.1 mm lower. Raises InputError when the indenter would slip between vertices
-        that alone can touch.
+        Each pass lowers it by the remaining distance until that is zero. The smooth membrane is the
+        one that carries the markers. A mesh's vertices alone may leave the indenter 0.1 mm lower.
+        Raises InputError when only vertices can touch and the indenter would slip between them.
         """
         sensor = self.sensors[0]
         if sensor.contact == "vertices" and np.isfinite(sensor.missed[0]):

@@ -12,8 +12,10 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
-    """Prefix of the sensor, name of the other's body ("" for a flex) and of its geom, of whatever
-    touches a sensor now."""
+    """Return the MuJoCo bodies and geoms that touch a sensor now.
+
+    Each entry is the sensor's prefix, the other's body name ("" for a flex) and its geom name.
+    """
     found = set()
     for contact in world.data.contact:
         if contact.exclude:  # near, but not touching

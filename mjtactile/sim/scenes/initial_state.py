@@ -215,8 +215,10 @@ def _centre_at(
 def place_jaws(
     model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, opening: float
 ) -> list[Condition]:
-    """Put the jaws' joints where the laws want them; the conditions that the rest of the mechanism
-    must then meet."""
+    """Put the jaws' joints at the positions that their laws require.
+
+    Return the conditions that the remaining mechanism must then satisfy.
+    """
     conditions = []
     for jaw in rig.gripper.actuators:
         actuator = PositionActuator(model, data, jaw.name, str(rig.path))
@@ -268,8 +270,10 @@ def _plan_path(
     raised: float,
     jaws: Sequence[Condition],
 ) -> ArmPath:
-    """Move the arm to the start (in `data`), and find its postures over the whole travel; the hand
-    keeps its rotation."""
+    """Move the arm to the start (in `data`), and find its postures over the whole travel.
+
+    The gripper keeps its rotation.
+    """
     actuators = [
         PositionActuator(model, data, name, str(rig.path))
         for name in arm_actuators(model, hand, rig)
@@ -308,8 +312,10 @@ def _plan_path(
 
 
 def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[str, ...]:
-    """The position actuators that move the hand: those of the rig file, or all on the joints
-    between the world and it."""
+    """Return the position actuators that move the gripper.
+
+    They are those of the rig file, or else all on the joints between world and gripper.
+    """
     if rig.lift.actuators:
         return rig.lift.actuators
     chain = arm_joints(model, hand)

@@ -1,7 +1,8 @@
-"""Inverse kinematics of a robot: joint positions that satisfy jaws, gears, welds and gripper pose.
+"""Inverse kinematics of a robot.
 
-Damped least squares on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986): equality
-constraints of the model, lengths of actuators, and the pose of the gripper.
+The joint positions satisfy jaws, gears, welds and gripper pose. The method is damped least squares
+on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986). Conditions are the model's
+equality constraints, lengths of actuators, and the gripper pose.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.actuators import SCALAR_JOINTS, PositionActuator
 
 Condition = Callable[[mujoco.MjData], tuple[Array, Array]]
-"""Function of a state after `mj_fwdPosition`: returns the residual (m,), in m and rad, and its
-Jacobian (m, nv)."""
+"""Function of a state after `mj_fwdPosition`.
+
+It returns the residual (m,), in m and rad, and its Jacobian (m, nv).
+"""
 
 CLOSE = 1e-7  # convergence tolerance, m and rad
 _ITERATIONS = 100
@@ -57,8 +60,10 @@ def actuator_at(actuator: PositionActuator, length: float) -> Condition:
 def gripper_pose_at(
     model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: Array, dofs: Array
 ) -> Condition:
-    """The point `point_H` (3,) m of `body` is at `p_W` (3,) m and the body is turned as `R_WH` (3,
-    3), by `dofs` alone."""
+    """Return the condition that MuJoCo body `body` has a given pose, by `dofs` alone.
+
+    Its point `point_H` (3,) m is at `p_W` (3,) m. Its rotation is `R_WH` (3, 3).
+    """
     jacobian = np.zeros((6, model.nv))
     others = np.setdiff1d(np.arange(model.nv), dofs)
 

@@ -18,8 +18,9 @@ class Jaws:
     """All actuators that open and close; the opening is the sum of their parts.
 
     The opening is the distance of opposing fingertips. For two fingers it is the gap between their
-    sensors' frames, for more fingers twice the mean distance of the fingertips from the center. By
-    virtual work each of n fingers then closes with 2/n of the mean of the actuators' forces.
+    sensors' frames. For more fingers it is twice the mean distance of the fingertips from the
+    center. Each of n fingers then closes with 2/n of the mean of the actuators' forces, by virtual
+    work.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
@@ -62,8 +63,10 @@ class Jaws:
         return self._share * sum(forces) / len(forces)
 
     def reach(self, speed: float) -> float:
-        """Return the lead of a goal over the opening for the full force, m, at an opening speed,
-        m/s."""
+        """Return the lead of a goal over the opening for the full force, m.
+
+        `speed` is the opening speed, m/s.
+        """
         count = len(self._jaws)
         reaches = []
         for actuator, law in self._jaws:

@@ -1,11 +1,12 @@
-"""Test objects with a known material: a writer of MJCF files in the format of
-docs/reference/object_files.md.
+"""Test objects with a known material, written as MJCF files.
 
-A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x. The elements of a
-rheological model connect each plate to the center. A block of modulus E squeezed between two flat
-faces of area A acts as the spring K = E A / L. Here the spring is specified directly, so that the
-ground truth is exact. Left out: lateral bulging, stress variation over the face, waves. The force
-between the faces and the response of their distance are those of the model.
+The format is that of docs/reference/object_files.md. A soft `Specimen` is lumped: two rigid plates
+(its faces) on slides along x. The elements of a rheological model connect each plate to the center.
+
+A block of modulus E squeezed between two flat faces acts as a spring. With the area A of a face, K
+= E A / L. Here the spring is specified directly, so that the ground truth is exact. Left out:
+lateral bulging, stress variation over the face, waves. The force between the faces and the response
+of their distance are those of the model.
 
     elastic        plate --[k, stiffening]-- middle
                    sponge, rubber
@@ -36,12 +37,12 @@ CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic
 
 @dataclass(frozen=True)
 class Specimen:
-    """A block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
+    """Block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
 
-    Values refer to the whole block, face to face: relaxed `stiffness` N/m and `stiffening` N/m^2 (F
-    = K d + B d^2); `arm_stiffness` N/m and `relaxation_time` s of the Maxwell arm (viscoelastic);
-    `yield_force` N and `viscosity` N s/m of the flow (plastic). `shape` of the faces: "box", or
-    "cylinder" and "sphere" of a rigid one.
+    Values refer to the whole block, face to face. The relaxed `stiffness` N/m and `stiffening`
+    N/m^2 give F = K d + B d^2. A viscoelastic block has a Maxwell arm of `arm_stiffness` N/m and
+    `relaxation_time` s. Plastic flow has `yield_force` N and `viscosity` N s/m. `shape` of the
+    faces is "box", or "cylinder" and "sphere" for a rigid block.
     """
 
     kind: Kind
@@ -68,8 +69,10 @@ class Specimen:
         return self.width * self.height
 
     def secant_stiffness(self, force: float) -> float:
-        """F / d of the whole block at rest under `force` N, N/m; a Maxwell arm has relaxed by
-        then."""
+        """Return F / d of the whole block at rest under `force` N, N/m.
+
+        A Maxwell arm has relaxed by then.
+        """
         if self.stiffening <= 0:
             return self.stiffness
         root = (self.stiffness**2 + 4 * self.stiffening * force) ** 0.5

@@ -67,10 +67,11 @@ def load_solid(path: Path) -> Solid:
 
 
 def convex_parts(solid: Solid) -> list[Solid]:
-    """`solid` itself where it is convex, its parts where CoACD is installed; else itself, to be
-    pressed as its hull.
+    """Return the convex parts of `solid`, or `solid` itself.
 
-    Parts are kept in the user's cache: cutting takes seconds.
+    A convex solid is returned as it is. Others are cut if CoACD is installed. Without CoACD,
+    contact uses the hull of `solid`. Parts are kept in the user's cache, because cutting takes
+    seconds.
     """
     if filled_fraction(*solid) >= CONVEX:
         return [solid]

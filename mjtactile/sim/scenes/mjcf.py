@@ -13,8 +13,10 @@ from mjtactile.core.errors import InputError
 
 LARGEST = 32 << 20  # bytes
 MOST = 20_000
-"""Maximum number of copies of elements in a file: MuJoCo would process 10^7 of them for a minute
-before it reports an error."""
+"""Maximum number of copies of elements in a file.
+
+MuJoCo would process 10^7 of them for a minute before it reports an error.
+"""
 _COPIES = ("replicate", "composite", "flexcomp")
 
 

@@ -1,5 +1,7 @@
-"""`ObjectOnStageWorld`: a sensor that looks up, and an object in a holder that a stage turns,
-shifts and lowers onto it, again and again."""
+"""`ObjectOnStageWorld`: a sensor that looks up, and an object in a holder on a stage.
+
+The stage rotates, shifts and lowers the object onto the sensor repeatedly.
+"""
 
 from __future__ import annotations
 

@@ -1,12 +1,15 @@
 """Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
 
-Format (docs: "Your own object"): one top-level body named `object` with a free joint, or a
-volumetric flex in place of the joint. A `<custom>` numeric `break_force_N` is the normal force per
-finger above which the object counts as crushed (of a flex also `break_stress_kPa` or
-`break_energy_kJ_m3`). A text `material` is also required. The table's top is z = 0, and the fingers
-close along x. They grasp at the height of the body's origin, unless a numeric `grasp_height_m`
-specifies another height. A numeric `rotation_deg` limits the random rotation about z (a block
-between flat fingers). All other bodies of the file (a cup, a stand) are added too.
+The format is in docs, "Your own object". It has one top-level MuJoCo body named `object` with a
+free joint. A volumetric flex may take the place of the joint. A text `material` is required.
+
+The object counts as crushed above a normal force per finger. This force is the `<custom>` numeric
+`break_force_N`. A flex may also have `break_stress_kPa` or `break_energy_kJ_m3`.
+
+The table's top is z = 0, and the fingers close along x. They grasp at the height of the body's
+origin. A numeric `grasp_height_m` specifies another height. A numeric `rotation_deg` limits the
+random rotation about z (a block between flat fingers). All other MuJoCo bodies of the file (a cup,
+a stand) are added too.
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ is usual."""
 class Flesh:
     """Material of a volumetric flex, `young` Pa and `poisson`, and its strength.
 
-    The limits apply to the twentieth of the volume under the highest load: `break_stress` Pa (von
-    Mises), `break_energy` J/m^3 of strain.
+    The limits apply to the twentieth of the volume under the highest load. They are `break_stress`
+    Pa (von Mises) and `break_energy` J/m^3 of strain.
     """
 
     young: float
@@ -50,12 +53,12 @@ class Flesh:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """A checked object.
+    """Checked object.
 
-    `break_force` N per finger; `grasp_height` m above the table; `path` of its MJCF file; `turn`
-    rad, the maximum random rotation about z; `flesh` of a soft object. `changes` are those of the
-    simulated object relative to its file (`changed`); the grasp height is the file's. `text` is the
-    MJCF of an object without a file.
+    `break_force` is N per finger, `grasp_height` m above the table. `path` is its MJCF file. `turn`
+    rad is the maximum random rotation about z. `flesh` is that of a soft object. `changes` are
+    those of the simulated object relative to its file (`changed`). The grasp height is the file's.
+    `text` is the MJCF of an object without a file.
     """
 
     name: str
@@ -93,12 +96,16 @@ class ObjectModel:
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
-    """Read and check an object by shipped name or from an MJCF file; "random:7" is the random one
-    of seed 7.
+    """Read and check an object by shipped name or from an MJCF file.
 
-    Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free
-    joint, a missing, non-finite or negative numeric, an unknown material, or an object without
-    contact geometry.
+    "random:7" is the random object of seed 7.
+
+    Raises InputError naming file, field and valid choices. Causes are:
+
+    - broken MJCF, or a missing MuJoCo body or free joint;
+    - a missing, non-finite or negative numeric;
+    - an unknown material;
+    - an object without contact geometry.
     """
     text = object_text(str(name_or_path)) or ""
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
@@ -131,11 +138,11 @@ def add_object(
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     height: float = 0.0,
 ) -> None:
-    """Merge the object, and the other bodies of its file, into `scene` under the name prefix
-    "object/".
+    """Merge the object into `scene` under the name prefix "object/".
 
-    `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m.
-    Raises InputError when it is not finite.
+    The other MuJoCo bodies of its file are merged too. `pose` is x, y in m and yaw in rad of the
+    file's world on the table. The table's top is at `height` m. Raises InputError when the pose is
+    not finite.
     """
     x, y, yaw = pose
     if not all(math.isfinite(value) for value in pose):
@@ -229,8 +236,10 @@ def _material(spec: mujoco.MjSpec, path: Path) -> str:
 
 
 def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
-    """Compile the object alone, as the scene will run it; return its mass in kg and its width along
-    x in m."""
+    """Compile the object alone, with the options of the scene.
+
+    Return its mass in kg and its width along x in m.
+    """
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.solver = mujoco.mjtSolver.mjSOL_CG
     try:
@@ -259,8 +268,10 @@ def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]
 
 
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
-    """Ids of the bodies that make up the object in `model`: all of its file's bodies (by `prefix`)
-    that can move."""
+    """Return the ids of the MuJoCo bodies that make up the object in `model`.
+
+    They are all bodies of its file (by `prefix`) that can move.
+    """
     return np.array(
         [
             i

@@ -1,9 +1,11 @@
 """Random graspable objects: `random:SEED` in place of an object's name, or file.
 
-Eggs, rounded boxes, cylinders, cones, bottles, soft fruit: 16 to 60 mm between the fingers, 15 to
-70 mm high, 5 to 200 g. Each stands upright, on a stand where it is too low for the sensors' frames.
-Each withstands at least three times the force that carries it at a friction of 0.9, so that every
-object can be held. One seed gives one object, independent of all other random samples.
+Shapes are eggs, rounded boxes, cylinders, cones, bottles and soft fruit. They are 16 to 60 mm wide
+between the fingers, 15 to 70 mm high, 5 to 200 g. Each stands upright. A stand raises an object
+that is too low for the sensors' frames.
+
+Each withstands at least three times the force that carries it at a friction of 0.9. Every object
+can therefore be held. One seed gives one object, independent of all other random samples.
 """
 
 from __future__ import annotations
@@ -39,9 +41,13 @@ _FRICTION = 'friction="0.3 0.005 0.0001"'
 class RandomObject:
     """Parameters of a random object.
 
-    Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on each
-    finger. `detail` depends on the shape: a box's edge radius m, a cone's slope (radius lost per
-    height), a bottle's neck (radius, height) m, a fruit's stiffness N/m.
+    Half sizes are `a` (x, between the fingers), `b` (y), `c` (z) m. `mass` is kg, `break_force` N
+    on each finger. `detail` depends on the shape:
+
+    - box: edge radius m;
+    - cone: slope (radius lost per height);
+    - bottle: neck (radius, height) m;
+    - fruit: stiffness N/m.
     """
 
     shape: str
@@ -87,8 +93,8 @@ def random_object(seed: int) -> RandomObject:
     shape = str(rng.choice(list(_SHAPES)))
     (a, b, c), detail, volume, density = _SHAPES[shape](rng)
     mass = float(np.clip(volume * density, *_MASS))
-    least = max(_FRAGILE, _CARRIES * mass)
-    return RandomObject(shape, a, b, c, mass, _log(rng, least, _STURDY), detail)
+    minimum = max(_FRAGILE, _CARRIES * mass)
+    return RandomObject(shape, a, b, c, mass, _log(rng, minimum, _STURDY), detail)
 
 
 Drawn = tuple[tuple[float, float, float], tuple[float, ...], float, float]
@@ -243,8 +249,10 @@ def _build_egg(t: RandomObject) -> Built:
 
 
 def _build_box(t: RandomObject) -> Built:
-    """The convex hull of a ball in each corner: one geom, since a membrane that meets several in
-    one place is pushed twice."""
+    """Build the convex hull of a ball in each corner as one geom.
+
+    Several geoms at one location would push the membrane twice.
+    """
     r = t.detail[0]
     lift, turn = np.meshgrid(
         np.linspace(0, np.pi / 2, _ARC), np.linspace(0, np.pi / 2, _ARC), indexing="ij"

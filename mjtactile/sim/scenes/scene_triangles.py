@@ -1,5 +1,7 @@
-"""A scene as coloured triangles, for a picture of it where no OpenGL is:
-`mjtactile.report.software_renderer` projects and shades them."""
+"""Scene as coloured triangles, for an image of it without OpenGL.
+
+`mjtactile.report.software_renderer` projects and shades them.
+"""
 
 from __future__ import annotations
 
@@ -46,10 +48,10 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Poses of all scene elements at one time; cheap to create, with triangles computed on demand.
+    """Poses of all scene elements at one time, cheap to create.
 
-    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames, `state`
-    (mjSTATE_INTEGRATION) is MuJoCo's own.
+    Triangles are computed on demand. `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the
+    sensors' frames. `state` (mjSTATE_INTEGRATION) is MuJoCo's own.
     """
 
     model: mujoco.MjModel
@@ -61,8 +63,11 @@ class SceneView:
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
     films: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
-    """Membranes outside the model: a function for their points (n, 3) m in S, the pose R_WS (3, 3)
-    and p_WS (3,) m, triangles."""
+    """Membranes outside the model.
+
+    Each has a function for its points (n, 3) m in S and its triangles. Its pose is R_WS (3, 3) and
+    p_WS (3,) m.
+    """
 
     @classmethod
     def of(cls, world: World) -> SceneView:
@@ -194,8 +199,10 @@ def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 
 
 def _arc() -> Array:
-    """Heights and radii from the lower to the upper pole of a unit sphere, the equator twice (a
-    capsule is cut there)."""
+    """Return heights and radii from the lower to the upper pole of a unit sphere.
+
+    The equator is included twice (a capsule is cut there).
+    """
     half = np.linspace(-np.pi / 2, 0, _HIGH // 2 + 1)
     angle = np.concatenate([half, -half[::-1]])
     return np.column_stack([np.sin(angle), np.cos(angle)])

@@ -1,10 +1,11 @@
-"""Objects that deform by finite elements: a writer of MJCF files with a volumetric flex, in the
-format of docs/reference/object_files.md.
+"""Objects that deform by finite elements, written as MJCF files with a volumetric flex.
 
-The elements are MuJoCo's interpolated ones (decision 12): a lattice of `cells` trilinear cells over
-the bounding box, cut to the object's volume. Each cell is linear-elastic in a frame that rotates
-with it. The finer mesh of tetrahedra is used for contact and for display, and moves with the
-lattice. It lies under a skin: contact occurs `skin` m above it.
+The format is that of docs/reference/object_files.md. The elements are MuJoCo's interpolated ones
+(decision 12). They form a lattice of `cells` trilinear cells over the bounding box, cut to the
+object's volume. Each cell is linear-elastic in a frame that rotates with it.
+
+The finer mesh of tetrahedra is used for contact and for display. It moves with the lattice. It lies
+under a skin: contact occurs `skin` m above it.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ Shape = Literal["block", "ball", "thimble"]
 
 @dataclass(frozen=True)
 class SoftBody:
-    """A soft object with a `shape` of half sizes `half` (x, y, z) m, including its skin.
+    """Soft object with a `shape` of half sizes `half` (x, y, z) m, including its skin.
 
-    Shapes: "block", "ball" (an ellipsoid), or "thimble", a hollow one with walls of `wall` m, open
-    below. `young` Pa and `poisson` of the material, `density` kg/m^3, `damping` s (ratio of damping
-    to stiffness). The strength applies to the twentieth of the volume under the highest load: a von
-    Mises stress of `break_stress` Pa, or a strain energy of `break_energy` J/m^3. `lattice` (3,)
-    are the deforming cells, `mesh` the tetrahedral cells along an edge (even).
+    Shapes are "block", "ball" (an ellipsoid) and "thimble". A thimble is hollow and open below,
+    with walls of `wall` m. The material has `young` Pa, `poisson`, `density` kg/m^3 and `damping` s
+    (ratio of damping to stiffness).
+
+    The strength applies to the twentieth of the volume under the highest load. It is `break_stress`
+    Pa (von Mises) or the strain energy `break_energy` J/m^3. `lattice` (3,) are the deforming
+    cells. `mesh` is the number of tetrahedral cells along an edge (even).
     """
 
     shape: Shape
@@ -121,8 +124,10 @@ def _thimble(grid: Array, body: SoftBody) -> Array:
 
 
 def _directions(grid: Array) -> tuple[Array, Array]:
-    """Unit vectors (n, 3) to the points of a cube, spread evenly over a sphere, and the shells (n,)
-    that they are in."""
+    """Return unit vectors (n, 3) to the points of a cube, and the shells (n,) of the points.
+
+    The vectors are spread evenly over a sphere.
+    """
     level = np.abs(grid).max(axis=1)
     direction = np.tan(np.pi / 4 * grid / np.where(level > 0, level, 1.0)[:, None])
     length = np.linalg.norm(direction, axis=1, keepdims=True)
@@ -130,8 +135,10 @@ def _directions(grid: Array) -> tuple[Array, Array]:
 
 
 def _in_wall(cell: NDArray[np.int64], n: int) -> bool:
-    """Return True if a cell of the cube is in a thimble's wall: neither in the hollow nor in the
-    hole below."""
+    """Return True if a cell of the cube is in a thimble's wall.
+
+    Such a cell is neither in the hollow nor in the hole below.
+    """
     x, y, z = np.abs(2 * cell + 1 - n)  # 1, 3, ... n - 1
     hole = cell[2] < n / 2 and z > max(x, y) and max(x, y) < 2 * n / 3
     return bool(max(x, y, z) > n / 3) and not hole

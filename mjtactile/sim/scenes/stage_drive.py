@@ -42,8 +42,10 @@ class StageDrive:
         self._now = 0.0
 
     def advance_to(self, time: float) -> None:
-        """Step the world to `time` s after the beginning, the stage on its way to where the newest
-        move sent it."""
+        """Step the world to `time` s after the start.
+
+        Meanwhile the stage travels to the target of the newest move.
+        """
         end = self._first + round(time / self._world.timestep)
         number = current(self._moves, self._now)
         if number is not None:

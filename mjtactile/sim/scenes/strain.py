@@ -28,9 +28,9 @@ _SAFE = 1e-3  # singular values of an element that is turned inside out
 class Strain:
     """Strain state of a soft object.
 
-    `stress` Pa (von Mises, of Cauchy's stress), `energy_density` J/m^3 and `compression` (1 less
-    the smallest stretch) are values exceeded in the worst twentieth of the volume. `energy` J is
-    the total strain energy.
+    `stress` Pa is von Mises, of Cauchy's stress. `energy_density` is J/m^3. `compression` is 1 less
+    the smallest stretch. These three are values exceeded in the worst twentieth of the volume.
+    `energy` J is the total strain energy.
     """
 
     stress: float

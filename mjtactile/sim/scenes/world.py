@@ -19,10 +19,10 @@ from mjtactile.sim.sensor.validity_checks import Flags
 
 
 class World:
-    """Owns model and data of a scene with attached sensors.
+    """Model and data of a scene with attached sensors.
 
-    MuJoCo's way with divergence, to reset the state and rewind time, is off: `step` raises
-    SimulationError, never returns a wrong number.
+    On divergence, MuJoCo resets the state and rewinds time. This is off here. `step` raises
+    SimulationError and never returns a wrong number.
     """
 
     def __init__(
@@ -52,8 +52,10 @@ class World:
         self._dues: list[Callable[[], float]] = []
         self._ahead: QuasistaticStepper | None = None
         self.stretch: Array | None = None
-        """(n, sensors, 6) wrench on each sensor in each of the last n steps, where they were done
-        in one go."""
+        """Wrench (n, sensors, 6) on each sensor in each of the last n steps.
+
+        Set only where the steps ran in one call.
+        """
         self._moves = type(self)._before_step is not World._before_step
 
     @property
@@ -67,8 +69,10 @@ class World:
 
     @property
     def kinetic_energy(self) -> float:
-        """Kinetic energy with each joint's inertia at the model's reference pose, J; it must not
-        grow in a scene at rest."""
+        """Kinetic energy with each joint's inertia at the model's reference pose, J.
+
+        It must not grow in a scene at rest.
+        """
         return float(0.5 * np.asarray(self.model.dof_M0) @ np.square(self.data.qvel))
 
     def set_control(self, actuator: int, value: float) -> None:
@@ -111,9 +115,9 @@ class World:
             self._stepper.step()
             done = 1
         else:
-            most = min(count, MOST, self._stepper.until_check, self._until_due())
+            maximum = min(count, MOST, self._stepper.until_check, self._until_due())
             self._handover(ahead)
-            done, unsolved, self.stretch = ahead.run(most, "speed" not in self.flags)
+            done, unsolved, self.stretch = ahead.run(maximum, "speed" not in self.flags)
             self._take_back(ahead)
             self._stepper.after_step(done, unsolved)
         for call in (*self._after_step, *self._after_stretch):

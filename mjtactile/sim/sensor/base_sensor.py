@@ -72,8 +72,10 @@ class BaseSensor(ABC):
         """Bring sheet and gas up to the present state, awake, before the valve is moved."""
 
     def wake(self) -> None:  # noqa: B027 a film never sleeps
-        """Go on from where the sensor fell asleep; needed by hand only after a change of the
-        model's own numbers."""
+        """Resume from the state in which the sensor fell asleep.
+
+        A manual call is needed only after a change of the model's own numbers.
+        """
 
     def _gas_now(self) -> ChamberGas:
         """Return the gas at the membrane's present volume; read-only, without side effects on the
@@ -88,8 +90,10 @@ class BaseSensor(ABC):
     # -- the sheet
 
     def marker_poses(self) -> tuple[Array, Array]:
-        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the
-        design's layout."""
+        """Return marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3).
+
+        The order is that of the design's layout.
+        """
         return self._markers.marker_poses(self.p_SV)
 
     def height_at(self, x: float, y: float) -> float:

@@ -95,12 +95,13 @@ class GasTendon:
         )
 
     def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
-        """Apply the pressure, `gradient` (k, 3) = dV/dq, and its change in the step by the tendon's
-        spring.
+        """Apply the pressure and its change in the step.
 
-        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p
-        - k (V' - V). MuJoCo leaves out the stiffness of a spring whose length is exactly the rest
-        length, which rounding sometimes produces; the gas of that step is then explicit. Therefore
+        `gradient` (k, 3) is dV/dq. The tendon's spring supplies the change. The spring is relaxed
+        at the current state. It therefore holds the *implicit* part only: f = p - k (V' - V).
+
+        MuJoCo leaves out the stiffness of a spring whose length is exactly the rest length.
+        Rounding sometimes produces this length. The gas of that step is then explicit. Therefore
         the length is offset by far more than rounding, and the resulting force is compensated.
         """
         self._apply(gradient, gauge_pressure, stiffness)

@@ -21,8 +21,7 @@ from mjtactile.sim.sensor.subgrid_indentation import (
 )
 
 REACH = 0.6
-"""Half width of the cell in which a vertex looks for contact, in cells: a little more than a
-half."""
+"""Half width of a vertex's contact search cell, in cells: a little more than a half."""
 REACHED = 0.8
 """Cells from contact within which a vertex looks."""
 FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -50,8 +49,8 @@ _ANGLES = np.arange(8) * np.pi / 4
 class Cells(NamedTuple):
     """Vertices in the frame of a shape.
 
-    `places` (k, 3) m in its frame; `axes` (3, 3) of the membrane, the third its outward normal;
-    `sizes` (k,) m of the vertices' cells.
+    `places` (k, 3) m are in its frame. `axes` (3, 3) are those of the membrane, the third its
+    outward normal. `sizes` (k,) m are those of the vertices' cells.
     """
 
     places: Array
@@ -74,8 +73,11 @@ class Cells(NamedTuple):
 
 
 def axes_of(normal: Array) -> Array:
-    """Unit vectors, rows of (3, 3): two in the plane with this `normal` (3,), the first along x as
-    far as it goes; the normal."""
+    """Return unit vectors, rows of (3, 3), of a plane with this `normal` (3,).
+
+    The first two lie in the plane. The first is as close to x as possible. The third is the
+    normal.
+    """
     first = np.array([normal[2], 0.0, -normal[0]])
     first /= max(float(np.linalg.norm(first)), 1e-9)
     return np.stack([first, np.cross(normal, first), normal])
@@ -109,10 +111,10 @@ def deepest(
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return the rows of the cells into which a shape protrudes, the shifts and the gaps.
 
-    The shifts (k, 2), in cells, lead to the deepest point; the gaps (k,) are those there. If the
-    deepest point is at a cell's border, or beyond its `reach`, it also belongs to the next cell:
-    the vertex does not move along that axis. A sphere stands with all of its `foot` (f, 2), in
-    cells, on the shape. `hints` are shifts and gaps of a thin shape.
+    The shifts (k, 2), in cells, lead to the deepest point. The gaps (k,) are those there. A deepest
+    point at a cell's border, or beyond its `reach`, also belongs to the next cell. The vertex then
+    does not move along that axis. A sphere stands with all of its `foot` (f, 2), in cells, on the
+    shape. `hints` are shifts and gaps of a thin shape.
     """
     uneven = _uneven(
         cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape)))
@@ -128,13 +130,13 @@ def deepest(
         gaps = np.concatenate([gaps, hints[1][rows, None]], axis=1)
     near = gaps.min(axis=1) < _NEAR
     reach = reach[rows[near]]
-    shifts = _least(grid[near], gaps[near])
+    shifts = _minimum(grid[near], gaps[near])
     rows = rows[near]
     cells = cells.of(np.flatnonzero(near))
     for step in _ZOOMS:
         grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
         feet = (grid[:, :, None] + foot).reshape(len(grid), len(_AROUND) * len(foot), 2)
-        shifts = _least(
+        shifts = _minimum(
             grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(foot)).max(axis=2)
         )
     shifts = np.where(np.abs(shifts) > reach[:, None] - 1e-6, 0.0, shifts)
@@ -163,7 +165,7 @@ def standoff(
     """Return the stand-off (k,), in cells, of the spheres under `loads`.
 
     The spheres are at shifts `at` (k, 2) from the vertices `flat` (k, 2) m. For a thin shape,
-    `turns` (k,) are its angles in the membrane plane, and `width` is half the width of its contact
+    `turns` (k,) are its angles in the membrane plane. `width` is half the width of its contact
     face, in cells.
     """
     angles = _ANGLES + np.broadcast_to(turns, len(at))[:, None]
@@ -200,11 +202,11 @@ def lie(cells: Cells, core: Array, at: Array) -> Array:
 def _juts(
     cells: Cells, entry: ray_intersection.Entry, at: Array, wider: float
 ) -> NDArray[np.bool_]:
-    """Return True (k, 2) where the shape falls away on both sides of `at` (k, 2), along each of two
-    axes.
+    """Return True (k, 2) where the shape falls away on both sides of `at` (k, 2).
 
-    The test distance is `wider` times the usual one. The edge of a face does not count: on a
-    sliding object a sphere would alternate between both sides of the edge.
+    The two columns are the two axes. The test distance is `wider` times the usual one. The edge of
+    a face does not count. On a sliding object a sphere would alternate between both sides of the
+    edge.
     """
     gaps = np.minimum(cells.gaps(entry, at[:, None] + wider * _BESIDE), _MISSED)
     falls = gaps[:, 1:] - gaps[:, :1]
@@ -212,8 +214,10 @@ def _juts(
 
 
 def _uneven(gaps: Array) -> NDArray[np.int64]:
-    """Cells that something near bends in sharply, or does not fill, by the gaps (k, 9) at it and
-    its neighbours."""
+    """Return the cells that a near shape bends sharply or does not fill.
+
+    The test uses the gaps (k, 9) at each cell and its neighbours.
+    """
     square = np.minimum(gaps, _MISSED).reshape(-1, 3, 3)
     bends = np.stack(
         [
@@ -226,8 +230,10 @@ def _uneven(gaps: Array) -> NDArray[np.int64]:
     return np.flatnonzero(~smooth & (gaps.min(axis=1) < REACHED))
 
 
-def _least(grid: Array, gaps: Array) -> Array:
-    """Return the points (k, 2) of `grid` (k, s, 2) with the smallest gaps (k, s); near ties go to
-    the point nearest the cell's center."""
+def _minimum(grid: Array, gaps: Array) -> Array:
+    """Return the points (k, 2) of `grid` (k, s, 2) with the smallest gaps (k, s).
+
+    Near ties go to the point nearest the cell's center.
+    """
     chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
     return grid[np.arange(len(grid)), chosen]

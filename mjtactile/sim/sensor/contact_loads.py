@@ -1,5 +1,7 @@
-"""Loads of MuJoCo's contacts on a sensor's membrane and on its frame: `mj_contactForce` with
-elliptic cones, for all rows of the list together."""
+"""Loads of MuJoCo's contacts on a sensor's membrane and on its frame.
+
+This is `mj_contactForce` with elliptic cones, for all rows of the list together.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,10 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 def on_membrane(
     data: mujoco.MjData, sensor: AnySensor
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Rows (n,) of MuJoCo's contact list that are the membrane's, and which of the contacts' two
-    sides it is: (n, 2)."""
+    """Return the rows (n,) of MuJoCo's contact list that involve the membrane.
+
+    The flags (n, 2) are True for the membrane's side of each contact.
+    """
     geom = data.contact.geom
     first = int(sensor.vertex_geom_ids[0])
     last = int(sensor.vertex_geom_ids[-1])

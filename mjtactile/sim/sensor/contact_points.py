@@ -1,17 +1,17 @@
 """Contact points that follow the object's shape within the membrane cell of each vertex.
 
-Vertices are 2-3 mm apart. Edges, tips and small balls pass between them. Where a tip meets a
-vertex, the membrane's finest shape is a tent of that size: the force of a cone is 40 % too high.
-Near small or sharp shapes, therefore,
+Vertices are 2-3 mm apart. Edges, tips and small balls pass between them. At a vertex under a tip,
+the membrane's finest shape is a tent of that size. The force of a cone is then 40 % too high. Near
+small or sharp shapes the following corrections therefore apply.
 
-- a vertex's sphere is placed where the object protrudes farthest into the vertex's own cell (and a
-  little beyond, so that none falls between two cells), as if the tent's top were there; the force
-  acts on the vertex;
-- it stands back by the excess of a real membrane's indentation over that of the mesh's tent: a
-  force F on a disc of radius a under the tension T deepens a membrane by F/(2 pi T) (ln(1/a) +
-  1/2), the mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
+- A vertex's sphere is placed where the object protrudes farthest into the vertex's own cell. The
+  search extends a little beyond the cell, so that no point falls between two cells. The sphere acts
+  as the tent's top, and the force acts on the vertex.
+- The sphere stands back by the excess of a real membrane's indentation over that of the mesh's
+  tent. A force F on a disc of radius a deepens a membrane by F/(2 pi T) (ln(1/a) + 1/2). Here T is
+  the tension. The mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
 
-Round objects larger than the mesh are handled by `facets.StandOff`, faces by the vertices.
+`facets.StandOff` handles round objects larger than the mesh. The vertices handle faces.
 """
 
 from __future__ import annotations
@@ -44,8 +44,10 @@ EVERY = 0.01
 SETTLE = 0.02
 """Update period, and time constant of the stand-off, s."""
 _TAKES = 0.52
-"""Half width of a vertex's contact search cell, in cells, if its sphere is at home: with REACH, two
-vertices would hand a ball between them back and forth forever."""
+"""Half width of a vertex's contact search cell, in cells, if its sphere is at home.
+
+With REACH, two vertices would pass a ball back and forth forever.
+"""
 _SLACKEST = 0.01  # minimum strain for the tension
 _STILL = 1e-5  # distance below which a sphere is back at its vertex, m
 _PACE = 7.5e-3  # maximum speed of the stand-off from a thin shape, m/s: contact must not be lost
@@ -64,8 +66,8 @@ _HALF = 0.5  # fraction of a thin shape's half width that supports a sphere's fe
 class _Goals(NamedTuple):
     """Goals of the spheres.
 
-    Vectors `to` (k, 3) m in S from their vertices; stand-off vectors `back`; flags `blunt` (k,);
-    `gaps` (k,), in cells, to the object that each sphere will touch.
+    Vectors `to` (k, 3) m in S start at the vertices. `back` are stand-off vectors, `blunt` (k,)
+    flags. `gaps` (k,), in cells, are those to the object that each sphere will touch.
     """
 
     to: Array
@@ -170,8 +172,8 @@ class ContactPoints:
         self._reach = np.where(goal.any(axis=1), REACH, _TAKES)
         moves = min(abs(elapsed) / SETTLE, 1.0) * (goals.back - self._back)
         if self._cores:
-            most = _PACE * abs(elapsed)
-            moves = np.where(blunt[:, None], np.clip(moves, -most, most), moves)
+            maximum = _PACE * abs(elapsed)
+            moves = np.where(blunt[:, None], np.clip(moves, -maximum, maximum), moves)
         self._back += moves
         self._still = not near and np.abs(self._back).max() < _STILL
         if self._still:
@@ -181,15 +183,15 @@ class ContactPoints:
     def _rested(self, time: float) -> float:
         """Return the time during which no sharp object has moved relative to the sensor, s.
 
-        Without motion, the membrane sticks to an edge or a tip. If spheres were returned to it
-        every 10 ms, their vertices would oscillate forever, and the shear by half of the normal
+        Without motion, the membrane sticks to an edge or a tip. Suppose spheres were returned to it
+        every 10 ms. Their vertices would oscillate forever, and the shear by half of the normal
         force with them.
         """
-        least = _STAYS * float(self._sizes[0])
+        minimum = _STAYS * float(self._sizes[0])
         R_WS = self._data.xmat[self._body].reshape(3, 3)
         poses = {geom: self._pose(geom, R_WS) for geom in self._shapes}
         off = (np.abs(pose - self._poses.get(geom, np.inf)).max() for geom, pose in poses.items())
-        if max(off, default=0.0) < least:
+        if max(off, default=0.0) < minimum:
             return max(time - self._since, 0.0)
         self._poses = poses
         self._since = time
@@ -275,8 +277,10 @@ class ContactPoints:
         ]
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
-        """Numbers of those of the `vertices` (k, 3) m in S that a geom may be near; none where all
-        are two cells away from it."""
+        """Return the indices of the `vertices` (k, 3) m in S that a geom may be near.
+
+        The result is empty if all are two cells away from it.
+        """
         middle = self._in_sensor(self._data.geom_xpos[geom])
         distances = np.linalg.norm(vertices - middle, axis=1)
         close = np.flatnonzero(distances - self._model.geom_rbound[geom] < self._sizes)
@@ -290,8 +294,10 @@ class ContactPoints:
         return np.flatnonzero(reach > self._model.geom_size[geom, 1])
 
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
-        """Shifts and gaps to where a thin geom reaches farthest in; `update` looks at every step
-        before it is met."""
+        """Return shifts and gaps to the points where a thin geom reaches farthest in.
+
+        `update` checks at every step until the geom makes contact.
+        """
         hints = initial_offsets(cells, entry, self._cores[geom])
         if hints[1].min(initial=np.inf) < REACHED:
             # it is met from the first step
@@ -378,8 +384,10 @@ class ContactPoints:
         return (p_W - data.xpos[self._body]) @ data.xmat[self._body].reshape(3, 3)
 
     def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> Cells:
-        """Cells around `vertices` (k, 3) m in S, of `sizes` (k,) m, with `axes` (3, 3) in S, as the
-        geom sees them."""
+        """Return the cells around `vertices` (k, 3) m in S, in the frame of the geom.
+
+        `sizes` is (k,) m, `axes` (3, 3) in S.
+        """
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)
         R_WG = data.geom_xmat[geom].reshape(3, 3)

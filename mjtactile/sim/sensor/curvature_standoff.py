@@ -1,12 +1,13 @@
 """Stand-off of the vertices of a faceted mesh from a curved object.
 
-If the vertices lie on a convex object, the facets between them cut into it, and the membrane is
-indented too little: the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane
-whose facets touch the object on average stands off by their mean sagitta, (hx^2 + hy^2)/24 times
-the sum of the curvatures. A quarter of it, determined by measurement, gives the force of a fine
-mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that
-the limit of mesh convergence is unchanged. Flat faces get none (docs/theory/simulation_contact.md,
-C2).
+If the vertices lie on a convex object, the facets between them cut into it. The membrane is then
+indented too little. The force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices.
+
+A membrane whose facets touch the object on average stands off by their mean sagitta. This is (hx^2
++ hy^2)/24 times the sum of the curvatures. A quarter of it gives the force of a fine mesh. The
+quarter is determined by measurement (tests/physics/test_contact.py). The stand-off falls with the
+square of the spacing. The limit of mesh convergence is therefore unchanged. Flat faces get none
+(docs/theory/simulation_contact.md, C2).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class StandOff:
         # sagitta per curvature, m^2: hx^2 + hy^2 is about 2 hx hy
         self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12
         # maximum curvature, 1/m: a higher curvature is met by a vertex, not by facets
-        self._most = 2 / (RESOLVED * mesh.spacing)
+        self._maximum = 2 / (RESOLVED * mesh.spacing)
         self._time = float(data.time)
         self._kernel = bound(
             "touched_curvatures",
@@ -76,7 +77,7 @@ class StandOff:
             return
         self._time = time
         bends = self._curvatures()
-        goal = self._sagitta * np.where(bends < self._most, bends, 0.0)
+        goal = self._sagitta * np.where(bends < self._maximum, bends, 0.0)
         settle = _SETTLE if goal.any() else _RELEASE
         self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 
@@ -91,9 +92,12 @@ class StandOff:
 
 
 def curvatures(model: mujoco.MjModel, geoms: NDArray[np.int64], normals: Array) -> Array:
-    """Sums of the principal curvatures (n,) 1/m of `geoms` (n,) where their surfaces have the unit
-    `normals` (n, 3), each in its geom's frame. Zero for faces, and for meshes and height fields,
-    whose curvature is not known."""
+    """Return the sums of the principal curvatures (n,) 1/m of `geoms` (n,).
+
+    They apply where the surfaces have the unit `normals` (n, 3), each in its geom's frame. The sum
+    is zero for faces. It is also zero for meshes and height fields, whose curvature is not
+    known.
+    """
     found = np.empty(len(geoms))
     kernel("curvatures")(
         len(geoms), model.geom_type[geoms], model.geom_size[geoms], normals, END, found

@@ -1,10 +1,11 @@
-"""Feature size of geoms relative to a membrane's mesh: suitable contact model and expected
-accuracy.
+"""Feature size of geoms relative to a membrane's mesh.
+
+It determines the suitable contact model and the expected accuracy.
 
 Small contact spheres on the vertices suit geoms larger than the mesh spacing. Their force error is
 an eighth of that of triangles, which protrude beyond a round object. Spheres also settle on flat
-faces, and triangles do not. A pin, however, slips between spheres. Triangles detect every pin, but
-its force then depends on the mesh, because the membrane can bend only at the vertices.
+faces, and triangles do not. A pin, however, slips between spheres. Triangles detect every pin. Its
+force then depends on the mesh, because the membrane can bend only at the vertices.
 """
 
 from __future__ import annotations
@@ -57,8 +58,11 @@ def _weld(model: mujoco.MjModel, body: int) -> int:
 
 
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Smallest radius, m, with which a geom can press: of a sphere, rod or end face; half the
-    smallest side of a box or mesh. Edges are sharp, and are not counted."""
+    """Return the smallest contact radius of a geom, m.
+
+    It is the radius of a sphere, rod or end face. For a box or mesh it is half the smallest side.
+    Edges are sharp, and are not counted.
+    """
     size = model.geom_size[geom]
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
@@ -138,10 +142,9 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
 def resolution_flag(
     model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh, contact: str
 ) -> str | None:
-    """Return a flag if a geom of `feature_radius` m is too small for the mesh under the model
-    `contact`.
+    """Return a flag if a geom of `feature_radius` m is too small for the mesh.
 
-    The flag names a mesh that resolves the geom.
+    The test applies to the model `contact`. The flag names a mesh that resolves the geom.
     """
     if radius >= RESOLVED * mesh.spacing:
         return None
@@ -159,11 +162,10 @@ def resolution_flag(
 
 
 def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
-    """Half width, m, of the face with sharp edges that a geom presses with; infinite when it has
-    none.
+    """Return the half width, m, of a geom's contact face with sharp edges.
 
-    `axial` is how far the contact's normal is along the geom's z (cosine): only a cylinder's ends
-    have an edge.
+    It is infinite without such a face. `axial` is the cosine between the contact's normal and the
+    geom's z. Only the ends of a cylinder have an edge.
     """
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:

@@ -1,10 +1,12 @@
-"""The gas behind the membrane: amount, temperature, pressure, valve and leaks, independent of
-MuJoCo.
+"""Gas behind the membrane, independent of MuJoCo.
 
-The chamber is one well-mixed volume of ideal gas. Its state is the amount n R (J/K) and the
-temperature T (K); the pressure follows from p V = n R T. Between two calls of `advance` the volume
-is assumed to change at a constant relative rate. The equations below are solved exactly for that
-rate, so that any time step is stable (docs/theory/gas.md, G4-G6).
+The model covers amount, temperature, pressure, valve and leaks. The chamber is one well-mixed
+volume of ideal gas. Its state is the amount n R (J/K) and the temperature T (K). The pressure
+follows from p V = n R T.
+
+Between two calls of `advance` the volume is assumed to change at a constant relative rate. The
+equations below are solved exactly for that rate. Any time step is therefore stable
+(docs/theory/gas.md, G4-G6).
 """
 
 from __future__ import annotations
@@ -110,8 +112,10 @@ class ChamberGas:
         self._fill()
 
     def seal(self, volume: float, gauge_pressure: float) -> None:
-        """Close the valve on a chamber of `volume` m^3 that holds `gauge_pressure` Pa and is as
-        warm as its walls."""
+        """Close the valve on a chamber of `volume` m^3 that holds `gauge_pressure` Pa.
+
+        The gas has the temperature of the walls.
+        """
         self._is_open = False
         self._find_connections()
         self._volume = volume
@@ -166,10 +170,10 @@ class ChamberGas:
         return other
 
     def stiffness(self, step: float) -> float:
-        """-dp/dV, Pa/m^3, for a change of volume that is spread over the next `step` s.
+        """Return -dp/dV, Pa/m^3, for a volume change spread over the next `step` s.
 
-        gamma p / V for an adiabatic gas; heat that leaves, and gas that flows out, within the step
-        make it softer.
+        It is gamma p / V for an adiabatic gas. Heat loss and gas outflow within the step reduce
+        it.
         """
         if self._is_ideally_open or self._volume <= 0:
             return 0.0

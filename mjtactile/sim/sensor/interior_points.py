@@ -12,8 +12,10 @@ _MAX_POINTS = 300  # of a mesh
 
 
 def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
-    """Points (n, 3) m inside a geom, in its frame, at most about `apart` m from each other; none of
-    a plane or height field."""
+    """Return points (n, 3) m inside a geom, in its frame.
+
+    Neighbours are at most about `apart` m from each other. A plane or height field has none.
+    """
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     size = np.asarray(model.geom_size[geom], float)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -43,12 +45,12 @@ def _grid(half: Array, apart: float) -> Array:
 
 
 def _cylinder(radius: float, half: float, apart: float) -> Array:
-    least = min(radius, half)
-    axis = _grid(np.array([0.0, 0.0, half - least]), apart)
+    minimum = min(radius, half)
+    axis = _grid(np.array([0.0, 0.0, half - minimum]), apart)
     if radius <= half:
         return axis
-    flat = _grid(np.array([radius - least, radius - least, 0.0]), apart)
-    return flat[np.hypot(flat[:, 0], flat[:, 1]) <= radius - least]
+    flat = _grid(np.array([radius - minimum, radius - minimum, 0.0]), apart)
+    return flat[np.hypot(flat[:, 0], flat[:, 1]) <= radius - minimum]
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Array:

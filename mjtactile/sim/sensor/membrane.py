@@ -44,8 +44,8 @@ CONTACT_TIME = 1.5
 CONTACT_DEPTH = 20e-6
 """Contact depth, m, intended under a pressure that is typical for the membrane.
 
-At 12 um the solver fails to converge for a free plate of 20 g on a membrane at a step of 4 ms, and
-the plate rattles. A driven indenter still works at 6 um.
+At 12 um the solver fails to converge for a free plate of 20 g at a step of 4 ms. The plate then
+rattles on the membrane. A driven indenter still works at 6 um.
 """
 # Contact depth of vertices: minimum, m, and speed, m/s, multiplied by the step. It may exceed the
 # depth of triangles because stiction.py compensates it. A larger speed change of a sliding contact
@@ -68,8 +68,8 @@ def add_membrane(
     All are placed under the sensor's `body`.
 
     Young's modulus is scaled by the square of the pre-stretch l. MuJoCo measures strain against the
-    *mounted* mesh, E' = (L^2 - L0^2) / 2 L_mounted^2, which is 1/l^2 of the Green strain against
-    the free membrane. It integrates over l^2 times the free membrane's area. The product leaves l^2
+    *mounted* mesh, E' = (L^2 - L0^2) / 2 L_mounted^2. This is 1/l^2 of the Green strain against the
+    free membrane. It integrates over l^2 times the free membrane's area. The product leaves l^2
     (see `SensorDesign.membrane.pretension`).
     """
     names = _add_vertices(body, design.membrane, mesh)
@@ -177,10 +177,12 @@ class ContactStiffness:
     Under `contact_pressure` a vertex penetrates to a fixed depth.
 
     MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the MuJoCo
-    bodies, times M / (M + h D) of their joints. The values of the vertices are therefore set such
-    that the force on a vertex is (stiffness per area) x (its area) x (depth), for any step h and
-    damping D. The solver's effort depends on the ratio of this stiffness to the damping, which is
-    the same for all rubbers. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that
+    bodies. The factor M / (M + h D) of their joints multiplies it. The values of the vertices are
+    set accordingly. The force on a vertex is (stiffness per area) x (its area) x (depth). This
+    holds for any step h and damping D.
+
+    The solver's effort depends on the ratio of this stiffness to the damping. That ratio is the
+    same for all rubbers. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that
     `remembers`.
     """
 

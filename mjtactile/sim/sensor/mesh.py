@@ -35,8 +35,8 @@ class MembraneMesh:
 
     `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise seen from outside
     (+z). `interior` (k,) are the indices of the moving vertices. `areas` (n,) m^2 is the membrane
-    area per vertex. `knots` are the mesh coordinates of its rows and columns: m for a rectangle;
-    for another `outline` those of the square that is mapped to it.
+    area per vertex. `knots` are the mesh coordinates of its rows and columns, m for a rectangle.
+    For another `outline` they are those of the square that is mapped to it.
     """
 
     nx: int
@@ -76,8 +76,10 @@ class MembraneMesh:
 
     @cached_property
     def spacing(self) -> float:
-        """Radius, m, of the disc that fits between the vertices in the middle half of the sheet
-        (median of triangles)."""
+        """Radius of the disc that fits between the vertices, m.
+
+        It is the median over triangles in the central half of the membrane.
+        """
         corners = self.p_SV[self.triangles]
         middle = (
             np.abs(corners.mean(axis=1)[:, :2] / np.abs(self.p_SV[:, :2]).max(axis=0)).max(axis=1)
@@ -98,10 +100,11 @@ def make_mesh(
 ) -> MembraneMesh:
     """Mesh a `length` x `width` m rectangle, or the `outline` in it, with nx x ny vertices.
 
-    Diagonals alternate, so that no direction is favoured; at the corners they are such that where
-    an outline is smooth, triangles keep an angle. Raises InputError when a side has fewer than 5
-    vertices (the cubic marker interpolation needs them) or more than 101 (a step would take
-    seconds).
+    Diagonals alternate, so that no direction is favoured. At the corners they are chosen so that
+    triangles keep an angle where an outline is smooth.
+
+    Raises InputError when a side has fewer than 5 or more than 101 vertices. The cubic marker
+    interpolation needs 5. Beyond 101, a step would take seconds.
     """
     for name, count in (("nx", nx), ("ny", ny)):
         if not 5 <= count <= 101:
@@ -176,8 +179,10 @@ class MarkerInterpolator:
 
 
 def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
-    """Displacements of a mesh's vertices by those of a film's nodes, (n, nodes); None: both are the
-    same, as a rectangle's are."""
+    """Return the displacements of a mesh's vertices per node of a quasi-static membrane.
+
+    The shape is (n, nodes). None means that vertices and nodes are the same, as for a rectangle.
+    """
     if film.design.frame.outline is None:
         return None
     by_node = carried(film, mesh.p_SV[:, :2])
@@ -187,8 +192,10 @@ def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
 
 
 def normals_of(p_SV: Array, triangles: NDArray[np.int64]) -> Array:
-    """Outward unit normals (n, 3) of a sheet at its vertices `p_SV` (n, 3): of the `triangles`
-    (m, 3) around each, by their areas."""
+    """Return outward unit normals (n, 3) of a membrane at its vertices `p_SV` (n, 3).
+
+    They average the `triangles` (m, 3) around each vertex, weighted by area.
+    """
     a, b, c = (p_SV[triangles[:, i]] for i in range(3))
     faces = np.cross(b - a, c - a)
     corners = triangles.ravel()

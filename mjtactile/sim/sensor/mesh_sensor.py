@@ -156,8 +156,10 @@ class TactileSensor(BaseSensor):
         return bool(spheres.any() or (contact.flex == self.flex_id).any())
 
     def wake(self) -> None:
-        """Go on from where the sensor fell asleep; needed by hand only after a change of the
-        model's own numbers."""
+        """Resume from the state in which the sensor fell asleep.
+
+        A manual call is needed only after a change of the model's own numbers.
+        """
         self._sleeper.stay_awake()
         if self._sleeper.asleep:
             self._sleeper.wake()
@@ -295,8 +297,8 @@ class TactileSensor(BaseSensor):
             return None
         moved = self._tendon.displacements
         depth = self.design.chamber.depth
-        most = max(moved.max(), -moved.min())
-        if most > (1 - GLASS_MARGIN) * depth and moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
+        maximum = max(moved.max(), -moved.min())
+        if maximum > (1 - GLASS_MARGIN) * depth and moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
             return (
                 f"sensor {self.prefix!r}: the membrane is pushed against the glass "
                 f"({depth * 1e3:g} mm deep)"
@@ -304,7 +306,7 @@ class TactileSensor(BaseSensor):
         if (empty := self._empty()) is not None:
             return empty
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
-        if most > reach:
+        if maximum > reach:
             pressure = self.gauge_pressure
             bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(
                 analytical_solutions.bulge_height(self.design, pressure)

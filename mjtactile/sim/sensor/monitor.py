@@ -1,5 +1,8 @@
-"""Periodic checks of a running scene: penetration, tunneling through a membrane, geoms too small or
-sharp for its mesh, objects too fast for the step."""
+"""Periodic checks of a running scene.
+
+They detect penetration and tunneling through a membrane. They also detect geoms too small or sharp
+for its mesh, and objects too fast for the step.
+"""
 
 from __future__ import annotations
 
@@ -69,8 +72,8 @@ class SceneMonitor:
         self._movers = np.setdiff1d(
             np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
         )
-        least = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
-        self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
+        minimum = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
+        self._hurry = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
@@ -86,8 +89,10 @@ class SceneMonitor:
 
     @property
     def speeds(self) -> tuple[NDArray[np.int64], Array]:
-        """Degrees of freedom (n,) that are not the sensors', and the speeds (n,) at which they are
-        too fast for the step."""
+        """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,).
+
+        Above its limit, a degree of freedom is too fast for the step.
+        """
         return self._movers, self._hurry
 
     def built(self) -> Flags:
@@ -175,8 +180,10 @@ class SceneMonitor:
         return flags
 
     def _nearest_edge(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> float:
-        """Least half width, m, of the faces with edges that touch in the contacts `rows`, of the
-        geoms `others` in `_geoms`."""
+        """Return the minimum half width, m, of the faces with edges that touch.
+
+        The contacts are `rows`, the geoms `others` in `_geoms`.
+        """
         axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
         axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
         return float(
@@ -184,8 +191,10 @@ class SceneMonitor:
         )
 
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
-        """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in
-        for a moment."""
+        """Return the persistent penetration as a fraction of the indentation.
+
+        It must last for several checks, because an impact penetrates for a moment.
+        """
         heights = self._sensors[number].heights
         if not len(rows):
             self._rest[number] = heights
@@ -266,8 +275,10 @@ class SceneMonitor:
         ]
 
     def _jumped(self, number: int, places: Array) -> str | None:
-        """Return a message if a geom was in front of the membrane at the last check and is now
-        behind the glass."""
+        """Return a message if a geom has passed through the membrane.
+
+        It was in front of the membrane at the last check and is now behind the glass.
+        """
         sensor = self._sensors[number]
         frame = sensor.design.frame
         glass = -sensor.design.chamber.depth
@@ -286,14 +297,19 @@ class SceneMonitor:
         )
 
     def hurried(self) -> Flags:
-        """The flag of something too fast, which a look now and then could miss; cheap while nothing
-        is, for every step."""
+        """Return the flag of an object that is too fast.
+
+        Periodic checks could miss it. This check runs at every step; it is cheap without fast
+        objects.
+        """
         hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
         return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
 
     def _too_fast(self, places: Sequence[Array]) -> Flags:
-        """Objects near a membrane that move by more than half their size in a step may not be seen
-        in time."""
+        """Return a flag for objects near a membrane that move too fast.
+
+        The limit is half their size per step. Faster objects may not be detected in time.
+        """
         flags: Flags = {}
         if not len(self._geoms):
             return flags

@@ -48,11 +48,11 @@ class EdgeMatrices:
 
 
 def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    """Return a live view (m, 6) of the flex's stiffness, the upper triangle of each element's
-    matrix.
+    """Return a live view (m, 6) of the flex's stiffness.
 
-    The matrix maps a triangle's increase of squared edge lengths (m, 3) over the free ones to force
-    over length of the edges, N/m.
+    Each row is the upper triangle of an element's matrix. Its input is a triangle's increase of
+    squared edge lengths (m, 3) over the free ones. Its output is force over length of the edges,
+    N/m.
     """
     return all_rows(model, flex_id)[:, :6]
 
@@ -103,11 +103,10 @@ class Rubber:
         )
 
     def update(self, p_SV: Array) -> None:
-        """Write the stiffness for the strain of the vertices `p_SV` (n, 3) m; call before every
-        step.
+        """Write the stiffness for the strain of the vertices `p_SV` (n, 3) m.
 
-        For each triangle, the secant moduli mu', lambda' are multiplied by the factors that form
-        MuJoCo's matrix (mjtactile/kernels/membrane_flex.c).
+        Call it before every step. For each triangle, the secant moduli mu', lambda' are multiplied
+        by factors. These factors form MuJoCo's matrix (mjtactile/kernels/membrane_flex.c).
         """
         self._p_SV[:] = p_SV
         self._write()

@@ -1,5 +1,7 @@
-"""The films of sensors without a mesh, each made once a process, and the geom that stands for one
-in MuJoCo's model."""
+"""Quasi-static membranes of sensors without a mesh, and the geom that represents each.
+
+Each membrane is made once per process. The geom is in MuJoCo's model.
+"""
 
 from __future__ import annotations
 

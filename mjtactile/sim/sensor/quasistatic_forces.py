@@ -1,5 +1,7 @@
-"""Forces of quasi-static membranes in MuJoCo's `qfrc_applied`, in addition to those of the user,
-and damping of the MuJoCo bodies that the membranes hold.
+"""Forces of quasi-static membranes in MuJoCo's `qfrc_applied`, and damping.
+
+The forces are added to those of the user. The damping acts on the MuJoCo bodies that the membranes
+hold.
 
 A membrane's force is computed from the present poses and stays constant during the step. That alone
 is stable for sqrt(k / m) h < 2. Free MuJoCo bodies are therefore damped against their motion

@@ -37,11 +37,11 @@ class ContactGeoms:
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
         """Collect the geoms that can come within `reach` m of the origin of the sensor's `body`.
 
-        Geoms that are fixed to the world are left out: a table would be near permanently, at a high
+        Geoms that are fixed to the world are left out. A table would be near permanently, at a high
         cost.
 
-        Raises InputError for kinds that a quasi-static membrane does not support: soft bodies and
-        height fields.
+        Raises InputError for kinds that a quasi-static membrane does not support. These are soft
+        bodies and height fields.
         """
         felt = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)

@@ -1,11 +1,11 @@
-"""`QuasistaticSensor`: one attached sensor with a quasi-static membrane outside MuJoCo's model.
+"""`QuasistaticSensor`: a sensor with a quasi-static membrane outside MuJoCo's model.
 
 Its interface is that of `TactileSensor`: call `update` before every `mj_step`; read markers and
 pressure.
 
 The membrane rests on the obstacles at their present poses (`mjtactile.quasistatic`). It sticks to
-them, slides by Coulomb's law, and applies the contact forces to them and to its own frame. It has
-no mass and no damping: it is always in equilibrium. Gas and valve are those of the full sensor.
+them and slides by Coulomb's law. It applies the contact forces to them and to its own frame. It has
+no mass and no damping, and is always in equilibrium. Gas and valve are those of the full sensor.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class QuasistaticSensor(BaseSensor):
     def _look(self) -> None:
         """Update membrane, gas and sticking contact to the present poses.
 
-        Only the first call per time instant has an effect, so that reading the state does not
+        Only the first call per time instant has an effect. Reading the state therefore does not
         change the simulation.
         """
         data = self._data
@@ -248,8 +248,10 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def wrench(self) -> Array:
-        """(6,) N and N m about the origin of S that the world exerts on the film, at the last
-        look."""
+        """Wrench (6,) that the world exerts on the membrane at the last update, N and N m.
+
+        The torque is about the origin of S.
+        """
         return self._memory.wrench
 
     @property

@@ -1,7 +1,8 @@
-"""Entry points of many lines into a geom: heights of obstacles over many points of a membrane.
+"""Entry points of many lines into a geom.
 
-A geom is a polytope (a box, the hull of a mesh), an ellipsoid (a sphere), a cylinder, or a capsule.
-MuJoCo's own rays handle one point per call; tests compare with them.
+They give the heights of obstacles over many points of a membrane. A geom is a polytope, an
+ellipsoid (a sphere), a cylinder, or a capsule. Polytopes are a box and the hull of a mesh. MuJoCo's
+own rays handle one point per call; tests compare with them.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ intersection.
 """
 
 
-def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry | None:
+def entry_of(model: mujoco.MjModel, geom: int, maximum: int | None = None) -> Entry | None:
     """Return the entry function of a geom.
 
-    Return None for an unsupported kind (a plane, a height field) or a hull of more than `most`
-    faces (None: `MAX_FACES`).
+    Return None for an unsupported kind (a plane, a height field). Also return None for a hull of
+    more than `most` faces (None: `MAX_FACES`).
     """
     kind = int(model.geom_type[geom])
     size = np.asarray(model.geom_size[geom], float).copy()
@@ -50,7 +51,7 @@ def entry_of(model: mujoco.MjModel, geom: int, most: int | None = None) -> Entry
     if kind == _CAPSULE:
         return _capsule(size[0], size[1])
     if kind == _MESH and model.geom_dataid[geom] >= 0:
-        return _hull(model, int(model.geom_dataid[geom]), MAX_FACES if most is None else most)
+        return _hull(model, int(model.geom_dataid[geom]), MAX_FACES if maximum is None else maximum)
     return None
 
 
@@ -137,7 +138,7 @@ def _capsule(radius: float, half: float) -> Entry:
     return entry
 
 
-def _hull(model: mujoco.MjModel, mesh: int, most: int) -> Entry | None:
+def _hull(model: mujoco.MjModel, mesh: int, maximum: int) -> Entry | None:
     from scipy.spatial import ConvexHull, QhullError
 
     first = int(model.mesh_vertadr[mesh])
@@ -146,6 +147,6 @@ def _hull(model: mujoco.MjModel, mesh: int, most: int) -> Entry | None:
         planes = np.unique(ConvexHull(vertices).equations.round(6), axis=0)
     except QhullError:  # flat
         return None
-    if len(planes) <= most:
+    if len(planes) <= maximum:
         return _polytope(planes[:, :3], -planes[:, 3])
     return None

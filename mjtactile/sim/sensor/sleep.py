@@ -1,10 +1,11 @@
 """Sleep of an untouched sensor: its membrane is removed from the solve and restored exactly.
 
 MuJoCo's own sleep applies to whole kinematic trees. A sensor shares its tree with the finger that
-carries it, and its gas is an external force, so it would never sleep. Here the membrane is declared
-rigid, the gas tendon loses its joints, and a separate spring holds every vertex in place. These
-springs couple no vertices: a step takes 0.04 ms instead of 0.25. The membrane's own inertia and
-weight are left out; their changes therefore wake the sensor.
+carries it. Its gas is an external force, so it would never sleep.
+
+Here the membrane is declared rigid and the gas tendon loses its joints. A separate spring holds
+every vertex in place. These springs couple no vertices: a step takes 0.04 ms instead of 0.25. The
+membrane's own inertia and weight are left out. Their changes therefore wake the sensor.
 """
 
 from __future__ import annotations
@@ -209,14 +210,14 @@ class Sleeper:
         velocity = self._data.cvel[self._body].tolist()
         axes = self._data.xmat[self._body].tolist()
         g = option.gravity.tolist()
-        least = SHAKEN * option.timestep
+        minimum = SHAKEN * option.timestep
         weight = [axes[k] * g[0] + axes[3 + k] * g[1] + axes[6 + k] * g[2] for k in range(3)]
         before = self._velocity
         self._velocity = velocity
         known = self._weight
         self._weight = self._weight if self.asleep else weight
         return (
-            any(abs(velocity[k] - before[k]) > least for k in (3, 4, 5))
+            any(abs(velocity[k] - before[k]) > minimum for k in (3, 4, 5))
             or any(abs(v) > _TURNING for v in velocity[:3])
             or not all(abs(a - b) < SHAKEN for a, b in zip(weight, known, strict=True))
         )

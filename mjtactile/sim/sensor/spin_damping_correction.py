@@ -1,11 +1,13 @@
 """Compensation of the torque with which the implicit step brakes a rotating sensor.
 
-MuJoCo's `discrete` integrator evaluates the membrane's forces at the end of the step, to first
-order: -h K v. In a rigid rotation the membrane's tension rotates too, so that K v is not zero
+MuJoCo's `discrete` integrator evaluates the membrane's forces at the end of the step. It does so to
+first order: -h K v. In a rigid rotation the membrane's tension rotates too. Then K v is not zero
 although nothing deforms. The lever arms are those at the start of the step. A torque -h Q w
-remains, which stops a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q is the sum over
-the edges d of all triangles of c (|d|^2 I - d d^T). Here c is the edge's force over its length,
-N/m, of which MuJoCo's stiffness keeps the positive part (docs/theory/simulation_contact.md, C4).
+remains. It stops a sensor spinning in vacuum within 0.4 s at a step of 4 ms.
+
+Q is the sum over the edges d of all triangles of c (|d|^2 I - d d^T). Here c is the edge's force
+over its length, N/m. MuJoCo's stiffness keeps the positive part of c
+(docs/theory/simulation_contact.md, C4).
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Contact with memory: static friction without creep, and normal force without penetration.
 
 MuJoCo's contacts are soft and have no memory. Below the friction cone, friction resists only a
-velocity, so that a held object sinks continuously; along the normal, a force needs a depth. Here a
-contact's rows carry only the *change* within a step. The previous force enters through their
+velocity. A held object therefore sinks continuously. Along the normal, a force needs a depth.
+
+Here a contact's rows carry only the *change* within a step. The previous force enters through their
 reference. Along the normal this is the vertex's margin. Along the membrane it is the surface
-velocity of its sphere (MuJoCo's conveyor belt) that produces the previous friction. The solver
-keeps friction inside its cone. Friction acts on both MuJoCo bodies, of any kind. This is the method
-of multipliers (docs/theory/simulation_contact.md, C3; decision 10).
+velocity of its sphere (MuJoCo's conveyor belt). This velocity produces the previous friction. The
+solver keeps friction inside its cone. Friction acts on both MuJoCo bodies, of any kind. This is the
+method of multipliers (docs/theory/simulation_contact.md, C3; decision 10).
 
 The arithmetic is in mjtactile/kernels/membrane_flex.c.
 """
@@ -38,12 +39,14 @@ _ON_CONE = 0.999  # of the cone: the solver's tolerance
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
-    A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before
-    and v' after the step, and s of the surface. A sticking vertex should have v' = 0 and a friction
-    that also returns it to its initial sticking position. A sliding vertex should nearly keep its
-    velocity, with friction on the edge of the cone. A vertex that stops sliding starts with its
-    sliding friction: its predicted velocity was too large and its friction too small. A vertex that
-    touches two objects at the same time remembers the force of one of them.
+    A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step. Here v is the velocity
+    before the step, v' after it, and s that of the surface.
+
+    A sticking vertex should have v' = 0. Its friction also returns it to its initial sticking
+    position. A sliding vertex should nearly keep its velocity, with friction on the edge of the
+    cone. A vertex that stops sliding starts with its sliding friction. Its predicted velocity was
+    too large and its friction too small. A vertex that touches two objects at the same time
+    remembers the force of one.
     """
 
     def __init__(

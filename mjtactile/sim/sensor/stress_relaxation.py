@@ -1,14 +1,13 @@
-"""Stress relaxation in MuJoCo's flex by the law of `mjtactile.core.relaxation`, with one state per
-term and triangle.
+"""Stress relaxation in MuJoCo's flex by the law of `mjtactile.core.relaxation`.
 
-The flex carries the instantaneous stress, (1 + sum a_i) S: its stiffness rows are those of the
-long-term rubber times a factor, and implicit in the step. Forces on the vertices subtract the
-relaxed part, sum r_i. They change no faster than the terms do. Between steps a term follows the
-mean of the stresses at both ends exactly,
+There is one state per term and triangle. The flex carries the instantaneous stress, (1 + sum a_i)
+S. Its stiffness rows are those of the long-term rubber times a factor, and implicit in the step.
+Forces on the vertices subtract the relaxed part, sum r_i. They change no faster than the terms do.
+Between steps a term follows the mean of the stresses at both ends exactly,
 
     r_i <- e r_i + (1 - e) a_i (S_before + S) / 2,    e = exp(-h / tau_i),
 
-which is stable for any step and any tau_i: since 0 < e < 1, each r_i stays within the range of
+which is stable for any step and any tau_i. Since 0 < e < 1, each r_i stays within the range of
 previous stresses.
 """
 

@@ -40,8 +40,10 @@ def profile(near: Array, far: Array, radii: tuple[float, float]) -> tuple[Array,
 
 
 def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
-    """Radius a at which a sheet leaves a shape under `load`: load = a sin(angle of the shape at a),
-    at most `WIDEST`."""
+    """Return the radius a at which a membrane leaves a shape under `load`.
+
+    The radius satisfies load = a sin(angle of the shape at a). It is at most `WIDEST`.
+    """
     low = np.zeros(np.broadcast(load, slope).shape)
     high = np.full(np.broadcast(load, slope).shape, WIDEST)
     for _ in range(_HALVINGS):
@@ -58,9 +60,9 @@ def depth_beyond_mesh(
 ) -> tuple[Array, Array]:
     """Return the additional indentation (k,) under each `load` (k,), and the contact radii (k,).
 
-    `slope` and `curvature` (k, d) describe the shape in d directions around the contact, evenly
-    spread over half a turn. `width` is the half-width of a flat edge; the membrane then hangs on
-    its rim.
+    `slope` and `curvature` (k, d) describe the shape in d directions around the contact. The
+    directions are spread evenly over half a turn. `width` is the half-width of a flat edge. The
+    membrane then hangs on its rim.
     """
     radii = contact_radius(load[:, None], slope, curvature)
     on_rim = radii.max(axis=1) < width
@@ -90,7 +92,7 @@ def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
 def _deepening(mean: Array, steep: Array) -> Array:
     """Return the indentation of a round contact beyond ln(mesh/a).
 
-    The shape falls from the contact's rim to its tip with the mean slope `mean`; the membrane
+    The shape falls from the contact's rim to its tip with the mean slope `mean`. The membrane
     leaves it with the slope `steep`. The result is 1/2 for a shallow ball, 1 for a shallow cone.
 
     Tangents of the membrane's angle are integrated outward from the rim. There the load is tension

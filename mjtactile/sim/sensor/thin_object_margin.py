@@ -1,10 +1,11 @@
-"""Contact margin for fast thin objects: triangles make contact early, by the motion in one step.
+"""Contact margin for fast thin objects.
 
-A wire of 0.3 mm radius at 0.1 m/s moves by more than its radius in a step of 4 ms. It would be
-beyond the membrane before its contact is detected, and be pushed out on the wrong side. While a
-thin object approaches, the margin of the triangles' contact is therefore its motion in one step.
-The margin returns to zero when the object stops, so that a static force is that of the contact
-itself.
+Triangles make contact early, by the motion in one step. A wire of 0.3 mm radius moves at 0.1 m/s,
+for example. In a step of 4 ms it moves by more than its radius. It would be beyond the membrane
+before its contact is detected. It would then be pushed out on the wrong side.
+
+While a thin object approaches, the margin of the triangles' contact is its motion in one step. The
+margin returns to zero when the object stops. A static force is then that of the contact itself.
 """
 
 from __future__ import annotations

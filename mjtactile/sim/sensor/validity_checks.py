@@ -18,8 +18,8 @@ from mjtactile.core.types import Array
 Flags = dict[str, str]
 """Map from the kind of flag to its reason.
 
-Kinds are "stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending",
-"speed", "solver", "frame", "rim", "unsettled", and "strain" of a soft object.
+Kinds are "stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending". Others
+are "speed", "solver", "frame", "rim", "unsettled", and "strain" of a soft object.
 """
 
 GROWS = frozenset({"frame_contact"})

@@ -29,7 +29,7 @@ def write(tmp_path, text, name="mine.toml"):
 def test_those_that_come_along_can_be_read_and_use_every_motion():
     cases = load_cases()
     assert {case.motion for case in cases} >= set(MOTIONS) - {"bulge"}
-    assert all(case.about and case.source and case.percent + case.least > 0 for case in cases)
+    assert all(case.about and case.source and case.percent + case.minimum > 0 for case in cases)
 
 
 @pytest.mark.parametrize(

@@ -172,11 +172,11 @@ class Mechanism:
                 continue
             before = self.motor
             # maximum force on each finger, N
-            most = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS
+            maximum = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS
             goal = RADIUS * drives[0].goal
             self.motor += float(np.clip(goal - self.motor, -4e-4, 4e-4))  # at 0.2 m/s
             # the block holds it up
-            self.motor = max(self.motor, self.block / 2 - most / self.stiffness - self.play / 2)
+            self.motor = max(self.motor, self.block / 2 - maximum / self.stiffness - self.play / 2)
             self.jaw = float(
                 np.clip(self.jaw, self.motor - self.play / 2, self.motor + self.play / 2)
             )

@@ -88,11 +88,11 @@ def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless", "adaptive"])
-@pytest.mark.parametrize("least", [0.0, 0.022])
-def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
+@pytest.mark.parametrize("minimum", [0.0, 0.022])
+def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, minimum):
     """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""
     its_step = load_controller(controller).step
-    limits = CommandLimits(opening=(least, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
+    limits = CommandLimits(opening=(minimum, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
     command = Command(0.03, 0.0)
     for i in range(300):
         state = GripperState(command.opening, 0.0, 0.0, 0.0)
@@ -103,7 +103,7 @@ def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
             break
     assert command.phase == "abort" and command.reason == "the jaws closed without contact"
     # 30 mm at 10 to 25 mm/s, and 0.3 s at the stop
-    assert command.opening == least and i * PERIOD < (0.03 - least) / 0.01 + 1.0
+    assert command.opening == minimum and i * PERIOD < (0.03 - minimum) / 0.01 + 1.0
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware"])

@@ -118,8 +118,8 @@ def test_front():
 
 def test_what_is_missed():
     reached = Score(0.02, 0.01, 0.01, 0.003, 1e-4, 1e-4, math.nan, 3.0)
-    assert design_sweep.Requirements(touch=0.01, most=3.0, edge=1e-4).missed(reached) == []
-    assert design_sweep.Requirements(touch=0.009, most=4.0).missed(reached) == ["touch", "range"]
+    assert design_sweep.Requirements(touch=0.01, maximum=3.0, edge=1e-4).missed(reached) == []
+    assert design_sweep.Requirements(touch=0.009, maximum=4.0).missed(reached) == ["touch", "range"]
     assert design_sweep.Requirements(radius=5e-3).missed(reached) == ["radius"]  # not determined
 
 

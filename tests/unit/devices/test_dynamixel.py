@@ -96,11 +96,11 @@ def test_no_moment_with_torque_and_without_limit_or_watchdog(bench):
     )
     with_gripper(bench, lambda gripper: None)
     # virtual work: F r
-    most = math.floor(GRIPPER.force_max * 0.012 / MODELS["XL330-M288"].torque_per_A / 1e-3)
+    maximum = math.floor(GRIPPER.force_max * 0.012 / MODELS["XL330-M288"].torque_per_A / 1e-3)
     with_torque = [state for state in states if state[0]]
     assert with_torque
     assert all(
-        watchdog and current <= most / 4 + 1 and limit == most
+        watchdog and current <= maximum / 4 + 1 and limit == maximum
         for _, watchdog, current, limit in with_torque
     )
 

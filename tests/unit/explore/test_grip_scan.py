@@ -50,9 +50,9 @@ def test_the_squeeze_stops_at_its_force_and_comes_down():
         GripController(heights, 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening))] * 2
     )
     assert sent[-1][0].phase == "done"
-    most = max(force[0] for _, force in sent)
+    maximum = max(force[0] for _, force in sent)
     # one cycle at 3 mm/s is 0.016 N
-    assert 0.3 <= most < 0.32
+    assert 0.3 <= maximum < 0.32
     assert max(command.lift_height for command, _ in sent) == pytest.approx(0.012)
     assert sent[-1][0].lift_height == 0
     # each height is a separate grip; a gripper that moves up with the object ends one

@@ -19,8 +19,8 @@ class Counted(gymnasium.Env):
     that a learner gets as 1."""
 
     def __init__(self):
-        most = policy_bounds(2).astype(np.float32)
-        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float32)
+        maximum = policy_bounds(2).astype(np.float32)
+        self.observation_space = gymnasium.spaces.Box(-maximum, maximum, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), dtype=np.float64)
 
     def reset(self, *, seed=None, options=None):

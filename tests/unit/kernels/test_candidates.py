@@ -84,12 +84,12 @@ def test_judgement(polarity):
         fit, found = drawn(
             np.random.default_rng(seed), int(np.random.default_rng(seed).integers(0, 120))
         )
-        for least in (1.5, 4.0):
-            args = found, least, DEFAULTS.markers
+        for minimum in (1.5, 4.0):
+            args = found, minimum, DEFAULTS.markers
             np.testing.assert_array_equal(
                 fit_validation.implausible(*args), numpy_candidates.implausible(*args)
             )
-            args = fit, found, polarity, SIZE, least, DEFAULTS.markers
+            args = fit, found, polarity, SIZE, minimum, DEFAULTS.markers
             (status, keep), (wanted, keep_requested) = (
                 fit_validation.judge(*args),
                 numpy_candidates.judge(*args),

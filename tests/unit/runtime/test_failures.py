@@ -56,14 +56,14 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
     """
     eaten = []
     had = memory_limit._used()
-    most = [had]
+    maximum = [had]
 
     def step(observation):
         if observation.time > 0.2:
             if greedy == "in a list":
                 while True:
                     eaten.append(bytearray(64 << 20))  # the limit counts requested memory
-                    most.append(memory_limit._used())
+                    maximum.append(memory_limit._used())
             many = [0.0] * (2 << 30)
             return replace(observation.command, memory={"many": many})
         return observation.command
@@ -78,7 +78,7 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
     controller = Controller(Path(__file__), wide if greedy == "in the notebook" else step)
     _, message = world.run("", controller=controller.step, error=ControllerError, host_timeout=5.0)
     assert ("MemoryError" in message) == (greedy != "in the notebook"), message
-    assert world.has_set_down() and max(most) - had < 1 << 30
+    assert world.has_set_down() and max(maximum) - had < 1 << 30
     assert resource.getrlimit(resource.RLIMIT_DATA) == before
 
 

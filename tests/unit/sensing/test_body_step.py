@@ -46,10 +46,10 @@ def test_a_short_step_is_gauss_newton_s_and_promises_what_it_gains(seed):
 def test_a_long_step_stays_where_films_are_straight(seed):
     """Bounds as written in stepping.py; nearly as good as the best step within them."""
     step, rows, sides = asked(30.0, seed)
-    most = np.array([1.5, 1.5, 0.5, 0.6 * 100.0]) / BALL.sd
-    assert (np.abs(step.by) <= most * (1 + 1e-12)).all()
+    maximum = np.array([1.5, 1.5, 0.5, 0.6 * 100.0]) / BALL.sd
+    assert (np.abs(step.by) <= maximum * (1 + 1e-12)).all()
     gained = sides @ sides - np.square(rows @ step.by - sides).sum()
     assert step.cut and step.promised == pytest.approx(gained, rel=1e-9)
-    best = lsq_linear(rows, sides, (-most, most)).x
+    best = lsq_linear(rows, sides, (-maximum, maximum)).x
     could = sides @ sides - np.square(rows @ best - sides).sum()
     assert step.promised > 0.3 * could  # one number is held after the other, or all are cut short

@@ -164,14 +164,14 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     middle = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
     assert rgb[middle, 1] == rgb[:, 1].max()  # green grows along viridis
     pressed, _ = surface_colormap.sheet(
-        felt, surface_colormap.field_of(felt, "indentation"), 0.0012, least=0.04
+        felt, surface_colormap.field_of(felt, "indentation"), 0.0012, minimum=0.04
     )
     assert 0 < len(pressed) < len(corners)
     quiet = replace(felt, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
     assert [
         len(part)
         for part in surface_colormap.sheet(
-            quiet, surface_colormap.field_of(quiet, "indentation"), 1e-3, least=0.04
+            quiet, surface_colormap.field_of(quiet, "indentation"), 1e-3, minimum=0.04
         )
     ] == [0, 0]
 

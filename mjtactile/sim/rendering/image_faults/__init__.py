@@ -22,8 +22,10 @@ from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Flo
 STEPS: tuple[Step, ...] = (*optics.STEPS, *image_sensor.STEPS, *image_processing.STEPS)
 """In the order of light, chip, processor and wire."""
 _FORGOTTEN = 0.15
-"""Time after which the last image is discarded, s: a camera that is not read keeps taking images,
-the last of which resembles the next."""
+"""Time after which the last image is discarded, s.
+
+A camera that is not read keeps taking images. The last of them resembles the next.
+"""
 _DEFAULTS = {field.name: field.default for field in fields(CameraFaults)}
 
 

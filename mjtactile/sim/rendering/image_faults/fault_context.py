@@ -42,8 +42,11 @@ class FaultContext:
 
 @dataclass(frozen=True)
 class Step:
-    """One trouble: its `name`, the fields of `CameraFaults` that switch it on, and the function
-    of levels (H, W) that does it."""
+    """One image fault.
+
+    It has a `name` and `switches`, the fields of `CameraFaults` that enable it. `apply` is its
+    function of levels (H, W).
+    """
 
     name: str
     switches: tuple[str, ...]

@@ -26,8 +26,10 @@ def exposed_by_itself(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Fl
 
 
 def rolling(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """The rows above the last are older: between this picture and the one before, to first order
-    in the motion between them."""
+    """Make the rows above the last older, as a rolling shutter does.
+
+    They lie between this image and the previous one, to first order in the motion between them.
+    """
     if shot.last is None or shot.time <= shot.last[0]:
         return pixels
     height = pixels.shape[0]

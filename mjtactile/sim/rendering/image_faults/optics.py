@@ -25,8 +25,8 @@ _BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
 def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Zoom, shift and rotate about the image center, by cubic splines.
 
-    Fast resampling rounds positions to a 32nd of a pixel, so that circles would become larger or
-    smaller depending on their position.
+    Fast resampling rounds positions to a 32nd of a pixel. Circles would become larger or smaller
+    depending on their position.
     """
     from scipy.ndimage import affine_transform  # takes a while to import
 
