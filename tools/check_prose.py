@@ -120,6 +120,8 @@ def read_pages(paths: Sequence[Path]) -> Text:
 
 def _paragraphs(block: str) -> Iterator[str]:
     """Yield the paragraphs and list items between two blank lines."""
+    if all(line.startswith("    ") for line in block.split("\n") if line.strip()):
+        return  # an indented block of code
     lines: list[str] = []
     for line in [*block.split("\n"), "#"]:
         if _LIST_ITEM.match(line) or _NOT_PROSE.match(line):
