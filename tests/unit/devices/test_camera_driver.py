@@ -196,7 +196,7 @@ def test_an_unplugged_camera_is_an_error(camera, device, monkeypatch):
     monkeypatch.setattr("os.getloadavg", lambda: (0.5, 0.5, 0.5))
     device.mode = "gone"
     assert wait_for(lambda: camera._error is not None)
-    with pytest.raises(DeviceError, match=r"no pictures for \d+ ms: was it unplugged\?$"):
+    with pytest.raises(DeviceError, match=r"no images for \d+ ms: was it unplugged\?$"):
         camera.read()
 
 
@@ -207,7 +207,7 @@ def test_on_a_busy_computer_pictures_may_be_late(camera, device, monkeypatch):
     assert wait_for(lambda: camera._error is not None)
     with pytest.raises(
         DeviceError,
-        match=r"unplugged.* Or are they late. 40 programs want " r"this computer's 2 processors",
+        match=r"unplugged.* Or are they late. 40 programs compete for this computer's 2 processors",
     ):
         camera.read()
 

@@ -160,5 +160,5 @@ def test_firmware_that_stops_nothing_is_said(caplog):
     assert [
         r.message
         for r in caplog.records
-        if "firmware 51, whose bus watchdog stops nothing" in r.message
+        if "firmware 51, whose bus watchdog does not stop it" in r.message
     ]

@@ -154,7 +154,7 @@ def test_a_setting_that_does_not_take_is_refused(bench, monkeypatch):
 def test_another_model_than_the_files_is_refused(bench):
     for servo in bench.servos.values():
         servo.set("Model Number", 1190)
-    with pytest.raises(DeviceError, match="is a XL330-M077, but the rig file says XL330-M288"):
+    with pytest.raises(DeviceError, match="is a XL330-M077, but the rig file specifies XL330-M288"):
         bench.gripper()
 
 

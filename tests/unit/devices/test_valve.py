@@ -99,9 +99,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
         with pytest.raises(DeviceError, match="refuses 'set 1 1000': fault"):
             valves[0].open(1000.0)
         assert wait_for(lambda: valves[0].board._readings[1].fault)
-        with pytest.raises(
-            DeviceError, match="valve left vented by itself: the board heard nothing"
-        ):
+        with pytest.raises(DeviceError, match="valve left vented by itself: the host was silent"):
             valves[0].state()
         valves[0].open(0.0)  # the host knows
 
@@ -202,7 +200,7 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
-            with pytest.raises(DeviceError, match="its supply gives 1000 Pa"):
+            with pytest.raises(DeviceError, match="its supply has 1000 Pa"):
                 valves[0].open(500.0)
         finally:
             boards[0].close()
@@ -219,7 +217,11 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
     [
         ("id mjvalve 0.9 2 1 6000", DeviceError, r"firmware 0\.9, needs 1\.0"),
         ("id mjvalve 1.0 0 1 6000", InputError, "the board has 0 channels"),
-        ("id mjvalve 1.0 2 1 2000", InputError, r"pressure_max_kPa: 3: the board goes up to 2"),
+        (
+            "id mjvalve 1.0 2 1 2000",
+            InputError,
+            r"pressure_max_kPa: 3 exceeds the board's limit of 2",
+        ),
         ("id regulator 3.1", DeviceError, "does not answer as mjvalve"),
         ("error unknown", DeviceError, "its answer was not readable"),
     ],
@@ -340,7 +342,7 @@ def test_a_board_of_before_cannot_hold(monkeypatch):
     monkeypatch.setattr(emulated.ValveFirmware, "_execute", lambda *_: "id mjvalve 1.0 2 1 6000")
     with (
         valve_bench() as (port, *_),
-        pytest.raises(DeviceError, match=r"firmware 1\.0, needs 1\.1 or newer to hold"),
+        pytest.raises(DeviceError, match=r"firmware 1\.0, needs 1\.1 or newer to keep"),
     ):
         ValveBoard([ValveConfig("left", port.path)], hold=1.0)
 
