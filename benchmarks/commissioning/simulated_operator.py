@@ -47,9 +47,11 @@ class Person:
 
     def readline(self) -> str:
         truth = self._emulator.truth()
-        if "squeezed with" in self._asked:
+        if "force limit" in self._asked:
             return f"{(truth['contact_1'] + truth['contact_2']) / 2:.3f}\n"
-        if "currents say" in self._asked:  # soft membranes, not inflated: their frames carry a part
+        if (
+            "currents report" in self._asked
+        ):  # soft membranes, not inflated: their frames carry a part
             return f"{truth['grip_force']:.3f}\n"
         if "caliper" in self._asked:
             return f"{1e3 * truth['opening']:.2f}\n"

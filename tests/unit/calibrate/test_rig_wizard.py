@@ -61,7 +61,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
 
     streams = [ends["cameras"]["right"], ends["cameras"]["left"]]
     try:
-        with pytest.raises(InputError, match="1 cameras are there, and the rig has 2 fingers"):
+        with pytest.raises(InputError, match="1 cameras were found, but the rig has 2 fingers"):
             setup(
                 path,
                 like=like,
