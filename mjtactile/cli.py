@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 from mjtactile.commands import COMMANDS, arguments
 from mjtactile.core import platform_support, signals
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.renamed import option_hint
+from mjtactile.core.renamed import explain_option
 
 DESCRIPTION = """\
 A vision-based tactile membrane sensor for MuJoCo, and a two-finger gripper that grasps fragile
@@ -51,7 +51,12 @@ EXIT_FAULT = 3
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a usage error in one line and where to read on; takes values with a leading minus."""
+    """Parser with one-line errors that point to the help; accepts values with a leading minus.
+
+    `command` is the command to parse, which renamed options depend on.
+    """
+
+    command = ""
 
     def _parse_optional(self, arg_string: str) -> Any:
         """Every option here has two dashes: a word with one is a value (`--position-mm -3.2,1.7`,
@@ -64,7 +69,8 @@ class _Parser(argparse.ArgumentParser):
         return None if is_value else super()._parse_optional(arg_string)
 
     def error(self, message: str) -> NoReturn:
-        raise _UsageError(f"{message}{option_hint(message)} (see {self.prog} --help)")
+        explained = explain_option(message, self.command)
+        raise _UsageError(f"{explained} (see {self.prog} --help)")
 
 
 class _Version(argparse.Action):
@@ -90,6 +96,7 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.command = next(iter(wanted), "")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():

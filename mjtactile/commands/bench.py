@@ -73,6 +73,10 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "blades, wires, pins and small faces at random positions and speeds: force",
     ),
     "shape": ("shape.run", "contact shape from images: area, kind, radius and edge direction"),
+    "wide-faces": (
+        "wide_faces",
+        "plates up to wider than the frame: force error with and without a pressure sensor",
+    ),
     "sensors": (
         "sensors",
         "shipped marker layouts on one membrane: accuracy and cost of more markers",

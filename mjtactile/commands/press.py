@@ -17,7 +17,8 @@ from mjtactile.runtime.progress import Progress
 
 DESCRIPTION = """\
 Mount one simulated sensor, take its references, then drive a rigid indenter into its membrane
-in steps. Depth counts from first contact. The estimated force comes from camera images."""
+in steps. Depth counts from first contact. The force estimate uses camera images and a pressure
+sensor with noise."""
 EPILOG = """\
 examples:
   mjtactile press --indenter cylinder:5 --depth-mm 0:4:1
@@ -29,7 +30,7 @@ on the membrane, frame S: z is negative under load), "wrench_estimated" (force N
 about the frame center), "force_estimated_sd_N", "drive_force_N" (load cell on the drive),
 "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (penetration of the simulated
 objects: the contact error), "pressure_kPa", "volume_mL", "converged", "status"}],
-"shape": {contact shape estimated from the images: "kind" (smooth, face, edge, tip, several,
+"shape": {contact shape estimated from the images: "kind" (smooth, flat, edge, point, multiple,
 unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
 "area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
 "parts" (of several objects at once, each)},

@@ -67,6 +67,7 @@ OPTIONS: Mapping[str, str] = {
     "--touch-mm": "--first-contact-sd-mm",
     "--steps": "--protocol",
     "--against": "--suite",
+    "bench --against": "--baseline",
     "--screen": "--screening-sample",
     "--cause": "--parameter",
     "--until-s": "--end-s",
@@ -123,10 +124,21 @@ def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
     return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""
 
 
-def option_hint(message: str) -> str:
-    """Return the hint for the old option, command or benchmark in a usage error."""
-    words = re.findall(r"(?<![\w-])-{0,2}[a-z][\w-]*", message.partition("(choose")[0])
-    return next((hint(word, OPTIONS) for word in words if word in OPTIONS), "")
+def explain_option(message: str, command: str) -> str:
+    """Return a usage error with the new name of an old option, command or benchmark.
+
+    Args:
+        message: Error of the parser.
+        command: Name of the command; an option may have another new name there.
+
+    Returns:
+        The message. With an old name, the new one replaces the list of choices.
+    """
+    problem = message.partition(" (choose")[0]
+    for word in re.findall(r"(?<![\w-])-{0,2}[a-z][\w-]*", problem):
+        if new := OPTIONS.get(f"{command} {word}", OPTIONS.get(word)):
+            return f"{problem}: `{word}` is now `{new}`"
+    return message
 
 
 def old_key(key: str) -> str:

@@ -39,7 +39,7 @@ string slip_state           # none, sticking, incipient, slipping, unknown
 float64[2] slip_velocity    # m/s
 float64 slip_distance       # m
 float64 stick_ratio
-string shape_kind           # smooth, face, edge, tip, several, unknown; none if not requested
+string shape_kind           # smooth, flat, edge, point, multiple, unknown; none if not requested
 string shape_family         # ball, cylinder, smooth, disc, block
 float64 shape_area          # m^2
 float64 shape_radius        # m

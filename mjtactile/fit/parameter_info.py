@@ -21,7 +21,7 @@ class ParameterInfo:
     """Information on a field of the sensor file.
 
     `name` is its name in a sentence. The value counts as known up to a certain sd. This sd is the
-    larger of `share`, relative to its value, and `least`, in the file's unit. `record` describes
+    larger of `share`, relative to its value, and `minimum`, in the file's unit. `record` describes
     the necessary recording.
     """
 
@@ -73,7 +73,7 @@ ABOUT: Mapping[str, ParameterInfo] = {
     ),
 }
 GAS_FRACTION = (
-    0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
+    0.05  # fraction of the gas volume behind the flat membrane: sd limit of a known volume
 )
 NOT_FITTED = {
     "membrane.poisson_ratio": "taken from the file; modulus and pre-stretch refer to it",
@@ -86,9 +86,9 @@ NOT_FITTED = {
 class FittedParameter:
     """Result for a `field` of the sensor file.
 
-    `value` and standard deviation are in its unit. `state` is "fitted", "known" (by hand) or "not
-    in these recordings" (then the value is the file's). `source` is the origin of the value, and
-    `before` the file's own value.
+    `value` and standard deviation are in its unit. `state` is "fitted", "known" (set by the user)
+    or "not in these recordings" (then the value is the file's). `source` is the origin of the
+    value, and `before` the file's own value.
     """
 
     field: str

@@ -6,8 +6,8 @@ The stress that has not relaxed yet is q = sum a_i (S - s_i). s_i is the stress 
 element i (docs/theory/membrane_inverse.md, F23). To first order, q displaces a free membrane by
 -K^-1 F(q). The displacement is relative to its long-term equilibrium at the measured gauge pressure
 p. Markers minus the effect of the pressure are therefore linear in the fractions a_i. A constant at
-each marker absorbs the errors of the sensor file. S comes from the shapes estimated by the chain,
-also during contact.
+each marker absorbs the errors of the sensor file. S comes from the shapes estimated by the sensing
+pipeline, also during contact.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """All that was found; `design` is the fitted sensor, `text` its file."""
+    """Result of a fit; `design` is the fitted sensor, `text` its file."""
 
     design: SensorDesign
     text: str

@@ -1,4 +1,4 @@
-"""Sensor file with changed numbers.
+"""Sensor file with changed values.
 
 The existing text and its comments are kept. Each changed line gets a comment.
 """
@@ -28,7 +28,10 @@ def rewrite(text: str, numbers: Sequence[FittedParameter], head: str) -> str:
 
 
 def _put(lines: list[str], section: str, key: str, value: str, number: FittedParameter) -> None:
-    """Change or add one line. A value that is not known and was not in the file stays out of it."""
+    """Change or add one line.
+
+    A value that the recordings do not determine is not added to the file.
+    """
     begin = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
     is_finite_value = number.state != "not in these recordings"
     if begin is None:

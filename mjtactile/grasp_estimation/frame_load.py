@@ -11,7 +11,7 @@ import numpy as np
 
 from mjtactile.core.types import Touch
 
-_ERROR = 0.3  # of an effort: a data sheet's torque, the current's resolution
+_ERROR = 0.3  # relative error of an effort: a data sheet's torque, the current's resolution
 _GEARS = 1.0  # maximum friction force of the jaws, N
 # minimum duration, s: an image is older than a current, and stopping jaws push for a moment
 _LASTS = 0.2
@@ -25,10 +25,10 @@ class FrameLoadEstimator:
 
     An object base wider than the tips stands between the frames. The jaws push the frames against
     it. The wedged part also loads the membranes in shear, which resembles twice the weight. A
-    controller stores it as numbers (`vars`) and restores it (`FrameLoadEstimator(**kept)`).
+    controller stores it as plain values (`vars`) and restores it (`FrameLoadEstimator(**kept)`).
 
     Attributes:
-        most: Largest useful grip force on each finger, N.
+        maximum: Largest useful grip force on each finger, N.
         time: Time since the servo force exceeds the measured contact force, s.
     """
 

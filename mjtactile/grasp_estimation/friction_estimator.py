@@ -26,10 +26,12 @@ _PROOF_FRACTION = 0.9
 _VERDICT = 0.3  # time from the slip sign to this check, s
 _TREND = 0.15  # time constant for the trend of a growing load, s
 _HARDER = 1.15  # minimum growth of the grip for this check
-_FOLLOWS = 0.35  # of the grip's growth in the shear: less is no slip
+_FOLLOWS = 0.35  # minimum ratio of shear growth to grip growth for a slip
 _RESTORED = 0.95  # restored fraction of the previous estimate
 _GROWTH = 0.03  # growth rate of an estimate in use, 1/s, up to _UNPROVEN
-_ASKED = 0.6  # of it in use: else a lighter grip is not for the asking, and a hold shows nothing
+# minimum used fraction of the estimate for this growth; below it a lighter grip is not available,
+# and holding is no evidence
+_ASKED = 0.6
 _UNPROVEN = 0.7
 _FRICTION_MIN = 0.2
 _FRICTION_MAX = 1.0  # upper limit of the estimate: rolling starts before sliding
@@ -39,13 +41,13 @@ _FRICTION_MAX = 1.0  # upper limit of the estimate: rolling starts before slidin
 class FrictionEstimator:
     """Recursive friction estimator.
 
-    A controller stores it as numbers (`vars`) and restores it (`FrictionEstimator(**kept)`).
+    A controller stores it as plain values (`vars`) and restores it (`FrictionEstimator(**kept)`).
 
     Attributes:
         friction: Estimated coefficient.
         proven: Ratio recently held without slip. A slip sign at a lower ratio, during a grip
             change, is rejected.
-        used: Largest shear over normal force of the last moment; slip is reported late.
+        used: Largest recent shear over normal force, since slip is reported late.
         since_slip: Time since the last accepted slip, s.
         slip_ages: Time since each finger's last slip report, s.
         before: Estimate before that slip; 0 once the slip is evaluated.

@@ -33,7 +33,7 @@ _LEAST = 0.2
 class FrictionProbe:
     """Friction test by a looser grip.
 
-    A controller stores it as numbers (`vars`) and restores it (`FrictionProbe(**kept)`).
+    A controller stores it as plain values (`vars`) and restores it (`FrictionProbe(**kept)`).
 
     Attributes:
         friction: Coefficient under test, and the result at the end.
@@ -60,7 +60,7 @@ class FrictionProbe:
 
     @property
     def grip(self) -> float:
-        """Share of the grip that is asked for now."""
+        """Requested fraction of the grip force."""
         return _LOOSE if self.is_on else 1.0
 
     def after(self, touch: Sequence[Touch], period: float, believed: float = 0.0) -> FrictionProbe:

@@ -20,7 +20,8 @@ _RANGE = (0.4, 6.0)
 class GripStiffnessEstimator:
     """Recursive estimator of the grip stiffness.
 
-    A controller stores it as numbers (`vars`) and restores it (`GripStiffnessEstimator(**kept)`).
+    A controller stores it as plain values (`vars`) and restores it
+    (`GripStiffnessEstimator(**kept)`).
 
     Attributes:
         opening: Opening of the jaws at the first contact of all fingers, m; negative: no contact

@@ -21,10 +21,10 @@ _WEIGHING = 0.7  # averaging time of the mass, s
 class LoadEstimator:
     """Recursive load estimator.
 
-    A controller stores it as numbers (`vars`) and restores it (`LoadEstimator(**kept)`).
+    A controller stores it as plain values (`vars`) and restores it (`LoadEstimator(**kept)`).
 
     Attributes:
-        most: Recent maximum of the shear load on each finger, N.
+        maximum: Recent maximum of the shear load on each finger, N.
         ahead: Predicted load in the near future, N.
         past: Load a moment ago, N; negative: unknown.
         down: (n, 2) Direction of the load on each finger; empty until the fingers alone carry it.
@@ -111,7 +111,7 @@ class LoadEstimator:
         mass = self.mass
         if len(self.down):
             carried = self.vector(touch)
-            carried[0] = max(carried[0], 0.0)  # upward it is the table's hand
+            carried[0] = max(carried[0], 0.0)  # an upward force is support by the table
             now = float(np.linalg.norm(carried[:2])) / len(touch)
             found = float(carried[0]) / GRAVITY
             mass = mass + period / _WEIGHING * (found - mass) if mass else found

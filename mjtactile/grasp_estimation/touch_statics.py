@@ -50,13 +50,13 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class Friction:
-    """Friction between object and membranes, from one moment.
+    """Friction between object and membranes at one time.
 
     Attributes:
         used: (n,) Shear over normal force of each finger, as used for slip; NaN without contact.
         sd: (n,) Standard deviations.
-        least: Lower bound of the coefficient: the largest ratio of a finger without slip, minus two
-            of its sd; 0 if there is none.
+        minimum: Lower bound of the coefficient: the largest ratio of a finger without slip, minus
+            two of its sd; 0 if there is none.
         slipped: Coefficient from slipping fingers: the smallest ratio among them. NaN: no slip.
     """
 

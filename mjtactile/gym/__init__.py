@@ -8,7 +8,7 @@ try:
 except ModuleNotFoundError as missing:
     if missing.name != "gymnasium":
         raise
-    # without the traceback's first half: there is nothing to be learned from it
+    # omit the first half of the traceback: it has no useful information
     raise ModuleNotFoundError(
         "Gymnasium is not installed: pip install 'mjtactile[gym]'", name="gymnasium"
     ) from None

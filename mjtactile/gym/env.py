@@ -148,8 +148,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin the episode of `seed` (None: the next of the generator's): both membranes inflated,
-        nothing touching."""
+        """Start the episode of `seed`, with both membranes inflated and without contact.
+
+        If `seed` is None, the generator supplies the next one.
+        """
         super().reset(seed=seed)
         self._seed = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         if self._restart is None:
@@ -278,7 +280,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if phase not in PROGRESS or not (touched or phase in _TOUCHLESS):
             return 0.0
         if phase in _AFTER_HOLDING and self._come < PROGRESS["lower"][0]:
-            return 0.0  # an empty hand that rises comes down again and lets go, too
+            return 0.0  # an empty gripper that was raised also goes through lowering and release
         begin, more = PROGRESS[phase]
         come = begin + more * min(max(self._fraction_of(phase), 0.0), 1.0)
         farther = max(come - self._come, 0.0)

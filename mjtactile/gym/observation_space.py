@@ -73,7 +73,7 @@ def show(kind: str, observation: Observation, images: Sequence[Image], count: in
 
 
 def _markers(touch: Touch, count: int) -> tuple[Array, Array]:
-    """Positions (count, 3) m in S and whether (count,) each was seen."""
+    """Return marker positions (count, 3) in S, m, and flags (count,) of the detected markers."""
     p_SM = np.zeros((count, 3), np.float32)
     seen = np.zeros(count, np.int8)
     if touch.markers is not None:

@@ -100,13 +100,13 @@ def _word(value: Any) -> int:
 
 
 def band_stride(width: int) -> int:
-    """Numbers from a column of a band to the next, as kernels/band_cholesky_f64.h has them."""
+    """Return the stride between columns of a band matrix, as in kernels/band_cholesky_f64.h."""
     return _macros()["BAND_STRIDE"](width)
 
 
 @dataclass(frozen=True)
 class KernelArgument:
-    """One argument of a C function; `shape` is an array's, as declared, "" for a number."""
+    """Argument of a C function; `shape` is the declared array shape, "" for a scalar."""
 
     name: str
     kind: str
@@ -166,7 +166,7 @@ def _header() -> str:
 
 @cache
 def _macros() -> dict[str, Callable[[Any], Any]]:
-    """The header's macros of one whole number, which sizes may use."""
+    """Return the header's macros of one integer argument, for use in array sizes."""
     return {
         name: eval(f"lambda {argument}: {body.replace('/', '//')}", {"__builtins__": {}})
         for name, argument, body in _MACRO.findall(_header())
@@ -241,7 +241,7 @@ class _Kernel:
         return bound_call
 
     def _fixed(self, place: int, value: Any, size: float) -> Any:
-        """A number as it is, the address of an array that stays."""
+        """Return a number unchanged, or the address of an array that is kept alive."""
         argument = self.declaration.arguments[place]
         if math.isnan(size):
             raise TypeError(

@@ -25,8 +25,7 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 MADE = "made"  # the folder of libraries
-# Sums may be reordered and thus vectorised; not-a-number and infinity are honoured, since they mean
-# "unknown".
+# Sums may be reordered and vectorised. NaN and infinity are respected, since they mean "unknown".
 _FLAGS = [
     "-std=c11",
     "-O3",
@@ -42,7 +41,8 @@ _FLAGS = [
     "-Wextra",
     "-Werror",
 ]
-# GCC warns that without AVX vectors are handed over otherwise; no others hand them to these.
+# GCC warns that vector arguments are passed differently without AVX. No external code passes
+# vectors to these functions.
 _SYSTEM_FLAGS = ["-Wno-psabi"]
 # Targets of the Zig compiler, and the corresponding wheel tags.
 PLATFORMS = {

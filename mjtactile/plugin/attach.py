@@ -88,7 +88,7 @@ def attach(
         mass: Mass of frame, glass and camera, kg.
         contact: Contact geometry of the membrane: its "vertices", its triangles ("elements"),
             "both", or "auto" for a choice by the scene's smallest feature.
-        effects: Names that `mjtactile effects` lists. The sensing chain always runs: synthetic
+        effects: Names that `mjtactile effects` lists. The sensing pipeline always runs: synthetic
             touch is available in grasps only.
 
     Returns:

@@ -1,9 +1,9 @@
 """Reference state of a sensor, measured on the sensor alone.
 
-A real sensor measures its references while nothing touches it. In a user's scene, contact may exist
-from the first step on. The references are therefore taken in a separate world that contains only
-this sensor. They use rendered images and the same sensing chain as every rig. The resulting
-inflated membrane is then copied into the user's scene, which needs no special motion.
+A real sensor measures its references without contact. In a user's scene, contact may exist from the
+first step on. The references are therefore taken in a separate world that contains only this
+sensor. They use rendered images and the same sensing pipeline as every rig. The resulting inflated
+membrane is then copied into the user's scene, which needs no special motion.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`SimFinger`: one sensor in a user's scene, with its membrane and its sensing chain."""
+"""`SimFinger`: one sensor in a user's scene, with its membrane and its sensing pipeline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mjtactile.sim.sensor.contact_loads import membrane_wrench
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
-"""MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""
+"""MuJoCo sensors of type `user` added by `attach`, with their numbers of values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,13 @@ class SensorReading:
 
 
 class SimFinger:
-    """Sensor in a scene that the user steps: membrane, gas, camera and sensing chain.
+    """Sensor in a scene that the user steps: membrane, gas, camera and sensing pipeline.
 
     It differs from `mjtactile.Finger`, which is part of a rig and is read by a session. `SimFinger`
     processes its own images when they are due, since the user runs the loop. `AttachedSensor.bind`
     creates it, inflated and with its references taken.
 
-    After every step it writes three entries of `data.sensordata`. PREFIXwrench holds 6 numbers:
+    After every step it writes three entries of `data.sensordata`. PREFIXwrench holds 6 values:
     estimated force, N, and torque about the origin of S, N m, as in `touch.traction.wrench`.
     PREFIXpressure is in Pa, gauge, and PREFIXtouching is 0 or 1. The values are NaN where the touch
     is unknown.
@@ -241,17 +241,20 @@ class SimFinger:
 def step(
     model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1
 ) -> None:
-    """Advance the scene as `mj_step` does, with its fingers: gas, step, images when they are due.
+    """Advance the scene and its fingers, like `mj_step`.
+
+    Each time step updates the gas, steps the scene, and processes the images that are due.
 
     Args:
-        model: The scene's.
-        data: The scene's.
-        fingers: All that are bound in it.
-        nstep: How many time steps.
+        model: Model of the scene.
+        data: Data of the scene.
+        fingers: All fingers that are bound in the scene.
+        nstep: Number of time steps.
 
     Raises:
-        InputError: A finger was left behind, or is bound to other data.
-        SimulationError: The state is no longer to be trusted.
+        InputError: The scene was stepped or reset without a finger, or a finger is bound to other
+            data.
+        SimulationError: The state is no longer reliable.
     """
     for finger in fingers:
         if not finger.belongs_to(data):

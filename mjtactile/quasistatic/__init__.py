@@ -27,15 +27,15 @@ Limits and their cost (docs/validation/benchmarks.md, `bench quasistatic`):
   That of a thin rod varies by more. Blades are in contact with the nearest line of nodes. Ridges
   are 10 % too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are
   rejected. `MembraneSolution.doubt` is the error bound that holds for 9 of 10 such forces. It is 1
-  for a tip that touches no node. `relative_area_error` is the same for areas. The area is unknown
-  if the contact is a point or a line on this grid. `QuasistaticMembrane.refined_for` selects a grid
-  for an obstacle. 41 x 31 nodes take three times as long. Obstacles thinner than a tenth of the
-  spacing may be missed, and needles slip aside.
+  for a tip without contact at any node. `relative_area_error` is the same for areas. The area is
+  unknown if the contact is a point or a line on this grid. `QuasistaticMembrane.refined_for`
+  selects a grid for an obstacle. 41 x 31 nodes take three times as long. Obstacles thinner than a
+  tenth of the spacing may be missed, and needles slip aside.
 
 The solver rejects some obstacles with a one-line error. Such an obstacle touches the rim, lies on
 the glass, or passes between nodes. It also rejects an inverted membrane, and stretch beyond the
 range of the material model. If a solution does not converge, `state.converged` is False and its
-numbers are NaN.
+values are NaN.
 
 Frame S, SI units. The gas follows p V^gamma with the design's gamma, or its pressure is held.
 Equations: docs/theory/quasistatic_membrane.md, X1-X8. Rationale: docs/decisions/0025-film.md.

@@ -17,7 +17,7 @@ _MAX_GAUGE = 1e6  # maximum gauge pressure, Pa
 
 
 def grid(counts: Any) -> tuple[int, int]:
-    """Numbers of nodes along x and y. Raises InputError."""
+    """Return the numbers of nodes along x and y. Raises InputError."""
     try:
         found = tuple(int(count) for count in counts)
     except (TypeError, ValueError):
@@ -30,7 +30,7 @@ def grid(counts: Any) -> tuple[int, int]:
 
 
 def environments(obstacles: Any) -> list[Collection[Obstacle]]:
-    """The bodies of each environment, as many in each. Raises InputError."""
+    """Return the obstacles of each environment, the same number in each. Raises InputError."""
     is_list = isinstance(obstacles, Iterable) and not isinstance(obstacles, str)
     every: list[Any] = list(obstacles) if is_list else [obstacles]
     listed: list[Any] = [(one,) if isinstance(one, Obstacle) else one for one in every]
@@ -42,7 +42,7 @@ def environments(obstacles: Any) -> list[Collection[Obstacle]]:
 
 
 def require_batch(field: str, batch: Any, shape: tuple[int, ...]) -> None:
-    """Raise InputError where something is no batch of displacements of this shape."""
+    """Raise InputError if `batch` is not a batch with displacements of this shape."""
     if not isinstance(batch, MembraneSolutionBatch):
         raise InputError(f"{type(batch).__name__} is not a MembraneSolutionBatch", field=field)
     if batch.x.shape != shape:
@@ -50,7 +50,7 @@ def require_batch(field: str, batch: Any, shape: tuple[int, ...]) -> None:
 
 
 def require_state(state: Any, shape: tuple[int, ...]) -> None:
-    """Raise InputError where something is no state of displacements of this shape."""
+    """Raise InputError if `state` is not a solution with displacements of this shape."""
     if not isinstance(state, MembraneSolution):
         raise InputError(f"{type(state).__name__} is not a MembraneSolution", field="state")
     if state.x.shape != shape:

@@ -1,4 +1,4 @@
-"""Films of several environments at once: their memory, and the threads that share them out."""
+"""Batches of quasi-static membranes: their memory, and threads that process them in parallel."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def at_once(threads: int, work: Callable[[int], object]) -> None:
 
 
 def new_batch(count: int, grid: tuple[int, int]) -> MembraneSolutionBatch:
-    """Memory for `count` states, with nothing in it yet."""
+    """Allocate uninitialized memory for `count` states."""
     x, trend = (np.empty((count, parts, *grid)) for parts in (3, 4))
     return MembraneSolutionBatch(x, np.empty((count, *grid)), np.empty((count, FOUND)), trend)
 
@@ -66,4 +66,4 @@ def _follow(orders: SimpleQueue[_Order]) -> None:
         except BaseException as error:  # noqa: BLE001 - is raised by who asked
             failure = error
         done.put(failure)
-        del work, done, failure  # nothing is kept until the next
+        del work, done, failure  # release all references until the next item arrives

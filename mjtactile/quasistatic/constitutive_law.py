@@ -18,7 +18,8 @@ from mjtactile.core.types import Array
 from mjtactile.core.types.arrays import fixed
 
 DEGREE = 10
-_MIN_STRETCH, _MAX_STRETCH = 0.75, 1.9  # of the mounted sheet; mean of both directions
+# range relative to the mounted membrane; mean of both directions
+_MIN_STRETCH, _MAX_STRETCH = 0.75, 1.9
 _MIN_POISSON = 0.005  # below, the thickness hardly changes, and the equation for it is stiff
 _NEWTON = 60
 
@@ -63,7 +64,10 @@ def tension_slope(sheet: Membrane, area_ratio: float) -> float:
 
 @lru_cache(maxsize=64)
 def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
-    """Middle and scale of 1 / sqrt(det C), and q's coefficients in it, to 1e-6 of q or better."""
+    """Fit q as a polynomial in 1 / sqrt(det C), to 1e-6 of q or better.
+
+    Returns the center and scale of the argument, and the coefficients.
+    """
     nu = max(sheet.poisson, _MIN_POISSON)
     half = nu / (1 - 2 * nu)  # lambda / 2 mu
     ends = sheet.pre_stretch**-2 * np.array([_MAX_STRETCH**-2, _MIN_STRETCH**-2])

@@ -24,7 +24,7 @@ from mjtactile.core.types import Array
 _POINTS = 4096  # of the outline, between which it is straight: 0.005 um of a circle of 30 mm
 _NEAREST = 0.01  # of a spacing: a node nearer to the outline than that is held on it
 _TOGETHER = 8  # triangles, as kernels/qs_cut_cells.h has them
-_HEADER = 2  # numbers
+_HEADER = 2  # length of the header, values
 _NOTHING = 1e-9  # of a cell
 _SAME = 1e-6  # of a spacing, to which an outline is the same mirrored
 _DIVISIONS = {
@@ -108,7 +108,7 @@ class _Crossings:
         return off > _SAME
 
     def between(self, free: tuple[int, int], held: tuple[int, int]) -> tuple[float, float]:
-        """Place, m, where the link from a free node to a held neighbour ends."""
+        """Return the end point of the link from a free node to a held neighbour, m."""
         i, j = free
         k, m = held
         if i == k:
@@ -221,7 +221,7 @@ def _link(
     towards: dict[tuple[int, int], tuple[int, int]],
     line: int,
 ) -> int:
-    """The link that stands for a triangle's side."""
+    """Return the link that corresponds to a side of a triangle, or 0 if there is none."""
     free = one or other
     if free is None:
         return 0

@@ -17,14 +17,14 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.obstacles import KINDS, Obstacle
 
-REFINED = (1.0, 1.5, 2.0, 3.0, 4.0)  # times as fine, of grids that are tried
+REFINED = (1.0, 1.5, 2.0, 3.0, 4.0)  # refinement factors of the candidate grids
 SPACING = 2e-3  # grid spacing of the table, m; the error is proportional to the spacing
 _CONE, _QUADRIC = KINDS["cone"][0], KINDS["quadric"][0]
 _EDGED = {KINDS[kind][0] for kind in ("box", "cylinder", "disc", "wedge", "mesh")}
 _TIP, _AT_EDGES = 0.4, 0.07
-# Widths over spacing, from which on 9 of 10 forces are within a share.
+# Minimum width over spacing, and the relative error not exceeded by 9 of 10 forces.
 _SHARES = ((8.0, 0.03), (4.0, 0.06), (3.0, 0.07), (2.0, 0.14), (0.0, 0.25))
-# The same of contacts by the number of nodes that touch, on any grid.
+# The same by the minimum number of nodes in contact, on any grid.
 _FEW = ((8, 0.0), (5, 0.04), (3, 0.08), (2, 0.14), (0, 0.3))
 # Area error by the contact's width in nodes, for faces and for round obstacles.
 _FACES = ((2.5, 0.15), (1.6, 0.2), (1.2, 0.3), (0.0, 0.8))
@@ -49,12 +49,12 @@ def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
 
 
 def row_error(rows: Sequence[Array] | Array, spacing: float) -> float:
-    """The same of bodies' numbers (k, NUMBERS) as the kernel takes them."""
+    """Return the same error for obstacle rows (k, NUMBERS) in the kernel's format."""
     return max((_share(row, spacing) for row in rows), default=0.0) * (spacing / SPACING)
 
 
 def error_of_few_nodes(nodes: int) -> float:
-    """The same share because so few nodes touch, however wide the body is."""
+    """Return the same error from the number of nodes in contact, for any obstacle width."""
     return next(share for minimum, share in _FEW if nodes >= minimum)
 
 
@@ -113,7 +113,7 @@ def lowest_place(body: Obstacle) -> Array | None:
     """
     row = body.numbers
     R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
-    up = R[2]  # S's z, in the body's frame
+    up = R[2]  # z of S in the obstacle's frame
     if body.kind in ("plane", "heights"):
         return None
     if body.kind in ("cone", "quadric"):

@@ -1,4 +1,5 @@
-"""`IncrementalMembrane`: a quasi-static membrane updated in place at every step of a simulation.
+"""`IncrementalMembrane`: quasi-static membrane that is updated in place at every step of a
+simulation.
 
 `QuasistaticMembrane` creates a new state for every solution. This class keeps one state and its own
 workspace, so the membranes of many environments can run in threads. Sticking contact is held by the
@@ -34,7 +35,7 @@ from mjtactile.quasistatic.stiffness import compliance_of
 _TOLERANCE = 1e-6  # tolerance of the displacements, m
 _MAX_STEPS = 40
 HEAT_RATIO = 14
-"""Place of the gas's exponent in a film's numbers."""
+"""Index of the gas exponent in a membrane's parameters."""
 _RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 
 
@@ -100,7 +101,7 @@ class IncrementalMembrane:
         return status
 
     def lie_flat(self) -> None:
-        """Be the mounted sheet, without a pressure."""
+        """Reset to the mounted flat membrane without pressure."""
         self.x[:] = 0.0
         self.force[:] = 0.0
         self.trend[:] = 0.0
@@ -168,7 +169,7 @@ class IncrementalMembrane:
 
     @property
     def wrench(self) -> Array:
-        """(6,) N and N m about the origin of S of the bodies on the film, frictionless; a view."""
+        """Frictionless wrench (6,) of the obstacles about the origin of S, N and N m; a view."""
         return self.found[WRENCH]
 
 
@@ -236,5 +237,5 @@ class Sticking:
 
 
 def empty_rows(count: int) -> Array:
-    """Rows (count, NUMBERS) for bodies that are not there."""
+    """Return rows (count, NUMBERS) for absent obstacles."""
     return np.zeros((count, obstacles.NUMBERS))

@@ -86,7 +86,7 @@ def inflate(film: Uninflated) -> MembraneSolution:
 
 
 def _ways(stretch: float) -> Iterator[tuple[float, float]]:
-    """Shares of the pressure, and stretches."""
+    """Yield the fraction of the pressure and the stretch of each inflation step."""
     more = max(_TAUT - stretch, 0.0)
     for share in _INFLATING:
         yield share, stretch + more

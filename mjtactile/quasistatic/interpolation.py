@@ -16,7 +16,7 @@ from mjtactile.quasistatic.cut_cells import moving
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 _BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
-_ABOUT = 3.0  # spacings, about the nearest place, that are fitted
+_ABOUT = 3.0  # radius of the fitted region around the nearest rim point, spacings
 _POINTS = 1440  # of the outline
 _APART = 0.7  # spacings, of those that are fitted
 
@@ -40,14 +40,15 @@ def carried(film: QuasistaticMembrane, places: Array) -> Array:
 
 
 def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array) -> Array:
-    """The same with slopes.
+    """Return the interpolation matrices of displacements and their slopes.
 
     Args:
-        film: Of any outline.
-        places: (n, 2) m, of the flat sheet, within it.
+        film: A membrane with any outline.
+        places: Points (n, 2) of the flat membrane, inside its outline, m.
 
     Returns:
-        (3, n, nx * ny) of displacements there and of their derivatives by x and y, 1/m.
+        (3, n, nx * ny) Matrices of the displacements there and of their derivatives by x and y,
+        1/m.
     """
     (across, across_by), (along, along_by) = (
         interpolating(line, np.clip(at, line[0], line[-1]))

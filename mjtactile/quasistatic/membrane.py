@@ -1,4 +1,4 @@
-"""`QuasistaticMembrane`: one sensor's sheet on a grid, over its gas, ready to be pressed."""
+"""`QuasistaticMembrane`: membrane of one sensor on a grid, inflated and ready for contact."""
 
 from __future__ import annotations
 
@@ -353,14 +353,14 @@ class QuasistaticMembrane:
         return patches_of(self.x, self.y, state, self.stiffness_factor(state))
 
     def stiffness_factor(self, state: MembraneSolution) -> Array:
-        """Factor the sheet's stiffness where a state is, over a gas that stays at its pressure.
+        """Factor the stiffness of the membrane in a state, with gas at constant pressure.
 
         Args:
-            state: At rest.
+            state: Equilibrium.
 
         Returns:
-            The Cholesky factor's lower band (width + 1, 3 inner nodes), as SciPy has it; x, y and
-            height of a node in turn.
+            The Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format. Each node
+            has x, y and height in order.
         """
         return stiffness.factor_of(self, state)
 

@@ -41,7 +41,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "triangles": (10, ()),
     "heights": (11, ()),
 }
-_FEW = 16  # numbers, which Python looks at faster than numpy
+_FEW = 16  # array size below which Python checks values faster than numpy
 _UNIT = 0.01  # off one, of a quaternion that was rounded
 _FLAT = 1e-9  # extent that counts as no thickness, m
 _SAME_PLANE = 9  # digits of m, and of a normal
@@ -116,7 +116,7 @@ def obstacle(
     numbers = np.zeros(NUMBERS)
     numbers[0] = number
     size = finite("sizes", sizes, (len(names),))
-    sides = size.tolist()  # as numbers of Python: bodies are made by the dozen, for derivatives
+    sides = size.tolist()  # Python floats are faster: derivatives create many obstacles
     for name, value in zip(names, sides, strict=True):
         if (
             value < 0
@@ -309,7 +309,10 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """`values` as an array of `shape`, -1 where any number goes; InputError that names `field`."""
+    """Return `values` as a finite array of `shape`, where -1 allows any length.
+
+    Raises InputError that names `field`.
+    """
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:

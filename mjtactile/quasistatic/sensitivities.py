@@ -20,7 +20,8 @@ from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, MembraneSolution
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
-_STEP = 1e-8  # of a number, or of one: differences of bodies alone, which are closed forms
+# relative to a parameter, or to 1; differences of the obstacles alone, which are closed forms
+_STEP = 1e-8
 POSE_STEP = 1e-8  # step of the pose, m, rad
 _LOOSE = 1e-6  # tolerance for a solve in single precision, m
 _TURNS = np.array([
@@ -78,7 +79,7 @@ class SolutionSensitivities:
 
     @property
     def force_normal(self) -> Array:
-        """(n,) of the force that presses into the sensor."""
+        """Derivatives (n,) of the normal force into the sensor."""
         return -self.wrench[:, 2]
 
 
@@ -197,7 +198,7 @@ def answered(
 
 
 def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) -> tuple[Any, ...]:
-    """Bodies, steps and state, as kernels take them."""
+    """Return obstacles, steps and state as kernel arguments."""
     pooled = 0 if pool is None else pool.size
     return rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force
 

@@ -43,7 +43,7 @@ _COMPLAINTS = {
     MembraneStatus.OVERSTRETCHED: "the stretch exceeds the range of the material model",
 }
 
-# Places in `found`, as kernels/qs_workspace.h has them.
+# Indices in `found`, as in kernels/qs_workspace.h.
 WRENCH = slice(0, 6)
 PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14
@@ -79,7 +79,7 @@ _BY_NOTHING = ContactSetup()
 class MembraneSolution:
     """Equilibrium of a membrane on obstacles. SI units, frame S.
 
-    All numbers are NaN if the state is not `converged`.
+    All values are NaN if the state is not `converged`.
 
     Attributes:
         x: Node displacements (3, nx, ny), m.
@@ -115,7 +115,7 @@ class MembraneSolution:
 
     @property
     def force_normal(self) -> float:
-        """Force, N, that presses into the sensor: -z of the wrench."""
+        """Normal force into the sensor, N: -z of the wrench."""
         return -self._number(2)
 
     @property
@@ -171,8 +171,10 @@ class MembraneSolution:
 
     @property
     def wrench(self) -> Array:
-        """Force, N, and torque about the origin of S, N m, (6,) of the bodies on the film;
-        frictionless."""
+        """Frictionless wrench (6,) of the obstacles on the membrane.
+
+        Force, N, and torque about the origin of S, N m.
+        """
         return self.found[WRENCH].copy() if self.converged else np.full(6, np.nan)
 
     @property
@@ -182,22 +184,22 @@ class MembraneSolution:
 
     @property
     def volume(self) -> float:
-        """Volume between the film and the frame's plane, m^3."""
+        """Volume between the membrane and the frame's plane, m^3."""
         return self._number(VOLUME)
 
     @property
     def area(self) -> float:
-        """Area of the sheet in contact, m^2."""
+        """Area of the membrane in contact, m^2."""
         return self._number(AREA)
 
     @property
     def heights(self) -> Array:
-        """Heights (nx, ny) m of the sheet's middle at its nodes, which are at `places`."""
+        """Heights (nx, ny) of the membrane's mid-surface at its nodes, m."""
         return self.x[2] if self.converged else np.full(self.x.shape[1:], np.nan)
 
     @property
     def displacements(self) -> Array:
-        """Displacements (3, nx, ny) m of the mounted flat sheet's nodes."""
+        """Displacements (3, nx, ny) of the nodes from the mounted flat membrane, m."""
         return self.x if self.converged else np.full(self.x.shape, np.nan)
 
     @property

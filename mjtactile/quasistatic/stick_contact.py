@@ -85,13 +85,13 @@ def drag(
 
 
 def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> list[StuckPatch]:
-    """Every set of neighbouring nodes that touch, largest force first.
+    """Return every connected set of nodes in contact, largest force first.
 
     Args:
-        x: (nx,) m, the nodes' places on the flat sheet.
-        y: (ny,) m.
-        state: At rest.
-        factor: As `QuasistaticMembrane.stiffness_factor` gives it, there.
+        x: Node positions on the flat membrane (nx,), m.
+        y: The same along y (ny,), m.
+        state: Equilibrium.
+        factor: Factor from `QuasistaticMembrane.stiffness_factor` for this state.
 
     Returns:
         The patches.

@@ -1,4 +1,4 @@
-"""`DecimatedHistory`: a bounded number of cycles, spread evenly over a run, for its report."""
+"""`DecimatedHistory`: limited number of cycles, evenly spread over a run, for its report."""
 
 from __future__ import annotations
 

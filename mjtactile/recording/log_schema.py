@@ -17,7 +17,7 @@ from mjtactile.core.types import Array, Command, Contact, GripperState, Image, T
 _NAN2 = [np.nan] * 2
 _NAN3 = [np.nan] * 3
 _NAN6 = [np.nan] * 6
-_BORDER = 24  # points of an outline, at most
+_BORDER = 24  # maximum number of points of an outline
 
 
 class Seen(Protocol):
@@ -186,7 +186,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "shape_kind": (
         "",
-        "kind of contact shape: smooth, face, edge, tip, several or unknown; none if not requested",
+        "kind of contact shape: smooth, flat, edge, point, multiple or unknown; none if not asked",
         _of_part("shape", "kind", "none"),
     ),
     "shape_family": (

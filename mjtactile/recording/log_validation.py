@@ -112,8 +112,10 @@ _NOTES = {
 
 
 def kind(value: Any) -> Any:
-    """FLAG, NUMBER (or unknown), TEXT, TABLE; of a list the tuple of its values' kinds, None of
-    anything else."""
+    """Return the kind of a value: FLAG, NUMBER (also if unknown), TEXT or TABLE.
+
+    For a list it is the tuple of its values' kinds. For anything else it is None.
+    """
     if isinstance(value, bool):
         return FLAG
     if value is None or (isinstance(value, (int, float)) and abs(value) <= sys.float_info.max):

@@ -13,8 +13,8 @@ class Observer:
 
     A run calls the methods in the order of their definition. Each does nothing unless it is
     overridden. The calls come from the thread of the control loop. If a method raises an exception
-    during a cycle, the hand is first lowered and opened. The exception is then raised to the caller
-    of the run.
+    during a cycle, the gripper is first lowered and opened. The exception is then raised to the
+    caller of the run.
     """
 
     sees: bool = True
@@ -22,7 +22,7 @@ class Observer:
     made."""
 
     def begin(self, session: Any) -> None:
-        """The rig is there, and nothing has moved yet.
+        """Receive the session, with the rig ready and before any motion.
 
         Args:
             session: The `Session`.
@@ -54,7 +54,7 @@ class Observer:
         """
 
     def on_images(self) -> None:
-        """A cycle's images were taken, and a simulated world still stands at that time."""
+        """Handle the images of a cycle; a simulated world is still paused at their time."""
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         """Receive a cycle after its command was sent.

@@ -114,13 +114,14 @@ class Recording:
         )
 
     def command_pressure(self, cycle: int) -> tuple[float, ...] | None:
-        """Look up the pressures that were commanded in one cycle.
+        """Return the commanded pressures of one cycle.
 
         Args:
             cycle: Its number, from 0.
 
         Returns:
-            Pa, one a finger; None where the air was left alone, or by an older recording.
+            Pressures, Pa, one per finger. None if no pressure was commanded, or for an older
+            recording.
         """
         column = self.columns.get("command_pressure")
         if column is None or any(one is None or one != one for one in column[cycle]):
@@ -199,7 +200,7 @@ class Recording:
             cycle: Its number, from 0.
 
         Returns:
-            One image a finger; () where it has none.
+            One image per finger; () if the cycle has none.
 
         Raises:
             InputError: A file is missing or broken.
@@ -305,7 +306,7 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
 
 
 def _columns(cycles: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Rows to columns: numbers as float with null as NaN, all else as objects."""
+    """Convert rows to columns: numbers as float with null as NaN, all others as objects."""
     columns: dict[str, np.ndarray] = {}
     for key in cycles[0] if cycles else ("time", "phase", "images", "image_time"):
         values = [row.get(key) for row in cycles]

@@ -1,7 +1,7 @@
 """Rig that replays a recording: the same images, states and times, at maximum speed.
 
 Nothing reacts to commands: the answer to each command is the one that was sent in the recording.
-The same controller and code therefore reproduce the numbers bit for bit. Another controller shows
+The same controller and code therefore reproduce the results bit for bit. Another controller shows
 the commands that it would have requested.
 """
 
@@ -47,7 +47,7 @@ class Tape:
         return self._now[camera]
 
     def value(self, key: str) -> float:
-        """A number of the present cycle; NaN where an older recording has none."""
+        """Return a value of the current cycle; NaN if an older recording lacks it."""
         column = self.recording.columns.get(key)
         return math.nan if column is None else float(column[self.cycle])
 
@@ -80,7 +80,7 @@ class ReplayClock:
         return float(self._tape.recording.columns["time"][max(self._tape.cycle, 0)])
 
     def start(self, time: float) -> None:
-        """Nothing moves but the tape."""
+        """Do nothing: only the recording advances."""
 
     def wait_until(self, time: float) -> None:
         """No waiting: a replay is as fast as it can be."""
@@ -104,7 +104,7 @@ class ReplayGripper:
         self._tape = tape
 
     def ask(self) -> None:
-        """Nothing to do: the answer is on the tape."""
+        """Do nothing: the recording contains the answer."""
 
     def state(self) -> GripperState:
         tape = self._tape

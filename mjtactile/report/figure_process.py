@@ -1,4 +1,4 @@
-"""The figure of a run, drawn by a process that has imported matplotlib while the run went on."""
+"""Figure of a run, plotted by a process that imports matplotlib during the run."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
 class FigureWriter:
     """Callable like `mjtactile.report.summary_figure.write_figure` that uses a worker process.
 
-    Without a worker, or if the worker has failed, it draws in this process.
+    Without a worker, or if the worker has failed, it plots in this process.
     """
 
     def __init__(self, worker: WorkerProcess | None):
@@ -82,7 +82,7 @@ class FigureWriter:
 
 @contextlib.contextmanager
 def figure_writer_process() -> Iterator[FigureWriter]:
-    """Start a process that draws the figure of a run; yields its `FigureWriter`."""
+    """Start a process that plots the figure of a run; yields its `FigureWriter`."""
     with contextlib.ExitStack() as stack:
         worker = None
         with contextlib.suppress(OSError):  # a computer that has no room for another process
@@ -92,7 +92,7 @@ def figure_writer_process() -> Iterator[FigureWriter]:
 
 
 def serve(channel: Channel) -> None:
-    """Draw the requested figures until the parent closes the channel."""
+    """Plot the requested figures until the parent closes the channel."""
     from mjtactile.report.summary_figure import import_matplotlib, write_figure
     from mjtactile.runtime.perception_threads import outcome_of
 

@@ -1,5 +1,4 @@
-"""Images from a user's file, folder (in file-name order) or video, and overlays of found
-markers."""
+"""Images from a user's file, folder (in file-name order) or video, and overlays of markers."""
 
 from __future__ import annotations
 
@@ -98,7 +97,7 @@ def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
 
 
 def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArray[np.uint8]:
-    """`overlay` of the markers that are found in an image of a sensor."""
+    """Return the `overlay` of the markers that are detected in a sensor's image."""
     ellipses = find_ellipses(image)
     return overlay(image.pixels, ellipses, estimate_poses(ellipses, camera, design.markers.radius))
 

@@ -1,4 +1,4 @@
-"""A camera's image with the ellipses that are fitted in it, as people look at it."""
+"""Camera image with overlaid fitted ellipses, for display."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mjtactile.sensing.image.tracking import Tracks
 # blue, green, red
 TRUSTED = (83, 211, 57)
 FLAGGED = (60, 60, 230)
-_PAPER = 190  # grey level where there is no image
+_PAPER = 190  # grey level of a missing image
 _NO_PIXELS = (480, 640)
 # Among this many circles, one this much larger than the median is not a marker. The markers of a
 # sensor are alike, and within a bulge the image size varies by less than a factor of two.

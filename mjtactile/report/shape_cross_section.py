@@ -23,7 +23,7 @@ _NAMES = ("along", "across")
 def plot_section(
     shape: ContactShape | None, true: Array, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
-    """Draw two cross sections side by side, with heights to scale.
+    """Plot two cross sections side by side, with heights to scale.
 
     Args:
         shape: The estimated contact shape, or None.

@@ -13,7 +13,7 @@ from mjtactile.core.types import Array, ContactShape
 from mjtactile.recording.reader import Recording
 from mjtactile.report.software_renderer import SceneCamera
 
-_ARC = 1.2  # rad to either side of the nearest point, of a bent body
+_ARC = 1.2  # half-angle of the arc about the nearest point of a curved shape, rad
 _REACH = 8e-3  # half-length of the arc of a flat shape, m, and maximum for any shape
 _POINTS = 17
 _FLAT = 1.0  # 1/m
@@ -50,7 +50,7 @@ def directions_of(shape: ContactShape) -> tuple[float, float]:
 
 
 def _arc(curvature: float) -> tuple[Array, Array]:
-    """Ways along and rises of a circle about its lowest point, m."""
+    """Return displacements along an arc and its heights above its lowest point, m."""
     if abs(curvature) < _FLAT:
         way = np.linspace(-_REACH, _REACH, _POINTS)
         return way, np.zeros(_POINTS)

@@ -19,14 +19,14 @@ _TURN = np.radians(24.0)
 _LIGHT = np.array([-0.35, 0.55, 0.76])  # to the light: right, up, towards the viewer
 _AMBIENT = 0.42
 _BACKGROUND = np.array([0.97, 0.975, 0.985])
-_HEIGHT = 1.5  # of the picture, in widths
-# across the picture; samples along a side of a pixel
+_HEIGHT = 1.5  # image height over image width
+# Image width, px; samples along a side of a pixel
 _PIXELS = 320
 _SAMPLES = 2
 # Half of the image width: minimum, m, and multiple of the sensors' distance from their center
 _LEAST = 0.07
 _AROUND = 2.4
-_PER_NEWTON = 0.75  # length of a force's arrow, in halves of the picture
+_PER_NEWTON = 0.75  # arrow length per newton, in halves of the image width
 
 
 class SceneCamera(Protocol):
@@ -43,7 +43,7 @@ class SceneCamera(Protocol):
 def render_scene(
     axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
 ) -> None:
-    """Draw the scene around the sensors, with an arrow for the estimated force of each finger in
+    """Render the scene around the sensors, with an arrow for the estimated force of each finger in
     contact.
 
     Each arrow has the color of its finger.
@@ -87,7 +87,7 @@ def picture_of(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES
 
 
 def _framing(view: SceneCamera) -> tuple[Array, float, Array]:
-    """The picture's middle (3,) m in W, half of its width, m, and its axes."""
+    """Return the image center (3,) in W, m, half of the image width, m, and the image axes."""
     middle = view.p_WS.mean(axis=0)
     half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
     return middle, half, image_axes(view.p_WS)
@@ -143,7 +143,7 @@ def rasterise(corners: Array, rgb: Array, size: tuple[int, int]) -> Array:
     from -1 to 1."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    # both sides are seen
+    # both sides are visible
     normals = np.where(normals[:, 2:] < 0, -normals, normals) / np.maximum(lengths, 1e-12)
     shade = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1)
     colours = np.clip(rgb * shade[:, None], 0, 1)

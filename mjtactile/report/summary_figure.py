@@ -63,7 +63,7 @@ def write_figure(
     columns = fingers + (scene is not None)
     width = max(4.6 * columns, 9.2)
     title = _title(summary)
-    # inches; no layout engine: it would draw all twice
+    # Size in inches; no layout engine, since it would render everything twice
     figure = figure_class(figsize=(width, 11.4), dpi=100)
     canvas_class(figure)
     sides = {"left": 0.75 / width, "right": 1 - 0.4 / width, "wspace": 0.18}
@@ -165,7 +165,7 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
     height, width = image.pixels.shape
     if image.pixels.size:
         axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    elif len(ellipses):  # no image was drawn: as much of it as the markers need
+    elif len(ellipses):  # no image was rendered: the markers define the visible area
         width, height = (ellipses.center_px + 2 * ellipses.semi_axes_px[:, :1]).max(axis=0)
         axes.set_aspect("equal")
     if len(ellipses):
@@ -188,8 +188,8 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
 def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None:
     """Plot the reconstructed membrane.
 
-    Arrows show the traction on the contact area, drawn outward (minus sign) as in the paper's Fig.
-    7. The arrow in the corner corresponds to `unit` Pa (default: suitable for this touch).
+    Arrows show the traction on the contact area, directed outward (minus sign) as in the paper's
+    Fig. 7. The arrow in the corner corresponds to `unit` Pa (default: suitable for this touch).
     """
     surface = touch.surface
     unit = arrow_unit([touch]) if unit is None else unit
@@ -298,7 +298,7 @@ def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
 
 
 def _plot_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
-    """Draw the traction where something touches; returns the highest tip, mm."""
+    """Plot the traction at the contact; returns the highest arrow tip, mm."""
     foot, stress = arrows(touch, surface)
     if not len(foot):
         return float(surface.z.max()) * _MM

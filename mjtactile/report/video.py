@@ -28,7 +28,7 @@ from mjtactile.report.video_file import NOTE, Pixels, Writer, write_frames
 
 FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
 """Suffix to images a second and size."""
-# px: height of the pictures and of the curve, widths of scene and camera
+# Height of the images and of the curve, widths of scene and camera, px
 _TOP = 480
 _CURVE = 220
 _SECTION = 150
@@ -222,7 +222,7 @@ class _Film:
 
 
 class _Curve:
-    """The forces over the whole run, drawn once, and a line where the film is."""
+    """Force curves over the whole run, rendered once, with a line at the current time."""
 
     def __init__(self, recording: Recording, width: int):
         time = recording.column("time")[:, 0]
@@ -303,7 +303,7 @@ class _Curve:
         self._picture[:] = cv2.addWeighted(over, 0.2, self._picture, 0.8, 0)
 
     def _line(self, time: Array, force: Array, colour: tuple[int, ...], width: int) -> None:
-        """A line with gaps where the force is not known."""
+        """Draw a line with gaps at unknown forces."""
         points = np.round(np.stack([self._x(time), self._y(np.nan_to_num(force))], axis=1)).astype(
             np.int32
         )

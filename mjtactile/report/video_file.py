@@ -1,4 +1,4 @@
-"""Writes the frames of a film into a file."""
+"""Writer of video frames to a file."""
 
 from __future__ import annotations
 

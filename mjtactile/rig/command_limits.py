@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from mjtactile.core.types import Command
 
-# Maximum pressure change between two images, Pa (the sensing chain treats 60 as a valve jump)
+# Maximum pressure change between two images, Pa (the sensing pipeline treats 60 as a valve jump)
 PRESSURE_STEP = 45.0
 
 

@@ -137,7 +137,7 @@ class Drawn:
 def _entries_of(group: str) -> tuple[Number, ...]:
     """Return the fields of an as-built sensor that belong to a section of the file."""
     found = [entry for entry in entries(AsBuiltSensor).values() if entry.group == group]
-    # of missing markers their number is drawn, then which
+    # for missing markers, their number is sampled first, then the markers
     count = Number(key=MISSING, low=0, high=_MISSING_MAX)
     return tuple(count if entry.key == MISSING else entry for entry in found)
 
@@ -268,10 +268,10 @@ def variation_from_table(table: Mapping[str, Any], path: Path) -> Randomization:
 
 
 def _read_spread(section: Section, entry: Number) -> Spread | None:
-    """One field: a number, [low, high], {mean, sd} or {choices}."""
+    """Read one field: a number, [low, high], {mean, sd} or {choices}."""
     kind = section.kind(entry.key)
     if kind is None:
-        # it is known now, and may be missing
+        # register the key, which is optional
         section.number(entry.key, entry.low, entry.high, default=None)
         return None
     if kind is list:

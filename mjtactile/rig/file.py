@@ -87,7 +87,7 @@ class ServoConfig:
 
 @dataclass(frozen=True)
 class LiftConfig:
-    """Lift of the hand: `"servo"` (rack with `per_rad`, m/rad, and `travel`, m) or `"none"`.
+    """Lift of the gripper: `"servo"` (rack with `per_rad`, m/rad, and `travel`, m) or `"none"`.
 
     Without a lift, the requested height is reported as reached at `speed`, m/s.
     """
@@ -257,7 +257,7 @@ class RigFile:
         return self.hold_time if self.on_host_loss == "hold" else 0.0
 
     def validate(self, section: Section) -> None:
-        """One camera and at most one valve a finger, servo ids all different."""
+        """Check for one camera and at most one valve per finger, and for distinct servo ids."""
         ids = [servo.id for servo in self.gripper.servos]
         if self.lift.kind == "servo":
             ids.append(self.lift.id)

@@ -23,7 +23,7 @@ class Finger:
         name: Name such as "left".
         design: Nominal design of the sensor.
         camera: Its camera.
-        valve: Its controlled valve; None: the chamber is sealed by hand.
+        valve: Its controlled valve; None: the chamber is sealed manually.
         calibration: Its measured calibration; None: not measured.
     """
 

@@ -22,11 +22,13 @@ class CameraDevice(Protocol):
 
 @runtime_checkable
 class Gripper(Protocol):
-    """The jaws, in any number, and the lift of the hand."""
+    """Jaws, in any number, and lift of the gripper."""
 
     def ask(self) -> None:
-        """Begin the measurement that the next `state` returns, so that servos answer while a
-        picture is worked on."""
+        """Start the measurement that the next `state` returns.
+
+        The servos then respond while an image is processed.
+        """
         ...
 
     def state(self) -> GripperState:

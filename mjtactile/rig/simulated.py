@@ -119,14 +119,14 @@ class SimGripperConfig:
 
 @dataclass(frozen=True)
 class SimLift:
-    """Lift of the hand by `travel`, m, at `speed`, m/s.
+    """Lift of the gripper by `travel`, m, at `speed`, m/s.
 
     The values of `kind`:
 
     - "actuator": the position actuator `name`, with `ratio` m of height per unit of its length;
     - "mocap": the mocap body `name`;
     - "arm": the position actuators `actuators` (empty: all on joints between the world and the
-      hand);
+      gripper);
     - "none": no lift; the requested height is reported as reached.
     """
 
@@ -181,7 +181,7 @@ class SimRigFile:
     """Simulated rig.
 
     `model` is its MJCF. The initial state is the `keyframe` (None: the MJCF's default). If `table`
-    is True, a table is added below the hand; otherwise the MJCF contains one. Its top is at
+    is True, a table is added below the gripper; otherwise the MJCF contains one. Its top is at
     `table_height`, m.
     """
 

@@ -27,7 +27,7 @@ from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
 _STEP_FRACTION = 0.8
-_IN_THE_AIR = 5e-3  # maximum measured height above the commanded one for a lowered hand, m
+_IN_THE_AIR = 5e-3  # maximum measured height above the commanded one for a lowered gripper, m
 
 
 def run_loop(
@@ -45,13 +45,13 @@ def run_loop(
     """Run the controller until it returns the phase "done" or "abort".
 
     The loop stops early on an error, after `time_limit`, or on request through `stop`. It also
-    stops if the controller ends with the hand in the air. The controller is then no longer called.
-    The hand is lowered and opened first, and the error is raised afterwards. An immediate stop
+    stops if the controller ends with the gripper raised. The controller is then no longer called.
+    The gripper is lowered and opened first, and the error is raised afterwards. An immediate stop
     skips this retreat.
 
     Args:
         rig: The rig; the caller closes it.
-        perceptions: The sensing chains of its fingers, with references taken.
+        perceptions: The sensing pipelines of its fingers, with references taken.
         controller: Controller that returns a command in every cycle.
         time_limit: Time limit on the rig's clock, s.
         observer: Observer of every cycle, called with `on_images`, then `add`.
@@ -75,7 +75,7 @@ def run_loop(
         perceivers = Perceivers(perceptions, names, threads, busy=rig.scene is not None)
     else:
         perceivers = pool.at_work(perceptions, names)
-    # of a simulated world, which waits, nothing is lost
+    # a simulated world waits for the process, so memory limits apply to real rigs only
     is_real = math.isfinite(rig.host_timeout)
     memory = memory_limit.limited() if is_real else contextlib.nullcontext(lambda: None)
     with (
@@ -112,7 +112,7 @@ def _rotate_until_over(
     limit_memory: Callable[[], None],
     time_limit: float,
 ) -> None:
-    """Run one cycle per period until the supervisor is latched or the hand has landed."""
+    """Run one cycle per period until the supervisor is latched or the gripper has landed."""
     rig = cycle.rig
     start = deadline = cycle.now
     while not cycle.supervisor.is_over:
@@ -124,8 +124,8 @@ def _rotate_until_over(
             cycle.give_up(_too_late(guarded.controller, cycle.last, time_limit))
         elif _has_landed(cycle):
             break
-        # A cycle that was missed is not made up for; one that began early, with its picture,
-        # counts from then.
+        # A missed cycle is not repeated. If a cycle and its image are early, the next period counts
+        # from then.
         now = rig.clock.now()
         deadline = min(max(deadline, now - rig.period), now) + rig.period
         try:
@@ -137,10 +137,10 @@ def _rotate_until_over(
 
 
 def _has_landed(cycle: ControlCycle) -> bool:
-    """Return True if the controller has ended with the hand down.
+    """Return True if the controller has ended with the gripper down.
 
-    An empty hand above the commanded placement also counts. If the controller ends with the hand in
-    the air, the retreat starts.
+    An empty gripper above the commanded placement also counts. If the controller ends with the
+    gripper raised, the retreat starts.
     """
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
@@ -197,7 +197,7 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
 def _make_room(cycle: ControlCycle) -> None:
     """Discard the controller's memory and start the retreat after the process ran out of memory.
 
-    If the hand was already retreating, latch the supervisor. The devices' own watchdogs then
+    If the gripper was already retreating, latch the supervisor. The devices' own watchdogs then
     act.
     """
     retreats = cycle.supervisor.state == "safe"

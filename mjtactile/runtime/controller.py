@@ -21,7 +21,7 @@ from mjtactile.core import resources, scaled_clock
 from mjtactile.core.errors import ControllerError, InputError
 from mjtactile.core.types import Command, Observation
 
-# Minimum timeout of the first step, s: it may import modules, and nothing is grasped yet
+# Minimum timeout of the first step, s: it may import modules, and no object is grasped yet
 _FIRST_TIME = 3.0
 _ANOTHER_MOMENT = 0.02
 
@@ -54,7 +54,7 @@ class Controller:
         """Run the user's `step`.
 
         Raises ControllerError. It names the file and the line if `step` raises an exception. It
-        names the field if `step` returns no Command. A Command checks its own numbers.
+        names the field if `step` returns no Command. A Command checks its own values.
         """
         try:
             command = self.function(observation)
@@ -81,7 +81,7 @@ class Controller:
 
 
 class ControllerThread:
-    """Thread for a controller, so that a step that does not return blocks nothing else.
+    """Thread for a controller, so that a step that does not return does not block the program.
 
     Use as a context manager. A step is given `limit` s of wall time. A switch to the thread and
     back takes about 0.03 ms.
@@ -204,7 +204,7 @@ def load_controller(name_or_path: str | Path) -> Controller:
     if isinstance(spec.loader, importlib.machinery.SourceFileLoader):
         spec.loader = _AsItStands(name, str(path))
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # where dataclasses look up the types of their fields
+    sys.modules[name] = module  # dataclasses look up the types of their fields here
     try:
         spec.loader.exec_module(module)
     except KeyboardInterrupt:

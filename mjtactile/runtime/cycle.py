@@ -48,7 +48,7 @@ class Cycle:
 
 
 class Perceiving(Protocol):
-    """The chains of all fingers (`Perceivers`, `PerceptionPool`)."""
+    """Sensing pipelines of all fingers (`Perceivers`, `PerceptionPool`)."""
 
     def perceive(
         self, images: Any, now: float, disk_wait_time: float, readings: Any
@@ -91,7 +91,7 @@ class ControlCycle:
     def begin(
         cls, rig: Rig, perceptions: Perceiving, supervisor: Supervisor, observer: Observer
     ) -> ControlCycle:
-        """The first cycle: jaws and lift hold where they stand."""
+        """Create the first cycle, in which jaws and lift hold their current positions."""
         state = rig.gripper.state()
         last = Command(opening=state.opening, force_limit=None, lift_height=state.lift_height)
         now = rig.clock.now()
@@ -99,7 +99,7 @@ class ControlCycle:
         return cls(rig, perceptions, supervisor, observer, last, now)
 
     def look(self) -> None:
-        """Read the newest images and the valve states; a simulated world stands still meanwhile."""
+        """Read the newest images and the valve states; a simulated world is paused meanwhile."""
         begin = wall.perf_counter()
         self._blind = self._take_images()
         self._seen = wall.perf_counter()
@@ -141,7 +141,7 @@ class ControlCycle:
         """
         try:
             self.last = self._send(wanted)
-        except SimulationError:  # there is no world any more to set it down in
+        except SimulationError:  # without a world, the object cannot be set down
             raise
         except DeviceError as error:
             self.supervisor.latch(str(error), self.now, "the last command was not carried out")
@@ -154,8 +154,10 @@ class ControlCycle:
         return self.last
 
     def give_up(self, error: Exception) -> None:
-        """Retreat because of `error`, unless the hand does already; it is raised when that is
-        done."""
+        """Start the retreat because of `error`, unless it is already in progress.
+
+        The error is raised after the retreat.
+        """
         if self.supervisor.state != "safe":
             self.failure = error
             self.supervisor.make_safe(str(error), self.now)
@@ -167,7 +169,7 @@ class ControlCycle:
         """
         try:
             act()
-        except SimulationError:  # there is no world any more to set it down in
+        except SimulationError:  # without a world, the object cannot be set down
             raise
         except DeviceError as error:
             self.supervisor.make_safe(str(error), self.now)

@@ -86,14 +86,16 @@ class GraspEstimate:
         self._state: tuple[Array, Array, float] | None = None
 
     def keep(self) -> None:
-        """Remember where object and hand stand now; call while the object is held."""
+        """Store the current pose of object and gripper; call while the object is held."""
         joint = self._object_joint(self._world)
         qpos = np.array(self._world.data.qpos[joint : joint + 7])
         self._state = qpos, np.array([self._world.lift_height]), self._world.opening
 
     def force_error(self) -> float:
-        """Estimated error of the normal force on a finger, N; NaN when nothing was kept or a
-        repetition failed."""
+        """Estimate the error of the normal force on a finger, N.
+
+        It is NaN if no state was stored or a repetition failed.
+        """
         if self._state is None:
             return float("nan")
         mesh = self._world.sensors[0].mesh
@@ -106,7 +108,8 @@ class GraspEstimate:
         return richardson(forces[0], forces[1], fine, coarse)
 
     def _repeat(self, mesh: tuple[int, int], timestep: float) -> float:
-        """Mean normal force on the two membranes with everything rigid held in place."""
+        """Compute the mean normal force on both membranes with all rigid parts held in position,
+        N."""
         assert self._state is not None
         old = self._world
         pose, lift, opening = self._state

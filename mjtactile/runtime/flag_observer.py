@@ -26,7 +26,7 @@ class FlagObserver(Observer):
         self.on_images()
 
     def on_images(self) -> None:
-        """The world stands still: ask."""
+        """Query the flags while the world is paused, and note changes."""
         flags = dict(self._ask())
         if flags != self._noted:
             self._noted = flags

@@ -147,7 +147,7 @@ class _Log(Observer):
         )
 
     def ended(self) -> str:
-        """Return the reason why a finished controller set nothing down, or ""."""
+        """Return the reason if a finished controller did not set the object down, or ""."""
         if self.left:
             return "the controller ended (done) with the gripper raised"
         return ""
@@ -232,7 +232,10 @@ def _estimate(rig: Rig) -> Any:
 
 
 def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
-    """A score that looks at the truth after every physics step; None on a rig that has no truth."""
+    """Create the score, which samples the ground truth after every physics step.
+
+    It is None on a rig without ground truth.
+    """
     if rig.scene is None:
         return None
     from mjtactile.runtime.grasp_scoring import GraspScore
@@ -247,7 +250,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
 
 
 def _left(cycle: Cycle) -> str:
-    """The outcome where a controller ended with the hand in the air: "" with the hand down."""
+    """Return the outcome if the controller ended with the gripper raised, or ""."""
     if cycle.sent.lift_height < HEIGHT_TOLERANCE:
         return ""
     may_hold = any(t.touching or not math.isfinite(t.force_normal) for t in cycle.touch)

@@ -19,8 +19,8 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.scene_triangles import SceneView
 
-_RISEN = 0.01  # minimum lift of the hand for the decision between held and lost, m
-# An object counts as held if it rose by at least this fraction of the hand's lift,
+_RISEN = 0.01  # minimum lift of the gripper for the decision between held and lost, m
+# An object counts as held if it rose by at least this fraction of the gripper's lift,
 _HELD_FRACTION = 0.5
 # Interval of the strain check of a soft object, s; strain changes as slowly as the fingers move
 _STRAIN_EVERY = 0.02
@@ -52,7 +52,7 @@ class GraspScore:
     view: SceneView | None = None
     """The scene as it was when the images were taken."""
     lost: bool = False
-    """The hand has risen, and the object has not come along."""
+    """True if the gripper rose and the object did not rise with it."""
     fell: bool = False
     """True if the object was released in the air and fell."""
     _let_go_height: float = math.nan
@@ -76,7 +76,7 @@ class GraspScore:
         self._next_phase = phase
 
     def snapshot(self, with_view: bool = True) -> None:
-        """Store the ground truth at the time of the images; the world must stand still.
+        """Store the ground truth at the time of the images; the world must be paused.
 
         Storing its view as well costs a tenth of a cycle without images.
         """
@@ -179,7 +179,7 @@ class GraspScore:
         return ground_truth.object_position(self.world, self._bodies)
 
     def _track_slip(self, relative: Array) -> None:
-        """Update the largest motion of the object relative to the hand since it was lifted, m.
+        """Update the largest motion of the object relative to the gripper since it was lifted, m.
 
         `relative` (3,), m, is its current position.
         """
@@ -208,8 +208,14 @@ class GraspScore:
         )
 
     def outcome(self) -> str:
-        """ "crushed" if a finger ever did to it more than it stands, "held" if it stayed up, else
-        "dropped"."""
+        """Return the outcome of the grasp.
+
+        It is "crushed" if a finger ever loaded the object beyond its limit. It is "held" if the
+        object stayed up and the task did not fail, else "dropped". processes.py::PerceptionPool
+        Pool of `count` processes, started immediately; each handles every `count`-th finger.
+
+        The pool must be closed. Raises OSError if the system cannot start so many processes.
+        """
         if self.crushed_at is not None:
             return "crushed"
         fails = self.judge is not None and self.judge.failure()

@@ -1,7 +1,7 @@
 """Perception in separate processes, for a simulated world that also needs the Python interpreter.
 
-At the start of a run a process receives the sensing chains with their states, then images. At the
-end of the run it returns the states. The result of a chain does not depend on where it runs
+At the start of a run a process receives the sensing pipelines with their states, then images. At
+the end of the run it returns the states. The result of a pipeline does not depend on where it runs
 (docs/decisions/0024-a-process-beside-the-world.md). The only inputs are images and pressures.
 """
 
@@ -28,7 +28,7 @@ from mjtactile.runtime.perception_threads import (
 from mjtactile.runtime.worker_process import Channel, WorkerProcess
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_START = 120.0  # timeout, s; a busy computer takes 10 to import the chain's modules
+_START = 120.0  # timeout, s; a busy computer takes 10 to import the pipeline's modules
 
 
 class PerceptionPool:
@@ -51,10 +51,10 @@ class PerceptionPool:
 
     @contextlib.contextmanager
     def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
-        """Run these chains (`StatefulPipeline`) in the processes, starting from their present
+        """Run these pipelines (`StatefulPipeline`) in the processes, starting from their current
         states.
 
-        At the end the chains have the final states of the run. Raises DeviceError for a process
+        At the end the pipelines have the final states of the run. Raises DeviceError for a process
         that does not start.
         """
         self._perceptions = perceptions
@@ -82,8 +82,8 @@ class PerceptionPool:
         """Estimate the touch of every sensor; see
         `mjtactile.runtime.perception_threads.Perceivers.perceive`.
 
-        Raises DeviceError for a process that has ended. Raises the error of a chain after all have
-        answered.
+        Raises DeviceError for a process that has ended. Raises the error of a pipeline after all
+        have answered.
         """
         for worker, own in self._shares(with_readings(images, readings)):
             worker.begin("feel", own, now)
@@ -131,7 +131,7 @@ def default_count(cameras: int) -> int:
 
 
 def serve(channel: Channel) -> None:
-    """Serve requests until the parent closes the channel: load chains, process images, return
+    """Serve requests until the parent closes the channel: load pipelines, process images, return
     states."""
     perceptions: list[StatefulPipeline] = []
     with contextlib.suppress(OSError):

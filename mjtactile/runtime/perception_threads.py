@@ -1,8 +1,8 @@
-"""Parallel perception: the sensing chains of all fingers in threads, with a timeout.
+"""Parallel perception: the sensing pipelines of all fingers in threads, with a timeout.
 
-The chain's kernels and MuJoCo release Python's lock while they compute, so threads use several
-processors. Each chain is independent of the others. A run is therefore bit-identical for any number
-of threads (docs/decisions/0017-threads.md).
+The pipeline's kernels and MuJoCo release Python's lock while they compute, so threads use several
+processors. Each pipeline is independent of the others. A run is therefore bit-identical for any
+number of threads (docs/decisions/0017-threads.md).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mjtactile.core import platform_support, scaled_clock
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, PressureReading, SyntheticTouch, Touch
 
-# Default timeout of a chain, s; it needs about 0.01 s for an image
+# Default timeout of a pipeline, s; it needs about 0.01 s for an image
 PATIENCE = 10.0
 
 
@@ -37,7 +37,7 @@ class Perceiver(Protocol):
 
 
 class SyntheticPerception:
-    """Replacement of a chain for synthetic touch (`SyntheticTouch`), which it passes on.
+    """Replacement of a sensing pipeline for synthetic touch (`SyntheticTouch`), which it passes on.
 
     It does not provide contact shapes.
     """
@@ -58,11 +58,11 @@ class SyntheticPerception:
 
 
 class Perceivers:
-    """Sensing chains of all fingers.
+    """Sensing pipelines of all fingers.
 
     The last `threads` of them (None: automatic) run in their own threads, the others in the
     caller's. `busy` is the number of other busy threads. It is a context manager and does not wait
-    for a chain that hangs.
+    for a pipeline that hangs.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Perceivers:
         """Estimate the touch of every sensor, with the newest pressure readings if available.
 
         If a thread does not answer within `disk_wait_time`, s, its touch is unknown. It receives no
-        other image until it has answered. Raises the error of a chain after all have ended.
+        other image until it has answered. Raises the error of a pipeline after all have ended.
         """
         if not self._has_threads:
             return self._in_turn(images, now, readings)

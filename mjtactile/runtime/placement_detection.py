@@ -1,4 +1,4 @@
-"""Detection of placement: a hand that moves down must stop when the held object stands.
+"""Detection of placement: a gripper that moves down must stop when the held object stands.
 
 The object stands when the estimated load shows support by the table. It also stands when the
 remaining height is at most the distance that it had slipped in the grip. Further down, the fingers
@@ -15,11 +15,11 @@ from mjtactile.grasp_estimation import shear, support
 
 _TABLE_FORCE = 0.3  # minimum support per finger, N; a nudge on the way down is less
 _FOLLOWS = 0.2  # weight of a new shear sample in the low-pass filter of the load
-_UP = 2e-3  # minimum hand height for a suspended load, m
+_UP = 2e-3  # minimum gripper height for a suspended load, m
 
 
 class SuspendedLoad:
-    """Load on the fingers while the hand is up and does not move down."""
+    """Load on the fingers while the gripper is up and does not move down."""
 
     def __init__(self) -> None:
         self._shear: Array | None = None
@@ -27,7 +27,7 @@ class SuspendedLoad:
         self._height = 0.0
 
     def note(self, touch: Sequence[Touch], height: float) -> None:
-        """Store the load of a cycle with the hand at `height`, m."""
+        """Store the load of a cycle with the gripper at `height`, m."""
         goes_down = height < self._height
         self._height = height
         if height < _UP or goes_down:
@@ -41,7 +41,8 @@ class SuspendedLoad:
             self._shear = before + _FOLLOWS * (now - before)
 
     def stands(self, touch: Sequence[Touch], height: float) -> bool:
-        """Return True if the held object stands, with the hand at `height`, m, on its way down."""
+        """Return True if the held object stands, with the gripper at `height`, m, on its way
+        down."""
         if height <= self._slid:
             return True
         return self._shear is not None and support(touch, self._shear) > _TABLE_FORCE

@@ -11,10 +11,11 @@ from mjtactile.rig.finger import Rig
 
 
 def check(rig: Rig, wanted: Command) -> None:
-    """Refuse pressures that this rig cannot give.
+    """Reject pressures that this rig cannot set.
 
     Raises:
-        InputError: No valve of it obeys, or the number is not that of its fingers.
+        InputError: The rig has no controllable valve with a pressure sensor, or the number of
+            pressures differs from that of its fingers.
     """
     if wanted.gauge_pressure is None:
         return

@@ -84,7 +84,7 @@ class ProbeResult:
         }
 
     def history(self) -> dict[str, Any]:
-        """The samples behind the verdict, lists of one value a cycle."""
+        """Return the samples used for the classification, as lists with one value per cycle."""
         s = self.squeeze
         return {
             "time_s": s.time,
@@ -106,7 +106,7 @@ def run_probe(
     Args:
         scenario: Object, rig and controller of the probe.
         observers: Observers of the run.
-        settings: Settings of the sensing chains and of the classification.
+        settings: Settings of the sensing pipelines and of the classification.
 
     Returns:
         The material, and the data of the estimate.
@@ -133,9 +133,9 @@ def run_probe(
 def replay_probe(
     recording: Recording, sensor: str | None = None, *, settings: Settings = DEFAULTS
 ) -> ProbeResult:
-    """The verdict on a recording (of a probe, or of any squeeze), from its images again.
+    """Classify the material again from the images of a recording of a probe or any squeeze.
 
-    Raises InputError when the recording has no references or images are missing.
+    Raises InputError if the recording has no references or images are missing.
     """
     recording.require_images()
     name = sensor or str(recording.header.get("sensor", "dense"))

@@ -1,5 +1,4 @@
-"""The references that every sensor is zeroed with: its membrane flat, then inflated, nothing
-touching."""
+"""Reference states for zeroing each sensor: membrane flat, then inflated, without contact."""
 
 from __future__ import annotations
 
@@ -39,13 +38,13 @@ class ReferenceImages:
 def take_references(
     fingers: Sequence[Finger], clock: Clock, say: Callable[[str], None] = lambda _: None
 ) -> Iterator[ReferenceImages]:
-    """Bring the membranes into each of their two reference states, and take their images there.
+    """Bring the membranes into each of their two reference states and take images there.
 
     This is a generator. The second state starts after the caller has processed the first. A sensor
     that fails its flat reference is therefore not inflated.
 
     Args:
-        fingers: The sensors; nothing may touch them.
+        fingers: The sensors, without contact.
         clock: Clock of their rig.
         say: Callback for messages about the next state.
 
@@ -106,10 +105,10 @@ def _mean(readings: Sequence[float | None]) -> float | None:
 
 
 def patient_read(camera: CameraDevice, clock: Clock, period: float) -> Image:
-    """An image while nothing moves yet: a late one is waited for.
+    """Read an image before any motion, and wait for a late one.
 
     Raises:
-        DeviceError: When none comes.
+        DeviceError: No image arrives.
     """
     deadline = clock.now() + PATIENCE
     while True:

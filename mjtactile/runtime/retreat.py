@@ -21,8 +21,8 @@ RETREAT_FORCE = 4.0  # minimum force limit of the servo for opening, N
 RETREAT_TIME_MAX = 5.0
 # time limit of opening, s; it takes 0.5 s plus the time for the goal to reach the jaws
 OPEN_TIME_MAX = 3.0
-# Height tolerance, m, and time limit, s: a hand above its goal first completes its motion, unless
-# an obstacle blocks it
+# Height tolerance, m, and time limit, s: a gripper above its goal first completes its motion,
+# unless an obstacle blocks it
 _DOWN = 1e-3
 _DOWN_TIME_MAX = 1.0
 _OPEN_SLACK = 2e-3  # tolerance of the measured opening, m: backlash and a compliant servo
@@ -49,7 +49,7 @@ class Retreat:
         self._lowering_time = self._down_time = self._open_time = 0.0
         self._lowering_time_max = RETREAT_TIME_MAX
         self._measured: float | None = None  # last known opening, m
-        self._goal: float | None = None  # goal of the opening, m; None: the hand is not down yet
+        self._goal: float | None = None  # goal of the opening, m; None: the gripper is not down yet
         self._way = self._before = math.nan
         self.doubt = ""
 
@@ -67,7 +67,8 @@ class Retreat:
         return self._down(last, touch, height) or self._open(last, touch, opening)
 
     def _down(self, last: Command, touch: Sequence[Touch], height: float) -> Command | None:
-        """The next command on the way down; None: it is down, or stands on something."""
+        """Return the next lowering command; None: the gripper is down, or the held object
+        stands."""
         self._stands |= self._load.stands(touch, last.lift_height)
         if self._lowering_time == 0:
             time = 1.5 * last.lift_height / RETREAT_SPEED
@@ -80,11 +81,11 @@ class Retreat:
         self._down_time += self._period
         is_above = height > last.lift_height + _DOWN  # not so where it is unknown
         if is_above and self._down_time < _DOWN_TIME_MAX:
-            return last  # a lift that was stopped, or is slow, is still on its way
+            return last  # the lift is still moving, since it was stopped or is slow
         return None
 
     def _open(self, last: Command, touch: Sequence[Touch], opening: float) -> Command | None:
-        """The next command on the way open; None: it is verified, or took too long."""
+        """Return the next opening command; None: the opening is verified, or took too long."""
         if self._goal is None:
             self._way = last.opening if self._measured is None else self._measured
             self._goal = self._way + RETREAT_OPENING
@@ -114,7 +115,7 @@ class Retreat:
 
 
 def _doubt(touch: Sequence[Touch], opening: float, goal: float) -> str:
-    """Return the measured values of a hand that is not verified open, as text."""
+    """Return the measured values of a gripper that is not verified open, as text."""
     jaws = "the opening is unknown"
     if math.isfinite(opening):
         jaws = f"the jaws are at {1e3 * opening:.1f} mm instead of {1e3 * goal:.1f} mm"

@@ -24,6 +24,7 @@ from mjtactile.sensing.pipeline_state import KNOCKS_SURE, PipelineState, Referen
 from mjtactile.sensing.settings import Settings
 
 _SAME_TIME = 0.1  # maximum time between an image and a reading that are compared, s
+_NOISE_SD = 3.0  # standard deviations of a reading that contradict nothing
 _SET_ASIDE_FRACTION = 0.03  # of the markers, and at least one: more are not dirt
 
 
@@ -33,7 +34,7 @@ class Estimate:
 
     `state` contains the gas state, from pressure sensor and shape. If without a history two shapes
     explain the markers, `other` is the less likely one. `pressure_gap` is the measured minus the
-    estimated gauge pressure, Pa; 0 without a pressure sensor.
+    estimated gauge pressure beyond the sensor's noise, Pa; 0 without a pressure sensor.
     """
 
     markers: Markers
@@ -323,10 +324,7 @@ class MembraneEstimator:
                 seen = seen.refine_estimate(volume)
         belief = self._belief(before, shape, reference, rest, time)
         state = replace(state, gas=seen, reference=replace(reference, rest=rest), belief=belief)
-        gap = 0.0
-        if reading is not None and not reading.is_open and abs(time - reading.time) < _SAME_TIME:
-            gap = reading.gauge_pressure - shape.gauge_pressure
-        return Estimate(markers, shape, rest, state, pressure_gap=gap)
+        return Estimate(markers, shape, rest, state, pressure_gap=_gap(shape, time, reading))
 
     def _gas_before(
         self, gas: GasState | None, rest: InverseRest, time: float, reading: PressureReading | None
@@ -406,6 +404,15 @@ class MembraneEstimator:
         weight = 1 / (1 + (moved / s.same_bulge) ** 2 + (load / s.same_load) ** 2)
         gain = shape.gain
         return before.told(shape.camera, gain.left, gain.camera.root, time, weight)
+
+
+def _gap(shape: Shape, time: float, reading: PressureReading | None) -> float:
+    """Return measured minus estimated gauge pressure, Pa, beyond three standard deviations of the
+    reading."""
+    if reading is None or reading.is_open or abs(time - reading.time) > _SAME_TIME:
+        return 0.0
+    gap = reading.gauge_pressure - shape.gauge_pressure
+    return math.copysign(max(abs(gap) - _NOISE_SD * reading.sd, 0.0), gap)
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:

@@ -1,4 +1,4 @@
-"""Error model of a sensor's sensing chain, measured by `mjtactile bench error-model`.
+"""Error model of a sensor's sensing pipeline, measured by `mjtactile bench error-model`.
 
 `--effects -mesh,-pipeline` samples the touch from it. An estimated wrench is w + G w + b(n) + e.
 Here w is the ground truth (6,) and n the normal force. G is the relative mean error of each
@@ -36,7 +36,9 @@ FOLDER = "models/fidelity/chain"
 
 @dataclass(frozen=True, eq=False)
 class SensingErrorModel:
-    """Errors of one design's chain. SI units, frame S; k loads, six components of a wrench.
+    """Errors of one design's sensing pipeline.
+
+    SI units, frame S. There are k loads, and six components of a wrench.
 
     Attributes:
         loads: Normal forces (k,) N, increasing; all values below are interpolated linearly.
@@ -45,14 +47,14 @@ class SensingErrorModel:
         sd: Standard deviations (k, 6) of the remaining error.
         fresh: Standard deviations (k, 6) of the part of it that is independent in each image.
         correlation: Correlation (6, 6) of the remaining error.
-        said: Standard deviations (k, 6) of the wrench that the chain reports.
-        reported_correlation: Correlation (6, 6) that the chain reports.
+        said: Standard deviations (k, 6) of the wrench, as reported by the pipeline.
+        reported_correlation: Correlation (6, 6), as reported by the pipeline.
         shear_gain: Standard deviation of the relative error of a grasp's shear.
         between: Standard deviation (k,) of the logarithm of a grasp's factor.
         slow_time: Time constant of the persistent part, s.
         outliers: Fraction (k,) of images whose independent error is `outlier_size` times as large.
         outlier_size: Factors (6,), see `outliers`.
-        unknown: Fraction (k,) of images in which the chain reports an unknown result.
+        unknown: Fraction (k,) of images in which the pipeline reports an unknown result.
         touch_force: Force above which a touch starts, N.
         release: Fraction of that force below which the touch ends.
         area: Mean logarithm (k,) of the ratio of estimated to true area.
@@ -124,7 +126,7 @@ class ErrorsAtLoad(NamedTuple):
 
     @classmethod
     def of(cls, row: Array) -> ErrorsAtLoad:
-        """Create the errors from the 30 numbers in this order."""
+        """Create the errors from the 30 values in this order."""
         return cls(row[:6], row[6:12], row[12:18], row[18:24], *row[24:].tolist())
 
 
@@ -144,12 +146,12 @@ def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
 
 
 def path_of(design: SensorDesign) -> Path:
-    """Return the path of the errors of a design's chain."""
+    """Return the path of the error model of a design's sensing pipeline."""
     return resources.folder(FOLDER) / f"{design.name}.json"
 
 
 def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel:
-    """Load the errors of a design's chain.
+    """Load the errors of a design's sensing pipeline.
 
     Args:
         design: The design of its file, with all effects.

@@ -1,10 +1,10 @@
-"""Touch without the sensing chain (`--effects -sheet,-chain`).
+"""Touch without the sensing pipeline (`--effects -sheet,-chain`).
 
-It combines loads of a quasi-static membrane with the errors of the sensing chain at that load.
+It combines loads of a quasi-static membrane with the errors of the sensing pipeline at that load.
 
 It models the sensor together with its software. Like a camera model, it may read the ground truth.
-Its output is a measurement. It takes the place of a camera and returns `SyntheticTouch` instead of
-an image.
+Its output is a measurement. It replaces a camera and returns `SyntheticTouch` instead of an
+image.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mjtactile.sim.sensing_error_model import ErrorsAtLoad, SensingErrorModel
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
-_RECENT = 0.12  # time window of slip detection, s, as in the sensing chain
+_RECENT = 0.12  # time window of slip detection, s, as in the sensing pipeline
 _NONE = fixed(np.zeros(0))
 _NO_FORCES = fixed(np.zeros((0, 0, 3)))
 _NO_MASK = fixed(np.zeros((0, 0), bool))
@@ -36,7 +36,7 @@ _COLUMNS = 30
 _GRASP = 1
 _ELAPSED = 3
 METHOD = "drawn"
-"""Value of `Traction.method` for a touch without a sensing chain."""
+"""Value of `Traction.method` for a touch without a sensing pipeline."""
 
 
 class SensingErrorSampler:
@@ -79,7 +79,7 @@ class SensingErrorSampler:
     def felt(
         self, true: Array, elapsed: float, rng: np.random.Generator
     ) -> tuple[Array, Array, ErrorsAtLoad]:
-        """Return the wrench that the sensing chain would estimate.
+        """Return a simulated wrench estimate of the sensing pipeline.
 
         Args:
             true: Ground-truth wrench (6,) N and N m, frame S.
@@ -98,12 +98,12 @@ class SensingErrorSampler:
 
 
 class SyntheticTouchSource:
-    """Replacement for one sensor's camera and sensing chain.
+    """Replacement for one sensor's camera and sensing pipeline.
 
     Args:
         sensor: The sensor that carries the load.
-        errors: Error model of its sensing chain.
-        friction: Friction coefficient of the membrane that the sensing chain assumes.
+        errors: Error model of its sensing pipeline.
+        friction: Friction coefficient of the membrane that the sensing pipeline assumes.
         seed: Seed of the errors.
 
     Raises InputError for a sensor with a mesh membrane.
@@ -127,7 +127,7 @@ class SyntheticTouchSource:
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
-        """Draw the errors to come from another generator, those that last among them."""
+        """Sample all future errors from a new generator, including the persistent ones."""
         self._rng = np.random.default_rng(seed)
         self._erring.begin(self._rng)
         self._drawn = None
@@ -197,7 +197,7 @@ class SyntheticTouchSource:
         )
 
     def _slip(self, time: float, wrench: Array) -> Slip:
-        """Return the slip state that the sensing chain would report.
+        """Return the slip state that the sensing pipeline would report.
 
         Slip is reported only after some sliding distance within the last images. The used fraction
         of friction is based on the coefficient in the sensor's file.

@@ -17,7 +17,7 @@ _FAR = 0.15  # distance at which rays start, m
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """Points (N, 3) m spread evenly over an object's outside, in its body axes.
+    """Points (N, 3) m spread evenly over an object's outer surface, in its axes.
 
     `model` and `data` are of the object alone.
     """

@@ -32,13 +32,17 @@ _LESS_LEFT = 0.6
 """Maximum remainder with a reported cause, as a fraction of the remainder without a cause."""
 
 _CONTENDERS = 3
-"""Causes that are tried in the simulator, if they explain about as much as the best by the line."""
+"""Number of causes tested in the simulator, if the linear fit explains about as much as the
+best."""
 _NEAR = 0.08
 _ALIKE = 0.03
 """Differences in explained fraction below which causes count as close, and as indistinguishable."""
 
 Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
-"""Raises DeviceError or SimulationError where a rig is so odd that nothing works on it."""
+"""Simulation of given amounts of the causes.
+
+Raises DeviceError or SimulationError if a rig differs so much that it cannot work.
+"""
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class SimComparison:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Signals as numbers in tolerances: where each is, and how much it counts."""
+    """Signals in units of their tolerances: mask of the finite values, and weights."""
 
     time: Array
     fingers: int

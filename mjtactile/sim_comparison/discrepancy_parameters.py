@@ -1,7 +1,7 @@
 """Possible causes of a difference between a rig and its simulation.
 
-Each is one number for the simulator. `CAUSES` is the whole list. A cause of a sensor has one value
-per finger. A cause of the gripper or of the object has one value.
+Each is one parameter of the simulator. `CAUSES` is the whole list. A cause of a sensor has one
+value per finger. A cause of the gripper or of the object has one value.
 
 Some quantities cannot be set exactly (position of the object, offset of the jaws from their
 reading). These have a `spread`. They serve as nuisance parameters for every other cause.
@@ -16,12 +16,12 @@ from mjtactile.core.config_fields import ML_S_KPA
 
 @dataclass(frozen=True)
 class DiscrepancyParameter:
-    """One number in which a rig may differ.
+    """Parameter in which a rig may differ from its simulation.
 
     Attributes:
         name: Key of the cause in results.
-        more: Description for a positive number; {amount} includes its unit.
-        less: Description for a negative number.
+        more: Description for a positive value; {amount} includes its unit.
+        less: Description for a negative value.
         probe: Change in the simulator that measures its effect, SI.
         scale: Number of SI units in one `unit`.
         unit: Displayed unit.

@@ -1,4 +1,4 @@
-"""Simulation of a recording, observed by the rig's sensing chain.
+"""Simulation of a recording, observed by the rig's sensing pipeline.
 
 It repeats the same commands at the same times, or the same moves of a stage.
 """
@@ -31,8 +31,8 @@ from mjtactile.sim.rig import build_sim_rig, start_of
 from mjtactile.sim_comparison.signals import CollectedSignals, Signals, gauges
 
 Amounts = Mapping[str, Sequence[float]]
-"""Map from cause to its amount, SI, on each finger; one number for the gripper or the object."""
-_NOT_SAMPLED = "-images"  # markers with an image's errors in place of images: the same, sooner
+"""Map from cause to its amount, SI, on each finger; one value for the gripper or the object."""
+_NOT_SAMPLED = "-images"  # markers with the errors of an image replace images: same result, faster
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,11 @@ class GripperReplay:
 
 @dataclass(frozen=True)
 class StageReplay:
-    """A sensor under a simulated stage that makes the moves of `folder`.
+    """Sensor under a simulated stage that repeats the moves of `folder`.
 
     Attributes:
         folder: The recording.
-        until: s from the first cycle, after which nothing is looked at.
+        until: Time from the first cycle, s, after which data are ignored.
     """
 
     folder: Path
@@ -126,7 +126,7 @@ class StageReplay:
 
 
 class _Watch(Observer):
-    """A sensing chain that looks on while a stage is recorded."""
+    """Sensing pipeline that observes the recording of a stage."""
 
     def __init__(self, design: SensorDesign, zero: float):
         self._perception = StatefulPipeline.of(design, None)
@@ -204,5 +204,5 @@ def _command(recording: Recording, times: Array, now: float, offset: float) -> C
 
 
 def without_rendering(effects: str) -> str:
-    """`effects` with no images: a simulation's own errors of ellipses stand for them."""
+    """Return `effects` without images; the simulation's own ellipse errors replace them."""
     return _NOT_SAMPLED if effects in ("", "auto") else f"{effects},{_NOT_SAMPLED}"

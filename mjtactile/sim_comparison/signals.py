@@ -1,5 +1,7 @@
-"""Signals of a real or simulated rig over time: forces, markers and pressures from the same sensing
-chain."""
+"""Signals of a real or simulated rig over time: forces, markers and pressures.
+
+All come from the same sensing pipeline.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,9 @@ KINDS = ("force", "markers", "pressure")
 TOLERANCE = {"force": 0.03, "markers": 3e-5, "pressure": 25.0}
 """Rms tolerances, N, m, Pa, for a simulator and a rig that matches its file.
 
-The force tolerance is the specified accuracy of an estimated force. The chain measures each marker
-within 20 um, and repeated runs do not agree better. Pressure sensors of an emulated rig, read
-through a board a little later, differed by 17 Pa.
+The force tolerance is the specified accuracy of an estimated force. The pipeline measures each
+marker within 20 um, and repeated runs do not agree better. Pressure sensors of an emulated rig,
+read through a board a little later, differed by 17 Pa.
 """
 UNIT = {"force": (1e3, "mN"), "markers": (1e6, "um"), "pressure": (1.0, "Pa")}
 

@@ -127,7 +127,7 @@ class ControlWindow(plugin.ViewerPlugin):
                 self._ask(_puncture, k, _HOLE if pierced else 0.0)
 
     def _build_gripper(self, session: Session, moment: StudioSnapshot) -> None:
-        """Jaws and lift by hand: sliders in place of the controller."""
+        """Build the manual sliders of jaws and lift, which override the controller."""
         if not imgui.CollapsingHeader("by hand"):
             return
         show = self.show

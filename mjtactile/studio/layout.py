@@ -35,8 +35,8 @@ class WindowLayout:
     def place(self, x: int, y: int, width: int, height: int) -> None:
         """Set position and size of the next window, px.
 
-        Negative positions count from the right or from below. A size of zero or less is the
-        remaining size plus that number.
+        Negative positions count from the right or from below. A size of zero or less is relative to
+        the remaining size.
         """
         across = self._size[0]
         down = self._size[1] - _ABOVE - _BELOW
@@ -47,4 +47,4 @@ class WindowLayout:
         imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _LEAST) for one in size)), self._when)
 
 
-ABOVE_CAMERA = -(LOOK + _GAP)  # px, a height that leaves it its place
+ABOVE_CAMERA = -(LOOK + _GAP)  # window height, px, that leaves space for the options window

@@ -1,7 +1,6 @@
-"""Manual control of the gripper: `ManualControl` runs the controller, or a manual goal in its
-place.
+"""Manual control of the gripper: `ManualControl` executes the controller or a manual goal.
 
-Both pass the supervisor and the rig's limits, as any command does.
+Commands of both pass the supervisor and the rig's limits.
 """
 
 from __future__ import annotations

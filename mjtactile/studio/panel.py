@@ -23,14 +23,14 @@ from mjtactile.studio.layout import LEFT, LOOK, RED, WindowLayout
 from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, StudioSnapshot, finger_lines
 from mjtactile.studio.user_scene import UserFingers
 
-# that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
+# maximum number of geoms sent to the browser (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
 _GEOMS = 1024
 _LEAST = 0.04  # of the colours' scale
-_RATE = 15.0  # pictures a second: textures travel to the browser
-# px that travel; drawn so many times larger, so that ellipses are smooth
+_RATE = 15.0  # maximum image rate, Hz: textures are sent to the browser
+# size of transmitted images, px; rendered larger by the factor below, for smooth ellipses
 _IMAGE = (320, 240)
 _DETAIL = 2
-_WIDTH = 170.0  # px of a picture as it is shown
+_WIDTH = 170.0  # displayed width of an image, px
 _NEAR = 12.0  # px of the image around an ellipse, within which the mouse is on it
 _FINGER = (364, 294)  # px, a finger's window
 _CURVES = 250  # px, the height of the curves
@@ -121,7 +121,7 @@ class Panel(plugin.ViewerPlugin):
         return moment.scene is not None or any(felt.body is not None for felt in moment.fingers)
 
     def _placed(self, fingers: Sequence[FingerSnapshot]) -> tuple[FingerSnapshot, ...]:
-        """With their poses in the viewer's scene, where only the body is known."""
+        """Return the fingers with poses in the viewer's scene, if only the MuJoCo body is known."""
         data = self.viewer.data
         placed = []
         for felt in fingers:

@@ -17,10 +17,10 @@ from mjtactile.studio.snapshot import FingerSnapshot, Pose
 
 _G = mujoco.mjtGeom
 _METRES_PER_NEWTON = 0.03  # of a net force
-_FIELD_METRES_PER_NEWTON = 0.15  # of the share of a force that one arrow stands for
+_FIELD_METRES_PER_NEWTON = 0.15  # arrow length per force of its block of nodes
 _ARROWS = (7, 5)  # of the field along x and y
 _MIN_ARROW = 1.5e-3  # minimum length of a rendered arrow, m
-_OUTLINE = 24  # pieces of an outline, at most
+_OUTLINE = 24  # maximum number of segments of an outline
 _ABOVE = 4e-4  # offset of the estimated surface, m, above the simulated one
 _DARK = (0.1, 0.1, 0.1, 1.0)
 _BODY = (0.1, 0.45, 0.1, 1.0)
@@ -39,8 +39,10 @@ class OverlayOptions:
 
 
 class GeomPool:
-    """Geoms for one picture after the other. Each is made once and changed from then on: making one
-    takes 25 us, changing 6."""
+    """Pool of geoms that are reused in each frame.
+
+    Creating a geom takes 25 us, changing it 6.
+    """
 
     def __init__(self) -> None:
         self._made: dict[int, list[mujoco.MjvGeom]] = {}
@@ -48,7 +50,7 @@ class GeomPool:
         self.drawn: list[mujoco.MjvGeom] = []
 
     def begin(self) -> None:
-        """A new picture; the geoms of the last are used again."""
+        """Start a new frame; the geoms of the last frame are reused."""
         self._used = {}
         self.drawn = []
 
@@ -183,7 +185,7 @@ def _line(brush: GeomPool, points: Array) -> None:
 
 
 def _field(brush: GeomPool, felt: FingerSnapshot, pose: Pose, rgba: Sequence[float]) -> None:
-    """The traction by place, as the membrane pushes: an arrow for each block of nodes."""
+    """Render the traction field, as exerted by the membrane: an arrow for each block of nodes."""
     t = felt.touch.traction
     assert t is not None
     for rows in np.array_split(np.arange(len(t.y)), _ARROWS[1]):

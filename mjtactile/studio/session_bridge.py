@@ -2,7 +2,7 @@
 viewer's thread reads, and neither waits.
 
 It observes a run. The session's own thread handles requests to the world (a valve, a pull). It does
-so after a cycle's images, while the world stands still, like a controller's command.
+so after a cycle's images, while simulated time is stopped, like a controller's command.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class SessionBridge(Observer):
         self.runs = 0
         self.paused = False
         self.fastest = 1.0
-        """Times as fast as the clock, at most (inf: as fast as it goes)."""
+        """Maximum ratio of simulated to wall-clock time (inf: no limit)."""
         self.restart = threading.Event()
         self.closed = threading.Event()
         self.pull: Array | None = None
@@ -96,7 +96,7 @@ class SessionBridge(Observer):
         self.runs += 1
 
     def take_over(self, controller: LoadedController) -> LoadedController:
-        """The controller, with a hand that can take over from it."""
+        """Return the controller, wrapped so that manual control can override it."""
         self._hand = ManualControl(controller)
         self._hand.wish = self._wish
         return self._hand
@@ -105,7 +105,7 @@ class SessionBridge(Observer):
         self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
         self.said = ""  # that it is taken
-        if self._halted:  # nothing moves yet that the supervisor could retreat
+        if self._halted:  # no motion has started that the supervisor could reverse
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
             raise RestartRequested
@@ -122,7 +122,7 @@ class SessionBridge(Observer):
         self._flagged |= flags.keys()
 
     def on_images(self) -> None:
-        """Handle requests while the world stands still, and wait during a pause.
+        """Handle requests while simulated time is stopped, and wait during a pause.
 
         Raises RestartRequested after a request for another run.
         """
@@ -164,7 +164,8 @@ class SessionBridge(Observer):
         return 0.0 if self.pull is None else float(np.linalg.norm(self.pull[:, :3], axis=1).max())
 
     def ask(self, task: Task) -> None:
-        """Have the session's thread do `task` when the world stands still next."""
+        """Queue `task` for the session's thread, which executes it at the next stop of simulated
+        time."""
         self._tasks.put(task)
 
     def step(self) -> None:
@@ -189,7 +190,7 @@ class SessionBridge(Observer):
             self._hand.wish = wish
 
     def halt(self) -> None:
-        """The red button: the hand goes down and opens, by the supervisor's own way."""
+        """Execute the red button: the supervisor lowers and opens the gripper."""
         self._halted = True
         self.paused = False
         if self.session is not None:
@@ -215,8 +216,10 @@ class SessionBridge(Observer):
             self.message(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:
-        """Give a world up that waits; a real hand goes down and opens first, by the supervisor's
-        own way."""
+        """Abandon a simulated world after a request to close or restart.
+
+        On a real rig, the supervisor first lowers and opens the gripper.
+        """
         if not (self.restart.is_set() or self.closed.is_set()):
             return
         if self.session is None or self.may_pause:
@@ -299,7 +302,7 @@ def moment_of(
 
 
 def _rest(session: Session, finger: int) -> Surface | None:
-    """The finger's membrane with nothing touching, as its sensing chain measured it."""
+    """Return the finger's membrane without contact, as measured by its sensing pipeline."""
     reference = getattr(getattr(session.perceptions[finger], "state", None), "reference", None)
     return None if reference is None else reference.surface
 

@@ -15,7 +15,7 @@ from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
 from mjtactile.report.shape_wireframe import describe_shape
 
 HISTORY = 20.0  # time window of the plots, s
-_CURVE = 300  # points of a curve, at most
+_CURVE = 300  # maximum number of points of a curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class Curves:
 
 
 def curves_of(rows: Sequence[Row]) -> Curves | None:
-    """At most so many rows that their drawing costs nothing to speak of; None of none."""
+    """Return curves of at most `_CURVE` rows, which keeps plotting fast; None without rows."""
     if not rows:
         return None
     every = -(-len(rows) // _CURVE)
@@ -231,7 +231,7 @@ def _spans(rows: Sequence[Row]) -> tuple[tuple[str, float, float], ...]:
 
 @dataclass(eq=False)
 class History:
-    """The rows of the last `seconds`. One thread adds, another looks."""
+    """Rows of the last `seconds`. One thread adds rows, another reads them."""
 
     seconds: float = HISTORY
     rows: deque[Row] = field(default_factory=deque)

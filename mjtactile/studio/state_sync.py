@@ -55,7 +55,7 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
     middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
-    # where the camera looks at first
+    # initial look-at point of the camera
     shown.stat.center = middle - [0.0, 0.0, _BELOW * _AROUND]
     shown.stat.extent = _AROUND
     closes = next((felt.pose.R_WS[:, 2] for felt in fingers if felt.pose is not None), None)
@@ -82,8 +82,10 @@ class StateSync(plugin.SimPlugin):
         self._pulled = 0.0
 
     def follow(self) -> bool:
-        """Publish the session's model where it is a new one; Studio steps nothing without a model.
-        For the loop around `sync`. Returns whether there is something new to be shown."""
+        """Publish the session's model if it is new; return True if there is a new snapshot to show.
+
+        Call it in the loop around `sync`. Studio does not step without a model.
+        """
         moment = self.show.moment()
         if moment is None:
             return False

@@ -21,7 +21,7 @@ _WHITE = (255, 255, 255)
 _RED = (235, 60, 50)
 _INK = (30, 30, 30)
 _GRID = (13, 11)  # nodes of the surface in the scene along x and y: 240 triangles
-_PER_NEWTON = 90.0  # px of the picture's shear arrow
+_PER_NEWTON = 90.0  # length of the image's shear arrow, px/N
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Field:
 
 
 def field_of(felt: FingerSnapshot, kind: str) -> Field | None:
-    """None where it is not known: no rest shape, no surface."""
+    """Return the field of this kind; None without a rest shape, a surface or a traction."""
     touch = felt.touch
     rest = felt.rest
     if kind == "indentation":
@@ -164,7 +164,7 @@ def sheet(
 def triangles(nodes: Array) -> Array:
     """Convert values (ny, nx, d) at grid nodes to (m, 3, d) at the corners of triangles.
 
-    The corners are counter-clockwise seen from +z.
+    The corners are counter-clockwise viewed from +z.
     """
     a = nodes[:-1, :-1]
     b = nodes[:-1, 1:]

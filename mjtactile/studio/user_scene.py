@@ -100,7 +100,7 @@ class Sensors(plugin.SimPlugin):
         self._flagged: set[str] = set()
 
     def complain(self, text: str) -> None:
-        """Into Studio's console; and time stands."""
+        """Log an error to Studio's console and pause the simulation."""
         logging.getLogger("mjtactile").error(text)
         self._paused = True
 

@@ -33,16 +33,19 @@ def presses(sensor, *, gauge):
         ("paper16", True, 0.09),
         pytest.param("dense", True, 0.10, marks=pytest.mark.slow),
         pytest.param("round30", True, 0.09, marks=pytest.mark.slow),
+        pytest.param("fine", True, 0.12, marks=pytest.mark.slow),
         pytest.param("dense", False, 0.16, marks=pytest.mark.slow),
         pytest.param("paper16", False, 0.14, marks=pytest.mark.slow),
         pytest.param("round30", False, 0.13, marks=pytest.mark.slow),
     ],
 )
 def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):
-    known = 0
+    unknown = []
     for force, touch in presses(sensor, gauge=gauge):
-        if touch.status == "ok":
-            known += 1
+        if touch.status != "ok":
+            unknown.append(touch.status.code)
+        else:
             assert touch.force_normal == pytest.approx(force, rel=error, abs=0.03)
             assert abs(touch.force_normal - force) < 4 * touch.force_normal_sd + 0.03 * force
-    assert known >= 9
+    # 266 markers show the facets of the coarse mesh: the pressure sensor contradicts the estimate
+    assert ("inconsistent" in unknown) is (sensor == "fine") and len(unknown) <= 5

@@ -23,7 +23,7 @@ from mjtactile.report.shape_wireframe import describe_shape, lines_of, true_line
 from mjtactile.report.software_renderer import picture_of
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 
-# px: width of a camera's picture; height and width of the scene's
+# Width of a camera image; height and width of the scene image, px
 _CAMERA = 480
 _SCENE = (405, 270)
 _PICTURES = 96  # of cameras, in all: 20 kB each
@@ -114,7 +114,7 @@ def page_data(
 
 
 def _nearest(moments: Sequence[Any], time: float) -> int:
-    """The number of the moment at about `time` s."""
+    """Return the index of the cycle closest to `time`, s."""
     if not moments:
         return 0
     return int(np.argmin([abs(cycle.time - time) for cycle, _ in moments]))
@@ -126,7 +126,7 @@ def height_unit(low: float, high: float) -> float:
 
 
 def _heights(touches: Sequence[Touch]) -> tuple[float, float]:
-    """The lowest and the highest place of all membranes, m."""
+    """Return the minimum and maximum height of all membranes, m."""
     heights = [touch.surface.z for touch in touches if touch.surface is not None]
     low = min((float(z.min()) for z in heights), default=0.0)
     high = max((float(z.max()) for z in heights), default=1e-3)

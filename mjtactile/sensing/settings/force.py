@@ -239,7 +239,7 @@ class InverseSettings:
         low=0.0,
     )
     gap_max: float = number(
-        0.05,
+        0.03,
         "fraction of the force that the measured and the estimated pressure may differ by",
         "a wide face under 16 markers",
     )

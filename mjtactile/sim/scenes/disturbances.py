@@ -28,7 +28,7 @@ _UP = 0.9
 _PLACES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
-_FASTER = 2.0  # than its lift's speed no hand rises
+_FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed
 _FILLS_EVERY = 0.01  # update period of the mass, s
 _ROTATION_MAX = math.radians(60)
 
@@ -63,7 +63,7 @@ class DisturbanceSchedule:
         """True once the object was pulled out of the gripper or handed over."""
 
     def step(self) -> None:
-        """Set masses, gravity, forces and places for the world's next step."""
+        """Set masses, gravity, forces and positions for the world's next step."""
         world = self._world
         if math.isnan(self.up_since):
             if self._risen() < self._up:
@@ -112,7 +112,10 @@ class DisturbanceSchedule:
         return float(self._world.data.xpos[self._world.start.hand, 2]) - self._start_height
 
     def _fill(self, mass: float, done: float) -> None:
-        """The object's mass is on its way to `mass` kg, evenly in time, wherever it is in it."""
+        """Scale masses and inertias of the object towards a total of `mass` kg.
+
+        The mass changes linearly in time. Its distribution over the object stays the same.
+        """
         model = self._world.model
         ratio = 1 + (mass / self._first_mass - 1) * done
         added = ratio * self._mass - model.body_mass[self._bodies]
@@ -145,8 +148,10 @@ class DisturbanceSchedule:
 
 
 def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float) -> Array:
-    """Gravity in a hand that moves along the event's direction and turns about it, which begins
-    and ends softly."""
+    """Return gravity in a shaken gripper, with smooth start and end.
+
+    The gripper moves along the event's direction and tilts about a horizontal axis normal to it.
+    """
     swell = math.sin(math.pi * done) ** 0.5
     phase = 2 * math.pi * event.values["rate"] * time
     moved = gravity + swell * event.values["acceleration"] * math.sin(phase) * np.array(

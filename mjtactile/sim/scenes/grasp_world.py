@@ -26,11 +26,10 @@ _STRAINED = 0.2
 
 
 class GraspWorld(GripperWorld):
-    """The fingers of `rig` (the shipped "sim": two, left and right) about an object that stands
-    under the hand.
+    """Fingers of `rig` around an object that stands under the gripper.
 
-    The object's file closes along x; it is turned to the direction in which the first finger
-    closes.
+    The default rig, the shipped "sim", has two fingers, left and right. In its file, the object is
+    gripped along x. It is rotated to the closing direction of the first finger.
     """
 
     def __init__(

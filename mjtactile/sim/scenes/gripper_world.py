@@ -150,8 +150,10 @@ class GripperWorld(World):
 
     @property
     def opening(self) -> float:
-        """Gap between the sensors' frames, m (of more than two fingers: twice their mean distance
-        from the middle)."""
+        """Gap between the sensors' frames, m.
+
+        For more than two fingers, it is twice their mean distance from the center.
+        """
         return self._jaws.opening()
 
     @property
@@ -166,12 +168,12 @@ class GripperWorld(World):
 
     @property
     def grip_force_reached(self) -> float:
-        """The most that the model's actuators can close each finger with, N."""
+        """Maximum closing force of the model's actuators on each finger, N."""
         return self._jaws.force_reached()
 
     @property
     def lift_height(self) -> float:
-        """Height of the hand above where it started, m."""
+        """Height of the gripper above its start position, m."""
         return self._lift.height()
 
     def place_gripper(self, opening: float, lift: float) -> None:
@@ -250,7 +252,7 @@ class GripperWorld(World):
         data.mocap_pos[:] = self.start.mocap_pos
 
     def _hold_still(self) -> None:
-        """Set every control so that nothing moves initially.
+        """Set every control so that the robot is at rest initially.
 
         Jaws and lift are at their goals, other servos at their present lengths.
         """
@@ -274,13 +276,13 @@ def _nearer(start: float, goal: float, maximum: float) -> float:
 
 
 def _dofs_without(model: mujoco.MjModel, prefixes: Sequence[str]) -> Array:
-    """Degrees of freedom of all bodies but the sensors'."""
+    """Return the degrees of freedom of all MuJoCo bodies except those of the sensors."""
     ours = [not model.body(int(body)).name.startswith(tuple(prefixes)) for body in model.dof_bodyid]
     return np.flatnonzero(ours)
 
 
 def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> None:
-    """Put the body `root` of the compiled `model`, a child of the world, higher by so many m."""
+    """Raise the MuJoCo body `root` of the compiled `model`, a child of the world, by `by` m."""
     body = next(body for body in spec.bodies if body.id == root)
     if body.frame is not None:  # whose axes may be turned: out of it, where it was
         body.set_frame(spec.worldbody.add_frame())
@@ -292,7 +294,7 @@ def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> 
 def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
     """Add a table under the gripper, from a separate model.
 
-    The user's MJCF may have defaults under which objects could not stand.
+    Defaults in the user's MJCF could otherwise prevent objects from standing on it.
     """
     x, y, z = (float(value) for value in top)
     child = mujoco.MjSpec()

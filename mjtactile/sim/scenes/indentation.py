@@ -78,8 +78,10 @@ class Indenter:
         return cls(kind, size)
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the geoms that press, centred on the body. Raises InputError for a model that has
-        none, or is broken."""
+        """Add the indenter's geoms, centered on the MuJoCo body `body`.
+
+        Raises InputError for a model that is broken or has no geoms.
+        """
         if self.kind == "model":
             self._attach(spec, body)
             return
@@ -188,7 +190,8 @@ class PressWorld(World):
         return self.settle(speed=_STILL)
 
     def drive(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> None:
-        """The same without waiting: the world moves on by the time that the way takes."""
+        """Drive like `press`, without settling; simulated time advances by the duration of the
+        motion."""
         start = self.data.ctrl[[self._x, self._z]]
         goal = np.array([shear, self._touch_height - depth])
         count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep) - 1e-9)))
@@ -200,10 +203,9 @@ class PressWorld(World):
             self.step()
 
     def settle(self, time_limit: float = 1.0, speed: float = 2e-5) -> bool:
-        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not
-        reached in time.
+        """Step until all speeds stay below `speed` m/s for 20 ms; False if not reached in time.
 
-        A shaken mount never rests: it is given 0.2 s.
+        A shaken mount never comes to rest. It is simulated for 0.2 s.
         """
         if self._shake[0]:
             self.step(round(0.2 / self.timestep))
@@ -239,7 +241,7 @@ class PressWorld(World):
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def lift_off(self) -> None:
-        """Put the indenter where nothing touches it."""
+        """Move the indenter to a position without contact."""
         self._place(AWAY)
 
     def _find_touch(self) -> None:
@@ -271,8 +273,10 @@ class PressWorld(World):
         self._place(height + _CLEARANCE)
 
     def _gap(self, points: np.ndarray, probe: int) -> float:
-        """Least distance, m, of the indenter from spheres of the membrane's thickness at `points`
-        (n, 3) m, frame W."""
+        """Return the minimum distance between the indenter and spheres at `points`, m.
+
+        The points (n, 3) m are in frame W. The spheres have the thickness of the membrane.
+        """
         gaps = []
         for point in points:
             self.data.geom_xpos[probe] = point
@@ -289,7 +293,7 @@ class PressWorld(World):
 
 
 def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
-    """A body and all that hang on it; parents come first in a model."""
+    """Return a MuJoCo body and all its descendants; parents come first in a model."""
     bodies = [root]
     for body in range(root + 1, model.nbody):
         if model.body_parentid[body] in bodies:
@@ -298,7 +302,7 @@ def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
 
 
 def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
-    """Points (n, 3) m of the flat sheet, 0.6 mm apart, one of them at `at`."""
+    """Return points (n, 3) m of the flat membrane, 0.6 mm apart, one of them at `at`."""
     frame = design.frame
     axes = [np.arange(-0.5 * side, 0.5 * side, 6e-4) for side in (frame.length, frame.width)]
     x, y = (
@@ -313,7 +317,7 @@ def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
 
 
 def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujoco.MjsBody:
-    """A heavy body on a stiff slide that carries the sensor's site "base"."""
+    """Add a heavy MuJoCo body on a stiff slide that carries the sensor's site "base"."""
     angle = float(np.linalg.norm(mount))
     axis = np.asarray(mount) / angle if angle else np.array([0.0, 0.0, 1.0])
     carrier = spec.worldbody.add_body(

@@ -12,7 +12,7 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
-    """Return the MuJoCo bodies and geoms that touch a sensor now.
+    """Return the MuJoCo bodies and geoms in contact with a sensor now.
 
     Each entry is the sensor's prefix, the other's body name ("" for a flex) and its geom name.
     """
@@ -33,7 +33,7 @@ def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
 
 
 def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
-    """Refuse an object whose file stands in the way of a sensor before anything moves.
+    """Reject an object that touches a sensor in the initial state.
 
     Call it on a scene at rest, with the membranes flat and the jaws at `opening` m. Raises
     InputError.

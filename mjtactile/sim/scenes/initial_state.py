@@ -29,9 +29,9 @@ _PATH_STEP = 4e-3
 class Start:
     """Initial state of the robot, in the model passed to `plan_start`.
 
-    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the body that carries all fingers. `centre`
-    (3,) m is the fingertips' mean position before the gripper was `raised` by that many m. `yaw`
-    rad is the closing direction of finger 0; `path` is that of an arm.
+    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the MuJoCo body that carries all fingers.
+    `centre` (3,) m is the fingertips' mean position before the gripper was `raised` by that many m.
+    `yaw` rad is the closing direction of finger 0; `path` is that of an arm.
     """
 
     qpos: Array
@@ -103,11 +103,11 @@ def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
 
 
 def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array | None]:
-    """The user's model; coordinates by joint, and the mocap bodies' positions, of the keyframe that
-    it starts in.
+    """Return the user's model and the initial state in its start keyframe.
 
-    Keyframes are taken out: they would not fit the model with sensors. Joints without a name get
-    one. Raises InputError for a broken file or a name that is not there.
+    The initial state consists of coordinates by joint and the positions of the mocap bodies.
+    Keyframes are removed, because they would not fit the model with sensors. Unnamed joints get a
+    name. Raises InputError for a broken file or a missing name.
     """
     spec = read_mjcf(rig.model)
     try:
@@ -244,7 +244,7 @@ def _settle(
 
 
 def _gripper_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) -> int:
-    """The nearest body that carries all fingers."""
+    """Return the nearest MuJoCo body that carries all fingers."""
     chains = []
     for body in bodies:
         chain = [int(model.body_parentid[body])]
@@ -337,7 +337,7 @@ def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[st
 
 
 def arm_joints(model: mujoco.MjModel, hand: int) -> list[int]:
-    """The joints between the world and the hand."""
+    """Return the joints between the world and the gripper."""
     joints = []
     body = hand
     while body:

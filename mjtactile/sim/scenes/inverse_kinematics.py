@@ -23,8 +23,8 @@ It returns the residual (m,), in m and rad, and its Jacobian (m, nv).
 
 CLOSE = 1e-7  # convergence tolerance, m and rad
 _ITERATIONS = 100
-_DAMPING = 1e-3  # of the least squares; keeps a singular posture from asking for infinite steps
-_STEP = 0.3  # rad and m, the most that a joint moves in an iteration
+_DAMPING = 1e-3  # damping of the least squares; limits the steps at a singular posture
+_STEP = 0.3  # maximum motion of a joint per iteration, rad and m
 
 
 def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condition]) -> float:

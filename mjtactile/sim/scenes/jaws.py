@@ -48,14 +48,14 @@ class Jaws:
         return -self._share * sum(forces) / len(forces)
 
     def limit_force(self, force: float) -> None:
-        """Push with at most `force` N on each finger, and never with more than the model's
-        actuators can."""
+        """Limit the force on each finger to `force` N and to the maximum of the model's
+        actuators."""
         self._force_limit = force
         for actuator, law in self._jaws:
             actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
 
     def force_reached(self) -> float:
-        """The most that the model's actuators can close each finger with, N."""
+        """Return the maximum closing force of the model's actuators on each finger, N."""
         forces = [
             actuator.force_reached(-law.slope(actuator.length)) / abs(law.slope(actuator.length))
             for actuator, law in self._jaws
@@ -81,7 +81,7 @@ class Jaws:
             actuator.set_goal(law.coordinate(opening / len(self._jaws)))
 
     def drive_with(self, lift: Lift) -> Drive | None:
-        """Jaws and lift as numbers; None where one of them is not linear."""
+        """Return jaws and lift as linear coefficients; None if one of them is not linear."""
         known = isinstance(lift, (ActuatorLift, NoLift))
         if not known or not all(law.kind == LINEAR and a.is_linear for a, law in self._jaws):
             return None

@@ -1,5 +1,7 @@
-"""Lift of a simulated rig: an actuator, a mocap body, an arm, or none. All heights in m above the
-start."""
+"""Lift of a simulated rig: an actuator, a mocap body, an arm, or none.
+
+All heights are in m above the start position.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from mjtactile.sim.scenes.initial_state import ArmPath, Start
 
 
 class Lift(Protocol):
-    """Drives the hand's height."""
+    """Interface of a lift, which controls the height of the gripper."""
 
     def height(self) -> float:
         """Return the height reported by the rig."""
@@ -26,7 +28,7 @@ class Lift(Protocol):
         ...
 
     def place(self, height: float, data: mujoco.MjData) -> None:
-        """Place the lift at this height in `data`, which may differ from the world's state."""
+        """Set the lift to this height in `data`, which may differ from the world's state."""
         ...
 
 
@@ -42,7 +44,7 @@ def make_lift(model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start
 
 
 class NoLift:
-    """Nothing lifts: the height that was asked for is reported as reached."""
+    """Placeholder of a rig without a lift: it reports every requested height as reached."""
 
     def __init__(self) -> None:
         self._height = 0.0
@@ -81,8 +83,8 @@ class ActuatorLift:
 
 
 class GripperHeight:
-    """Height of the gripper body by forward kinematics of the current joints, as an arm reports
-    it."""
+    """Height of the gripper from forward kinematics of the current joints, as reported by an
+    arm."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hand: int):
         self._model = model
@@ -102,7 +104,7 @@ class GripperHeight:
 
 
 class MocapLift(GripperHeight):
-    """A mocap body to which the hand, or its arm, is welded."""
+    """Mocap body to which the gripper, or its arm, is welded."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start: Start):
         super().__init__(model, data, start.hand)
@@ -117,7 +119,7 @@ class MocapLift(GripperHeight):
 
 
 class ArmLift(GripperHeight):
-    """An arm on the path that `plan_start` found."""
+    """Arm on the path computed by `plan_start`."""
 
     def __init__(
         self,

@@ -8,11 +8,11 @@ A block of modulus E squeezed between two flat faces acts as a spring. With the 
 lateral bulging, stress variation over the face, waves. The force between the faces and the response
 of their distance are those of the model.
 
-    elastic        plate --[k, stiffening]-- middle
+    elastic        plate --[k, stiffening]-- center
                    sponge, rubber
-    viscoelastic   the same, in parallel with --[k_arm]--(dashpot)-- middle
+    viscoelastic   the same, in parallel with --[k_arm]--(dashpot)-- center
                    memory foam, gel (standard linear solid)
-    plastic        plate --[k]--(dry friction: yield)-- middle
+    plastic        plate --[k]--(dry friction: yield)-- center
                    clay, granular bag; with a dashpot: dough, paste
 """
 
@@ -84,7 +84,10 @@ class Specimen:
 
 
 def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
-    """The object's file. Its truth stands in <custom>, for scoring alone."""
+    """Return the object's MJCF file.
+
+    The ground truth is in <custom> and serves only for evaluation.
+    """
     s = specimen
     numerics = {"break_force_N": s.break_force, "rotation_deg": 2.0}
     if s.kind != "rigid":
@@ -100,7 +103,7 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
         f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in numerics.items()
     )
     parts, tendons = _rigid(s) if s.kind == "rigid" else _halves(s)
-    # foot and stand stay clear of membranes that squeeze the body
+    # foot and stand stay clear of membranes that compress the object
     foot = s.height / 2 + 0.002
     slim = 0.2 * s.length
     return f"""<!-- {comment or name}
@@ -145,8 +148,10 @@ def _rigid(s: Specimen) -> tuple[str, str]:
 
 
 def _halves(s: Specimen) -> tuple[str, str]:
-    """Both halves of a soft body. A half is twice as stiff as the whole (and its stiffening four
-    times)."""
+    """Return the MJCF of both halves of a soft object.
+
+    A half is twice as stiff as the whole. Its stiffening is four times as large.
+    """
     middle = max(s.length / 2 - 0.006, 0.001)
     lines = [
         f'      <geom name="middle" type="box" size="{middle:.6g} {0.8 * s.width / 2:.6g} '
@@ -183,7 +188,7 @@ def _halves(s: Specimen) -> tuple[str, str]:
 
 
 def _arm(s: Specimen, side: str, sign: int) -> list[str]:
-    """The inner body that a dashpot, or dry friction, holds to the middle."""
+    """Return the inner MuJoCo body, connected to the center by a dashpot or dry friction."""
     if s.kind == "viscoelastic":
         hold = f'damping="{2 * s.arm_stiffness * s.relaxation_time:.6g}"'
     else:

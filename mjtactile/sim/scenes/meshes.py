@@ -29,7 +29,7 @@ _THRESHOLD = 0.05
 _ASCII = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 Solid = tuple[NDArray[np.float64], NDArray[np.int64]]
-"""Vertices (n, 3) m and triangles (m, 3) of their numbers."""
+"""Vertices (n, 3) m and triangles (m, 3) of vertex indices."""
 
 
 def load_solid(path: Path) -> Solid:
@@ -102,7 +102,7 @@ def convex_parts(solid: Solid) -> list[Solid]:
 def add_solid(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, parts: Sequence[Solid]
 ) -> list[mujoco.MjsGeom]:
-    """Add mesh geoms, named `name`, `name`1 …, to a body."""
+    """Add mesh geoms, named `name`, `name`1 …, to a MuJoCo body."""
     geoms = []
     for number, (vertices, faces) in enumerate(parts):
         label = f"{name}{number or ''}"

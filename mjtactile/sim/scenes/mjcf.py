@@ -21,8 +21,11 @@ _COPIES = ("replicate", "composite", "flexcomp")
 
 
 def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.MjSpec:
-    """The file's specification, or that of `text`, which has no file. Raises InputError, which
-    names `field`, where it is no MJCF or would unfold into too much."""
+    """Return the specification of the file, or of `text` if it is not empty.
+
+    Raises InputError for invalid MJCF, or for a file that expands to too many elements. The error
+    names `field`.
+    """
     try:
         if not text and path.stat().st_size > LARGEST:
             raise InputError(

@@ -1,4 +1,4 @@
-"""`ObjectOnStageWorld`: a sensor that looks up, and an object in a holder on a stage.
+"""`ObjectOnStageWorld`: an upward-facing sensor, and an object in a holder on a stage.
 
 The stage rotates, shifts and lowers the object onto the sensor repeatedly.
 """
@@ -16,7 +16,7 @@ from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, read_spec
 
 
 class ObjectOnStage:
-    """The object of a file in a holder, `p_HO` (3,) m and `R_HO` (3, 3) of its body there."""
+    """Object in a holder, at pose `p_HO` (3,) m and `R_HO` (3, 3) relative to the holder."""
 
     def __init__(self, model: ObjectModel, p_HO: Array, R_HO: Array):
         if model.flesh is not None:
@@ -30,8 +30,10 @@ class ObjectOnStage:
         self._R_HO = R_HO
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the object to `body` of `spec`, without its free joint and the other bodies of its
-        file."""
+        """Add the object to MuJoCo body `body` of `spec`.
+
+        Its free joint and the other MuJoCo bodies of its file are left out.
+        """
         held = read_spec(self.model)
         thing = held.body("object")
         for other in list(held.worldbody.bodies):

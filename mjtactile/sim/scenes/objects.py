@@ -1,15 +1,15 @@
 """Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
 
 The format is in docs, "Your own object". It has one top-level MuJoCo body named `object` with a
-free joint. A volumetric flex may take the place of the joint. A text `material` is required.
+free joint. A volumetric flex may replace the joint. A text `material` is required.
 
 The object counts as crushed above a normal force per finger. This force is the `<custom>` numeric
 `break_force_N`. A flex may also have `break_stress_kPa` or `break_energy_kJ_m3`.
 
-The table's top is z = 0, and the fingers close along x. They grasp at the height of the body's
-origin. A numeric `grasp_height_m` specifies another height. A numeric `rotation_deg` limits the
-random rotation about z (a block between flat fingers). All other MuJoCo bodies of the file (a cup,
-a stand) are added too.
+The table's top is z = 0, and the fingers close along x. They grasp at the height of the MuJoCo
+body's origin. A numeric `grasp_height_m` specifies another height. A numeric `rotation_deg` limits
+the random rotation about z (a block between flat fingers). All other MuJoCo bodies of the file (a
+cup, a stand) are added too.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
 
 
 def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]) -> float:
-    """Return the extent along x of the contact geometry of these bodies, m."""
+    """Return the extent along x of the contact geometry of these MuJoCo bodies, m."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & ((model.geom_contype & 1) > 0))
     along = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 0]
     middle = data.geom_xpos[geoms, 0] + (along * model.geom_aabb[geoms, :3]).sum(axis=1)
@@ -270,7 +270,7 @@ def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
     """Return the ids of the MuJoCo bodies that make up the object in `model`.
 
-    They are all bodies of its file (by `prefix`) that can move.
+    They are all movable MuJoCo bodies of its file, identified by `prefix`.
     """
     return np.array(
         [

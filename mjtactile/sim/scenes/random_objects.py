@@ -1,4 +1,4 @@
-"""Random graspable objects: `random:SEED` in place of an object's name, or file.
+"""Random graspable objects: `random:SEED` instead of an object's name or file.
 
 Shapes are eggs, rounded boxes, cylinders, cones, bottles and soft fruit. They are 16 to 60 mm wide
 between the fingers, 15 to 70 mm high, 5 to 200 g. Each stands upright. A stand raises an object
@@ -197,7 +197,7 @@ def to_mjcf(thing: RandomObject, name: str) -> str:
 
 
 Built = tuple[str, list[str]]
-"""Assets, and the lines of the body."""
+"""Assets, and the lines of the MuJoCo body."""
 
 
 def _geom(
@@ -219,7 +219,7 @@ def _row(values: tuple[float, ...]) -> str:
 
 
 def _inertial(t: RandomObject, share: float) -> str:
-    """Return the inertial element of a full body.
+    """Return the inertial element of a solid object.
 
     Each moment of inertia is `share` times m times the sum of the two squared half sizes.
     """

@@ -17,7 +17,7 @@ from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
-# edges around and along a round body
+# number of edges around and along a round shape
 _ROUND = 24
 _HIGH = 12
 _SHEET = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
@@ -131,21 +131,21 @@ class SceneView:
             yield Solid(name, points, faces, rgba, R_WG, self.geom_p_W[geom])
 
     def soft_bodies(self) -> Iterator[tuple[str, Array, Array, Array]]:
-        """Return the skins of soft bodies: name, points (n, 3) m in W, triangles, color."""
+        """Return the skins of soft objects: name, points (n, 3) m in W, triangles, color."""
         for flex in range(self.model.nflex):
             if self.model.flex_dim[flex] == 3:
                 ((_, faces, rgba),) = self._flex(flex)
                 yield self.model.flex(flex).name, self.vertex_p_W, faces, rgba
 
     def _flexes(self) -> Iterator[tuple[Array, Array, Array]]:
-        """Membranes, and the skins of soft bodies."""
+        """Return the surfaces of membranes and the skins of soft objects."""
         for flex in range(self.model.nflex):
             yield from self._flex(flex)
         for points_S, R_WS, p_WS, faces in self.films:
             yield points_S() @ R_WS.T + p_WS, faces, _SHEET
 
     def _flex(self, flex: int) -> Iterator[tuple[Array, Array, Array]]:
-        """A membrane, or the skin of a soft body; nothing for a rope."""
+        """Return a membrane, or the skin of a soft object; empty for a rope."""
         model = self.model
         solid = model.flex_dim[flex] == 3
         if solid:
@@ -162,8 +162,10 @@ class SceneView:
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
-    """Points (p, 3) m in the geom's frame and triangles (n, 3) of its surface; nothing for an
-    infinite plane."""
+    """Return points (p, 3) m in the geom's frame and surface triangles (n, 3).
+
+    Both are empty for an infinite plane.
+    """
     kind = int(model.geom_type[geom])
     size = model.geom_size[geom]
     if kind == _G.mjGEOM_BOX:

@@ -1,9 +1,9 @@
 """Snapshot and restoration of the complete state of a simulated world: MuJoCo's state and that of
 the run-time objects.
 
-MuJoCo's data and model arrays are copied. Of the run-time objects every mutable attribute is
-copied: numbers, arrays, lists, generators. Arrays are restored in place, so that views of them and
-addresses held by compiled kernels stay valid.
+MuJoCo's data and model arrays are copied. Every mutable attribute of the run-time objects is also
+copied: scalars, arrays, lists, generators. Arrays are restored in place. Views of them and
+addresses held by compiled kernels therefore stay valid.
 """
 
 from __future__ import annotations

@@ -66,8 +66,10 @@ class SoftBody:
 
 
 def tetrahedra(body: SoftBody) -> tuple[Array, NDArray[np.int64]]:
-    """Points (n, 3) m about the body's middle, a skin below its surface, and tetrahedra (m, 4) of
-    their numbers."""
+    """Return points (n, 3) m about the object's center, and tetrahedra (m, 4) of point indices.
+
+    The outermost points lie below the object's surface by the thickness of its skin.
+    """
     n = body.mesh
     line = np.linspace(-1.0, 1.0, n + 1)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -91,7 +93,8 @@ def tetrahedron_volumes(points: Array, elements: NDArray[np.int64]) -> Array:
 
 
 def _cut(cells: list[tuple[int, ...]], n: int) -> NDArray[np.int64]:
-    """Six tetrahedra (m, 4) a cell, along its diagonal: neighbours share faces."""
+    """Return six tetrahedra (m, 4) per cell, along its diagonal; adjacent cells have common
+    faces."""
     corners = []
     for cell, order in product(cells, permutations(range(3))):
         corner = list(cell)
@@ -200,7 +203,7 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
 
 
 def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
-    """Whole numbers, in lines."""
+    """Return the integers as text in lines of limited width."""
     lines = [""]
     for row in numbers:
         text = " ".join(map(str, row))
@@ -225,7 +228,7 @@ def _stand(body: SoftBody, bottom: float) -> str:
 
 
 def _cup(body: SoftBody) -> str:
-    """Four pegs that an ellipsoid rests on with its middle at the height of the grasp."""
+    """Return four pegs that support an ellipsoid with its center at the grasp height."""
     grown = np.array(body.half) + _PEG
     x, y = _CUP
     top = body.centre_height - grown[2] * np.sqrt(1 - (x / grown[0]) ** 2 - (y / grown[1]) ** 2)
@@ -282,4 +285,4 @@ SHIPPED: dict[str, tuple[SoftBody, str]] = {
         "A ball of soft silicone, E = 120 kPa. It tears at 1 MPa, which no gripper here reaches.",
     ),
 }
-"""The soft bodies that ship in models/objects, with the sentence that heads their file."""
+"""Soft objects shipped in models/objects, with the first sentence of their file."""

@@ -16,7 +16,7 @@ LIFTED = -2e-3  # depth relative to first touch, m: no contact
 
 
 def current(moves: Sequence[Move], time: float) -> int | None:
-    """The number of the newest move whose time has come; None before the first."""
+    """Return the index of the newest move that is due; None before the first."""
     return max((i for i, move in enumerate(moves) if move.time <= time + 1e-9), default=None)
 
 

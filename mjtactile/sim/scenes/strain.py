@@ -58,7 +58,7 @@ class SoftSolid:
         self._volumes = np.abs(np.linalg.det(edges)) / 6
         self._mu = young / (2 * (1 + poisson))
         self._lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
-        weights = np.zeros(count)  # each corner stands for a quarter of its elements
+        weights = np.zeros(count)  # each corner represents a quarter of its elements
         np.add.at(weights, self._elements.ravel(), np.repeat(self._volumes / 4, 4))
         self._weights = weights / weights.sum()
 
@@ -81,8 +81,10 @@ class SoftSolid:
         )
 
     def pose(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Middle of the volume (3,) m, and the rotation (3, 3) from the initial pose that fits
-        best, frame W."""
+        """Return the center of volume (3,) m, frame W, and the best-fit rotation (3, 3).
+
+        The rotation is relative to the initial pose.
+        """
         now = data.flexvert_xpos[self._vertices]
         middle = self._weights @ now
         before = self._weights @ self._rest
@@ -94,7 +96,7 @@ class SoftSolid:
 
     @property
     def rest_center(self) -> Array:
-        """Middle of the volume (3,) m at the initial pose, frame W."""
+        """Center of volume (3,) m at the initial pose, frame W."""
         return self._weights @ self._rest
 
     def _worst(self, values: Array) -> float:
@@ -104,7 +106,7 @@ class SoftSolid:
 
 
 def soft_flex(model: mujoco.MjModel, prefix: str = "") -> int:
-    """Number of the first volumetric flex whose name begins with `prefix`; -1 where there is
+    """Return the index of the first volumetric flex with name prefix `prefix`; -1 if there is
     none."""
     names = [
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or "" for f in range(model.nflex)

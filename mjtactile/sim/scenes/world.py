@@ -22,7 +22,7 @@ class World:
     """Model and data of a scene with attached sensors.
 
     On divergence, MuJoCo resets the state and rewinds time. This is off here. `step` raises
-    SimulationError and never returns a wrong number.
+    SimulationError and never returns a wrong value.
     """
 
     def __init__(
@@ -31,7 +31,7 @@ class World:
         attachments: Sequence[Attachment],
         place: Callable[[mujoco.MjModel, mujoco.MjData], None] = lambda model, data: None,
     ):
-        """`place` puts the fresh state where the scene begins, before anything looks at it."""
+        """Compile the scene; `place` sets the initial state before sensors are bound."""
         route_warnings()
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         try:
@@ -96,10 +96,9 @@ class World:
         return self._stepper.step_count
 
     def step(self, count: int = 1) -> None:
-        """Advance by `count` time steps. Raises SimulationError when the state is no longer to be
-        trusted."""
+        """Advance by `count` time steps. Raises SimulationError if the state is no longer valid."""
         watched = self._after_step or self._after_stretch
-        if not (self.sensors or watched or self._moves):  # nothing to do between the steps
+        if not (self.sensors or watched or self._moves):  # no work between the steps
             mujoco.mj_step(self.model, self.data, count)
             self._stepper.after_step(count)
             return
@@ -145,11 +144,13 @@ class World:
     def after_each_stretch(
         self, call: Callable[[], None], due: Callable[[], float] | None = None
     ) -> None:
-        """From now on, `call()` after every stretch of steps that were done in one go.
+        """Register `call` to run after every batch of steps.
 
         Args:
-            call: Is called after 20 ms at most. With meshes, or gas that flows, after every step.
-            due: s, when it must be called at the latest; asked before each stretch.
+            call: Callback, called at least every 20 ms. With meshes, or flowing gas, it is called
+                after every step.
+            due: Function that returns the latest time of the next call, s; evaluated before each
+                batch.
         """
         self._after_stretch.append(call)
         if due is not None:
@@ -167,5 +168,5 @@ class World:
         """Hook for worlds that move their controls by themselves."""
 
     def _watch(self, watcher: Callable[[], Flags]) -> None:
-        """From now on, take in the flags of `watcher` at each look at the state."""
+        """Register `watcher`; its flags are collected at each check of the state."""
         self._stepper.watchers.append(watcher)

@@ -60,7 +60,8 @@ class BaseSensor(ABC):
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas = make_gas(design.chamber, effects)
         self.sleepy = True
-        """True if the sensor may sleep while no object is near and nothing moves (sleep.py)."""
+        """True if the sensor may sleep while no object is near and the scene is at rest
+        (sleep.py)."""
 
     @property
     @abstractmethod
@@ -69,12 +70,12 @@ class BaseSensor(ABC):
 
     @abstractmethod
     def _come_to_now(self) -> None:
-        """Bring sheet and gas up to the present state, awake, before the valve is moved."""
+        """Update membrane and gas to the present state, awake, before the valve is moved."""
 
     def wake(self) -> None:  # noqa: B027 a film never sleeps
         """Resume from the state in which the sensor fell asleep.
 
-        A manual call is needed only after a change of the model's own numbers.
+        A manual call is needed only after a change of the model's own parameters.
         """
 
     def _gas_now(self) -> ChamberGas:
@@ -87,7 +88,7 @@ class BaseSensor(ABC):
         """Simulated time now, s."""
         return float(self._data.time)
 
-    # -- the sheet
+    # -- the membrane
 
     def marker_poses(self) -> tuple[Array, Array]:
         """Return marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3).
@@ -97,19 +98,25 @@ class BaseSensor(ABC):
         return self._markers.marker_poses(self.p_SV)
 
     def height_at(self, x: float, y: float) -> float:
-        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries
-        the markers."""
+        """Return the height of the material point (x, y) of the flat membrane, m.
+
+        It is interpolated by the spline that carries the markers.
+        """
         at = MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]]))
         return float(at.marker_poses(self.p_SV)[0][0, 2])
 
     def stretches(self) -> tuple[Array, Array]:
-        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and
-        its area (m,) m^2."""
+        """Return principal stretches (m, 2), small and large, and areas (m,) m^2 of the triangles.
+
+        The stretches are relative to the free membrane.
+        """
         return stretches_of(self.design, self.mesh, self.p_SV)
 
     def stretch_and_area(self) -> tuple[float, float]:
-        """Largest principal stretch against the free sheet over all triangles, and the membrane's
-        area, m^2."""
+        """Return the largest principal stretch over all triangles and the membrane's area, m^2.
+
+        The stretch is relative to the free membrane.
+        """
         stretches, areas = self.stretches()
         return float(stretches.max()), float(areas.sum())
 

@@ -23,9 +23,9 @@ from mjtactile.sim.sensor.subgrid_indentation import (
 REACH = 0.6
 """Half width of a vertex's contact search cell, in cells: a little more than a half."""
 REACHED = 0.8
-"""Cells from contact within which a vertex looks."""
+"""Distance from contact within which a vertex searches for it, in cells."""
 FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Cells: a sphere stands with all of these on a face."""
+"""Offsets of a sphere's support points, in cells: on a face all of them rest on it."""
 _NEAR = 0.3  # cells from contact, within which a vertex moves its sphere
 _GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(
     -1, 2
@@ -36,9 +36,9 @@ _ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
 _BESIDE = 0.3 * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 # cells that a shape falls away by there, if it juts out: a ball of two spacings does by 0.03
 _JUTS = 0.04
-_MISSED = 100.0  # cells, in place of infinity
-# cells of height that a detour of one cell costs: of equally high places the nearest to the vertex
-# counts
+_MISSED = 100.0  # gap in place of infinity, in cells
+# height penalty, in cells, per cell of lateral shift: among equally high points the nearest to the
+# vertex is chosen
 _CENTRED = 0.1
 _WIDER = 2.5  # than where else a shape juts: a pin that fits between vertices is as wide as a cell
 # where a shape is sampled around a contact, in cells
@@ -113,7 +113,7 @@ def deepest(
 
     The shifts (k, 2), in cells, lead to the deepest point. The gaps (k,) are those there. A deepest
     point at a cell's border, or beyond its `reach`, also belongs to the next cell. The vertex then
-    does not move along that axis. A sphere stands with all of its `foot` (f, 2), in cells, on the
+    does not move along that axis. All points `foot` (f, 2) of a sphere, in cells, rest on the
     shape. `hints` are shifts and gaps of a thin shape.
     """
     uneven = _uneven(
@@ -176,7 +176,7 @@ def standoff(
         np.clip(gaps[:, 1 + i * 8 : 9 + i * 8] - gaps[:, :1], -3 * r, 3 * r)
         for i, r in enumerate(_RINGS)
     )
-    # without the sheet's own slope
+    # averages over opposite directions, which remove the membrane's own slope
     even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
     own, radii = depth_beyond_mesh(loads, *profile(even[0], even[1], _RINGS), width)
     places = flat / cells.sizes[:, None]

@@ -1,5 +1,7 @@
-"""Memory layout of MuJoCo's contact list, for kernels that read it in place; passing its columns
-would require copies."""
+"""Memory layout of MuJoCo's contact list, for kernels that read it in place.
+
+Passing its columns would require copies.
+"""
 
 from __future__ import annotations
 

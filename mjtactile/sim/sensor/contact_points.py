@@ -4,14 +4,16 @@ Vertices are 2-3 mm apart. Edges, tips and small balls pass between them. At a v
 the membrane's finest shape is a tent of that size. The force of a cone is then 40 % too high. Near
 small or sharp shapes the following corrections therefore apply.
 
-- A vertex's sphere is placed where the object protrudes farthest into the vertex's own cell. The
-  search extends a little beyond the cell, so that no point falls between two cells. The sphere acts
-  as the tent's top, and the force acts on the vertex.
-- The sphere stands back by the excess of a real membrane's indentation over that of the mesh's
-  tent. A force F on a disc of radius a deepens a membrane by F/(2 pi T) (ln(1/a) + 1/2). Here T is
-  the tension. The mesh has its own a = 0.198 h (docs/theory/simulation_contact.md, C6).
+- A vertex's sphere is placed at the point where the object protrudes farthest into the vertex's own
+  cell. The search extends a little beyond the cell, so that no point falls between two cells. The
+  sphere acts as the tent's top, and the force acts on the vertex.
+- The sphere is shifted back by a stand-off. It is the excess of a real membrane's indentation over
+  that of the mesh's tent. A force F on a disc of radius a deepens a membrane by F/(2 pi T) (ln(1/a)
+  + 1/2). Here T is the tension. The mesh has its own a = 0.198 h
+  (docs/theory/simulation_contact.md, C6).
 
-`facets.StandOff` handles round objects larger than the mesh. The vertices handle faces.
+`curvature_standoff.StandOff` handles round objects larger than the mesh. The vertices handle
+faces.
 """
 
 from __future__ import annotations
@@ -51,15 +53,16 @@ With REACH, two vertices would pass a ball back and forth forever.
 _SLACKEST = 0.01  # minimum strain for the tension
 _STILL = 1e-5  # distance below which a sphere is back at its vertex, m
 _PACE = 7.5e-3  # maximum speed of the stand-off from a thin shape, m/s: contact must not be lost
-_EASE = 0.5  # of a change of a load, that a look follows
+_EASE = 0.5  # fraction of a load change that is adopted per update
 # radius of a sphere on a thin shape, in cells, with its top at the membrane: a membrane under
 # pressure jumps by a tenth of a cell, and the shape would enter a smaller sphere and push it
 # sideways
 _BLUNT = 0.3
-# cells, by which a sphere stands before a flat end at most; chosen by pins of 1 and 1.5 mm radius
+# maximum protrusion of a sphere in front of a flat end, in cells; tuned with pins of 1 and 1.5 mm
+# radius
 _FORWARD = 0.1
 _RESTED = 0.1  # time without motion of a sharp object, s, after which its contact points stay fixed
-_STAYS = 0.03  # cells: so little is no move
+_STAYS = 0.03  # displacement, in cells, below which a geom counts as unmoved
 _HALF = 0.5  # fraction of a thin shape's half width that supports a sphere's feet
 
 
@@ -67,7 +70,7 @@ class _Goals(NamedTuple):
     """Goals of the spheres.
 
     Vectors `to` (k, 3) m in S start at the vertices. `back` are stand-off vectors, `blunt` (k,)
-    flags. `gaps` (k,), in cells, are those to the object that each sphere will touch.
+    flags. `gaps` (k,), in cells, are those between each sphere and the object it will touch.
     """
 
     to: Array
@@ -101,7 +104,7 @@ class ContactPoints:
         mesh: MembraneMesh,
         stiffness: float,
     ):
-        """`stiffness` E h of the sheet, N/m."""
+        """Create the contact points; `stiffness` is E h of the membrane, N/m."""
         self._model = model
         self._data = data
         self._body = body_id
@@ -113,7 +116,7 @@ class ContactPoints:
         self._radii = model.geom_size[block, 0]
         self._bounds = model.geom_rbound[block]
         self._boxes = model.geom_aabb[block, 3:]
-        # else MuJoCo takes them for their bodies' origins
+        # otherwise MuJoCo takes the geoms' positions to be their bodies' origins
         model.geom_sameframe[vertex_geom_ids] = 0
         self._triangles = mesh.triangles
         self._interior = mesh.interior
@@ -198,7 +201,10 @@ class ContactPoints:
         return 0.0
 
     def _pose(self, geom: int, R_WS: Array) -> Array:
-        """Place (3,) m of a geom over the sensor, and its axes, as long as it reaches: (3, 4)."""
+        """Return position (3,) m and axes of a geom in the sensor's frame, as columns (3, 4).
+
+        The axes have the length of the geom's bounding radius.
+        """
         axes = R_WS.T @ self._data.geom_xmat[geom].reshape(3, 3)
         place = self._in_sensor(self._data.geom_xpos[geom])
         return np.column_stack([place, self._model.geom_rbound[geom] * axes])
@@ -305,7 +311,7 @@ class ContactPoints:
         return hints
 
     def _foot(self, geom: int) -> Array:
-        """Return the points of a sphere that must stand on a thin geom, in cells."""
+        """Return the points of a sphere that must rest on a thin geom, in cells."""
         thin = feature_size.feature_radius(self._model, geom) / self._sizes[0]
         return min(1.0, _HALF * thin / np.abs(FOOT).max()) * FOOT
 
@@ -347,8 +353,10 @@ class ContactPoints:
         self._boxes[:] = radii[:, None]
 
     def _ease(self, loads: Array) -> None:
-        """Follow `loads` (k,) slowly: a contact that is lost for a step must not come back with
-        another stand-back."""
+        """Follow `loads` (k,) slowly.
+
+        A contact that is lost for one step must return with the same stand-off.
+        """
         self._eased += _EASE * (np.maximum(loads, 0.0) - self._eased)
 
     def _is_touched(self) -> bool:
@@ -396,7 +404,7 @@ class ContactPoints:
         return Cells(vertices @ turn + shift, axes @ turn, sizes)
 
     def _normals(self, p_SV: Array) -> Array:
-        """Outward unit normals (k, 3) of the sheet at the vertices."""
+        """Return the outward unit normals (k, 3) of the membrane at the vertices."""
         return normals_of(p_SV, self._triangles)[self._interior]
 
     def _loads(self, tensions: Callable[[], Array], gauge_pressure: float) -> Array:

@@ -26,14 +26,15 @@ SHARE = 0.25  # of the facets' mean sagitta
 # update period, and time constant of the stand-off, s
 _EVERY = 0.01
 _SETTLE = 0.02
-# time constant without contact, s: a contact lost for one step must not bounce by its own stand-off
+# time constant without contact, s: after a contact is lost for one step, its own stand-off must not
+# make it bounce
 _RELEASE = 0.2
 
 
 class StandOff:
     """Contact margins of one sensor's vertex spheres, by the curvature of the touched objects.
 
-    Vertices without contact use the mean of the others; without any contact the stand-off goes to
+    Vertices without contact use the mean of the others. Without any contact the stand-off decays to
     zero.
     """
 
@@ -94,9 +95,9 @@ class StandOff:
 def curvatures(model: mujoco.MjModel, geoms: NDArray[np.int64], normals: Array) -> Array:
     """Return the sums of the principal curvatures (n,) 1/m of `geoms` (n,).
 
-    They apply where the surfaces have the unit `normals` (n, 3), each in its geom's frame. The sum
-    is zero for faces. It is also zero for meshes and height fields, whose curvature is not
-    known.
+    They apply at the surface points with the unit `normals` (n, 3), each in its geom's frame. The
+    sum is zero for faces. It is also zero for meshes and height fields, whose curvature is not
+    available.
     """
     found = np.empty(len(geoms))
     kernel("curvatures")(

@@ -144,15 +144,17 @@ def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
 
 
 def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design with a sheet of St. Venant-Kirchhoff rubber where "hyperelasticity" is off."""
+    """Return the design with St. Venant-Kirchhoff rubber if "hyperelasticity" is off."""
     if Effect.HYPERELASTICITY in on:
         return design
     return replace(design, membrane=replace(design.membrane, law=Law.STVK))
 
 
 def set_camera_effects(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design as the renderer draws it: without the noise, blur or shading that is off. Sensing
-    keeps its own."""
+    """Return the design for the renderer, without the noise, blur or shading that is switched off.
+
+    The sensing pipeline keeps its own design.
+    """
     camera = design.camera
     leds = design.leds
     camera = replace(
@@ -165,8 +167,10 @@ def set_camera_effects(design: SensorDesign, on: frozenset[str]) -> SensorDesign
 
 
 class FixedLoad:
-    """In place of the gas tendon when "gas" is off: a pressure that does not depend on the volume.
-    Adds no element."""
+    """Replacement of the gas tendon when "gas" is off.
+
+    Its pressure does not depend on the volume. It adds no element.
+    """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
         self._last = (math.nan, None)
@@ -203,8 +207,10 @@ class FixedGas(ChamberGas):
 
 
 class FlatGeometry:
-    """In place of `ChamberGeometry` when "follower pressure" is off: pressure pushes along z,
-    volume is area x height."""
+    """Replacement of `ChamberGeometry` when "follower pressure" is off.
+
+    Pressure acts along z, and the volume is area x height.
+    """
 
     def __init__(self, mesh: MembraneMesh, volume_flat: float):
         self._interior = mesh.interior

@@ -23,7 +23,7 @@ CONVEX = 0.98
 END = 0.7
 """Cosine of a normal to a cylinder's axis above which its end face touches."""
 SLIPS = 1.0
-"""Radius in vertex spacings below which a feature can slip between vertices that stand still."""
+"""Radius in vertex spacings below which a feature can slip between unshifted vertices."""
 RESOLVED = 2.0
 """Radius in vertex spacings from which a feature's force is good: 5 % and better
 (tests/physics/test_contact.py)."""
@@ -34,7 +34,7 @@ def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]
 
     Args:
         model: The scene.
-        carrier: The sensor's body; 0 stands for a sensor that is fixed to the world.
+        carrier: The sensor's MuJoCo body; 0 for a sensor that is fixed to the world.
 
     Returns:
         (n,) Geoms with a contype that are not fixed to the carrier. Static geoms are included if
@@ -93,7 +93,7 @@ def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, st
     """Return radius, m, and name of the geom with the smallest feature for the membrane on
     `carrier`.
 
-    The radius is infinite when nothing can touch.
+    The radius is infinite if no geom can touch the membrane.
     """
     found = [
         (feature_radius(model, int(g)), name_of(model, int(g)))

@@ -44,7 +44,7 @@ class ChamberGas:
         self._pressure = chamber.ambient  # absolute
         self._has_ideal_valve = math.isinf(chamber.valve_conductance)
         self._ways: tuple[tuple[float, float], ...] = ()
-        """Conductance and far pressure, Pa absolute, of every way that gas can take now."""
+        """Conductance and far pressure, Pa absolute, of every flow path that is open now."""
         self._find_connections()
 
     @property

@@ -54,7 +54,7 @@ def _cylinder(radius: float, half: float, apart: float) -> Array:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> Array:
-    """Vertices and points of edges of a mesh, pulled to its middle by as much as it is thin."""
+    """Return vertices and edge points of a mesh, moved towards its center by its feature radius."""
     mesh = int(model.geom_dataid[geom])
     vertices = slice(int(model.mesh_vertadr[mesh]), None)
     corners = np.asarray(model.mesh_vert[vertices][: model.mesh_vertnum[mesh]], float)

@@ -85,8 +85,10 @@ def add_membrane(
 
 
 def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> list[str]:
-    """A body with three slides and a sphere for each vertex that moves. Returns the name of every
-    vertex's body; those of the rim are the sensor's own."""
+    """Add a MuJoCo body with three slides and a sphere for each moving vertex.
+
+    Returns the name of every vertex's MuJoCo body. Rim vertices have the sensor's own body.
+    """
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
     damping = mesh.areas * SURFACE_DAMPING * membrane_stiffness(sheet)
@@ -124,7 +126,7 @@ def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: l
     flex.vertbody = names
     flex.elem = mesh.triangles.ravel().tolist()
     local = mesh.p_SV.copy()
-    local[mesh.interior] = 0.0  # these vertices sit at their own body's origin
+    local[mesh.interior] = 0.0  # these vertices are at the origins of their own MuJoCo bodies
     flex.vert = local.ravel().tolist()
     # vertex spheres touch; see `touch_with`
     flex.selfcollide = 0

@@ -33,7 +33,7 @@ class MembraneMesh:
 
     Vertex (i, j) has index i * ny + j; x grows with i.
 
-    `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise seen from outside
+    `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise viewed from outside
     (+z). `interior` (k,) are the indices of the moving vertices. `areas` (n,) m^2 is the membrane
     area per vertex. `knots` are the mesh coordinates of its rows and columns, m for a rectangle.
     For another `outline` they are those of the square that is mapped to it.
@@ -59,7 +59,7 @@ class MembraneMesh:
         return self.p_SV[: self.ny, 1]
 
     def coordinates(self, p_SM: Array) -> Array:
-        """The mesh's own coordinates (N, 2) of points `p_SM` (N, 3) m of the flat sheet."""
+        """Return the mesh coordinates (N, 2) of points `p_SM` (N, 3) m of the flat membrane."""
         return p_SM[:, :2] if self.outline is None else self.outline.square(p_SM[:, :2])
 
     @cached_property
@@ -129,8 +129,10 @@ def make_mesh(
 
 
 def _graded(count: int, grading: float) -> Array:
-    """`count` coordinates from -1 to 1, closer in the middle by a smooth map, which keeps the order
-    of convergence."""
+    """Return `count` coordinates from -1 to 1, denser at the center.
+
+    The map is smooth, which preserves the order of convergence.
+    """
     u = np.linspace(-1, 1, count)
     return (1 - grading) * u + grading * u**3
 

@@ -28,11 +28,11 @@ from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
 from mjtactile.sim.sensor.thin_object_margin import ThinObjectMargin, refuse_thin
 
 GLASS_MARGIN = 0.02
-"""Share of the chamber's depth in front of the glass that the membrane may not enter."""
+"""Fraction of the chamber's depth in front of the glass that the membrane may not enter."""
 
 
 class TactileSensor(BaseSensor):
-    """Run time of one sensor whose sheet is a mesh in the model."""
+    """Run-time state of one sensor whose membrane is a mesh in the model."""
 
     def __init__(
         self,
@@ -123,10 +123,10 @@ class TactileSensor(BaseSensor):
         self._time = self.time
 
     def update(self) -> None:
-        """Bring gas volume, pressure and stiffness up to the present state; call before every
+        """Update gas volume, pressure and stiffness to the present state; call before every
         `mj_step`.
 
-        Asleep, it only looks whether anything is near.
+        A sleeping sensor only checks for near objects.
         """
         if self._sleeper.asleep:
             if self.sleepy and not self._sleeper.wakes():
@@ -158,12 +158,12 @@ class TactileSensor(BaseSensor):
     def wake(self) -> None:
         """Resume from the state in which the sensor fell asleep.
 
-        A manual call is needed only after a change of the model's own numbers.
+        A manual call is needed only after a change of the model's own parameters.
         """
         self._sleeper.stay_awake()
         if self._sleeper.asleep:
             self._sleeper.wake()
-            self._time = float(self._data.time)  # nothing has flowed meanwhile
+            self._time = float(self._data.time)  # no gas has flowed during sleep
             self._follow()
 
     def _come_to_now(self) -> None:
@@ -215,7 +215,7 @@ class TactileSensor(BaseSensor):
 
     @property
     def displacements(self) -> Array:
-        """Displacements of the interior vertices from the flat sheet, (3 k,) m in S, now; a
+        """Present displacements (3 k,) m of the interior vertices from the flat membrane, in S; a
         copy."""
         return self._tendon.displacements.copy()
 
@@ -247,8 +247,10 @@ class TactileSensor(BaseSensor):
         return self._markers.marker_poses(p_SV)
 
     def tensions(self) -> Array:
-        """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its
-        principal ones."""
+        """Return the tension (n,) N/m of the membrane at its vertices, not negative.
+
+        It is the geometric mean of the principal tensions.
+        """
         sheet = self.design.membrane
         triangles = self.mesh.triangles.ravel()
         stretches = np.maximum(self.stretches()[0], 0.1)

@@ -21,15 +21,15 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
 from mjtactile.sim.sensor.validity_checks import Flags
 
-PENETRATION = 0.05  # share of the indentation
+PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
 _FAST = 0.5  # of its own size in a step
 _FRAMED = 0.2  # force on the frame over five checks, N
 _NEAR = 0.05  # distance from the membrane's center, m
 _MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it
-_QS_RARE_PERIOD = 20  # looks, of 0.1 s
-# looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
-# step, too
+_QS_RARE_PERIOD = 20  # period in checks, which are 0.1 s apart
+# period in checks: stretch and wrinkles change no faster than pressure; speed is also checked in
+# every step
 _RARELY = 5
 
 
@@ -59,7 +59,7 @@ class SceneMonitor:
             CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
             for own, sensor in zip(self._felt, sensors, strict=True)
         ]
-        mujoco.mj_kinematics(model, data)  # a fresh state has no places yet
+        mujoco.mj_kinematics(model, data)  # a new state has no positions yet
         for core, sensor in zip(self._cores, sensors, strict=True):
             core.forget(data, sensor.body_id, sensor.p_SV, sensor.design.chamber.depth)
         self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
@@ -75,7 +75,7 @@ class SceneMonitor:
         minimum = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
         self._hurry = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
         self._rest = [sensor.heights for sensor in sensors]
-        self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
+        self._deep = np.zeros((len(sensors), 5))  # ratios at the last checks
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
         self._max_frame_area = 0.0  # largest lasting force reported, N
         self._looks = -1
@@ -330,7 +330,7 @@ class SceneMonitor:
         return flags
 
     def _velocities(self, bodies: Sequence[int] | np.ndarray) -> Array:
-        """Velocities (n, 3) m/s of the origins of bodies, frame W."""
+        """Return the velocities (n, 3) m/s of the origins of MuJoCo bodies, frame W."""
         data = self._data
         root = self._model.body_rootid[bodies]
         turn = data.cvel[bodies, :3]

@@ -19,8 +19,10 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _ROW = 21
-"""Numbers of a triangle in `flex_stiffness`; the first six are its matrix's upper triangle, row by
-row."""
+"""Number of values per triangle in `flex_stiffness`.
+
+The first six are the upper triangle of its matrix, row by row.
+"""
 _UPPER = np.triu_indices(3)
 # lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
 _LEAST = -0.5
@@ -71,8 +73,8 @@ class Rubber:
         elements = EdgeMatrices(model, flex_id, mesh)
         mu = shear_modulus(sheet.young, sheet.poisson)
         unstrained = 2 * mu * sheet.poisson / (1 - sheet.poisson)  # lambda' of no strain
-        # E = (C - I)/2; the sheet's energy is that of its free volume, but MuJoCo's strain is 1/l^2
-        # of E (see add_membrane).
+        # E = (C - I)/2; the membrane's energy is that of its free volume, but MuJoCo's strain is
+        # 1/l^2 of E (see add_membrane).
         volume = mesh.triangle_areas * sheet.thickness * sheet.pre_stretch**2 / 2
         trace = elements.metric[:, 0] + elements.metric[:, 1]
         shear = elements.metric.transpose(0, 2, 1) @ np.diag([2.0, 2.0, 4.0]) @ elements.metric
@@ -93,7 +95,7 @@ class Rubber:
             ends,
             len(self._p_SV),
             self._p_SV,
-            # squared lengths to C against the free sheet
+            # conversion of squared lengths to C relative to the free membrane
             elements.metric * sheet.pre_stretch**2,
             np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]),
             by_mu,

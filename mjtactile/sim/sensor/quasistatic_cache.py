@@ -38,13 +38,16 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 
 @lru_cache(maxsize=64)
 def film_of(design: SensorDesign, grid: tuple[int, int]) -> QuasistaticMembrane:
-    """The film of a sensor, made once a process and shared: nothing in it changes."""
+    """Return the quasi-static membrane of a sensor.
+
+    It is made once per process and used in common, because it never changes.
+    """
     return QuasistaticMembrane(design, grid)
 
 
 @lru_cache(maxsize=64)
 def sticking_of(film: QuasistaticMembrane) -> Sticking:
-    """The film's sheet in the plane, inverted once a process."""
+    """Return the membrane's in-plane compliance, inverted once per process."""
     sticking = Sticking(film)
     sticking.compliance.flags.writeable = False
     return sticking

@@ -1,7 +1,7 @@
 """Forces of quasi-static membranes in MuJoCo's `qfrc_applied`, and damping.
 
-The forces are added to those of the user. The damping acts on the MuJoCo bodies that the membranes
-hold.
+The forces are added to those of the user. The damping acts on the MuJoCo bodies held by the
+membranes.
 
 A membrane's force is computed from the present poses and stays constant during the step. That alone
 is stable for sqrt(k / m) h < 2. Free MuJoCo bodies are therefore damped against their motion
@@ -20,7 +20,10 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 
 HOLD = 43
-"""Number of values that describe a held free body: joint, stiffness (6, 6) and velocity (6,)."""
+"""Number of values that describe a held free MuJoCo body.
+
+They are joint, stiffness (6, 6) and velocity (6,).
+"""
 
 
 class QuasistaticForces:
@@ -39,7 +42,7 @@ class QuasistaticForces:
         self._add = None
 
     def join(self, owner: str) -> int:
-        """The number of `owner`'s row; one that comes again has its old one, emptied."""
+        """Return the row number of `owner`; a known owner gets its previous row, set to zero."""
         if owner not in self._owners:
             self._owners.append(owner)
             self._forces = np.vstack([self._forces, np.zeros((1, self._model.nv))])
@@ -50,10 +53,11 @@ class QuasistaticForces:
         return number
 
     def set(self, number: int, force: Array, hold: Array) -> None:
-        """Set row `number` to `force` (nv,) and to the damping of the body of `hold` (HOLD,).
+        """Set row `number` to `force` (nv,) and to the damping of the MuJoCo body of `hold`
+        (HOLD,).
 
-        Both replace the row's previous contribution. Values that others have written to
-        `qfrc_applied` since then are kept.
+        Both replace the row's previous contribution. Other changes to `qfrc_applied` since then are
+        kept.
         """
         self._forces[number] = force
         self._holds[number] = hold

@@ -20,7 +20,7 @@ _SEALED = 1  # index in a membrane's settings
 
 
 class QuasistaticGas:
-    """Gas and film of one sensor. SI units."""
+    """Gas and quasi-static membrane of one sensor. SI units."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class QuasistaticGas:
     def gauge_pressure(self, time: float) -> float:
         """Return the gauge pressure at the membrane's last update, Pa."""
         if self._gas.is_sealed and self._is_sealed:
-            return self._live.gauge_pressure  # the film rests on p V^gamma
+            return self._live.gauge_pressure  # the membrane solution includes p V^gamma
         return self.at(time).gauge_pressure
 
     def at(self, time: float) -> ChamberGas:
@@ -74,7 +74,7 @@ class QuasistaticGas:
         self._detected_at = None
 
     def breathe(self, time: float) -> None:
-        """Take the gas to the film's present volume."""
+        """Advance the gas to the membrane's present volume."""
         self._volume = self.volume
         self._gas.advance(self._volume, time - self._time)
         self._time = time
@@ -109,7 +109,7 @@ class QuasistaticGas:
         self._live.settings[_SEALED] = 0.0
 
     def trap(self, gauge_pressure: float, time: float) -> None:
-        """Be sealed at `gauge_pressure` Pa in the film's present volume."""
+        """Seal the gas at `gauge_pressure` Pa in the membrane's present volume."""
         self._volume = self.volume
         self._gas.seal(self._volume, gauge_pressure)
         self._time = time

@@ -41,7 +41,7 @@ class ContactGeoms:
         cost.
 
         Raises InputError for kinds that a quasi-static membrane does not support. These are soft
-        bodies and height fields.
+        objects and height fields.
         """
         felt = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
@@ -74,7 +74,7 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
 
 
 def _refuse_soft(model: mujoco.MjModel) -> None:
-    """A film rests on rigid bodies alone."""
+    """Raise InputError for a soft object: a quasi-static membrane supports only rigid obstacles."""
     for flex in range(model.nflex):
         if model.flex_dim[flex] == 3:
             raise InputError(

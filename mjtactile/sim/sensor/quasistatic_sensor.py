@@ -94,7 +94,8 @@ class QuasistaticSensor(BaseSensor):
         self._number = self._pushes.join(prefix)
         self._force = np.zeros(model.nv)
         self._hold = np.zeros(HOLD)
-        self._pushing = np.zeros(1, np.int64)  # whether it did at the last look
+        # 1 if the membrane exerted a force at the last update
+        self._pushing = np.zeros(1, np.int64)
         self._bind()
         stiffness = self._given[_GAS : _GAS + 1]
         self._qs_gas = QuasistaticGas(
@@ -184,12 +185,12 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def gauge_pressure(self) -> float:
-        """Gauge pressure in the chamber, Pa, at the last look."""
+        """Gauge pressure in the chamber, Pa, at the last update."""
         return self._qs_gas.gauge_pressure(self.time)
 
     @property
     def volume(self) -> float:
-        """Gas volume, m^3, at the last look."""
+        """Gas volume, m^3, at the last update."""
         return self._qs_gas.volume
 
     @property
@@ -308,7 +309,8 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def p_SV(self) -> Array:
-        """Positions (n, 3) m in S of the mesh's vertices now, which ride on the film."""
+        """Present positions (n, 3) m in S of the mesh's vertices, which follow the membrane
+        solution."""
         self._look()
         return self._positions()()
 
@@ -344,7 +346,7 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def displacements(self) -> Array:
-        """Displacements (3 k,) m of the inner nodes from the flat sheet; a copy."""
+        """Displacements (3 k,) m of the inner nodes from the flat membrane; a copy."""
         return np.ascontiguousarray(self._live.x.reshape(3, -1).T[self.mesh.interior]).ravel()
 
     def penetrations(self, rows: NDArray[np.int64]) -> Array:
@@ -353,7 +355,7 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def dofs(self) -> NDArray[np.int64]:
-        """A film has no degrees of freedom in the model."""
+        """Empty array: a quasi-static membrane has no degrees of freedom in the model."""
         return np.empty(0, np.int64)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneStatus
 
-# places, as kernels/qs_friction.h has them
+# indices, as in kernels/qs_friction.h
 _COUNT = 69
 _BODY = 0
 _WRENCH = slice(1, 7)
@@ -25,17 +25,17 @@ _SLID = 66
 
 
 class QuasistaticState:
-    """One film's. SI units, frame S.
+    """State of one quasi-static membrane. SI units, frame S.
 
     Attributes:
-        numbers: (69,) that the kernel reads and writes.
+        numbers: Values (69,) that the kernel reads and writes.
     """
 
     def __init__(self) -> None:
         self.numbers = np.zeros(_COUNT)
 
     def forget(self) -> None:
-        """Be as before the first look."""
+        """Reset the state to that before the first update."""
         self.numbers[:] = 0.0
 
     @property
@@ -50,7 +50,7 @@ class QuasistaticState:
 
     @property
     def wrench(self) -> Array:
-        """(6,) N and N m about the origin of S that the world exerts on the film."""
+        """Wrench (6,) N and N m of the obstacles on the membrane, about the origin of S."""
         return self.numbers[_WRENCH].copy()
 
     @property
@@ -95,5 +95,5 @@ class QuasistaticState:
         self.numbers[_LOST] += 1
 
     def rest_at(self, gauge_pressure: float) -> None:
-        """Take the film as solved for, at a pressure, Pa, that is held."""
+        """Mark the membrane as solved at a constant gauge pressure, Pa."""
         self.numbers[_SOLVED_GAS] = gauge_pressure, 0.0

@@ -103,7 +103,7 @@ def _cylinder(radius: float, half: float) -> Entry:
         plane = points[:, :2] / radius
         slope = directions[:, :2] / radius
         enters, leaves = _roots(plane, slope)
-        # along the axis: all of the way inside, or none
+        # a ray along the axis is inside over its whole length, or nowhere
         axial = (slope * slope).sum(axis=1) <= _TINY
         inside = axial & ((plane * plane).sum(axis=1) < 1)
         enters = np.where(inside, -np.inf, enters)

@@ -63,7 +63,7 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
     """Return the geoms that can touch the sensor on body `carrier` and are small or sharp for its
     mesh.
 
-    Each vertex of the mesh stands for a cell of `cell` m.
+    Each vertex of the mesh represents a cell of `cell` m.
     """
     found = SharpGeoms({}, set(), {})
     for geom in map(int, feature_size.touching_geoms(model, carrier)):

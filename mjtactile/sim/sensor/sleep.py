@@ -1,6 +1,6 @@
 """Sleep of an untouched sensor: its membrane is removed from the solve and restored exactly.
 
-MuJoCo's own sleep applies to whole kinematic trees. A sensor shares its tree with the finger that
+MuJoCo's own sleep applies to whole kinematic trees. A sensor is in the same tree as the finger that
 carries it. Its gas is an external force, so it would never sleep.
 
 Here the membrane is declared rigid and the gas tendon loses its joints. A separate spring holds
@@ -37,7 +37,7 @@ _TURNING = 0.1  # rad/s of the frame
 _LOOK = 0.01
 _TIMES = 3
 _HOLD = 0.1  # minimum time that a woken sensor stays awake, s
-_BULGED = 1.2  # distances between vertices of an inflated sheet, against the flat one's
+_BULGED = 1.2  # ratio of vertex distances on the inflated to those on the flat membrane
 _STIFFNESS = 1e5  # stiffness per vertex, N/m: its weight moves it by less than 1 nm
 
 
@@ -126,7 +126,7 @@ class Sleeper:
         for part in self._collision():
             part[:] = 0
         bodies = model.geom_bodyid[self._sample]
-        # contacts are listed, and push nothing yet
+        # contacts are listed, but exert no force yet
         model.geom_gap[self._sample] = model.body_margin[bodies] = self._reach
         model.geom_conaffinity[self._sample] = model.body_conaffinity[bodies] = ANYTHING
         model.flex_rigid[self._flex] = True

@@ -1,9 +1,9 @@
-"""Compensation of the torque with which the implicit step brakes a rotating sensor.
+"""Compensation of the braking torque of the implicit step on a rotating sensor.
 
 MuJoCo's `discrete` integrator evaluates the membrane's forces at the end of the step. It does so to
 first order: -h K v. In a rigid rotation the membrane's tension rotates too. Then K v is not zero
-although nothing deforms. The lever arms are those at the start of the step. A torque -h Q w
-remains. It stops a sensor spinning in vacuum within 0.4 s at a step of 4 ms.
+although the membrane does not deform. The lever arms are those at the start of the step. A torque
+-h Q w remains. It stops a sensor spinning in vacuum within 0.4 s at a step of 4 ms.
 
 Q is the sum over the edges d of all triangles of c (|d|^2 I - d d^T). Here c is the edge's force
 over its length, N/m. MuJoCo's stiffness keeps the positive part of c
@@ -19,12 +19,14 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.neo_hookean_flex import EdgeMatrices, stiffness_rows
 
-_SLOW = 1e-4  # rad/s; below, nothing is given back
+_SLOW = 1e-4  # angular velocity, rad/s, below which no compensation is applied
 
 
 class SpinCorrection:
-    """Gives back the braking torque of one sensor, as an external torque on its body
-    (`xfrc_applied`)."""
+    """Compensation of the braking torque on one sensor.
+
+    It is an external torque on the sensor's MuJoCo body (`xfrc_applied`).
+    """
 
     def __init__(
         self,
@@ -66,7 +68,7 @@ class SpinCorrection:
         self._give(self._step * R_WS @ self.resistance(p_SV) @ R_WS.T @ expected)
 
     def stop(self) -> None:
-        """Give nothing back: the sheet is not in the solve."""
+        """Set the compensation to zero, because the membrane is not in the solve."""
         if self._gives:
             self._give(np.zeros(3))
 

@@ -22,8 +22,8 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.contact_list import listed
 
-# Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
-# much rings.
+# Fractions of a step's error that are corrected in the next step. Half the value converges half as
+# fast; twice the value oscillates.
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
@@ -70,7 +70,7 @@ class Stiction:
         self._time = np.nan
         self._empty = False
         self._waits = False
-        # every other step will do while nothing slides, for half the price
+        # without sliding, an update in every other step suffices, at half the cost
         self._may_wait = self._step < _WAIT
         # motion of all coordinates since the last update, in steps
         self._travel = np.zeros(model.nv)

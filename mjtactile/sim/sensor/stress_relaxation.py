@@ -37,7 +37,7 @@ class RelaxingMesh:
 
     Args:
         mesh: Triangles of the membrane.
-        sheet: Rubber of the membrane.
+        sheet: Rubber parameters of the membrane.
         relaxation: Relaxation law of the rubber.
     """
 
@@ -99,8 +99,10 @@ class RelaxingMesh:
             self._advance(p_SV, np.inf)
 
     def update(self, p_SV: Array, elapsed: float) -> None:
-        """Follow the sheet to `p_SV` (n, 3) m, `elapsed` s later; before every step, and after the
-        lasting rubber."""
+        """Advance the relaxation to membrane vertices `p_SV` (n, 3) m, `elapsed` s later.
+
+        Call it before every step, after the update of the long-term rubber.
+        """
         self._come_to(p_SV, elapsed)
         self._act()
 

@@ -17,14 +17,15 @@ MESH_RADIUS = 0.198
 It is exp(-(gamma + 1.5 ln 2)) with Euler's gamma.
 """
 WIDEST = 0.5
-"""Radius of contact from which neighbours share it."""
+"""Contact radius, in cells, above which adjacent vertices carry the contact jointly."""
 _LINE = 0.31  # deepening of contact on a line: 1 - ln 2
-# chosen by the forces on a cone and a cube's corner: 0 of a soap film, 4 to 6 by the mesh's own
-# tension (L5)
+# tuned to the forces on a cone and a cube's corner; a soap film has 0, the mesh's own tension gives
+# 4 to 6 (L5)
 _TIGHTENING = 2.0
 _HALVINGS = 24
 _ONE_PLACE = 0.3  # cells between touches of one feature
-_MUTUAL = 0.39  # of two discs at one place: exp(-1/4) / 2 of the sum of their radii
+# minimum distance of two discs at one position, relative to the sum of their radii: exp(-1/4) / 2
+_MUTUAL = 0.39
 _LEAST = 1e-12
 
 

@@ -19,7 +19,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor import feature_size
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-_STEPS = 1.5  # of its way
+_STEPS = 1.5  # margin relative to the displacement per step
 _MOST = 1e-3  # maximum margin, m: at 4 ms, for 0.17 m/s
 _BACK = 2e-6  # decrease of the margin per step, m: contact must not be lost for a step, in
 # which a membrane under pressure jumps past a thin object; the contact depth is 20 um
@@ -88,7 +88,7 @@ class ThinObjectMargin:
         return max(-float(relative @ R_WS[:, 2]), 0.0)
 
     def _velocity(self, body: int, point: Array) -> Array:
-        """Velocity (3,) m/s, frame W, of the point (3,) m of a body."""
+        """Return the velocity (3,) m/s, frame W, of the point (3,) m of a MuJoCo body."""
         data = self._data
         turn = data.cvel[body, :3]
         arm = point - data.subtree_com[self._model.body_rootid[body]]

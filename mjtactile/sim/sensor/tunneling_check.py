@@ -43,7 +43,7 @@ class CorePoints:
 
         Args:
             data: The scene's state.
-            body: The sensor's body.
+            body: The sensor's MuJoCo body.
             p_SV: Vertices (n, 3) m of the membrane, in S.
             geom: One of the geoms that the sensor can touch.
             depth: Depth of the chamber behind the membrane, m.
@@ -61,7 +61,7 @@ class CorePoints:
             return False
         corners = p_SV[self._mesh.triangles]
         if self._on_vertices:
-            # a face's edge may stand in a triangle's slope, but not below its lowest vertex
+            # a face's edge may lie within a triangle's slope, but not below its lowest vertex
             corners[..., 2] = corners[..., 2].min(axis=1, keepdims=True)
         heights = _heights(corners, points[:, :2])
         return bool((points[:, 2] < heights - self._slack).any())
@@ -72,10 +72,11 @@ def _heights(triangles: Array, places: Array) -> Array:
     a, b, c = triangles.transpose(1, 0, 2)
     u = b - a
     v = c - a
-    # the area, twice; along its sides u and v a place is `along_u` and `along_v` from a
+    # twice the area; relative to a, a point has coordinates `along_u` and `along_v` along the sides
+    # u and v
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     twice = np.where(np.abs(twice) > 1e-15, twice, np.inf)
-    # (n, m): of each place from each triangle's first corner
+    # offsets (n, m) of each point from each triangle's first corner
     x = places[:, None, 0] - a[None, :, 0]
     y = places[:, None, 1] - a[None, :, 1]
     along_u = (x * v[:, 1] - y * v[:, 0]) / twice

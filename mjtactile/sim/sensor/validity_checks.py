@@ -1,8 +1,8 @@
-"""Limits of the method: refusals when a scene is built, flags and stops while it runs.
+"""Limits of the method: InputErrors at scene construction, flags and stops at run time.
 
-A refusal (InputError) or a stop (SimulationError) prevents wrong numbers. A flag marks numbers of
-reduced accuracy, with the reason and the nearest setting that works. Wrong numbers are never
-returned silently.
+An InputError or a stop (SimulationError) prevents wrong results. A flag marks results of reduced
+accuracy, with the reason and the nearest setting that works. Wrong results are never returned
+silently.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ are "speed", "solver", "frame", "rim", "unsettled", and "strain" of a soft objec
 
 GROWS = frozenset({"frame_contact"})
 """Kinds whose reason contains an amount: the reason is replaced when the amount grows."""
-STVK_ERROR = 0.02  # share of a height
-# against the free sheet; beyond, real rubber (Treloar 1944) is more than about 10 % off the
-# neo-Hookean law
+STVK_ERROR = 0.02  # maximum relative error of a height
+# maximum stretch relative to the free membrane; beyond it, real rubber (Treloar 1944) is more than
+# about 10 % off the neo-Hookean law
 STRETCHED = 1.4
 WRINKLED = 0.01  # fraction of the membrane under compression
 SLACKEST = 0.95
-_BENDING = 0.05  # share of the bulge's stiffness
+_BENDING = 0.05  # maximum ratio of bending stiffness to the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
 _NARROW = 0.1  # relative force error; squares and discs are below, rods as thin as a cell are above
 
