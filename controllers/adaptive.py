@@ -37,7 +37,7 @@ MIN_TEST_FORCE = 0.10  # minimum force, N, of the friction test close over the t
 TOUCH_FORCE, MAX_PUSH = 0.08, 0.5
 SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
 MARGIN = 1.3  # grip force over the force required by load and friction
-FRICTION_FIRST = 0.6  # then it is tried, close over the table
+FRICTION_FIRST = 0.6  # initial friction coefficient; it is then tested close above the table
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.12, 0.3
@@ -216,12 +216,14 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 
 def _try_friction(now: Observation, command: Command) -> Command:
-    """Loosen, and see whether it slips, until friction is known or the least grip is enough."""
+    """Reduce the grip force and detect slip, until friction is known or the minimum grip
+    suffices."""
     belief = _kept(FrictionEstimator, command)
     trial = _kept(FrictionProbe, command).after(now.touch, now.period, belief.friction)
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
-    low = command.lift_height + trial.slipped * WEIGH_HEIGHT  # it may stand again
+    # after a slip the object may stand on the table again
+    low = command.lift_height + trial.slipped * WEIGH_HEIGHT
     return _remember(command, trial=vars(trial), belief=vars(belief), low=low)
 
 
@@ -242,7 +244,10 @@ def _hold(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Down until the table takes the load over, a little below where it should be at most."""
+    """Lower the gripper until the table carries the load.
+
+    The gripper stops at most SEARCH below the specified place height.
+    """
     command = _regulated(observation, command, felt)
     goal = max(0.0, observation.goal.place_height - SEARCH)
     above = command.lift_height - observation.goal.place_height

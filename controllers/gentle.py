@@ -180,8 +180,8 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     goal = observation.goal.place_height
     height = max(goal, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    # an object that slid down in the grip stands before the gripper is down: stop here, or it is
-    # pressed onto its edge
+    # an object that slid down in the grip reaches the table before the gripper is down; stop here,
+    # else it is pressed onto its edge
     held = command.memory.get("held", shear(observation.touch))
     if support(observation.touch, held) > TABLE_FORCE:
         return _remember(_go(command, "release"), grip_opening=command.opening)

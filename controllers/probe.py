@@ -63,7 +63,7 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
             return _go(command, "close")
         return _go(command, "close", touch_opening=observation.gripper.opening)
     if observation.gripper.opening <= 0.001:
-        return _go(command, "abort")  # closed on nothing
+        return _go(command, "abort")  # closed without an object
     speed = PRESS_SPEED if command.memory["presses"] else APPROACH_SPEED
     return replace(command, opening=max(0.0, command.opening - speed * observation.period))
 
@@ -87,7 +87,7 @@ def _hold(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 
 def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Open until nothing touches; then rest and look again, or end."""
+    """Open until there is no contact; then rest and approach again, or end."""
     goal = command.memory["touch_opening"] + CLEARANCE
     opening = min(goal, command.opening + OPENING_SPEED * observation.period)
     if opening < goal or max(felt) > TOUCH_FORCE:

@@ -5,8 +5,8 @@ jaws close slowly: the force grows by some 0.1 N in that time at a grip stiffnes
 current also moves the jaws; that part is measured before they touch the object. `EFFORT` is the
 force at a jaw estimated from the servo current. It equals the grip force of `gentle`, so that the
 two controllers differ in sensing and not in the intended grip. In simulation that estimate is
-correct up to noise. A real servo's gears absorb a part of its torque, which is not in these
-numbers.
+correct up to noise. A real servo's gears absorb a part of its torque, which these values do not
+include.
 """
 
 from dataclasses import replace

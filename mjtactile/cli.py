@@ -74,7 +74,10 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Looks the version up only when it is asked for: that takes as long as a third of `--help`."""
+    """Option that looks up the version only on request.
+
+    The lookup takes as long as a third of `--help`.
+    """
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         from importlib.metadata import version
@@ -130,9 +133,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(argv: list[str]) -> int:
-    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain
-    # is 2-4 times slower). OpenCV's thread would spin next to the simulated world for a twentieth
-    # of the loop's time.
+    # The matrices are small: a second BLAS thread only waits for the first (the sensing pipeline is
+    # 2-4 times slower). OpenCV's thread would spin in parallel to the simulation for a twentieth of
+    # the loop's time.
     for name in (
         "OPENBLAS_NUM_THREADS",
         "OMP_NUM_THREADS",
@@ -140,7 +143,8 @@ def _main(argv: list[str]) -> int:
         "OPENCV_FOR_THREADS_NUM",
     ):
         os.environ.setdefault(name, "1")
-    gc.set_threshold(100_000)  # imports make much and leave nothing: a tenth of their time
+    # imports create many objects and free few; collection would take a tenth of their time
+    gc.set_threshold(100_000)
     _quieten_libraries(debug="--debug" in argv)
     logging.basicConfig(
         format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr
@@ -209,7 +213,7 @@ def _open_streams() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # uses the lowest free number, which is this one
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
 
 

@@ -20,7 +20,8 @@ from mjtactile.core.calibration_parts import CalibrationMetadata, LensCalibratio
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
-VIEWS_MIN = 8  # each adds 6 unknowns (its pose) to the camera's 8, and gives some 50 to 100 numbers
+# each adds 6 unknowns (its pose) to the camera's 8, and some 50 to 100 measured values
+VIEWS_MIN = 8
 CORNERS_MIN = 12
 # sub-pixel corners of a flat board in focus leave 0.05 to 0.3 px
 RMS_MAX_PX = 0.5
@@ -30,7 +31,7 @@ FOCAL_SD_MAX = 0.005
 # minimum tilt: a frontal board separates focal length from distance only by perspective
 TILT_MIN_DEG = 15.0
 TILTED_MIN = 3
-COVERAGE_MIN = 0.6  # of the picture's 8 x 6 cells: elsewhere the distortion is a guess
+COVERAGE_MIN = 0.6  # fraction of the image's 8 x 6 cells; the distortion is extrapolated elsewhere
 _CELLS = (8, 6)
 _OUTLIER = 3.0  # times the median view's residual
 
@@ -84,7 +85,7 @@ class Board:
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """Corners seen in one picture: `ids` (N,) into the board's corners, `uv` (N, 2) px."""
+    """Corners detected in one image: `ids` (N,) into the board's corners, `uv` (N, 2) px."""
 
     name: str
     ids: NDArray[np.int32]
@@ -100,14 +101,14 @@ class Finder(Protocol):
 
 
 class BoardFinder:
-    """Finds a board's corners in pictures."""
+    """Detector of a board's corners in images."""
 
     def __init__(self, board: Board):
         self.board = board.make()
         self._detector = cv2.aruco.CharucoDetector(self.board)
 
     def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None:
-        """The corners, None when fewer than CORNERS_MIN are seen."""
+        """Detect the corners; None for fewer than CORNERS_MIN."""
         corners, ids, _, _ = self._detector.detectBoard(gray)
         if ids is None or len(ids) < CORNERS_MIN:
             return None
@@ -287,8 +288,10 @@ def _holdout(
 
 
 def pose_of(corners: Array, uv: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
-    """Rotation vector and shift m of the board whose `corners` (N, 3) m are seen at `uv` (N, 2)
-    px."""
+    """Compute the rotation vector and the translation, m, of a board.
+
+    Its `corners` (N, 3) m appear at `uv` (N, 2) px.
+    """
     _, rotation, shift = cv2.solvePnP(corners, uv, K, distortion)
     return rotation, shift
 

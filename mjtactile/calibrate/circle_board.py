@@ -34,14 +34,14 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity
 
-_HALF = 500  # of the grid's numbers: ids are (i + half) 2 half + j + half
+_HALF = 500  # offset of the grid indices: ids are (i + half) 2 half + j + half
 _NEAR = 0.25  # of the step: how far from where it is expected a neighbour may be
-_ALIKE = 1.6  # ratio of sizes of circles of one board in one picture
+_ALIKE = 1.6  # maximum size ratio of circles of one board in one image
 _SEEDS = 5
 # of fitting and taking the ellipses' centres back; each leaves a hundredth of the one before
 _ROUNDS = 3
 _RIM = 64
-_PLAIN = 4.0  # sd that k3 must be off zero: without need it bends the picture's corners
+_PLAIN = 4.0  # minimum distance of k3 from zero, sd; an unneeded k3 distorts the image corners
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class CircleFinder:
             )
 
     def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None:
-        """The circles' ellipses' centres, None when fewer than CORNERS_MIN are seen on one grid."""
+        """Detect the centers of the circles' ellipses; None for fewer than CORNERS_MIN on one
+        grid."""
         ellipses, _ = detect_thoroughly(gray, polarity=self.polarity)
         good = ellipses.status == "ok"
         if good.sum() < CORNERS_MIN:

@@ -24,7 +24,7 @@ LOADS_MIN = 4
 FORCE_MIN = 0.2  # Minimum of the largest load, N; below it, noise dominates
 SCALE_OFF_MAX = 0.25  # tolerance of the sensor file's thickness and modulus
 RMS_FRACTION = 0.10  # of the largest load
-# dF = c dA is no better than that for a sealed membrane (tests/physics/test_paper_force.py)
+# accuracy limit of dF = c dA for a sealed membrane (tests/physics/test_paper_force.py)
 AREA_RMS_FRACTION = 0.30
 GRAVITY = 9.80665  # standard gravity, m/s^2
 
@@ -84,10 +84,9 @@ def ready_perception(
 
 
 def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, float]:
-    """Mean normal force, N, and area, m^2, that a sensor with references sees in images of one
-    load.
+    """Estimate the mean normal force, N, and area, m^2, from images of one load.
 
-    Raises InputError with the reason when it sees nothing usable.
+    The sensor must have references. Raises InputError with the reason if no image is usable.
     """
     touches = [perception.perceive(image, image.time) for image in images]
     good = [

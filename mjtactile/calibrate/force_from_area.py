@@ -20,11 +20,10 @@ class AreaCalibration:
 
     @classmethod
     def fit(cls, area_change: ArrayLike, force: ArrayLike) -> AreaCalibration:
-        """Least squares through the origin for area changes, m^2, at known normal forces, N (a load
-        cell, weights).
+        """Fit a line through the origin to area changes, m^2, at known normal forces, N.
 
-        Raises InputError when the area did not change, or shrank under load: then no such constant
-        exists.
+        The forces come from a load cell or weights. Raises InputError if the area did not change,
+        or shrank under load: then no such constant exists.
         """
         dA = np.asarray(area_change, dtype=float)
         F = np.asarray(force, dtype=float)

@@ -15,7 +15,7 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-# centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
+# Marker centers in focus are accurate to 0.05 px; a bent frame or a wrong lens exceeds the limit.
 RESIDUAL_MAX_PX = 1.0
 
 
@@ -40,7 +40,7 @@ def calibrate_frame(
         markers = (
             perception.measure_rest_reference(rest, gauge_pressure, sealed=sealed) if rest else None
         )
-    except DeviceError as error:  # the pictures do not agree with the sensor file
+    except DeviceError as error:  # the images do not match the sensor file
         return None, {"sensor": design.name, "images": len(flat)}, [str(error)]
     reference = perception.state.reference
     stiffness = None if reference is None else reference.rest.stiffness_scale

@@ -25,10 +25,12 @@ from mjtactile.rig.file import RigFile
 from mjtactile.rig.gripper_calibration import gripper_fingerprint
 
 DIRECTIONS = ("closing", "opening")
-SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide
+# a larger error indicates a wrong pinion radius or law, which scaling must not hide
+SCALE_OFF_MAX = 0.03
 OPENING_RMS_MAX = 2e-4  # maximum rms, m; a caliper reads 0.02 mm, a servo's tick is 0.02 to 0.03 mm
 BACKLASH_MAX = 1e-3  # maximum, m; the membrane is indented by 1 to 3 mm
-FACTOR_RANGE = (0.5, 1.5)  # data sheets are stall values, good to 20 %; friction takes more
+# data sheets list stall values, accurate to 20 %; friction reduces the force further
+FACTOR_RANGE = (0.5, 1.5)
 FORCE_RMS_FRACTION = 0.10  # of the largest force
 
 
@@ -175,8 +177,10 @@ def _assess_force(c: GripperForceCalibration, largest: float) -> list[str]:
 def report(
     rig_file: RigFile, opening: OpeningCalibration | None, force: GripperForceCalibration | None
 ) -> dict[str, Any]:
-    """Return the content of the gripper's file next to the verdict: results and corrected servo
-    values."""
+    """Return the results and corrected servo values for the gripper's calibration file.
+
+    The file also contains the acceptance result, which is added separately.
+    """
     geometry = JawGeometry(rig_file.gripper, str(rig_file.path))
     return {
         "rig": rig_file.name,
@@ -194,9 +198,9 @@ def servo_lines(
 
     The values are id, zero_ticks, mm_per_rad (racks) and torque_Nm_per_A.
 
-    The servos share the opening's offset equally. A servo's zero moves by the angle of its part. On
-    a rack the scale corrects the pinion's radius. Another law keeps its parameters and is corrected
-    at the center of the range.
+    The opening's offset is divided equally among the servos. A servo's zero moves by the angle of
+    its part. On a rack the scale corrects the pinion's radius. Another law keeps its parameters and
+    is corrected at the center of the range.
     """
     return [
         _servo_line(jaw, len(geometry.servos), sum(geometry.config.opening) / 2, opening, force)

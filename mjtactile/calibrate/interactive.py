@@ -28,7 +28,7 @@ from mjtactile.runtime.references import settled_images, take_references
 
 Say = Callable[[str], None]
 Ask = Callable[[str], float | None]
-"""Asks a person for a number; None: skip this one."""
+"""Function that asks the user for a number; None: skip this value."""
 
 # a view counts when the board rests, and is elsewhere than in all others
 _STILL_PX = 2.0
@@ -80,7 +80,7 @@ def collect_views(
 
 
 def camera_images(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
+    """Yield each new image of a camera for `seconds` s. Raises DeviceError if the camera fails."""
     end = scaled_clock.monotonic() + seconds
     last = 0.0
     number = 0
@@ -93,7 +93,8 @@ def camera_images(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, N
 
 
 def _moved(view: BoardView, other: BoardView) -> float:
-    """Largest movement in px of the corners that both have; infinite when they share none."""
+    """Return the largest movement, px, of the corners common to both views; infinite without
+    any."""
     shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(shared):
         return float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1)))
@@ -245,7 +246,7 @@ def _move(gripper: DynamixelGripper, opening: float, force: float) -> None:
 
 
 def _squeeze(gripper: DynamixelGripper, force: float) -> None:
-    """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing
+    """Close until the jaws have been at rest for _STALL_TIME. Raises DeviceError if no object is
     between them."""
     low = gripper.config.opening[0]
     start = still_since = scaled_clock.monotonic()
@@ -282,7 +283,7 @@ def step_valve(
     rows: list[tuple[float, float, str]] = []
     vent, rise, fall = _VALVE_STAGES
 
-    def seal() -> None:  # also a valve that did not move: that is for the verdict
+    def seal() -> None:  # also for a valve that did not move; the evaluation reports it
         valve.board.seal(valve.config.channel)
 
     for stage, act, seconds in (

@@ -37,7 +37,7 @@ _IMAGES = 5
 _ATTEMPTS = 3
 _ASIDE = 0.1  # fraction of the image sides: contacts closer to the center count as no corner
 _CORNER = "upper right corner (seen from outside, air inlet on the right)"
-_CLEARER = 2.0  # times as much change in the finger's own picture as in any other
+_CLEARER = 2.0  # minimum ratio of the change in the finger's own image to that in any other
 _T = TypeVar("_T")
 
 
@@ -175,7 +175,8 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
 
 
 def _with_source(config: CameraConfig, source: str) -> CameraConfig:
-    """The camera as the file has it, at another place; a stream is no V4L2 device."""
+    """Return the camera configuration of the file with another source. A stream is not a V4L2
+    device."""
     return replace(
         config,
         source=source,

@@ -108,7 +108,7 @@ def _fault(text: str) -> tuple[str, float]:
 
 
 def _read_faults(emulator) -> None:
-    """Switch faults that are typed; when stdin is no terminal and ends, just go on."""
+    """Switch faults entered on stdin. Continue if stdin ends and is not a terminal."""
     from mjtactile import MjtactileError
 
     for line in sys.stdin:
@@ -125,8 +125,10 @@ def _read_faults(emulator) -> None:
 
 
 def client_text(path: Path, endpoints: dict) -> str:
-    """The rig file with real addresses, and without [emulator]: a client's file, which may stand
-    elsewhere."""
+    """Return a client's rig file with real addresses and without [emulator].
+
+    It may be stored in another folder.
+    """
     lines = []
     section = ""
     camera = iter(endpoints["cameras"].values())

@@ -138,7 +138,7 @@ ARGUMENTS = (
 def _objects(text: str) -> list[str]:
     """Return object names and files from a comma-separated list.
 
-    A pattern stands for all matching files. The shell does not expand a pattern behind a comma.
+    A pattern represents all matching files. The shell does not expand a pattern behind a comma.
     """
     found = []
     for name in (part.strip() for part in text.split(",")):

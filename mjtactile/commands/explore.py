@@ -1,4 +1,4 @@
-"""`mjtactile explore`: touch an unknown object here and there until its surface is known."""
+"""`mjtactile explore`: touch an unknown object at several positions until its surface is known."""
 
 from __future__ import annotations
 
@@ -250,7 +250,7 @@ def _explorer(
 
 
 def _unused(folder: Path) -> Path:
-    """Return the folder, or if it exists already, one with a number appended."""
+    """Return the folder. If it exists already, append a number to its name."""
     names = [folder, *(folder.with_name(f"{folder.name}_{number}") for number in range(2, 100))]
     return next(name for name in names if not name.exists())
 

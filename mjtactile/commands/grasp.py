@@ -1,4 +1,5 @@
-"""`mjtactile grasp`: one grasp from the empty hand to the object put down, and its report."""
+"""`mjtactile grasp`: one complete grasp from the empty gripper to the placed object, and its
+report."""
 
 from __future__ import annotations
 
@@ -125,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
         time_scale.apply(options.time_scale, options.rig)
     wanted = scenario.scenario_of(options)
     time_scale.apply(options.time_scale, wanted.rig)
-    progress = Progress()  # which looks whether stderr is a terminal
+    progress = Progress()  # it checks if stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
         folder = new_run_folder(scenario.stem(wanted))
@@ -216,7 +217,7 @@ def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None
 
 
 def _check_video(path: Path | None, frames: int) -> None:
-    """Before anything runs. Raises InputError for a film that could not be written."""
+    """Raise InputError if the video cannot be written. This is checked before the run."""
     from importlib.util import find_spec
 
     from mjtactile.report import video

@@ -126,7 +126,7 @@ def print_json(value: Any) -> None:
 
 
 def print_flags(flags: Mapping[str, str]) -> None:
-    """Print the reasons why a simulation's numbers are less accurate than usual."""
+    """Print the reasons why a simulation's results are less accurate than usual."""
     for kind, reason in flags.items():
         print(f"  warning ({kind}): {reason}")
 

@@ -1,5 +1,5 @@
-"""Pictures that the commands write; matplotlib is an optional dependency and only its pictures are
-lost without it."""
+"""Figures written by the commands. They require matplotlib, which is optional; without it only the
+figures are missing."""
 
 from __future__ import annotations
 

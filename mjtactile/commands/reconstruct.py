@@ -1,4 +1,4 @@
-"""`mjtactile reconstruct`: the whole sensing chain on recorded frames of one sensor: markers,
+"""`mjtactile reconstruct`: the complete sensing pipeline on recorded frames of one sensor: markers,
 surface, contact."""
 
 from __future__ import annotations
@@ -119,8 +119,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline:
-    """Return the sensing chain of a sensor, with its calibration file if given. Raises InputError
-    if the file belongs to another sensor."""
+    """Return the sensing pipeline of a sensor, with its calibration file if given. Raises
+    InputError if the file belongs to another sensor."""
     if path is None:
         return StatefulPipeline.of(design)
     calibration = load_calibration(path)

@@ -255,7 +255,7 @@ def _on_rig(
     built = replace(wanted, sensor=design) if named else wanted
     with open_session(built, workers=0, say=progress.message) as session:
         header = wanted.header() | {"design": built.design().name}
-        del header["command"]  # it is no grasp
+        del header["command"]  # the recording does not contain a grasp
         if session.rig.scene is None:
             header["object"] = None
         for finger in session.rig.fingers if options.pressure is not None else ():

@@ -1,6 +1,6 @@
 """`mjtactile reconstruct --marks`: track the circles of any marked skin in a video.
 
-Results are in pixels. They are also in space if the camera and the radius are known.
+Results are in pixels. They are also three-dimensional if the camera and the radius are known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ COLUMNS = (
     "status", "x_mm", "y_mm", "z_mm",
 )  # fmt: skip
 OVERLAYS = 12
-_ZOOM = 3  # of the picture of the tracks
+_ZOOM = 3  # magnification of the image of the tracks
 
 
 def run(options: argparse.Namespace) -> int:

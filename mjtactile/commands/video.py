@@ -1,4 +1,4 @@
-"""`mjtactile video`: a film of a recorded run."""
+"""`mjtactile video`: a video of a recorded run."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.neo_hookean import Law, equibiaxial_stress
 from mjtactile.core.types import Array
 
-_NEWTON = 60  # steps at most; six are enough
+_NEWTON = 60  # maximum number of steps; six are sufficient
 _ASPECT = (1.0, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _C1 = (3.3934493, 2.7929932, 2.6675326, 2.4808630, 2.1954508, 2.0377822, 2.0077390)
 _POISSON = (0.3, 0.45, 0.49, 0.5)
@@ -154,7 +154,7 @@ def _hookean_height(design: SensorDesign, young: float, gauge_pressure: float) -
         return np.nan
     if gauge_pressure == 0:
         return 0.0
-    height = (abs(gauge_pressure) / cubic) ** (1 / 3)  # without pre-tension: the most
+    height = (abs(gauge_pressure) / cubic) ** (1 / 3)  # upper bound: the height without pre-tension
     for _ in range(_NEWTON):  # from above, where the curve bends up: never past the root
         missing = abs(gauge_pressure) - linear * height - cubic * height**3
         lower = height + missing / (linear + 3 * cubic * height**2)
@@ -190,9 +190,11 @@ def _ellipse_cubic(aspect: float, poisson: float) -> float:
 
 
 MEAN_STRETCH = 0.6
-"""Stretch of a bulge beyond its mounted sheet's, over (w0 / a)^2, at which its secant modulus is
-taken (Eq. M7): fitted to the reference's heights (tests/physics/test_rubber.py), M1's own error
-with it."""
+"""Stretch increment of a bulge relative to the mounted membrane, over (w0 / a)^2.
+
+The secant modulus is evaluated at this stretch (Eq. M7). The value is fitted to the reference's
+heights (tests/physics/test_rubber.py). It includes M1's own error.
+"""
 
 
 HENCKY = {
@@ -226,8 +228,10 @@ def hencky_height(radius: float, stiffness: float, poisson: float, pressure: flo
 
 
 def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
-    """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq.
-    M6)."""
+    """Compute the point force, N, that indents the center of a clamped circle by `depth` m.
+
+    The circle has no pre-tension (Eq. M6).
+    """
     kappa = float(_between(list(_POINT_LOAD), list(_POINT_LOAD.values()), poisson))
     return kappa * stiffness * depth**3 / radius**2
 
@@ -255,6 +259,6 @@ def stvk_height_error(design: SensorDesign, gauge_pressure: float) -> float:
 
 
 def _height_by(law: Law, design: SensorDesign, gauge_pressure: float) -> float:
-    """`bulge_height` of the same sheet with rubber of this law."""
+    """Compute `bulge_height` of the same membrane with a rubber of this law."""
     sheet = replace(design.membrane, law=law)
     return bulge_height(replace(design, membrane=sheet), gauge_pressure)

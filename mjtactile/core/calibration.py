@@ -2,8 +2,8 @@
 sensor file's values.
 
 Each finger has one JSON file. Every `mjtactile calibrate` adds its part
-(`mjtactile.core.calibration_parts`). A refused part is noted with its reasons and replaces
-nothing.
+(`mjtactile.core.calibration_parts`). A rejected part is noted with its reasons and does not replace
+any value.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Calibration:
         return replace(self, refused={**self.refused, kind: Refusal(now(), tuple(reasons))})
 
     def used(self, design: SensorDesign) -> Calibration:
-        """Leave out the outdated parts, for use in a sensing chain.
+        """Leave out the outdated parts, for use in a sensing pipeline.
 
         Args:
             design: The current sensor file.
@@ -274,7 +274,7 @@ def load_calibration(path: Path) -> Calibration:
         The calibration.
 
     Raises:
-        InputError: It is no calibration file; names the file and the field.
+        InputError: The file is not a calibration file; names the file and the field.
     """
     return calibration_from_table(read_json(path), str(path))
 

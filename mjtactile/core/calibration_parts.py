@@ -23,7 +23,7 @@ from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array, FiducialDetections, Markers, Traction
 
-_FAR = 1e9  # no number of a calibration is larger
+_FAR = 1e9  # maximum value of any calibration parameter
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class RestMarkers:
 
     @classmethod
     def from_section(cls, section: Section) -> RestMarkers:
-        """The markers stand in lists of one length."""
+        """Read the markers, stored as lists of equal length."""
         ids = section.array("ids", (None,))
         n = len(ids)
         markers = Markers(

@@ -87,12 +87,12 @@ def entry(
 def number(
     key: str, low: float, high: float, unit: float = 1.0, *, default: Any = _REQUIRED, **more: Any
 ) -> Any:
-    """Return a field that is a number.
+    """Return a numeric field.
 
     Args:
         key: Its name in the file, with the unit.
-        low: Lowest value, in the file's unit.
-        high: Highest value.
+        low: Minimum value, in the file's unit.
+        high: Maximum value.
         unit: SI units in one of the file's.
         default: SI; left out: the field must be given.
         **more: `about`, `required`, `only_if` and `group` of `Entry`.
@@ -104,7 +104,7 @@ def number(
 
 
 def whole(key: str, low: int, high: int, *, default: Any = _REQUIRED, **more: Any) -> Any:
-    """A field that is a whole number; see `number`."""
+    """Return an integer field; see `number`."""
     return entry(Number(key=key, low=low, high=high, whole=True, **more), default)
 
 
@@ -118,7 +118,7 @@ def numbers(
     default: Any = _REQUIRED,
     **more: Any,
 ) -> Any:
-    """A field that is a tuple of numbers, one for each of `names`; see `number`."""
+    """Return a field that is a tuple of numbers, one for each of `names`; see `number`."""
     found = Numbers(key=key, names=names, low=low, high=high, unit=unit, **more)
     return entry(found, default)
 
@@ -160,7 +160,7 @@ def given() -> Any:
 
 
 def entries(kind: type) -> dict[str, Any]:
-    """The `Entry` of each field of a dataclass that stands in files, by the field's name."""
+    """Return the `Entry` of each dataclass field stored in files, by the field's name."""
     return {
         field.name: field.metadata[_FILE]
         for field in dataclasses.fields(kind)
@@ -175,7 +175,7 @@ def default_of(kind: type, name: str) -> Any:
 
 
 def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
-    """All single numbers of a class whose fields are sections.
+    """Yield all single numbers of a class whose fields are sections.
 
     Yields:
         "section.key" of the file, attribute of the section, attribute in it, and its entry.

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-MOST = 10_000  # numbers and letters in a cycle's line, which is then some 100 kB long
+# maximum count of numbers and letters in a cycle's line, which is then some 100 kB long
+MOST = 10_000
 DEEPEST = 16  # lists within lists; a list that contains itself is deeper
-_LARGEST = 2**63  # of whole numbers, as readers of JSON have them
+_LARGEST = 2**63  # limit of integers in JSON readers
 _NAMED_MAX = 20  # entries that are left out; after so many the rest is not looked at
 
 
@@ -26,7 +27,7 @@ _NUMBERS = frozenset({float, bool, type(None)})
 
 
 class _SizeBudget:
-    """Remaining number of numbers and letters."""
+    """Remaining count of numbers and letters."""
 
     def __init__(self, left: int):
         self.left = left

@@ -85,10 +85,9 @@ class SensorDesign:
             )
 
     def require_markers_that_fit(self) -> None:
-        """Refuse more markers than sensing has memory for.
+        """Reject a marker count that exceeds the memory available for sensing.
 
-        The splines of its surface have (rows + 3) (columns + 3) numbers, and square matrices of
-        them.
+        The surface splines have (rows + 3) (columns + 3) coefficients, and square matrices of them.
 
         Raises:
             InputError: There are too many.

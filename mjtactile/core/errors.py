@@ -60,11 +60,11 @@ class InputError(MjtactileError):
 
 
 class ControllerError(InputError):
-    """A user's controller raised, returned nothing, or returned a value that cannot be carried
-    out.
+    """Error of a user's controller: an exception, no return value, or a value that cannot be
+    executed.
 
     Attributes:
-        kind: "raised", or "hung" where a step did not return.
+        kind: "raised", or "hung" if a step did not return.
     """
 
     def __init__(self, message: str, *, kind: str = "raised", **where: Any):
@@ -84,10 +84,10 @@ class DeviceError(MjtactileError):
 
 
 class SafeStop(DeviceError):
-    """The hand was brought to its safe state in place of going on.
+    """Error after the gripper was brought to its safe state instead of continuing.
 
     Attributes:
-        kind: "unsafe", or "hung" where the run did not end in its time.
+        kind: "unsafe", or "hung" if the run did not end in its time.
     """
 
     def __init__(self, message: str, *, kind: str = "unsafe"):

@@ -23,7 +23,7 @@ def disabled_effects(effects: Collection[str]) -> tuple[str, ...]:
 
 
 def fidelity_notes(result: Mapping[str, object]) -> dict[str, str]:
-    """Return the notes on the effects omitted in a result, by name. Without a chain, the note on
-    images does not apply."""
+    """Return the notes on the effects omitted in a result, by name. Without a sensing pipeline, the
+    note on images does not apply."""
     gone = [name for name in LEFT_OUT if result.get(name) is False]
     return {name: LEFT_OUT[name] for name in gone if name != "images" or "pipeline" not in gone}

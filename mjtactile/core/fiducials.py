@@ -24,7 +24,7 @@ SensorDesign: TypeAlias = Any  # that of `mjtactile.core.design`, which imports 
 
 SURFACES = ("rim", "pane")
 FEWEST = 4
-"""Fiducials that fix a camera's place, direction and scale, with one to spare."""
+"""Minimum number of fiducials for a camera's position, rotation and scale, plus one spare."""
 _MOST = 64
 _WALL = 0.5e-3  # wall thickness that must remain behind the step, m
 _INK = 5e-6  # thickness of a print on the glass, m
@@ -39,10 +39,10 @@ class Fiducials:
         surface: "rim" or "pane".
         radius: Radius of each circle.
         places: Centers (x, y) in S.
-        ground: Width of white around each.
-        lip: Thickness of the rim in front of them; the rim's only.
-        step: Setback of the walls behind the lip; the rim's only.
-        blur_px: Standard deviation of the image blur there; for the glass only, which is out of
+        ground: Width of the white area around each circle.
+        lip: Thickness of the rim in front of the circles; only for "rim".
+        step: Setback of the walls behind the lip; only for "rim".
+        blur_px: Standard deviation of the image blur there; only for the glass, which is out of
             focus.
     """
 

@@ -39,7 +39,7 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Number(Entry):
-    """A number within [low, high] of the file's `unit` (SI units in one of it)."""
+    """Number within [low, high] of the file's `unit` (SI units in one of it)."""
 
     low: float
     high: float
@@ -59,8 +59,7 @@ class Number(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Numbers(Number):
-    """One number for each of `names`, as a list; without names as many whole numbers as there
-    are."""
+    """List with one number for each of `names`; without names, integers of any count."""
 
     names: Sequence[str] = ()
 

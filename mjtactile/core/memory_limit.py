@@ -23,7 +23,7 @@ def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
     """Limit this process's memory from a moment within the block until its end, on Linux.
 
     Args:
-        most: Bytes beyond the memory used at that moment.
+        maximum: Bytes beyond the memory used at that moment.
 
     Yields:
         Function that starts the limit on its first call. It has no effect if the system has no such

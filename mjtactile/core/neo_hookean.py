@@ -20,8 +20,8 @@ from mjtactile.core.types import Array
 
 
 class Law(StrEnum):
-    """Stress of the sheet against its strain. Both have Young's modulus and Poisson's ratio at
-    small strain."""
+    """Stress-strain law of the membrane. All laws have Young's modulus and Poisson's ratio at small
+    strain."""
 
     NEO_HOOKEAN = "neo-Hookean"
     STVK = "St. Venant-Kirchhoff"
@@ -57,8 +57,7 @@ def principal_stresses(stretches: Array, young: float, poisson: float, law: Law)
 
 
 def equibiaxial_stress(stretch: float, young: float, poisson: float, law: Law) -> float:
-    """Second Piola-Kirchhoff stress S, Pa, of the sheet stretched by `stretch` in all directions of
-    its plane."""
+    """Compute the second Piola-Kirchhoff stress S, Pa, of a membrane with equibiaxial `stretch`."""
     if law is Law.STVK:
         return young / (1 - poisson) * (stretch**2 - 1) / 2
     ratio = float(thickness_over_area(np.asarray(4 * np.log(stretch)), poisson))

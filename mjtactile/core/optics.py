@@ -1,8 +1,8 @@
 """Lens and glass optics: mapping from points in the camera frame C to pixels and back. Batched over
 points; images are not used.
 
-The chain for a point P beyond the glass has four steps. Refraction at the glass yields a ray in air
-through the camera's center. The pinhole projection and the plumb_bob lens distortion follow
+The projection of a point P beyond the glass has four steps. Refraction at the glass yields a ray in
+air through the camera's center. The pinhole projection and the plumb_bob lens distortion follow
 (OpenCV's definition, `cv2.projectPoints`). The last step maps to pixels, where (0, 0) is the
 *center* of the top-left pixel.
 

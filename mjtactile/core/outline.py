@@ -25,7 +25,7 @@ from mjtactile.core.types import Array
 
 _HARMONICS = 96  # for rounded corners: the truncation error is 2 um for a 40 mm frame
 _SAMPLES = 4096  # of its arc, for their coefficients
-_EDGES = 720  # of the polygon that stands for it where distances are asked
+_EDGES = 720  # edges of the polygon that approximates the outline for distances
 _NEWTON_STEPS = 40
 _CLOSE = 1e-12  # of the disc's radius
 _ROOT2 = np.sqrt(2.0)
@@ -159,7 +159,7 @@ class Outline:
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum())
 
     def around(self, by: float) -> Array:
-        """Places (n, 2) m that are `by` m outside of it, counter-clockwise."""
+        """Return positions (n, 2) m, `by` m outside of the outline, counter-clockwise."""
         middles, normals = self._edges
         return middles + by * normals
 

@@ -57,10 +57,10 @@ _RIG = (
 
 
 def policy_observation_names(fingers: int = 2) -> list[str]:
-    """Name the numbers of a policy's vector.
+    """Name the entries of a policy's vector.
 
     Args:
-        fingers: How many fingers the rig has.
+        fingers: Number of fingers of the rig.
 
     Returns:
         (8 fingers + 14) names with their units, in the order of `policy_observation`.
@@ -71,7 +71,7 @@ def policy_observation_names(fingers: int = 2) -> list[str]:
 
 
 def policy_bounds(fingers: int = 2) -> Array:
-    """Return the maximum absolute value of each number of a vector; larger values are clipped."""
+    """Return the maximum absolute value of each entry of a vector; larger values are clipped."""
     return _bounds(fingers).copy()
 
 

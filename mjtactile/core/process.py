@@ -49,7 +49,7 @@ def start(
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     stream = subprocess.PIPE if talk else subprocess.DEVNULL
     code = f"from {__name__} import run; run({grace!r})"
-    # -P: a file of the user's folder must not stand in for a module
+    # -P: a file in the user's folder must not replace a module
     return subprocess.Popen(
         [sys.executable, "-P", "-c", code, module, *map(str, args)],
         text=True,
@@ -68,7 +68,7 @@ def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
     """
     assert process.stdin and process.stdout
     line = ""
-    with contextlib.suppress(OSError, ValueError):  # broken or closed: there is no answer
+    with contextlib.suppress(OSError, ValueError):  # broken or closed stream: no reply
         process.stdin.write(request + "\n")
         process.stdin.flush()
         line = process.stdout.readline()
@@ -116,7 +116,7 @@ def stop(process: subprocess.Popen[str], disk_wait_time: float = 0.0) -> None:
 def run(grace: float) -> None:
     """Run the child's module. Monitoring of the parent starts before any slow step."""
     end_with_parent(grace)
-    gc.set_threshold(100_000)  # imports make much and leave nothing: as `cli` has it
+    gc.set_threshold(100_000)  # imports create many objects and free few, see `cli`
     sys.argv = sys.argv[1:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 

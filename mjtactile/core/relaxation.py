@@ -88,7 +88,7 @@ class Relaxation:
         return 1.0 + float(self.shares.sum())
 
     def kept(self, elapsed: float) -> Array:
-        """Share (terms,) of each element's stress that is left after `elapsed` s."""
+        """Return the fraction (terms,) of each element's stress that remains after `elapsed` s."""
         return np.exp(-elapsed / self.times)
 
     def check(self, section: Section) -> None:

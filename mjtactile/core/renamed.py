@@ -120,7 +120,7 @@ TEXTS: Mapping[str, Mapping[str, str]] = {
 
 
 def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
-    """Return ": `name` is now ..." for an old name, and nothing for any other."""
+    """Return ": `name` is now ..." for an old name, and an empty text for any other."""
     return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""
 
 

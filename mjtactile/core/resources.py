@@ -30,7 +30,7 @@ def names(kind: str, suffix: str) -> list[str]:
 def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
     """Resolve a shipped name or a user's path to a file.
 
-    Raises InputError that lists the shipped names when there is no such file.
+    Raises InputError that lists the shipped names if the file does not exist.
     """
     text = str(name_or_path)
     what = kind.rsplit("/", 1)[-1].rstrip("s")

@@ -35,7 +35,7 @@ GRAVITY = 9.81
 _SCALE = 1e-3  # length scale, m: the unknowns are of order 1
 _NEWTON = 30
 _THICKNESS_STEPS = 12  # quadratic: enough for the last digit
-_STEPS = (0.3, 1.0)  # shares of the pressure on the way
+_STEPS = (0.3, 1.0)  # load steps, as fractions of the pressure
 _CONVERGED = 1e-8
 _SMALL = 1e-6  # step of a difference
 
@@ -75,8 +75,10 @@ def inflated_height(
 
 
 def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) -> Array | None:
-    """Coefficients (3 k,), _SCALE m, of equilibrium, by Newton's method with differences; None
-    where there is none to be found."""
+    """Compute the equilibrium coefficients (3 k,), _SCALE m; None if no equilibrium is found.
+
+    Newton's method uses finite differences.
+    """
     for _ in range(_NEWTON):
         missing = sheet.residual(unknown, pressure, weight)
         if not np.isfinite(missing).all():
@@ -85,7 +87,7 @@ def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) 
         slope = np.array([sheet.residual(one, pressure, weight) - missing for one in moved])
         step = np.linalg.solve(slope.T / _SMALL, -missing)
         maximum = float(np.abs(step).max())
-        unknown = unknown + step * min(1.0, 1.0 / maximum)  # by 1 mm at most
+        unknown = unknown + step * min(1.0, 1.0 / maximum)  # limit the step to 1 mm
         if maximum < _CONVERGED:
             return unknown
     return None
@@ -161,7 +163,10 @@ class _RitzMembrane:
 
 
 def _stress(F: Array, membrane: Membrane) -> Array:
-    """Second Piola-Kirchhoff stress (2, 2, q) Pa for gradients F (3, 2, q) of the mounted sheet."""
+    """Compute the second Piola-Kirchhoff stress (2, 2, q), Pa.
+
+    F (3, 2, q) are the gradients relative to the mounted membrane.
+    """
     C = membrane.pre_stretch**2 * np.einsum("dep,dfp->efp", F, F)
     trace = C[0, 0] + C[1, 1]
     unit = np.eye(2)[:, :, None]
@@ -227,7 +232,7 @@ def _products(places: Array, orders: list[tuple[int, int]]) -> tuple[Array, Arra
 
 
 def _chebyshev(at: Array, maximum: int) -> tuple[Array, Array]:
-    """T_0 to T_most at places (q,), and their derivatives, both (most + 1, q)."""
+    """Return T_0 to T_maximum at positions (q,), and their derivatives, both (maximum + 1, q)."""
     values = chebvander(at, maximum)
     slopes = values[:, : max(maximum, 1)] @ chebder(np.eye(maximum + 1), axis=0)
     return values.T, slopes.T

@@ -2,7 +2,7 @@
 
 It also holds the simulation and the seed. The command line creates it, and files describe it.
 Results and recordings store it. All functions that run an episode take it. Speed and place of
-execution are not part of it. A scenario with the same versions yields the same numbers.
+execution are not part of it. A scenario with the same versions yields the same results.
 """
 
 from __future__ import annotations

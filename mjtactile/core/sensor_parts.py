@@ -33,10 +33,10 @@ from mjtactile.core.outline import Outline, OutlineError
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 
-# Unit of dimensionless numbers. It is an integer, so that a whole number in a file stays whole:
+# Unit of dimensionless numbers. It is an integer, so that an integer in a file stays an integer:
 # fingerprints of sensor files (`mjtactile.core.calibration`) distinguish 600 from 600.0.
 ONE = 1
-_CLEAR = 0.5  # radii between a marker and an outline: nearer, the frame's edge cuts its picture
+_CLEAR = 0.5  # minimum distance of a marker from the outline, radii; a smaller one clips its image
 
 
 class FrameShape(StrEnum):
@@ -162,7 +162,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Membrane:
-    """Rubber sheet, SI: Pa, kg/m^3, m; `transmission` of its stress."""
+    """Rubber membrane, SI: Pa, kg/m^3, m; `transmission` of its stress."""
 
     thickness: float = number(
         "thickness_mm", 0.01, 5, MM, about="thickness of the membrane before stretching"

@@ -60,7 +60,7 @@ class Stop:
             raise Interrupted
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """The signal handler: note it, and raise KeyboardInterrupt only while nothing is
+        """Handle a signal: store it, and raise KeyboardInterrupt only while no device is
         connected."""
         now = time.monotonic()
         is_first = not self.asked
@@ -75,7 +75,8 @@ class Stop:
 
     @contextlib.contextmanager
     def defer(self) -> Iterator[None]:
-        """Raise nothing within this block; Interrupted at its end if a signal came meanwhile."""
+        """Defer signals within this block. Raise Interrupted at its end if a signal arrived
+        meanwhile."""
         before = self.asked
         self._deferrals += 1
         try:
@@ -132,7 +133,8 @@ def deferred() -> Iterator[Stop]:
 
 
 def check() -> None:
-    """Raise Interrupted when a signal has come and is deferred: a place where it does no harm."""
+    """Raise Interrupted if a signal was deferred. Call this only at a point where stopping is
+    safe."""
     if _heard is not None:
         _heard.check()
 

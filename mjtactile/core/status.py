@@ -16,7 +16,7 @@ class StatusCode(StrEnum):
     TOO_FEW_MARKERS = "too few markers"
     FIT_FAILED = "fit failed"  # the markers fit no shape that the membrane can have
     OVERLOADED = "overloaded"  # and did not since they showed a large force
-    # the rest reference is no longer valid: temperature, a camera that moved
+    # the rest reference is no longer valid: temperature change or camera motion
     REFERENCE_LOST = "reference lost"
     PRESSURE_CHANGING = (
         "pressure changing"  # the chamber's pressure changes too fast to be followed
@@ -33,7 +33,7 @@ class Status(str):
     """Status of a value: `"ok"`, or a short reason why it is not reliable.
 
     `code` is the same for programs. The status is text, so that `status == "ok"` and arrays need no
-    conversion. Recordings hold the text. A message may carry numbers. "unknown" is a valid result;
+    conversion. Recordings hold the text. A message may contain values. "unknown" is a valid result;
     zero is not.
     """
 

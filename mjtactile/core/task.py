@@ -41,8 +41,8 @@ Range = tuple[float, float]
 def _range(
     key: str, low: float, high: float, unit: float = 1.0, *, of: str = "", about: str = ""
 ) -> Any:
-    """A field that is [low, high], from which the seed draws; of one kind of `Disturbance`
-    alone."""
+    """Return a field that is [low, high], sampled by the seed. It may apply to one kind of
+    `Disturbance` only."""
     only_if = ("kind", (of,)) if of else None
     return numbers(key, _SPAN, low, high, unit, default=None, only_if=only_if, about=about)
 
@@ -159,7 +159,7 @@ class SuccessCriteria:
 
 @dataclass(frozen=True)
 class SampledDisturbance:
-    """A drawn `Disturbance`: SI values by the names of its fields, and a direction."""
+    """Sampled `Disturbance`: SI values by the names of its fields, and a direction."""
 
     kind: str
     begin: float
@@ -220,8 +220,10 @@ class Task:
         return not self.happenings and self.thing == ObjectRandomization()
 
     def draw(self, seed: int, fingers: int) -> SampledTask:
-        """The task of a seed, for a hand of so many fingers. A value depends on the seed and on
-        its own name alone."""
+        """Sample the task of a seed for a gripper with `fingers` fingers.
+
+        A value depends only on the seed and on its own name.
+        """
         events = []
         values: dict[str, float] = {}
         for number_, happening in enumerate(self.happenings, 1):

@@ -19,7 +19,7 @@ from mjtactile.core.renamed import KEYS, hint
 
 # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
 LARGEST = 8 << 20
-DEEPEST = 32  # names in a dotted key; tomllib's time and memory go with their number's square
+DEEPEST = 32  # maximum names in a dotted key; time and memory of tomllib grow with the square
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -90,7 +90,7 @@ class Section:
     def number(
         self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...
     ) -> Any:
-        """A number within [low, high] (in the file's unit), times `scale`."""
+        """Return a number within [low, high] (in the file's unit), times `scale`."""
         value = self._get(key, default)
         if value is None:
             return default
@@ -129,7 +129,7 @@ class Section:
         )
 
     def pairs(self, key: str) -> tuple[tuple[float, float], ...]:
-        """A list of [x, y] pairs of finite numbers."""
+        """Return a list of [x, y] pairs of finite numbers."""
         value = self._get(key, ...)
         if not isinstance(value, list) or not all(
             isinstance(pair, list) and len(pair) == 2 for pair in value
@@ -144,7 +144,8 @@ class Section:
         )
 
     def array(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
-        """Nested lists of finite numbers as a read-only array of this shape; None: any length."""
+        """Return nested lists of finite numbers as a read-only array of this shape; None: any
+        length."""
         try:
             array = np.array(self._get(key, ...), dtype=float)
         except (TypeError, ValueError):
@@ -159,14 +160,14 @@ class Section:
         return array
 
     def whole(self, key: str, low: int, high: int, default: Any = ...) -> Any:
-        """A whole number within [low, high]."""
+        """Return an integer within [low, high]."""
         value = self._get(key, default)
         if value is None:
             return default
         return self._whole(key, value, low, high)
 
     def wholes(self, key: str, low: int, high: int, default: Any = ...) -> Any:
-        """A list of whole numbers within [low, high], as a tuple."""
+        """Return a list of integers within [low, high] as a tuple."""
         value = self._get(key, default)
         if value is None:
             return default
@@ -260,7 +261,7 @@ class Section:
         ]
 
     def done(self) -> None:
-        """Raise InputError for a field that is not known."""
+        """Raise InputError for an unknown field."""
         for key in self._table:
             if key not in self._known:
                 what = "section" if isinstance(self._table[key], Mapping) else "field"

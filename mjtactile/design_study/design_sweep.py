@@ -1,4 +1,4 @@
-"""Designs drawn around a sensor file, and those of them that none is better than."""
+"""Designs sampled around a sensor file, and their Pareto front."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _EDGE = 2.0e-3  # distance from the frame to the edges of the outermost markers,
 _FEWEST_PX = 6.0
 """px, a marker's radius on the flat membrane: smaller ones are fitted by all their pixels."""
 _MAX_MARKERS = 400
-_TRIES = 40  # designs drawn for one that can be built
+_TRIES = 40  # maximum number of samples per feasible design
 
 Say = Callable[[str], None]
 
@@ -44,7 +44,7 @@ class Requirements:
 
     Attributes:
         touch: Smallest detectable force with pixel noise alone, N.
-        most: Largest force, N.
+        maximum: Largest force, N.
         edge: Standard deviation of an edge's position, m.
         radius: Smallest ball with a measurable radius, m.
     """
@@ -160,7 +160,7 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
     chamber = design.chamber
     sides = np.array([frame.length, frame.width])
     columns, rows = (max(3, round(1e3 * density * side)) for side in sides)
-    # the outermost rims stay clear of the frame: extent + 2 share pitch = side - 2 edge
+    # the outermost circle edges keep _EDGE from the frame: extent + 2 share pitch = side - 2 edge
     extent = tuple(
         (side - 2 * _EDGE) * (many - 1) / (many - 1 + 2 * share)
         for side, many in zip(sides, (columns, rows), strict=True)
@@ -222,11 +222,11 @@ def with_front(tried: Sequence[DesignCandidate]) -> list[DesignCandidate]:
 
 
 def best(tried: Sequence[DesignCandidate], count: int) -> list[DesignCandidate]:
-    """Some of the front, spread from the best force to the best edge.
+    """Select designs of the front, from the best force to the best edge.
 
     Args:
-        tried: As `sweep` gives them.
-        count: At most so many.
+        tried: Result of `sweep`.
+        count: Maximum number of designs.
 
     Returns:
         Designs, the best force first.

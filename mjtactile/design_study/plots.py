@@ -9,7 +9,7 @@ import numpy as np
 
 from mjtactile.report import html
 
-# key of a place, words, unit
+# key of a position's result, label, unit
 MAPS = (
     ("force_sd_mN", "sd of the force", "mN"),
     ("place_sd_mm", "sd of the force position", "mm"),
@@ -59,11 +59,11 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
 
 
 def page(given: Mapping[str, Any], picture: bytes | None) -> str:
-    """A page of one file.
+    """Write the page of one file.
 
     Args:
         given: The JSON's object of a study.
-        picture: The maps, PNG; None: there are none.
+        picture: The maps, PNG; None: not available.
 
     Returns:
         HTML.

@@ -28,9 +28,9 @@ from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
 _MARGIN = 5e-3  # distance from the frame to the outermost positions of the map, m
 _SPACING = 5e-3  # approximate spacing of the positions, m
-_LONGEST = 3.0  # times the focal length, that are tried
+_LONGEST = 3.0  # maximum factor of the focal length in the search
 _HALVINGS = 12
-_RIM = 72  # places on an outline
+_RIM = 72  # number of points on an outline
 _MORE = 1.25
 
 Say = Callable[[str], None]
@@ -108,7 +108,8 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> P
 
 
 def face_places(design: SensorDesign) -> list[Array]:
-    """Places of the map, (2,) m each, row by row, of the rectangle about the opening."""
+    """Return the positions of the map, (2,) m each, row by row, in the rectangle around the
+    opening."""
     lines = []
     for side in (design.frame.length, design.frame.width):
         half = max(side / 2 - _MARGIN, 0.0)
@@ -156,14 +157,14 @@ def _longest_lens(stand: VirtualBench) -> float:
 
 
 def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, SensorDesign]]:
-    """Changes of a sensor, one at a time, with their words.
+    """Return modified sensors with one change each, with a description.
 
     Args:
         design: The sensor.
-        longest_lens: Times its focal length, that its picture has room for.
+        longest_lens: Maximum factor of the focal length that the image allows.
 
     Returns:
-        Words and sensor of each.
+        Description and sensor of each.
     """
     chamber = design.chamber
     membrane = design.membrane

@@ -1,6 +1,6 @@
 """Comparison of predictions with full simulation.
 
-A ball indents the sensor at random positions and depths. The sensing chain evaluates rendered
+A ball indents the sensor at random positions and depths. The sensing pipeline evaluates rendered
 images.
 """
 
@@ -29,8 +29,8 @@ class Checked:
     """One indentation at `place` m with `depth` m.
 
     It holds the ground truth and the estimated force, N. `off` is the error of the force's position
-    along x and y, m. The predicted sd of both and the sd of the force reported by the chain
-    follow.
+    along x and y, m. The predicted sd of both and the sd of the force reported by the sensing
+    pipeline follow.
     """
 
     place: tuple[float, float]
@@ -49,7 +49,7 @@ class PredictionCheck:
 
     Each ratio is the root mean square of error over predicted sd, for force and position.
     `force_rms` and `place_rms` are the root mean square errors, N and m. `reported_ratio` refers to
-    the chain's own sd of each indentation.
+    the sensing pipeline's own sd of each indentation.
     """
 
     count: int

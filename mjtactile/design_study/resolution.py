@@ -28,7 +28,7 @@ EDGE_RADIUS = 2.5e-3
 start."""
 BALL_RADIUS = 4e-3
 """Radius of the indenting ball, m."""
-_ROUNDING = 0.5  # of the spacing between the film's nodes
+_ROUNDING = 0.5  # rounding radius as a fraction of the membrane's node spacing
 _FRAME = 1.5e-3  # distance from the frame at which extended shapes end, m
 
 
@@ -40,8 +40,9 @@ class Resolution:
         x: Position in S, m.
         y: Position in S, m.
         force: Indenting force, N.
-        felt: Force estimated by the chain, N.
-        force_sd: Standard deviation reported by the chain, including all model errors, N.
+        felt: Force estimated by the sensing pipeline, N.
+        force_sd: Standard deviation reported by the sensing pipeline, including all model errors,
+            N.
         noise: Image-to-image noise of the estimated force from pixel noise alone, N.
         place_sd: Standard deviation of the force's position, the larger of both directions, m.
         edge_sd: Standard deviation of the position of an edge along y or x, the larger of both, m.
@@ -85,7 +86,8 @@ class ResolutionPredictor:
         """
         x, y = (float(v) for v in place)
         unknown = math.nan
-        if self._frame.inside(place[None])[0] < _FRAME:  # of a map that is no rectangle
+        # outside of a frame that is not a rectangle
+        if self._frame.inside(place[None])[0] < _FRAME:
             return Resolution(x, y, force, *[unknown] * 6)
         edge_sd = self.edge_sd(place, force) if edges else unknown
         pressed = self.stand.press(ball(place, BALL_RADIUS), force)
@@ -141,8 +143,8 @@ class ResolutionPredictor:
     ) -> Array | None:
         """Return the covariance (k, k) of the parameters of a shape loaded with a force.
 
-        It is the chain's covariance for an image without misfit. It follows from the derivatives of
-        the markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
+        It is the sensing pipeline's covariance for an image without misfit. It follows from the
+        derivatives of the markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
         """
         over = self._hint(place, force)
         pressed = self.stand.press(
@@ -158,7 +160,7 @@ class ResolutionPredictor:
             if at is None:
                 return None
             slopes = exact_jacobian(self._forward, family, hint, at)
-        except InputError:  # a step of a number goes to the rim
+        except InputError:  # a parameter step reaches the frame
             return None
         J = slopes.seen(data)
         found = Fit(family, hint, at, believed, J.T @ J, slopes, force)
@@ -181,14 +183,14 @@ class ResolutionPredictor:
 
 
 def ball(at: Array, radius: float) -> Coming:
-    """A ball over a place, by how high its lowest point is.
+    """Return a ball above a position, as a function of the height of its lowest point.
 
     Args:
-        at: (2,) m in S.
-        radius: m.
+        at: Position (2,) m in S.
+        radius: Radius, m.
 
     Returns:
-        The body at a height.
+        The obstacle at a height.
     """
     return lambda height: obstacle("sphere", (radius,), (*at, height + radius))
 

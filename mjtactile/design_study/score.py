@@ -1,4 +1,4 @@
-"""A whole sensor in a few numbers, to compare one with another by."""
+"""Key figures of a sensor, for the comparison of sensors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST = 0.25
 _MORE = 1.25
 _STEPS = 20
 _FELT_RIGHT = 0.1  # relative error limit at the largest force
-# of half the opening: three places that lie anyhow over markers and the film's nodes
+# fractions of half the opening: three positions, unaligned with markers and membrane nodes
 _PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
 
 

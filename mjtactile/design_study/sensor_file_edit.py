@@ -23,7 +23,7 @@ def sensor_text(design: SensorDesign, head: str = "") -> str:
         TOML that `load_sensor` reads.
     """
     table = {key: value for key, value in write_fields(design).items() if value is not None}
-    table.pop("calibration", None)  # of a specimen; this is a design
+    table.pop("calibration", None)  # it belongs to an as-built sensor; this is a design
     lines = [f"# {line}" for line in head.splitlines()]
     lines.append("# Units are in the key names.")
     lines += [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
@@ -81,7 +81,7 @@ def extent_of(design: SensorDesign) -> tuple[float, float]:
 
 
 def radius_fraction(design: SensorDesign) -> float:
-    """A marker's radius as a share of the smaller pitch."""
+    """Return a marker's radius as a fraction of the smaller pitch."""
     return design.markers.radius / min(design.markers.pitch_x, design.markers.pitch_y)
 
 

@@ -1,4 +1,7 @@
-"""A sensor file on the stand: its film, its camera's exact view, and its sensing chain at rest."""
+"""Virtual test bench of a sensor file.
+
+It contains the quasi-static membrane, the camera's exact view, and the sensing pipeline at rest.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
 
 _SPACING = 1.3e-3  # node spacing of the membrane, m, as in the contact shape models
 _STEP = 2.5e-4  # step of lowering an obstacle until the requested force, m
-_SHORTEST = 8  # of these in one, where the film does not follow
+_SHORTEST = 8  # maximum division of a step where the solver does not converge
 _HALVINGS = 12
 _OFF = 0.02  # of the force, that may be left where it does not follow
 _DEEPEST = 0.05  # maximum depth, m
@@ -44,9 +47,10 @@ Coming = Callable[[float], Obstacle]
 
 @dataclass(frozen=True, eq=False)
 class PredictedTouch:
-    """Result of the chain for a membrane.
+    """Result of the sensing pipeline for a membrane.
 
-    `touch` belongs to an image of the equilibrium. `state` is the state of the chain after it.
+    `touch` belongs to an image of the equilibrium. `state` is the state of the pipeline after
+    it.
     """
 
     touch: Touch
@@ -54,13 +58,13 @@ class PredictedTouch:
 
     @property
     def shape(self) -> Shape:
-        """The shape that was found; only where the touch is "ok"."""
+        """Estimated shape; only if the touch is "ok"."""
         assert self.state.shape is not None
         return self.state.shape
 
     @property
     def ok(self) -> bool:
-        """True if the chain estimated the force."""
+        """True if the sensing pipeline estimated the force."""
         return self.touch.status == OK and self.touch.traction is not None
 
 
@@ -71,8 +75,8 @@ class VirtualBench:
         design: The sensor.
 
     Raises:
-        InputError: The sheet finds no rest, markers are out of the picture, or the chain refuses
-            the sensor.
+        InputError: The membrane has no rest equilibrium, markers are outside of the image, or the
+            sensing pipeline rejects the sensor.
     """
 
     def __init__(self, design: SensorDesign):
@@ -92,7 +96,7 @@ class VirtualBench:
         self.state = self.chain.measure_rest_reference(state, [rest], self.film.gauge_pressure)
 
     def _require_all(self, seen: SyntheticEllipses, how: str) -> None:
-        """Raise InputError where not all markers are in the picture."""
+        """Raise InputError if not all markers are in the image."""
         found = 0 if seen.ellipses is None else len(seen.ellipses)
         if found < self.circles:
             raise InputError(
@@ -110,7 +114,7 @@ class VirtualBench:
 
     @property
     def reference(self) -> Reference:
-        """Rest reference measured by the chain."""
+        """Rest reference measured by the sensing pipeline."""
         assert self.state.reference is not None
         return self.state.reference
 
@@ -167,7 +171,7 @@ class VirtualBench:
         for one in starts:
             try:
                 state = self.film.solve(body, one)
-            except InputError:  # the rim, the glass, a sheet inside out
+            except InputError:  # contact with frame or glass, or an inverted membrane
                 continue
             if state.converged:
                 return state
@@ -199,15 +203,15 @@ class VirtualBench:
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
     def sight(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
-        """The exact ellipses that the camera would see of a film."""
+        """Compute the exact ellipses in the camera image of a membrane solution."""
         return self._sighter.sight(*self.poses(film.x), time, errors=False)
 
     def see(self, film: MembraneSolution) -> Markers:
-        """The markers that the chain would find, with their covariance."""
+        """Compute the markers detected by the sensing pipeline, with their covariance."""
         return self.chain.see(self.state, self.sight(film))[0]
 
     def feel(self, film: MembraneSolution) -> PredictedTouch:
-        """Run the chain on a membrane in equilibrium.
+        """Run the sensing pipeline on a membrane in equilibrium.
 
         The second image is evaluated, since the covariance after a sudden load change is inflated.
 
@@ -215,7 +219,7 @@ class VirtualBench:
             film: Membrane in equilibrium.
 
         Returns:
-            The touch and the chain's state.
+            The touch and the pipeline's state.
         """
         state = self.state
         for number in (1, 2):
@@ -228,10 +232,10 @@ class VirtualBench:
 
         It is the scatter from image to image.
 
-        The chain's tractions are linear in the whitened markers: traction = P^(1/2) half^T
+        The pipeline's tractions are linear in the whitened markers: traction = P^(1/2) half^T
         innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12). The covariance of y is the
         camera's error bound for the markers, whitened in the same manner. It applies to a single
-        image. The chain's memory of the camera from earlier images reduces it by up to half.
+        image. The pipeline's memory of the camera from earlier images reduces it by up to half.
 
         Args:
             felt: Result for one image.

@@ -1,1 +1,1 @@
-"""Drivers of real devices, and replay of a recording. Nothing here knows the simulator."""
+"""Drivers of real devices, and replay of a recording. They do not depend on the simulator."""

@@ -1,5 +1,5 @@
-"""Discovery of connected devices, for `mjtactile devices`. It only queries: no setting changes and
-nothing moves."""
+"""Discovery of connected devices, for `mjtactile devices`. It only sends queries: no setting
+changes and no device moves."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def build_device_rig(
         gripper = DynamixelGripper(rig_file.bus, config, rig_file.lift, source=str(rig_file.path))
         closers.append(gripper.close)
     except BaseException:
-        with contextlib.suppress(DeviceError):  # the first trouble is the one to report
+        with contextlib.suppress(DeviceError):  # report the first fault only
             close_all(closers)
         raise
     limits = CommandLimits(

@@ -1,4 +1,4 @@
-"""Writing to a serial port from a process that may be made to stand still."""
+"""Writing to a serial port from a process that may be suspended."""
 
 from __future__ import annotations
 

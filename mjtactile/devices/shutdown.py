@@ -13,10 +13,10 @@ _log = logging.getLogger(__name__)
 
 
 def close_all(closers: list[Callable[[], None]]) -> None:
-    """Call every closer, last one first, whatever the others do; then raise DeviceError with all
-    that failed.
+    """Call every closer, last one first, even after failures. Then raise DeviceError with all
+    failures.
 
-    When another exception is on its way out already, the failures are only logged.
+    If another exception is already being raised, the failures are only logged.
     """
     failures = []
     in_transit = sys.exc_info()[0] is not None

@@ -1,7 +1,7 @@
 """Fault injection. `Faults` stores the active faults; the emulated devices read it.
 
 A fault is set by a command such as `{"fault": "servo_drop", "value": 0.1}`. Its value is a
-probability, a number or a switch, as described for each kind. `value` 0 ends it.
+probability, a magnitude or a switch, as described for each kind. `value` 0 ends it.
 """
 
 from __future__ import annotations

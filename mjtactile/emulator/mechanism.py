@@ -81,8 +81,8 @@ class GearedJaws:
         return min(max(goal - opening, -self._play), self._play)
 
     def follow_load(self, opening: float, speed: float, force: float, period: float) -> None:
-        """Turn the shafts to where the jaws are; those that drive share the closing `force` N on
-        each finger."""
+        """Rotate the shafts to the jaws' positions. The driving servos share the closing `force`,
+        N, on each finger equally."""
         on = [jaw for jaw in self._jaws if jaw.servo.drive().torque_max > 0]
         count = len(self._jaws)
         for jaw in self._jaws:

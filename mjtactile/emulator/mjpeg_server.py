@@ -1,4 +1,4 @@
-"""Camera pictures as MJPEG multipart streams on loopback HTTP: `http://127.0.0.1:PORT/left`."""
+"""Camera images as MJPEG multipart streams on loopback HTTP: `http://127.0.0.1:PORT/left`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 98]  # the codec's loss stays below the camer
 
 
 class _Channel:
-    """The newest picture of one camera and a bell for those who wait for it."""
+    """Newest image of one camera, and a condition that notifies waiting clients."""
 
     def __init__(self) -> None:
         self.bell = threading.Condition()
@@ -24,7 +24,7 @@ class _Channel:
 
 
 class StreamServer:
-    """Serves one stream for each name. `publish` hands over a picture; `close` ends all streams."""
+    """Server with one stream for each name. `publish` sends an image; `close` ends all streams."""
 
     def __init__(self, names: tuple[str, ...]):
         self._channels = {name: _Channel() for name in names}
@@ -60,7 +60,7 @@ class StreamServer:
         return f"http://127.0.0.1:{self._server.server_port}/{name}"
 
     def publish(self, name: str, pixels: NDArray) -> None:
-        """Send a picture (H, W) uint8 to all who watch this camera."""
+        """Send an image (H, W) uint8 to all clients of this camera."""
         jpeg = cv2.imencode(".jpg", pixels, _JPEG)[1].tobytes()
         channel = self._channels[name]
         with channel.bell:

@@ -30,13 +30,13 @@ class Path:
     origin: float = 0.0  # where it last stood still
 
     def start(self, angle: float) -> None:
-        """Stand still at `angle`."""
+        """Set the position to `angle` with zero speed."""
         self.angle = angle
         self.speed = 0.0
         self.origin = angle
 
     def follow(self, goal: float, speed_max: float, acceleration: float, period: float) -> None:
-        """Towards a position; 0 is no limit (`speed_max` 0: a step, whatever the acceleration)."""
+        """Move towards a position; 0 is no limit (`speed_max` 0: a step, at any acceleration)."""
         left = goal - self.angle
         if speed_max <= 0:
             self.start(goal)

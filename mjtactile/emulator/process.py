@@ -1,4 +1,4 @@
-"""Start the emulator's process, hand its addresses to a rig file, and talk to it."""
+"""Emulator process: start, transfer of its addresses to a rig file, and communication."""
 
 from __future__ import annotations
 

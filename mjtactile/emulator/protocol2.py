@@ -133,5 +133,5 @@ class Decoder:
                 return None
             packet = buffer[: 7 + length]
             del buffer[: 7 + length]
-            if packet[7] != STATUS:  # our own kind's answers are nothing to act on
+            if packet[7] != STATUS:  # ignore the replies of other servos
                 return packet

@@ -1,4 +1,4 @@
-"""A pseudo-terminal that looks like a serial port, served by a thread."""
+"""Pseudo-terminal that acts as a serial port, served by a thread."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class PtyPort:
             )
 
     def write(self, data: bytes) -> None:
-        """Send to the host; nothing happens when the port is gone."""
+        """Send to the host; without effect if the port is closed."""
         with self._lock, contextlib.suppress(OSError):
             if self._is_open:
                 os.write(self._master, data)

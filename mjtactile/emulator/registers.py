@@ -25,7 +25,7 @@ class Registers:
         self._memory = bytearray(1024)
 
     def get(self, name: str) -> int:
-        """A register as an unsigned number."""
+        """Return a register as an unsigned number."""
         field = self._table.fields[name]
         return int.from_bytes(self._memory[field.address : field.address + field.size], "little")
 
@@ -74,7 +74,7 @@ class Registers:
         return 0, bytes(self._memory[self._where(a)] for a in range(address, address + size))
 
     def write(self, address: int, data: bytes, *, ram_only: bool = False) -> int:
-        """Write one or several registers in a row, all or none; returns the error number of the
+        """Write one or several consecutive registers, all or none. Return the error number of the
         status packet."""
         fields, error = self._checked(address, data)
         if ram_only and any(field.address < ct.EEPROM_END for field, _ in fields):
@@ -96,8 +96,10 @@ class Registers:
         return fields, error
 
     def _where(self, address: int) -> int:
-        """The address that an indirect datum stands for ("Indirect Address", "Indirect Data"), else
-        the same."""
+        """Return the target address of an indirect entry ("Indirect Address", "Indirect Data").
+
+        Any other address is returned unchanged.
+        """
         place = self._table.indirect.get(address)
         if place is None:
             return address

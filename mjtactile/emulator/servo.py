@@ -21,7 +21,7 @@ _PWM_FULL = 885
 _OVERHEATING = 0x04
 _OVERLOAD = 0x20
 _REBOOT_TIME = 0.3  # silence after a restart, s
-_NO_LOAD_SPEED = 6.0  # rad/s of a shaft that nothing holds, about 60 rev/min
+_NO_LOAD_SPEED = 6.0  # speed of a shaft without load, rad/s, about 60 rev/min
 # C; K of final rise at the largest current; s
 _AMBIENT = 25.0
 _HEATING = 45.0
@@ -161,7 +161,7 @@ class EmulatedServo(ServoRegisters):
             self._power_up()
 
     def check_watchdog(self, now: float) -> None:
-        """Trip if nothing was heard for the bus watchdog's time; it "monitors … when Torque
+        """Trip if no packet arrived within the bus watchdog's time; it "monitors … when Torque
         Enable(64) is '1'"."""
         with self._lock:
             watchdog = self.get("Bus Watchdog")
@@ -257,8 +257,7 @@ class EmulatedServo(ServoRegisters):
             self._path.follow(goal, velocity * _RPM_UNIT, acceleration, period)
 
     def turn(self, period: float) -> None:
-        """The shaft without any mechanism: it goes where it is driven, at most as fast as without
-        load."""
+        """Move the shaft without a mechanism towards its goal, at most at the no-load speed."""
         drive = self.drive()
         maximum = _NO_LOAD_SPEED * period if drive.torque_max > 0 else 0.0
         step = min(max(drive.goal - self.angle, -maximum), maximum)

@@ -228,7 +228,7 @@ _GROUPS: Mapping[int, Callable[[ServoBus, bytes, Sequence[EmulatedServo]], bytes
 
 
 def _do(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:
-    """Carry out one instruction; error number and data of its status."""
+    """Execute one instruction. Return error number and data of its status."""
     act = _INSTRUCTIONS.get(packet.code)
     if act is None:
         return INSTRUCTION_ERROR, b""

@@ -124,8 +124,8 @@ class ServoRegisters(Registers):
 
     @property
     def _homing(self) -> int:
-        """ticks that are added to the actual position (Homing Offset(20)); too large ones count for
-        nothing in mode 3."""
+        """Offset added to the actual position, ticks (Homing Offset(20)). Too large offsets have no
+        effect in mode 3."""
         offset = self.get_signed("Homing Offset")
         if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX:
             return 0

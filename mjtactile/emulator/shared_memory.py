@@ -48,7 +48,7 @@ TO_WORLD = (
 
 
 class SharedState:
-    """Named numbers in a file descriptor (`system.memory_file`); `state["opening"]` reads and
+    """Named values in a file descriptor (`system.memory_file`); `state["opening"]` reads and
     writes."""
 
     def __init__(self, descriptor: int, names: Sequence[str] = (*FROM_WORLD, *TO_WORLD)):

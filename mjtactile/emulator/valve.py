@@ -57,7 +57,7 @@ def framed(body: str) -> bytes:
 
 
 def unframed(line: bytes) -> str | None:
-    """The body of a line without its end, None for a damaged one."""
+    """Return the content of a line without its end; None for a damaged line."""
     body, star, crc = line.rpartition(b"*")
     if (
         not star
@@ -134,7 +134,7 @@ class ValveFirmware:
         self._lock = threading.RLock()
 
     def reset(self) -> None:
-        """Restart: everything vented, nothing known."""
+        """Restart the firmware: all channels are vented and all state is lost."""
         with self._lock:
             for number, channel in self.channels.items():
                 self.channels[number] = _Channel(supply=channel.supply)

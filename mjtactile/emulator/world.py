@@ -44,7 +44,7 @@ _TOUCH_FORCE = 1e-3  # contact threshold, N
 _STILL_SPEED = 0.01  # speed limit of an object at rest, m/s and rad/s
 _FALL_SPEED_MAX = 0.5  # speed limit of a lift without torque, which turns its gears, m/s
 _LEAK_TIME = 0.15  # time constant of a puncture, s
-# gain of the camera's picture: black markers at 13 times white are white too
+# gain of the camera image; at 13 times white, black markers are also white
 _DARK = 0.03
 _GLARE = 20.0
 
@@ -72,7 +72,8 @@ class EmulatedWorld:
         self.streams = self._cameras.streams
         self._fall_speed = 0.0
         self._rest_opening: float | None = None
-        joint = int(self.scene.model.body("object/object").jntadr[0])  # none of a soft body
+        # -1 for a soft object, which has no joint
+        joint = int(self.scene.model.body("object/object").jntadr[0])
         self._object_joint = None if joint < 0 else self.scene.data.joint(joint)
         self._cached_pose: Any = None
         self._image_period = 1 / options.rig_file.cameras[0].rate
@@ -239,7 +240,7 @@ class Cameras:
         self._thread.start()
 
     def expose(self, poses: list[Any]) -> None:
-        """Hand over the poses of this moment."""
+        """Queue the current poses for rendering."""
         try:
             self._queue.put_nowait((scaled_clock.monotonic(), poses))
         except queue.Full:

@@ -48,7 +48,7 @@ class Suite:
         judge: Version of the scoring (`mjtactile.runtime.task_scoring`).
         tasks: Names of tasks.
         objects: Objects, grasped in turn.
-        seed: Seed of the first episode. Nothing is tuned on these seeds; `develop` are for that.
+        seed: Seed of the first episode. Do not tune on these seeds; use `develop` instead.
         develop: First seed for development.
         randomization, effects: Options of the evaluation.
         files: SHA-256 of each task file and of the randomization file, by file name.
@@ -284,7 +284,7 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
         "|---" * (4 + len(others)) + "|",
     ]
     rows = dict(result["tasks"])
-    if len(rows) > 1:  # where single tasks settle nothing, all of them may
+    if len(rows) > 1:  # all tasks together may be conclusive if single tasks are not
         rows[f"all {len(rows)}"] = result["together"]
     for task, own in rows.items():
         for controller, found in own.items():

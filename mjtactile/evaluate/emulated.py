@@ -1,5 +1,7 @@
-"""Episodes on emulated rigs: through the real drivers, judged by the emulated world's own truth,
-which no driver sees."""
+"""Episodes on emulated rigs with the real drivers.
+
+They are scored with the emulated world's ground truth, which is not available to the drivers.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,7 @@ class TrueOutcome(Observer):
         self._start = float(self._ask()["object_height"])
 
     def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:
-        """Look at one cycle's truth."""
+        """Evaluate the ground truth of one cycle."""
         if cycle.sent.phase == "approach":
             return
         self._last = self._ask()

@@ -43,7 +43,7 @@ OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
 """Outcomes of an episode. An error is not the controller's fault (the simulation failed, an object
 does not fit) and not a failure."""
 RANDOM = "random"
-"""In place of an object: another one each time."""
+"""Placeholder for an object: a different random one in each episode."""
 JUDGED = (
     "margin_true",
     "margin_above_2_true",
@@ -68,7 +68,7 @@ _KEPT = (
 
 @dataclass(frozen=True)
 class Episode:
-    """Number `index` of an evaluation; the same number has the same object and seed for every
+    """Episode `index` of an evaluation. The same index has the same object and seed for every
     controller."""
 
     index: int

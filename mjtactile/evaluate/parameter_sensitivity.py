@@ -158,7 +158,7 @@ def _bins(
 
 
 def _bin_of(kind: float | str, values: Sequence[float | str], held: np.ndarray) -> dict[str, Any]:
-    """The episodes in which one value was drawn."""
+    """Return the success of the episodes with one sampled value."""
     return {"value": kind} | _share(held[[value == kind for value in values]])
 
 

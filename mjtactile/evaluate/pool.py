@@ -34,8 +34,8 @@ class Pool:
 
     @contextlib.contextmanager
     def open(self, maximum: int) -> Iterator[dict[str, Any]]:
-        """joblib's arguments for at most so many jobs. Raises InputError for a cluster that is not
-        there."""
+        """Yield joblib's arguments for at most `maximum` jobs. Raises InputError if the cluster is
+        not available."""
         if self.backend == DASK:
             with _dask(self.scheduler) as jobs:
                 yield {"n_jobs": max(1, min(jobs, maximum)), "pre_dispatch": "2*n_jobs"}

@@ -37,8 +37,8 @@ def page(
     worst: Sequence[Line],
     pictures: Mapping[str, Path | None],
 ) -> str:
-    """The page. `worst` episodes are shown with their `pictures`, by controller and number of the
-    episode."""
+    """Return the page. It shows the `worst` episodes with their `pictures`, by controller and
+    episode number."""
     summary = summarise(lines)
     parts = [
         _head(manifest, summary),

@@ -103,8 +103,8 @@ def _workers(scenario: Scenario) -> int:
 
 
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
-    """`report.html` of the evaluation in `folder`; its worst episodes are run again for their
-    pictures."""
+    """Write `report.html` of the evaluation in `folder`. Its worst episodes are run again for their
+    images."""
     known = store.read_manifest(folder)
     lines = store.read_lines(folder)
     pictures = {}

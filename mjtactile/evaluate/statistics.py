@@ -1,4 +1,5 @@
-"""Shares with their intervals, and the difference of two controllers that met the same episodes."""
+"""Success fractions with their intervals, and the difference of two controllers over the same
+episodes."""
 
 from __future__ import annotations
 
@@ -82,12 +83,12 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
 
 
 def _joined(one: float, other: float, correlation: float) -> float:
-    """Return the error of a sum of two numbers with these errors and this correlation."""
+    """Return the error of a sum of two quantities with these errors and this correlation."""
     return math.sqrt(one**2 + other**2 + 2 * correlation * one * other)
 
 
 def exact_limits(count: float, n: float) -> tuple[float, float]:
-    """Clopper and Pearson's 95 % limits of a share."""
+    """Compute Clopper and Pearson's 95 % limits of a proportion."""
     low = float(stats.beta.ppf(0.025, count, n - count + 1)) if count > 0 else 0.0
     high = float(stats.beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0
     return low, high

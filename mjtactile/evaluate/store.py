@@ -172,7 +172,7 @@ def _refuse_unknown_files(folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Raises InputError where `folder` is no evaluation."""
+    """Read the manifest of an evaluation. Raises InputError if `folder` does not contain one."""
     try:
         return json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Small drawings for a page, as SVG text: shares with intervals, histograms."""
+"""Small plots for a page, as SVG text: fractions with intervals, histograms."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FAR = 1.6  # limit of the linear scale, as a multiple of the range of 97 % of t
 def interval_bar(
     low: float, share: float, high: float, colour: str = COLOURS[0], width: int = 220
 ) -> str:
-    """A share between 0 and 1 and its interval on a line."""
+    """Plot a fraction between 0 and 1 and its interval on a line."""
     x0, x, x1 = (round(width * value, 1) for value in (low, share, high))
     return (
         f'<svg width="{width}" height="14" viewBox="0 0 {width} 14"><rect y="5" width="{width}" '
@@ -33,7 +33,7 @@ def interval_bar(
 def shares(
     labels: Sequence[str], series: Mapping[str, Sequence[tuple[float, float, float] | None]]
 ) -> str:
-    """Shares (low, share, high) of each of `series` over the bins called `labels`."""
+    """Plot the fractions (low, share, high) of each of `series` over the bins called `labels`."""
     step = (_WIDTH - _LEFT - 6) / len(labels)
     parts = [_axes([(0.0, "0"), (0.5, "50"), (1.0, "100 %")])]
     for k, label in enumerate(labels):

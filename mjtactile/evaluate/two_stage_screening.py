@@ -1,9 +1,9 @@
 """Two-stage evaluation: cheap screening, then relevant episodes at full fidelity: `evaluate
 --screening-sample`.
 
-The cheap level omits the membrane mesh and the sensing chain. All its failures, and a sample of the
-held episodes, are run again with the requested settings. Both strata together give the success rate
-over all episodes, with the sample's exact limits (Clopper & Pearson 1934).
+The cheap level omits the membrane mesh and the sensing pipeline. All its failures, and a sample of
+the held episodes, are run again with the requested settings. Both strata together give the success
+rate over all episodes, with the sample's exact limits (Clopper & Pearson 1934).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def screen(
         running: Execution settings of the episodes.
 
     Returns:
-        The numbers of the report.
+        The results for the report.
 
     Raises:
         InputError: Raised by `evaluate`, or if the scenario already omits the membrane mesh.
@@ -82,11 +82,11 @@ def cheap_effects(effects: str) -> str:
 
 
 def to_run_again(lines: Sequence[Line], sample: int) -> list[int]:
-    """Numbers of the episodes that any controller failed, and of some that all held.
+    """Select the episodes that any controller failed, and a sample of those that all held.
 
     Args:
-        lines: Of the cheap level.
-        sample: How many of the held.
+        lines: Lines of the cheap level.
+        sample: Number of held episodes in the sample.
 
     Returns:
         Episode numbers, in order.

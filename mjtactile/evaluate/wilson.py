@@ -1,4 +1,4 @@
-"""The interval of a share."""
+"""Confidence interval of a proportion."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Line = Mapping[str, Any]
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    """Compute the 95 % interval of a proportion (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if not of:
         return 0.0, 1.0
     p = count / of

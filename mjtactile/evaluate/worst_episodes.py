@@ -85,4 +85,4 @@ def draw(episode: Episode, folder: Path) -> Path | None:
         write_plots(folder, recorder, summary)
     except (MjtactileError, OSError):
         return None  # no room
-    return picture if picture.exists() else None  # no matplotlib: a report without pictures
+    return picture if picture.exists() else None  # without matplotlib the report has no images

@@ -1,1 +1,2 @@
-"""Known indenters on one simulated sensor: inflate, press, and the paper's own experiments."""
+"""Known indenters on one simulated sensor: inflation, indentation, and the paper's own
+experiments."""

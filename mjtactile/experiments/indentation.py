@@ -1,6 +1,6 @@
 """Two experiments on one fixed sensor: bulge test, and indentation as in the paper.
 
-Both report ground truth next to theory or the sensing chain's estimate. They are experiments, so
+Both report ground truth next to theory or the sensing pipeline's estimate. They are experiments, so
 access to ground truth is allowed.
 """
 
@@ -125,7 +125,7 @@ def press(
 
 
 def shape_report(shape: ContactShape) -> dict[str, Any]:
-    """Convert a shape to JSON, in mm and degrees; unknown numbers become None.
+    """Convert a shape to JSON, in mm and degrees; unknown values become None.
 
     Args:
         shape: Estimated shape.
@@ -166,7 +166,7 @@ def shape_report(shape: ContactShape) -> dict[str, Any]:
 
 
 def _coarse(world: PressWorld) -> dict[str, str]:
-    """A flag where the simulated sheet itself has not the shape that is looked for."""
+    """Return a flag if the mesh of the simulated membrane is too coarse for the contact shape."""
     mesh = world.sensors[0].mesh
     if mesh.spacing <= _COARSEST:
         return {}

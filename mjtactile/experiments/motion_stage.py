@@ -34,7 +34,7 @@ _NO_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 _NO_COMMAND = Command(0.0, 0.0)
 
 NOTHING = Stage("sphere:8", (0.0, 0.0), (Move(0.0),))
-"""Nothing touches."""
+"""Stage without contact."""
 
 Say = Callable[[str], None]
 

@@ -1,5 +1,5 @@
-"""Simulated sensor on a stand, its camera and sensing chain (`View`), and a drive with a load cell
-(`TestBench`)."""
+"""Simulated sensor on a stand, its camera and sensing pipeline (`View`), and a drive with a load
+cell (`TestBench`)."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def take_references(
 
 
 class TestBench:
-    """One press experiment. `placing` goes to `PressWorld` (at, tilt, mesh)."""
+    """One indentation experiment. `placing` goes to `PressWorld` (at, tilt, mesh)."""
 
     def __init__(self, design: SensorDesign, indenter: Indenter, *, seed: int = 0, **placing: Any):
         self.design = design

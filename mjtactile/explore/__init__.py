@@ -1,1 +1,4 @@
-"""An unknown object, touched here and there until its surface is known (docs/how-to/explore.md)."""
+"""Exploration of an unknown object by repeated touches until its surface is known.
+
+See docs/how-to/explore.md.
+"""

@@ -86,7 +86,7 @@ def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
 
 
 def _of_presses(recording: Recording) -> list[Patch]:
-    """The way of the stage to its firmest hold, as one press."""
+    """Compute the patch of the stage motion up to its firmest hold, as one indentation."""
     stage = stage_from_note(recording.notes["stage"], recording.folder)
     fingers = recording.fingers
     finger = fingers.index(recording.notes["stage"].get("finger", fingers[0]))
@@ -135,7 +135,7 @@ def _direction_to_stiffest(felt: Array) -> NDArray[np.int64]:
 
 
 def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> StatefulPipeline:
-    """A chain with the references of one recorded finger."""
+    """Return a sensing pipeline with the references of one recorded finger."""
     tables = recording.notes.get("calibration", {})
     name = recording.fingers[finger]
     calibration = None

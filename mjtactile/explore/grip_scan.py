@@ -34,7 +34,7 @@ _STILL_TIME = 0.3  # hold time before the last image, s
 _MIN_OPENING = 1e-3
 _LIFTED = 1e-3  # gripper rise after which the object no longer stands at its original position, m
 _TOO_STRONG = 1.5  # of the wanted force, on one finger alone
-# of the first finger and of the second: axes of S in the hand's, x along the closing, z up
+# axes of S in the gripper frame, for the first and the second finger: x along the closing, z up
 _FACING = (
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]]),
@@ -43,8 +43,10 @@ _FACING = (
 
 @dataclass(frozen=True, eq=False)
 class GripCycle:
-    """One cycle of a grip: each finger's touch, the opening m between the frames, the hand's
-    height m."""
+    """One cycle of a grip.
+
+    It holds each finger's touch, the opening between the frames, m, and the gripper's height, m.
+    """
 
     touch: tuple[Touch, ...]
     opening: float
@@ -116,7 +118,7 @@ class Log(Observer):
 
 
 def require_two(fingers: int) -> None:
-    """Raise InputError for hands of another number of fingers."""
+    """Raise InputError unless the gripper has two fingers."""
     if fingers != 2:
         raise InputError(
             f"{fingers} fingers: only two that face each other are supported",
@@ -169,7 +171,7 @@ def patches_of_grip(
 
     Args:
         moments: Cycles of the grip.
-        perceptions: Sensing chains that estimated the touches.
+        perceptions: Sensing pipelines that estimated the touches.
         designs: Sensors of two opposite fingers.
         yaw: Rotation of the object about z relative to its own frame, rad.
         group: Group number of the grip; its patches have a common displacement.

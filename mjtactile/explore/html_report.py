@@ -86,7 +86,7 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
 
 
 def _doubt(mesh: Mesh) -> Array:
-    """(V, 3) colours of how well each vertex is known."""
+    """Return the colors (V, 3) of each vertex's uncertainty."""
     low = math.log(3e-5)
     high = math.log(_UNSURE)
     share = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
@@ -132,8 +132,7 @@ def _words(value: Any, unit: str) -> str:
 
 
 def draw(figure: Any, found: ExplorationResult) -> None:
-    """Draw the surface, its longest axis up: stiffness, and how well it is known, with the
-    touches."""
+    """Plot stiffness and uncertainty of the surface with the touches, its longest axis up."""
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex
     for number, (colour, title) in enumerate(

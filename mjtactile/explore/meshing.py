@@ -12,7 +12,7 @@ from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_posterior import SurfacePosterior
 
 _MARGIN = 4e-3  # margin around the estimated surface, m
-_ACROSS = 90  # triangles along its longest side, at most
+_ACROSS = 90  # maximum number of triangles along the longest side
 _SLOPE_STEP = 5e-5  # step of the numerical gradient, m
 
 

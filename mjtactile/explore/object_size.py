@@ -16,12 +16,12 @@ from mjtactile.explore.surface_posterior import ALIKE, SurfacePosterior
 
 _END = 5e-4  # distance from the outermost point that counts as an end, m
 _FACING = 0.8  # cosine of an end's normal with the axis
-_SAMPLES = 24  # places of an end
+_SAMPLES = 24  # sample positions per end
 _OBSERVED_SD = 5e-5  # standard deviation of a touch, m
 _BEYOND = 0.15  # standard deviation of an end per distance from the touched points, beyond `_NEAR`
 _NEAR = 5e-3  # radius of a touch, m
-_UNEXPLAINED = 0.4  # of the field that a body needs, that its ends may be off, as sd
-_RIVAL = 0.02  # share from which on another family counts
+_UNEXPLAINED = 0.4  # standard deviation of the ends, as a fraction of the residual field's
+_RIVAL = 0.02  # minimum probability of a relevant rival surface
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from mjtactile.explore.surface_patch import Patch
 _RINGS = (0.45, 0.85)
 _SPOKES = 8
 _LINE = 7  # points along an edge
-_SHRINK = 0.9  # of a face with a rim: its border is where the sheet leaves it
+_SHRINK = 0.9  # used fraction of a bounded face: the membrane leaves the face at its border
 _CLEAR = 2e-3  # minimum distance of free membrane from a patch, m
 _FREE_STEP = 4  # of the surface's grid
 _STAGE = 2e-5  # positioning error (sd) of stage or jaws, m
@@ -68,7 +68,7 @@ def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
     compliance, compliance_sd = give(pressed)
     free_S = _free(touch, points_S, design)
     force = float(touch.force_normal)
-    if compliance > _TOLD * compliance_sd:  # as it was before it gave way
+    if compliance > _TOLD * compliance_sd:  # surface position before the object yielded
         points_S = points_S + compliance * force * normal_S
     R_HS = pressed.R_SH.T
     origin = pressed.p_SH[-1]
@@ -116,7 +116,7 @@ def give(pressed: Pressed) -> tuple[float, float]:
 
 
 def _sheet(surface: Surface, xy: Array) -> Array:
-    """Heights (N,) m of the sheet over places (N, 2) m."""
+    """Return the heights (N,) m of the membrane at positions (N, 2) m."""
     grid = RegularGridInterpolator((surface.y, surface.x), surface.z)
     low, high = (surface.x[0], surface.y[0]), (surface.x[-1], surface.y[-1])
     return grid(np.clip(xy, low, high)[:, ::-1])
@@ -186,7 +186,7 @@ def _bent(curvature: float, way: Array) -> Array:
 
 
 def _inside(outline: Array, middle: Array, shrink: float) -> Array:
-    """Places over a patch: its middle and rings."""
+    """Return positions on a patch: its center and rings."""
     off = outline - middle
     angle = np.arctan2(off[:, 1], off[:, 0])
     far = np.hypot(off[:, 0], off[:, 1])
@@ -220,7 +220,7 @@ def _spread(shape: ContactShape) -> tuple[float, float, float, float]:
 
 
 def _of_sheet(touch: Touch, design: SensorDesign) -> _Told:
-    """The sheet's own outer face where it is pressed hardest, with less belief."""
+    """Return the membrane's outer face at the largest pressure, with a larger uncertainty."""
     assert touch.surface is not None and touch.contact is not None and touch.traction is not None
     traction = touch.traction
     pressing = -traction.force[:, :, 2] * touch.contact.mask
@@ -237,7 +237,7 @@ def _of_sheet(touch: Touch, design: SensorDesign) -> _Told:
 
 
 def _free(touch: Touch, points_S: Array, design: SensorDesign) -> Array:
-    """Places of the sheet's outer face that are clear of the patch."""
+    """Return positions on the membrane's outer face that are clear of the patch."""
     assert touch.surface is not None
     s = touch.surface
     x, y = np.meshgrid(s.x[::_FREE_STEP], s.y[::_FREE_STEP])

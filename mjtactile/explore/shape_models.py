@@ -109,4 +109,4 @@ FAMILIES = (
     _family("box", _SHARP, _SHARP),
     FREE,
 )
-"""In the order of how few numbers they have."""
+"""Shape families, ordered by their number of parameters, fewest first."""

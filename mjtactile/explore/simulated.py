@@ -34,7 +34,7 @@ _PLAN_EDGE = 2e-3  # triangle edge during exploration, m
 _FINGER = 6e-3  # contact radius around a finger's axis, m
 _FACES = 0.6  # minimum cosine between a finger's axis and a contact normal
 _GRIP_TIME = 30.0  # time limit of a grip, s
-_GENTLE = 0.5  # of the force that breaks it, at most
+_GENTLE = 0.5  # maximum fraction of the breaking force
 
 
 def explore_on_stage(
@@ -178,7 +178,7 @@ def next_grip(mesh: Mesh, tried: Sequence[tuple[float, float]], begun: bool) -> 
 def _grip(
     scenario: Scenario, turn: float, height: float, force: float, number: int, flags: dict[str, str]
 ) -> list[Patch]:
-    """One grip in a world in which the object stands turned."""
+    """Simulate one grip of the rotated object."""
     # a seed first samples the camera noise, so each grip gets its own seed
     file = load_sim_rig(scenario.rig)
     drawn = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))

@@ -137,5 +137,5 @@ class SimulatedStage:
 _LOOKS = 2
 _ASIDE = 5e-3  # distance of the contact from the sensor's center that requires a second approach, m
 _HOLDER = math.radians(35)
-_OVER = -1  # the group of patches that were touched the other way up
+_OVER = -1  # group number of the patches touched with the object upside down
 _SEAT_SD = 1e-4  # standard deviation of the offset after turning the object upside down, m

@@ -117,7 +117,7 @@ def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
 
 
 def by_numbers(theta: Array, p: Array) -> Array:
-    """Derivatives (N, 14) of `distance` by the body's numbers."""
+    """Compute the derivatives (N, 14) of `distance` with respect to the shape parameters."""
     steps = np.diag(STEP)
     moved = distance(np.concatenate([theta + steps, theta - steps]), p)
     return ((moved[:COUNT] - moved[COUNT:]) / (2 * STEP[:, None])).T

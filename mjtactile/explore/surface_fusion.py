@@ -30,14 +30,14 @@ _FREE_MAX = 1.0  # mm: no further does one such point pull
 _FREE_OUT = 0.3  # distance of free points outside the surface, and its standard deviation, mm
 _FREE_APART = 2.5  # mm between such points
 _WIDE = 3.0  # sd beyond which a point pulls less and less
-_ALLOWED = 0.1  # mm that a patch of the right kind may be off a body
+_ALLOWED = 0.1  # tolerated distance of a patch of the correct kind from the shape, mm
 _DOUBT = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
 _FLAG_SD = (1.0, 0.2)  # mm and rad by which it then may
 _FLAG_ODDS = np.log(0.1)
 _STRAY = 4.5  # sd, from which on a point does not belong
 _STRAY_SD = 1.0  # mm by which it then may be off
 _STRAY_ODDS = np.log(0.05)
-_STRAYS = 0.25  # of all points, at most
+_STRAYS = 0.25  # maximum fraction of outlier points
 _ON_END, _END_POINTS = 0.3, 3  # mm from a flat end, and points, by which it was touched
 _UNTOUCHED = 1e3  # of the log of evidence, that a flat end costs which was not
 _ROUNDS = 40
@@ -78,7 +78,7 @@ def shares(surfaces: Sequence[SurfacePosterior]) -> Array:
 def _of_family(
     data: _Data, family: ObjectFamily, places: Sequence[Array], known: Array | None
 ) -> SurfacePosterior:
-    """The likeliest body of a family, and field."""
+    """Estimate the most likely shape of a family, with its residual field."""
     starts = []
     if known is not None:
         starts, places = [known], places[:_PLACES]
@@ -114,7 +114,7 @@ def _ends_flat(data: _Data, theta: Array) -> bool:
 
 
 def _upside_down(turn: Array) -> Array:
-    """A rotation vector (3,) of the body put in the other way up, about its x."""
+    """Return the rotation vector (3,) of the shape turned upside down about its x axis."""
     return (Rotation.from_rotvec(turn) * Rotation.from_euler("x", np.pi)).as_rotvec()
 
 
@@ -242,7 +242,8 @@ def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, lis
 
 
 def _robust(data: _Data, family: ObjectFamily, start: Array, rounds: int) -> OptimizeResult:
-    """A body near to most points, each by itself; those far off pull less (Cauchy's loss)."""
+    """Fit a shape to the majority of points, each on its own. Distant points have less weight
+    (Cauchy's loss)."""
     sd = np.sqrt(np.diag(data.noise) + _ALLOWED**2)
     for part in data.parts:
         sd[part] *= np.sqrt(max(part.stop - part.start, 4) / 4)
@@ -268,7 +269,7 @@ def _robust(data: _Data, family: ObjectFamily, start: Array, rounds: int) -> Opt
 def _solve(
     data: _Data, family: ObjectFamily, field: tuple[float, float], start: Array
 ) -> OptimizeResult:
-    """The body that is likeliest, from a start."""
+    """Compute the most likely shape from a start value."""
     root = np.linalg.cholesky(kernel(data.points, data.points, *field) + data.noise)
 
     def left(theta: Array) -> Array:
@@ -340,7 +341,8 @@ def _meeting(middles: Array, normals: Array) -> tuple[Array, float]:
 
 
 def _turns(middles: Array, normals: Array) -> list[Array]:
-    """Rotations (3, 3) whose axes may be the body's: those of its normals, in three orders."""
+    """Return candidate rotations (3, 3) of the shape: bases from the normals, in three axis
+    orders."""
     bases = [np.linalg.eigh(normals.T @ normals + 1e-6 * np.diag([3.0, 2.0, 1.0]))[1]]
     for i, j in itertools.combinations(range(len(normals)), 2):
         if abs(normals[i] @ normals[j]) < 0.2 and len(bases) < 3:

@@ -88,7 +88,8 @@ class Patch:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Patch:
-        """The inverse of `to_dict`; None stands for a number that is not known."""
+        """Convert a table back to a patch; the inverse of `to_dict`. None represents an unknown
+        value."""
         height, tilt, curvature, alone = values["spread"]
         return cls(
             np.reshape(np.array(values["points"], float), (-1, 3)),

@@ -1,7 +1,7 @@
 """Episode to export: a recording, its sensors, and touches estimated again from its images.
 
 A recording contains the touch results, but no surface and no markers. If all images are available,
-the sensing chain processes them again. It adds surface and markers, like a replay.
+the sensing pipeline processes them again. It adds surface and markers, like a replay.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from mjtactile.report.overlay import followed
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
-"""Columns of several numbers that are not one set a finger."""
+"""Columns of several values that are not one set per finger."""
 LISTS = ("patches", "shape_outline")
 """Columns with a variable number of entries per finger."""
 _PARTS = {
@@ -91,7 +91,7 @@ class RecordedEpisode:
 
     @property
     def re_estimate(self) -> bool:
-        """True if the sensing chain processes the images of this recording again."""
+        """True if the sensing pipeline processes the images of this recording again."""
         return bool(self._perceptions)
 
     @property
@@ -190,8 +190,10 @@ class RecordedEpisode:
 
     @cached_property
     def _perceptions(self) -> tuple[StatefulPipeline, ...]:
-        """A chain for each finger with the references of this recording; () where it has not all of
-        its images."""
+        """Sensing pipeline of each finger with the references of this recording.
+
+        () if the recording does not contain all of its images.
+        """
         recording = self.recording
         if len(recording.references) != 2 or not all(map(len, recording.columns["images"])):
             return ()
@@ -272,7 +274,7 @@ def find_episodes(path: Path) -> list[RecordedEpisode]:
 
 
 def part_names(episode: RecordedEpisode, key: str) -> list[str]:
-    """Return a name with unit for each number of a column, left to right."""
+    """Return a name with unit for each value of a column, left to right."""
     unit = (SENSED[key][0] if key in SENSED else TRUE[key][0]).replace("^", "").replace("/", "_")
     own = _PARTS.get(key, (unit or key,))
     column = episode.recording.columns[key]

@@ -186,7 +186,7 @@ class LiveView(Observer):
 
 
 def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None:
-    """Send all of one cycle; the `first` time also where the cameras stand."""
+    """Send all items of one cycle; the `first` time also the camera poses."""
     source = drawing.source
     if first:
         sink.log(messages.cameras(source, seen.time))

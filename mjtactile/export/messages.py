@@ -43,7 +43,7 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class Transform:
-    """`child` stands at `p` (3,) m in `parent`, turned by `R` (3, 3)."""
+    """Pose of `child` in `parent`: position `p` (3,) m and rotation `R` (3, 3)."""
 
     parent: str
     child: str
@@ -128,8 +128,7 @@ def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Ite
 
 
 def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
-    """The membrane's surface, with the force on each of its nodes where that is known, and the
-    markers."""
+    """Yield the membrane's surface, the force on each of its nodes if known, and the markers."""
     if touch.surface is not None:
         x, y = np.meshgrid(touch.surface.x, touch.surface.y)
         yield (

@@ -136,7 +136,7 @@ class RerunSink:
         self._send(place, pinhole, static=True)
 
     def _cloud(self, item: messages.Message) -> None:
-        """Markers; of membrane and tractions surface and arrows are drawn."""
+        """Send the markers. The surface and arrows represent membrane and tractions."""
         if item.topic.endswith("/markers"):
             cloud: messages.Cloud = item.value
             points = self._rr.Points3D(cloud.values[:, :3], radii=_POINT_RADIUS)
@@ -176,7 +176,7 @@ class RerunSink:
             self._number(f"force/{finger}_true", true)
 
     def _number(self, path: str, value: Any) -> None:
-        """Send a number; an unknown one is skipped and leaves a gap in its curve."""
+        """Send a value; an unknown one is skipped and leaves a gap in its curve."""
         if value is not None and np.isfinite(value):
             self._send(path, self._rr.Scalars(float(value)))
 

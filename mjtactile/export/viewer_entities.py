@@ -22,7 +22,7 @@ MEMBRANE = (0.62, 0.78, 0.95, 1.0)
 TRUSTED = (0.22, 0.83, 0.33, 1.0)
 FLAGGED = (0.9, 0.24, 0.24, 1.0)
 PRESSED = (0.86, 0.31, 0.17, 1.0)
-_FELT = 0.03  # of the largest traction; less is not drawn
+_FELT = 0.03  # minimum plotted traction, as a fraction of the largest
 _AROUND = 24  # points of an ellipse
 
 
@@ -45,7 +45,7 @@ class RenderedMesh:
 
 @dataclass(frozen=True, eq=False)
 class Arrows:
-    """Arrows in their frame: `tails` (n, 3) m, `vectors` (n, 3) m as long as they are drawn."""
+    """Arrows in their frame: `tails` (n, 3) m, `vectors` (n, 3) m in displayed length."""
 
     tails: Array
     vectors: Array
@@ -54,7 +54,7 @@ class Arrows:
 
 @dataclass(eq=False)
 class Drawing:
-    """Makes the items of cycles; each body of a scene is drawn once, and moved where it moves."""
+    """Viewer items of the cycles. Each scene body is sent once, then only its motion."""
 
     source: Source
     _placed: dict[str, Array] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Drawing:
         self._placed.clear()
 
     def of(self, seen: Perceived) -> Iterator[Message]:
-        """All that is drawn of one cycle."""
+        """Yield all viewer items of one cycle."""
         for k, finger in enumerate(self.source.fingers):
             stamp = stamp_of(seen, k)
             sensor = f"{finger}_sensor"

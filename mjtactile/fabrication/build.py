@@ -24,7 +24,7 @@ from mjtactile.fabrication.step_file import write_step
 from mjtactile.report.figures import new_figure
 from mjtactile.sim.rendering.renderer import Renderer
 
-_VOLUME = 2e-3  # of a part's volume: chords in place of arcs
+_VOLUME = 2e-3  # tolerance as a fraction of a part's volume, since chords replace arcs
 _APART = (("clamp_ring", "frame"), ("glass", "frame"), ("camera", "led_ring"), ("camera", "glass"))
 
 
@@ -140,7 +140,7 @@ def _bill(layout: Layout, optics: Optics) -> str:
 
 
 def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
-    """The steps' pictures by name; none without matplotlib."""
+    """Render the images of the steps, by name; none without matplotlib."""
     sheet = plate(
         0.0,
         0.6,

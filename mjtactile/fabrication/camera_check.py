@@ -72,7 +72,8 @@ class Optics:
 def plan_camera(
     design: SensorDesign, hardware: Hardware, states: Sequence[MembraneState], source: str
 ) -> Optics:
-    """Raises InputError naming the number that is wrong, and its limit."""
+    """Compute the camera's requirements. Raises InputError naming the invalid value and its
+    limit."""
     margin, worst = _margins(design, states, source)
     near, far = _range(design, states)
     focal = design.camera.fx * hardware.pixel
@@ -122,7 +123,8 @@ def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
 def _margins(
     design: SensorDesign, states: Sequence[MembraneState], source: str
 ) -> tuple[float, str]:
-    """The least distance px of a marker's edge band from the picture's edge, and in which state."""
+    """Return the minimum distance, px, of a marker's edge band from the image border, and its
+    state."""
     # the edge profiles that the fit needs
     camera = design.camera
     band = 2 + 3 * design.camera.blur_px

@@ -33,7 +33,8 @@ class Layout:
 
     @classmethod
     def of(cls, design: SensorDesign, hardware: Hardware, source: str) -> Layout:
-        """Raises InputError naming the number that cannot be built and its limit."""
+        """Compute the layout. Raises InputError naming the value that cannot be built and its
+        limit."""
         check_all(limits_of(design, hardware), source)
         layout = cls(design, hardware)
         check_all(layout.limits(), source)

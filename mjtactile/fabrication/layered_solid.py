@@ -61,8 +61,10 @@ class Contour:
         return math.hypot(max(qx, 0.0), max(qy, 0.0)) + min(max(qx, qy), 0.0) - self.r
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
-        """Start (2,), end (2,) and centre (2,) of each edge, counter-clockwise; straight where
-        there is no centre."""
+        """Return start (2,), end (2,) and center (2,) of each edge, counter-clockwise.
+
+        The center of a straight edge is None.
+        """
         middle = np.array([self.x, self.y])
         if self.is_circle:
             east = middle + (self.r, 0.0)
@@ -154,7 +156,7 @@ class Traced(Contour):
         return False
 
     def grown(self, by: float) -> Contour:
-        """Not known: an outline's own neighbours are `around` it."""
+        """Raise NotImplementedError; use `around` of the outline for its offset curves."""
         raise NotImplementedError
 
     def distance(self, x: float, y: float) -> float:

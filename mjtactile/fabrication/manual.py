@@ -1,4 +1,4 @@
-"""`README.md` and `assembly.md` of an output folder: file list, checked numbers, and illustrated
+"""`README.md` and `assembly.md` of an output folder: file list, checked values, and illustrated
 steps."""
 
 from __future__ import annotations
@@ -188,9 +188,9 @@ FIDUCIALS = {
         "its seat. Every rest reference measures their actual positions.",
     ),
 }
-"""The step of a sensor that has fiducials, by their surface; it comes before the sheet is glued."""
+"""Assembly step of a sensor with fiducials, by their surface; before the membrane is glued."""
 SHEET = "sheet"
-"""The stretched sheet on the jig, a part of the pictures only."""
+"""Stretched membrane on the jig; it appears only in the images."""
 
 
 def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
@@ -253,7 +253,7 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
 
 
 def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
-    """The text of `assembly.md`; `pictures` are those that could be drawn."""
+    """Return the text of `assembly.md`; `pictures` are the available images."""
     known = facts(layout, optics)
     blocks = [
         f"# Assembly of {layout.design.name!r}",
@@ -319,7 +319,7 @@ Made by `mjtactile fabricate` from `{source}`; `sensor.toml` is a copy of it. St
 def checks(
     layout: Layout, optics: Optics, press: float, states: Sequence[MembraneState], gap: float
 ) -> dict[str, str]:
-    """Return the checked numbers as readable text."""
+    """Return the checked values as readable text."""
     design = layout.design
     hardware = layout.hardware
     grown = growth(layout.design, states)

@@ -1,6 +1,6 @@
 """Manufacturability limits of the design.
 
-A number outside its limits is rejected with a message that states both.
+A value outside its limits is rejected with a message that states both.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.purchased_parts import Hardware
 
 MM = 1e3  # mm in a m
-# minimum web of a cut stencil and accuracy of placing a sheet by hand, mm
+# minimum web of a cut stencil and accuracy of manual placement, mm
 _WEB = 0.3
 _MARGIN = 0.3
 _DIGITS = 4  # of a limit, rounded so that it holds
@@ -52,7 +52,7 @@ class Limit:
 
 
 def check_all(limits: Iterable[Limit], source: str) -> None:
-    """Refuse the first number that is outside of its limits."""
+    """Reject the first value that is outside of its limits."""
     for limit in limits:
         limit.check(source)
 
@@ -196,8 +196,8 @@ def opening_margins(design: SensorDesign) -> tuple[float, float]:
 
 
 def marker_shrink(design: SensorDesign, hardware: Hardware) -> float:
-    """Printed radius over mounted radius: ink is stretched with the sheet, discs that are stiffer
-    than it are not."""
+    """Return printed radius over mounted radius. Ink is stretched with the membrane; stiffer discs
+    are not."""
     return 1 / design.membrane.pre_stretch if hardware.markers == "ink" else 1.0
 
 
@@ -219,7 +219,7 @@ def glass_stress(design: SensorDesign) -> float:
 
 
 def _rounded(value: float, *, up: bool = False) -> str:
-    """With four digits, rounded so that the number shown is itself allowed."""
+    """Format with four digits, rounded so that the displayed value is itself allowed."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)

@@ -19,7 +19,8 @@ _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter
 # indentation depth, m, and its limit as a fraction of the chamber's depth and of the shorter side
 _PRESS = 0.004
 _SHARE = 0.25
-_REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goes, less its radius
+# maximum offset of the ball's center plus its radius, as a fraction of the frame's side
+_REACH = 0.45
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +77,11 @@ def simulate(
     say: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
 ) -> list[MembraneState]:
-    """All states. Raises InputError where the membrane does not hold the supply's pressure, or is
-    pressed against the glass."""
+    """Compute all states.
+
+    Raises InputError if the membrane does not withstand the supply's pressure, or touches the
+    glass.
+    """
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
     frame = design.frame

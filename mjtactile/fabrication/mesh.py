@@ -16,7 +16,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fabrication.layered_solid import Layer, Part
 
-# chords of a quarter circle, of files (0.12 % of a radius off) and of pictures
+# chords of a quarter circle: for files (0.12 % radius error) and for images
 PER_QUARTER = 16
 COARSE = 6
 _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch

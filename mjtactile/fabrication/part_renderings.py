@@ -1,4 +1,4 @@
-"""Pictures of the parts, exploded along the sensor's axis or cut open: triangles drawn without
+"""Images of the parts, exploded along the sensor's axis or cut open: triangles rendered without
 OpenGL, labels by matplotlib."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ View = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A solid in a picture: `shift` mm along z, and the label at it ("": none)."""
+    """Solid in an image: `shift` mm along z, and its label ("": none)."""
 
     part: Part
     solid: Any
@@ -45,7 +45,7 @@ class Body:
 
 
 def view_axes(view: View) -> Array:
-    """Rows: the picture's right, up and towards the viewer."""
+    """Return the image axes as rows: right, up and towards the viewer."""
     towards, up = (np.array(direction) / np.linalg.norm(direction) for direction in view)
     right = np.cross(up, towards)
     right /= np.linalg.norm(right)
@@ -93,8 +93,8 @@ def _shaded(corners: Array, rgb: Array) -> Array:
 
 
 def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
-    """The number of the nearest triangle at each pixel, -1 where there is none, and its depth, -inf
-    there."""
+    """Return the index of the nearest triangle at each pixel (-1: none) and its depth (-inf:
+    none)."""
     numbers = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
     seen = np.full((*size, 3), -1.0)
     depth = np.full(size, -np.inf)
@@ -149,8 +149,10 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
 def _label(
     axes: Any, labels: list[tuple[Array, str]], rows: int, columns: int, margin: int
 ) -> None:
-    """Names above and below the picture, those of the upper half above, each row spread from left
-    to right."""
+    """Write the names of the upper half above the image and the others below it.
+
+    Each row is spread from left to right.
+    """
     order = sorted(labels, key=lambda label: label[0][1])
     half = (len(order) + 1) // 2
     for group, y in ((order[:half], 18 - margin), (order[half:], rows + margin - 18)):
@@ -198,7 +200,7 @@ def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, f
 def bodies_of(
     parts: Mapping[str, Part], solids: Mapping[str, Any], shifts: Mapping[str, float]
 ) -> list[Body]:
-    """The bodies of a picture: those of `shifts`, by name."""
+    """Return the solids of an image: those in `shifts`, by name."""
     return [
         Body(parts[name], solids[name], shift, name.replace("_", " "))
         for name, shift in shifts.items()

@@ -165,7 +165,8 @@ def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
 
 
 def groove_outline(layout: Layout, step: float) -> Contour:
-    """The walls of a groove that stand back by `step` mm from the opening, corners too."""
+    """Return the walls of a groove set back by `step` mm from the opening, including the
+    corners."""
     return _outline(layout, step)
 
 
@@ -311,8 +312,8 @@ def _nuts(layout: Layout) -> Part:
 
 
 def _stretch_jig(layout: Layout) -> Part:
-    """A plate around the flange, level with the frame's rim, whose pegs hold the stretched
-    sheet."""
+    """Return a plate around the flange, level with the frame's rim. Its pegs hold the stretched
+    membrane."""
     grip = Contour(
         layout.outer_x + hw.CLEARANCE,
         layout.outer_y + hw.CLEARANCE,

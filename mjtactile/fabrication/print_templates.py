@@ -1,10 +1,10 @@
-"""Templates printed or cut at 1:1: markers, stencil, mounted sheet, gasket, LED ring, ChArUco
+"""Templates printed or cut at 1:1: markers, stencil, mounted membrane, gasket, LED ring, ChArUco
 board.
 
-The sheet is stretched equally in all directions. A point printed at X lies at s X after mounting, s
-being the pre-stretch. The center stays, and with it the centroid of the pattern. Circles stay
-circles. Their radius is s times the printed one if the ink is stretched with the rubber. It is the
-printed one for a marker disc that is stiffer than the rubber.
+The membrane is stretched equally in all directions. A point printed at X lies at s X after
+mounting, s being the pre-stretch. The center stays, and with it the centroid of the pattern.
+Circles stay circles. Their radius is s times the printed one if the ink is stretched with the
+rubber. It is the printed one for a marker disc that is stiffer than the rubber.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from mjtactile.fabrication.parts import (
 )
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
-_QS_PLAY = 0.1  # mm of the fiducials' film to the groove's walls
+_QS_PLAY = 0.1  # clearance between the fiducials' printed film and the groove's walls, mm
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
 _COLUMNS = 9
 _ROWS = 7
 
 
 def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
-    """The markers as printed on the unstretched sheet, or as they lie on the mounted one."""
+    """Return the markers as printed on the unstretched membrane, or on the mounted one."""
     design = layout.design
     if mounted:
         scale = 1.0
@@ -59,8 +59,8 @@ def page_size(layout: Layout) -> tuple[float, float]:
 
 
 def marker_pages(layout: Layout) -> list[PrintedPage]:
-    """Transfer print and stencil for the unstretched sheet, and the pattern as mounted, to lay it
-    on and check."""
+    """Return transfer print and stencil for the unstretched membrane, and the mounted pattern as a
+    reference."""
     design = layout.design
     stretch = layout.design.membrane.pre_stretch
     half_x, half_y = page_size(layout)
@@ -198,7 +198,7 @@ def cut_page(layout: Layout) -> PrintedPage:
 
 
 def led_page(layout: Layout) -> PrintedPage:
-    """The LED ring: outline, LEDs with their numbers, the way to the wires."""
+    """Return the page of the LED ring: outline, numbered LEDs, and position of the wires."""
     shapes = [
         DrawingShape("cut", "board", contour=circle(layout.led_outer)),
         DrawingShape("cut", "board", contour=circle(layout.led_inner)),

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 PRINT_WALL = 1.2  # three lines of a 0.4 mm nozzle: the thinnest wall that is airtight and stiff
 CLEARANCE = 0.3  # between printed parts that slide into each other
-GASKET = 0.4  # silicone sheet of 0.5 mm, squeezed by a fifth
+GASKET = 0.4  # silicone sheet of 0.5 mm, compressed by a fifth
 # thickness of clamping ring, of the glass seat and of the mount's flange
 RING = 3.0
 SEAT = 3.0
 FLANGE = 4.0
 TUBE_WALL = 2.0  # of the camera mount
-RECESS = 0.5  # of the bolts' heads behind the membrane, so that nothing but rubber stands in front
+RECESS = 0.5  # depth of the bolts' heads behind the membrane, so that only rubber is in front
 GLASS_HOLD = 2.0  # minimum width of the glass support
 GLASS_PLAY = 0.2  # clearance of the glass in its seat, each side
 # allowable bending stress of annealed glass under a lasting load, N/mm^2 (EN 16612 has 6 to 8)
@@ -114,7 +114,7 @@ LED_BODY = (3.5, 2.8, 0.8)  # mm, the common 2835 package: length, width, height
 # thickness of the ring's circuit board, and its overhang beyond the LEDs, mm
 LED_BOARD = 1.6
 LED_EDGE = 1.25
-LED_FLUX = 1.0  # W of light, the most of one LED in a short pulse
+LED_FLUX = 1.0  # maximum light of one LED in a short pulse, W
 SPACER = 2.0  # under the camera board, mm
 SMEAR = 0.05  # px of motion blur
 FULL_WELL = 10_000  # electrons, of a pixel of 3 um

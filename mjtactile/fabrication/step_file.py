@@ -29,7 +29,7 @@ class _File:
         self._known: dict[str, int] = {}
 
     def add(self, text: str) -> int:
-        """The number of the entity `text`."""
+        """Return the number of the entity `text`; a new entity is added."""
         if text not in self._known:
             self.lines.append(text)
             self._known[text] = len(self.lines)
@@ -302,7 +302,7 @@ def _product(file: _File, name: str, solid: int) -> None:
 
 
 def _number(value: float) -> str:
-    """A STEP real: with a point, nothing below 1e-9 mm."""
+    """Format a STEP real with a decimal point, rounded to 1e-9 mm."""
     text = f"{round(value, 9) + 0.0:.9f}".rstrip("0")
     return text if text.endswith(".") or "." in text else text + "."
 

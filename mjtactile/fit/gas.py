@@ -23,7 +23,7 @@ from mjtactile.sim.sensor.gas import ChamberGas
 _OUTLIER = 3.0  # sd: from there on a reading counts less
 SHIFT_SD = 5.0  # standard deviation of a constant pressure error of a run, Pa
 SHARED = 5.0  # neighbouring pressures that are wrong alike, by the volume's errors
-PRIOR = 0.1  # 1/sd of the scaled numbers before anything was seen
+PRIOR = 0.1  # 1/sd of the scaled parameters without measurements
 _ML = 1e-6
 NAMES = ("extra_volume", "polytropic_exponent", "heat_exchange", "leak_conductance")
 
@@ -197,7 +197,7 @@ class _Problem:
         n = len(self.names)
         x = np.zeros(len(low))
         rounds = 2 if iterations > 3 else 1
-        for _ in range(rounds):  # again when the noise is known
+        for _ in range(rounds):  # repeated with the estimated noise
             self._sd = [
                 _noise(p - run.pressure)
                 for p, run in zip(self.pressures(x), self.runs, strict=True)
@@ -264,7 +264,7 @@ class _Problem:
 
 
 def _noise(left: Array) -> float:
-    """sd of residuals without their mean, robust; at least 1 Pa."""
+    """Compute the robust standard deviation of residuals without their median; at least 1 Pa."""
     left = left - np.median(left)
-    # the median of a squared normal number
+    # median of a squared normal variable
     return max(1.0, float(np.sqrt(np.median(left**2) / 0.4549)))

@@ -104,7 +104,7 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
 def _with_fixed_values(
     design: SensorDesign, known: Mapping[str, float]
 ) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
-    """The design with the values that are known, and these by section and attribute, SI."""
+    """Return the design with the known values, and these by section and attribute, SI."""
     by_section: dict[str, dict[str, float]] = {section: {} for section, *_ in SI.values()}
     for field, value in known.items():
         if field not in SI:
@@ -154,7 +154,7 @@ def _untold(
     section: str,
     order: Sequence[str],
 ) -> str | None:
-    """The first of `order` that was fitted and is not known well enough."""
+    """Return the first fitted parameter of `order` that is not determined accurately enough."""
     for name in order:
         if name not in values:
             continue
@@ -172,8 +172,11 @@ def _gas(
     mesh: tuple[int, int] | None,
     say: Say,
 ) -> GasFit | None:
-    """First with the volumes that the markers show, then with the recordings of presses simulated
-    as they went."""
+    """Fit the gas parameters in two stages.
+
+    The first uses the volumes estimated from the markers. The second simulates the recorded
+    indentations over time.
+    """
     with_pressure = [
         i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()
     ]

@@ -1,8 +1,8 @@
 """Measurements of one sensor in recordings: static marker positions, pressure and volume over time,
 images.
 
-The images pass through the product's own chain up to the markers (`SensingPipeline.see`). Recorded
-force estimates and ground truth are not used.
+The images pass through the product's own sensing pipeline up to the markers
+(`SensingPipeline.see`). Recorded force estimates and ground truth are not used.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ class Evidence:
     """One recording of one finger.
 
     `stage` is None if no contact is known. `flat` are the reference's images. `height_fraction` is
-    the standard deviation of a common relative error of all heights. A wrong lens shows on the flat
-    membrane.
+    the standard deviation of a common relative error of all heights. A wrong lens is detected on
+    the flat membrane.
     """
 
     name: str

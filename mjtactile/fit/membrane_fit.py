@@ -31,7 +31,7 @@ FAST = 0.02
 FAST_FLOOR = 5e-5
 SHIFT_SD = 4e-6  # common height error in a hold, m
 LOAD_CELL_SD = 0.01  # load cell error, N
-PRIOR = 1.0  # 1/sd of the scaled parameters before anything was seen: a factor of e, 0.2 of stretch
+PRIOR = 1.0  # 1/sd of the scaled parameters without measurements: a factor of e, 0.2 of stretch
 _NOWHERE = "sphere:8"
 # search for the unknown depth under a weight: first depth, m; iterations; relative force tolerance
 _FIRST_DEPTH = 2e-3
@@ -395,7 +395,7 @@ def _is_pressed(evidence: Evidence) -> bool:
 
 
 def _whitener(hold: Hold) -> tuple[Array, Array]:
-    """Rows of the markers that were seen, and their whitening (n, 3, 3)."""
+    """Return the rows of the detected markers, and their whitening matrices (n, 3, 3)."""
     rows = np.flatnonzero(np.isfinite(hold.p_SM).all(axis=1))
     noise = hold.cov[rows] + (FAST_FLOOR if is_fast(hold) else MARKER_FLOOR) ** 2 * np.eye(3)
     return rows, np.linalg.inv(np.linalg.cholesky(noise))

@@ -39,14 +39,14 @@ Say = Callable[[str], None]
 
 
 class Session:
-    """A rig with its sensing chains and their references.
+    """Rig with its sensing pipelines and their references.
 
     The caller that builds the rig must close it: `open_session` does both.
 
     Args:
         rig: The rig.
-        perceptions: The sensing chain of each finger; None: created here with `settings`.
-        settings: Settings of the chains created here.
+        perceptions: Sensing pipeline of each finger; None: created here with `settings`.
+        settings: Settings of the pipelines created here.
         threads: Number of perception threads in addition to the loop (None: automatic).
         pool: Perception processes instead of threads.
         contact_shapes: True to estimate the shape of every touch, even if the controller does not
@@ -127,7 +127,7 @@ class Session:
             self._zero(reference)
 
     def _zero(self, reference: ReferenceImages) -> None:
-        """Have each chain take its own images as its reference."""
+        """Take the reference of each sensing pipeline from its own images."""
         pressures = iter(reference.gauge_pressure)
         for finger, perception, images in zip(
             self.rig.fingers, self.perceptions, reference.images, strict=True
@@ -196,7 +196,7 @@ class Session:
         reads = "contact_shape" in getattr(controller, "reads", ())
         self._require_shapes(self._shapes or reads, controller.path if reads else None)
         notes = FlagObserver(lambda: self.flags, Observers(watching))
-        # in simulation, the forces outside the sensors are known
+        # simulation provides the forces outside the sensors, so only a real rig is monitored
         is_real = math.isfinite(self.rig.host_timeout)
         watched = [notes, self._push] if is_real else [notes]
         with signals.deferred() as stop, notes:
@@ -237,10 +237,9 @@ class Session:
             perception.contact_shapes = asks
 
     def make_safe(self, reason: str) -> None:
-        """Lower and open the hand from the next cycle of `run` on, whatever the controller
-        commands.
+        """Lower and open the gripper from the next cycle of `run` on.
 
-        It can be called from any thread.
+        The controller's commands are ignored. The method can be called from any thread.
 
         Args:
             reason: Reason, for the summary.
@@ -267,7 +266,7 @@ def open_session(
         design: Sensor on the fingers; only with a name.
         workers: Number of perception workers in addition to the loop (None: automatic, 0: none):
             threads on a real rig, processes in simulation.
-        settings: Settings of the sensing chains.
+        settings: Settings of the sensing pipelines.
         say: Callback for messages, one line each.
         **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 

@@ -39,7 +39,7 @@ class StepwiseControl:
             The observation, as a controller receives it.
 
         Raises:
-            DeviceError: A device failed; the hand is on its way down.
+            DeviceError: A device failed; the gripper is being lowered.
             SimulationError: The simulation failed.
         """
         if not self._sent:

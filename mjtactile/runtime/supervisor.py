@@ -5,8 +5,8 @@ States:
 - `idle`: nothing is sent.
 - `armed`: the references are taken, and the rig is ready.
 - `running`: the controller's command is passed on. The other states restrict or replace it.
-- `holding`: an estimate is unknown. The jaws do not close and the hand does not rise.
-- `safe`: the hand is lowered and opened automatically (`mjtactile.runtime.retreat`).
+- `holding`: an estimate is missing. The jaws do not close and the gripper does not rise.
+- `safe`: the gripper is lowered and opened automatically (`mjtactile.runtime.retreat`).
 - `latched`: final. `reason` holds the cause, and `doubt` the unverified part of the safe state
   (empty: none).
 
@@ -28,7 +28,7 @@ _LEAK_FRACTION = 0.8
 # consecutive cycles for a leak by shape; one is enough by pressure, since the valve driver repeats
 # surprising readings
 _SINK_CYCLES = 3
-# of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
+# fraction of the bulge volume without contact: leak criterion without a pressure sensor
 _BULGE_FRACTION = 0.6
 STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
@@ -102,7 +102,7 @@ class Supervisor:
         return wanted
 
     def make_safe(self, reason: str, now: float) -> None:
-        """Start the retreat: the hand is lowered and opened, whatever the controller commands."""
+        """Start the retreat: lower and open the gripper, and ignore the controller's commands."""
         if self.state not in ("safe", "latched"):
             self._enter("safe", reason, now)
 
@@ -185,8 +185,8 @@ class Supervisor:
     def _note_sealed(self, i: int, touch: Touch, valve: ValveState | None) -> None:
         """Store pressure and bulge volume of chamber `i` after sealing.
 
-        They are reset while its valve is open, which is not a leak. They are stored again when the
-        valve is closed and nothing is in contact.
+        They are reset while its valve is open, because that is not a leak. They are stored again
+        once the valve is closed and there is no contact.
         """
         assert self._sealed is not None and self._bulge is not None
         if valve is not None and valve.is_open:

@@ -25,7 +25,7 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 VERSION = "3"
 """Version, incremented with every change of the criteria or their measurement."""
 _EVERY = 0.02  # interval between evaluations of the minimum grip force, s
-_IN_AIR = 0.01  # minimum hand height at which the fingers alone carry the object, m
+_IN_AIR = 0.01  # minimum gripper height at which the fingers alone carry the object, m
 _LET_GO = 0.02  # maximum normal force per finger of a released object, N
 _PULL = 0.3  # minimum pull that requires a release, N
 _STANDS = 5e-3  # tolerance of the height of a standing object, m
@@ -45,7 +45,7 @@ class TaskScorer:
     pulls: float = math.nan
     margins: list[float] = field(default_factory=list)
     ready: list[float] = field(default_factory=list)
-    """The same over the least that holds against the push that was announced, too."""
+    """Ratio of grip force to the minimum that also withstands the announced push."""
     bump: float = math.nan
     """Impulse on the object during its placement, beyond its weight, N s."""
     let_go_at: float = math.nan
@@ -70,7 +70,8 @@ class TaskScorer:
         return cls(rig.scene, task, task.draw(scenario.seed, len(rig.fingers)).pulls())
 
     def after_stretch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
-        """Look at the truth after so many physics steps; `forces` N press on the fingers."""
+        """Evaluate the ground truth after `steps` physics steps, with normal `forces`, N, per
+        finger."""
         height = self._height()
         time = self.world.time
         second = sorted(forces)[-2:][0]  # contact on a single finger is not a grip
@@ -96,7 +97,7 @@ class TaskScorer:
                 self.ready.append(grip / (need + announced))
 
     def is_up(self) -> bool:
-        """Return True if the hand is at the height where the task's events start."""
+        """Return True if the gripper is at the height at which the task's events start."""
         return self._height() > 0.9 * self.task.orders.lift_height
 
     def in_the_air(self) -> bool:
@@ -149,7 +150,7 @@ class TaskScorer:
         return ""
 
     def measures(self) -> dict[str, float]:
-        """Return the known measures by name."""
+        """Return the available measures by name; non-finite values are omitted."""
         found = {"impact_N_s_true": self.bump}
         if self.margins:
             margins = np.array(self.margins)
@@ -202,7 +203,7 @@ class TaskScorer:
         return (first - second) / np.linalg.norm(first - second)
 
     def _height(self) -> float:
-        """Return the height of the hand above its start, m."""
+        """Return the height of the gripper above its start, m."""
         return float(ground_truth.gripper_position(self.world)[2]) - self._gripper_start
 
     def _weight(self) -> float:
@@ -210,7 +211,8 @@ class TaskScorer:
         return float(model.body_mass[self._bodies].sum() * np.linalg.norm(model.opt.gravity))
 
     def _standing(self) -> tuple[float, float]:
-        """Tilt of the object's own z axis, rad, and height of its middle over its place, m."""
+        """Return the tilt of the object's z axis, rad, and its center height above the target,
+        m."""
         _, turn = ground_truth.object_pose(self.world, self.world.solid)
         upright = 1 - 2 * float(turn[1] ** 2 + turn[2] ** 2)  # z of the turned z axis
         places = np.flatnonzero(self._places)

@@ -2,7 +2,7 @@
 
 A membrane cannot sense loads on its frame, on a finger's side, or between the jaws. The servo
 currents show such loads roughly. Data sheet torques are accurate to 20 %. Gear friction is learned
-while nothing touches.
+while there is no contact.
 """
 
 from __future__ import annotations

@@ -51,7 +51,11 @@ class WorkerProcess:
             unless_it_starts.pop_all()
 
     def begin(self, *question: Any) -> None:
-        """Raises DeviceError when it has ended, or takes nothing."""
+        """Send a question to the worker process.
+
+        A late answer to an earlier question is discarded first. Raises DeviceError if the process
+        has ended or accepts no message.
+        """
         try:
             while self._due and self._channel.receive(0.0) is not None:
                 self._due -= 1  # a late answer is discarded
@@ -187,7 +191,7 @@ class Channel:
         self._end.close()
         if self._lent is not None:
             self._lent.close()
-            self._lent = None  # a later question fails by the socket, as any other way to no end
+            self._lent = None  # a later question then fails at the socket
 
 
 def _value(whole: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:

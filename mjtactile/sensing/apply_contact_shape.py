@@ -15,7 +15,7 @@ from mjtactile.sensing.pipeline_state import PipelineState, Reference
 from mjtactile.sensing.settings import SlipSettings
 from mjtactile.sensing.touch.slip_from_motion import with_motion
 
-_GAUGE_STEP = 1.02  # of the gas at rest, after which shapes want another film
+_GAUGE_STEP = 1.02  # ratio of the rest pressure above which the shapes need a new membrane model
 
 
 def finder_gauge(reference: Reference) -> float:
@@ -99,7 +99,7 @@ def membrane_displacement(before: PipelineState, after: PipelineState) -> Membra
 def _patches_of(
     patches: tuple[Contact, ...], bodies: tuple[ContactShape, ...]
 ) -> tuple[Contact, ...]:
-    """Each with the area of the body that is nearest, if there are as many."""
+    """Return each patch with area and outline of its nearest shape, if the counts are equal."""
     if len(bodies) != len(patches):
         return patches
     left = list(bodies)

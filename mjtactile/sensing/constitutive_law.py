@@ -18,7 +18,7 @@ from mjtactile.core.types import Array
 # stretches of 0.47 to 2.7; linear between: q is good to 1e-6
 _LOG_DET = np.linspace(-3.0, 4.0, 7001)
 _NEWTON_STEPS = 10  # 8 take every Poisson's ratio to rounding
-_MIN_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardly changes
+_MIN_POISSON = 0.005  # minimum: below it exp(1 / nu) overflows, and the thickness hardly changes
 
 
 class ConstitutiveLaw:

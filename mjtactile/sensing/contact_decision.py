@@ -168,7 +168,7 @@ class ContactDecision:
     def _with_zero_followed(
         self, state: PipelineState, estimate: Estimate, elapsed: float
     ) -> PipelineState:
-        """The rest reference follows a membrane that nothing has touched for a while."""
+        """Return the state with the rest reference updated to a membrane without recent contact."""
         if state.reference is None:
             return state
         rest = estimate.rest

@@ -1,7 +1,7 @@
-"""Use of fiducials in the sensing chain.
+"""Use of fiducials in the sensing pipeline.
 
-They are separated from markers. Markers are corrected to their positions as seen by the camera at
-the rest reference.
+They are separated from markers. Markers are corrected to their positions as observed by the camera
+at the rest reference.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from mjtactile.sensing.settings import Settings
 
 
 class FiducialCompensation:
-    """The camera of one sensor, known by its fiducials; nothing changes.
+    """Compensation of one sensor's camera drift by its fiducials. Stateless.
 
     Args:
         design: The sensor's values, with fiducials.
         camera: Its camera.
-        settings: The stages' chosen numbers.
+        settings: Settings of the stages.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera, settings: Settings):

@@ -1,4 +1,4 @@
-"""Markers in images: found, identified, and judged whether they are enough."""
+"""Detection and identification of markers in images, with a check for a sufficient number."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class MarkerDetector:
         self._blend = BlendEstimator(design.markers.p_SM)
         self._are_enough = estimator.has_enough_markers
         self._circles = design.markers.count + (0 if self.known is None else self.known.count)
-        # seen 60 degrees aslant and from half as far again
+        # radius at a view angle of 60 degrees and 1.5 times the distance
         self._smallest_px = max(
             1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance
         )
@@ -144,7 +144,7 @@ class MarkerDetector:
             )
 
     def require(self, markers: Markers, what: str) -> None:
-        """Raise DeviceError for too few markers, or places that are no numbers."""
+        """Raise DeviceError for too few markers, or for non-finite positions."""
         known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
         if known < len(markers) or self.enough(markers) != OK:
             raise DeviceError(
@@ -166,15 +166,17 @@ def _largest_px(design: SensorDesign, camera: Camera) -> float:
 
 
 def moved(expected: Array, markers: Markers) -> Array:
-    """`expected` with the markers that were seen where they are now."""
+    """Return `expected` with the detected markers at their current positions."""
     expected = expected.copy()
     expected[markers.ids] = markers.p_SM
     return expected
 
 
 def average(seen: Sequence[Markers]) -> Markers:
-    """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
-    saw it."""
+    """Return the mean of repeated measurements of markers at rest.
+
+    A marker counts if it is detected in at least half of them.
+    """
     count = np.bincount(np.concatenate([m.ids for m in seen]))
     total = np.zeros((len(count), 3))
     normal = np.zeros((len(count), 3))

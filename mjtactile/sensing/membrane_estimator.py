@@ -25,7 +25,7 @@ from mjtactile.sensing.settings import Settings
 
 _SAME_TIME = 0.1  # maximum time between an image and a reading that are compared, s
 _NOISE_SD = 3.0  # standard deviations of a reading that contradict nothing
-_SET_ASIDE_FRACTION = 0.03  # of the markers, and at least one: more are not dirt
+_SET_ASIDE_FRACTION = 0.03  # maximum fraction of the markers, and at least one: more are not dirt
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class MembraneEstimator:
     ) -> Estimate:
         """Estimate the shape that explains these markers, or all but one.
 
-        Dirt on a marker makes it look larger, and nearer. Such a marker is excluded from then on.
+        Dirt on a marker makes it appear larger, and nearer. Such a marker is excluded from then on.
 
         Args:
             state: State from the previous image.
@@ -194,7 +194,7 @@ class MembraneEstimator:
         evidence = fit(fresh, wide).shape.log_evidence
         if evidence < minimum:
             return None
-        # while a face presses, its load is not taken for a camera that changes
+        # while a face is in contact, its load is not interpreted as a camera change
         for other in () if state.face else self._changed(state, found):
             rival = fit(other)
             likelier = rival.shape.log_evidence - s.face_change > evidence
@@ -207,7 +207,8 @@ class MembraneEstimator:
         return replace(face, state=kept)
 
     def _changed(self, state: PipelineState, found: Estimate) -> list[PipelineState]:
-        """Return the rivals of a wide face: a knocked camera or lost gas, and another drift."""
+        """Return the states that compete with a wide face: knocked camera or lost gas, and another
+        drift."""
         rivals = []
         if state.camera is None or found.state.gas is None:
             rivals.append(replace(state, belief=None, knocked=KNOCKS_SURE))

@@ -1,13 +1,13 @@
-"""Sensing chain of one sensor, from an image to a touch.
+"""Sensing pipeline of one sensor, from an image to a touch.
 
-It is the only module where the stages meet, and it uses pixels only. A `SensingPipeline` is the
+It is the only module that combines the stages, and it uses pixels only. A `SensingPipeline` is the
 constant part: the sensor and the operators made from its design. A `PipelineState` is the part
 passed from one image to the next. `step(state, image, now)` returns the touch and the next state
 and changes nothing. So a state can be stored, replayed, passed to another process, or used twice.
 
 A sensor first measures its own reference, as the real device must. It measures the flat membrane
-with the valve open, then the inflated one without contact. `StatefulPipeline` combines a chain with
-its newest state, for purely sequential use.
+with the valve open, then the inflated one without contact. `StatefulPipeline` combines a pipeline
+with its newest state, for purely sequential use.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from mjtactile.sensing.touch import slip
 
 
 class SensingPipeline:
-    """Sensing chain of one sensor. Stateless; its operators are made from the design once.
+    """Sensing pipeline of one sensor. Stateless; its operators are made from the design once.
 
     Calibrated values replace those of the sensor file, unless they are outdated. The force comes
     from inverse finite elements.
@@ -121,13 +121,13 @@ class SensingPipeline:
 
         Args:
             state: Any state; its own references are replaced.
-            images: With the valve open to the air, nothing touching.
+            images: Images with the valve open to the air, and without contact.
 
         Returns:
             The state with the flat reference.
 
         Raises:
-            DeviceError: Too few markers are seen, or they do not agree with the sensor file.
+            DeviceError: Too few markers are detected, or they do not agree with the sensor file.
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
         seen = [
@@ -167,17 +167,17 @@ class SensingPipeline:
         return self.load_rest_reference(state, markers, gauge_pressure, sealed=sealed, time=time)
 
     def detect_rest_markers(self, state: PipelineState, images: Sequence[Image]) -> Markers:
-        """Find the markers of an inflated membrane that nothing touches.
+        """Detect the markers of an inflated membrane without contact.
 
         Args:
-            state: With the flat reference.
-            images: Of the membrane at rest.
+            state: State with the flat reference.
+            images: Images of the membrane at rest.
 
         Returns:
-            The markers, the mean of the images.
+            The markers, averaged over the images.
 
         Raises:
-            DeviceError: Too few are seen.
+            DeviceError: Too few markers are detected.
         """
         expected = self.design.markers.p_SM
         seen = []

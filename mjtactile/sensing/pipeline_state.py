@@ -50,7 +50,7 @@ class PipelineState:
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
     - `knocked`: number of successive images in which the camera seemed knocked. With fiducials, it
       counts images in which gas seemed lost. From `KNOCKS_SURE` on this is accepted.
-    - `face`: True if a face wider than the frame pressed in the last image.
+    - `face`: True if a face wider than the frame was in contact in the last image.
     - `unexplained`: number of images since the markers could not be explained.
     - `lost_at` (3,): force in the last explained image, N.
     - `fiducials`: those of the last image; `camera`: camera drift from them.

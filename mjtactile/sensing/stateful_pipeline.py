@@ -1,4 +1,4 @@
-"""A chain and its newest state together, for those that only go forward in time."""
+"""Sensing pipeline combined with its newest state, for sequential use only."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mjtactile.sensing.settings import DEFAULTS, Settings
 
 
 class StatefulPipeline:
-    """A chain and its newest state, for callers that only go forward in time.
+    """Sensing pipeline and its newest state, for callers that only go forward in time.
 
     Args:
-        chain: The chain.
+        chain: The sensing pipeline.
         state: Initial state; None: the state before any measurement.
         contact_shapes: True if every touch gets its `shape`; docs/reference/effects.md lists the
             cost.
@@ -54,7 +54,7 @@ class StatefulPipeline:
             settings: The stages' parameters.
 
         Returns:
-            Its chain, with the state before any measurement.
+            The pipeline, with the state before any measurement.
         """
         return cls(SensingPipeline(design, calibration, settings=settings))
 
@@ -62,7 +62,7 @@ class StatefulPipeline:
         """Take the flat reference; see `SensingPipeline.measure_flat_reference`.
 
         Args:
-            images: With the valve open to the air, nothing touching.
+            images: Images with the valve open to the air, and without contact.
 
         Returns:
             The flat reference.

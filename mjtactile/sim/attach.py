@@ -198,7 +198,7 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
         design: The sensor.
 
     Returns:
-        The numbers along x and y.
+        The vertex counts along x and y.
     """
     frame = design.frame
     if frame.outline is None:
@@ -309,8 +309,10 @@ def check_options(option: Any, *, source: str) -> None:
 
 
 def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
-    """The site to attach to. Raises InputError when it is not there, or on a body that cannot carry
-    a membrane."""
+    """Return the site to attach to.
+
+    Raises InputError if the site is missing, or on a MuJoCo body that cannot carry a membrane.
+    """
     found = spec.site(site) if isinstance(site, str) else site
     if found is None:
         raise InputError(
@@ -331,7 +333,7 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
 
 
 def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
-    """The name of the mocap body that `body` is, or is fixed to; None for all others."""
+    """Return the name of the mocap body that `body` is, or is fixed to; None for all others."""
     while body is not None and not list(body.joints):
         if body.mocap:
             return body.name

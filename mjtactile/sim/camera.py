@@ -14,7 +14,7 @@ from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_camera_effe
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _EXPOSURE = 8e-3  # exposure time for motion blur, s
-_SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers are drawn
+_SHUTTER = (0.0, 0.5, 1.0)  # fractions of the exposure at which the moving markers are rendered
 
 
 class SimCamera:
@@ -37,7 +37,7 @@ class SimCamera:
         `SyntheticEllipses`. LATENCY returns the previous image, MOTION_BLUR averages over the
         exposure. `specimen` gives the true camera pose, the missing markers, and the image faults.
 
-        Raises InputError for image faults without IMAGES, and without CHAIN, since touch is drawn
+        Raises InputError for image faults without IMAGES, and without CHAIN, since touch is sampled
         directly in grasps only.
         """
         if Effect.CHAIN not in effects:

@@ -45,7 +45,8 @@ class Stepper:
         self._old_warnings = int(self._warnings.sum())
         self._monitor = SceneMonitor(model, data, self._sensors)
         self._unsolved = [0, 0]
-        """Steps whose solver ran out of iterations, since the last look and in the one before."""
+        """Steps whose solver ran out of iterations: since the last check, and in the period before
+        it."""
         period = _QS_CHECK_PERIOD if self._monitor.only_quasistatic else _CHECK_PERIOD
         self._check_every = max(1, round(period / float(model.opt.timestep)))
         self.flags: Flags = self._monitor.built()
@@ -70,7 +71,7 @@ class Stepper:
 
     @property
     def until_check(self) -> int:
-        """Steps until the next look."""
+        """Return the number of steps until the next check."""
         return self._check_every - self.step_count % self._check_every
 
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:

@@ -37,7 +37,7 @@ class SimClock:
 
     def __init__(self, world: World):
         self._world = world
-        # both draw, one steps
+        # both threads render, one of them steps
         self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")
         self._running: Future[None] | _Later | None = None
         self._pending: list[Callable[[], None]] = []
@@ -128,7 +128,7 @@ class SimValve:
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
-        """Draw the gauge's noise from another generator."""
+        """Set the generator of the pressure sensor's noise."""
         self._rng = np.random.default_rng([seed, 2])
 
     def state(self) -> ValveState:
@@ -193,7 +193,7 @@ class SimGripper:
             world.after_each_stretch(self._apply_late, self._due)
 
     def reseed(self, seed: int) -> None:
-        """Draw noise and delays from another generator."""
+        """Set the generator of noise and delays."""
         self._rng = np.random.default_rng([seed, 1])
 
     def ask(self) -> None:

@@ -25,7 +25,7 @@ from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missin
 from mjtactile.sim.scenes.mjcf import read_mjcf
 
 _ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test, m
-# of a site's z to the middle of the fingertips
+# limit between a site's z and the direction to the center of the fingertips
 _INWARD = math.cos(math.radians(60))
 _ASKEW = math.cos(math.radians(10))
 _LEANING = math.sin(math.radians(5))  # of a site's z from the horizontal
@@ -101,7 +101,7 @@ def _tip_height(designs: tuple[SensorDesign, ...]) -> float:
 
 
 def _fingers(world: GripperWorld) -> Iterator[Finding]:
-    """Each fingertip's site: does it look at the others, is it level with them."""
+    """Check each fingertip's site: direction toward the other fingertips, and height."""
     p_WS, z_W = _tips(world)
     centre = p_WS.mean(axis=0)
     for finger, place, inward in zip(world.rig.fingers, p_WS, z_W, strict=True):
@@ -180,7 +180,7 @@ def _motions(world: GripperWorld) -> Iterator[Finding]:
     rig = world.rig
     low, high = world.rig.gripper.opening
     if touching := touched_by_sensors(world):
-        yield from _touches({"at its start": touching})  # nothing can be measured from there
+        yield from _touches({"at its start": touching})  # no measurement is possible from there
         return
     for sensor in range(len(world.sensors)):
         world.open_valve(sensor)
@@ -334,7 +334,9 @@ def _tips(world: GripperWorld) -> tuple[Array, Array]:
 
 
 def _opening_seen(world: GripperWorld) -> float:
-    """Twice the mean distance of the fingertips from their middle, along their sensors' directions,
-    m."""
+    """Return twice the mean distance of the fingertips from their center, m.
+
+    The distance is measured along their sensors' directions.
+    """
     p_WS, z_W = _tips(world)
     return 2 * float(np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * z_W, axis=1)))

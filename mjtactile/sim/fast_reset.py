@@ -53,8 +53,8 @@ class Restart:
         self._rig.gripper.reseed(seed)  # pyright: ignore[reportAttributeAccessIssue]
 
     def _move(self, pose: tuple[float, float, float]) -> None:
-        """Move all that came with the object's file as one, about the hand's own axes on the
-        table."""
+        """Move all MuJoCo bodies of the object's file together, relative to the gripper's axes on
+        the table."""
         world = self._world
         model = world.model
         data = world.data
@@ -84,7 +84,7 @@ class Restart:
 
 
 def movable(world: GraspWorld) -> bool:
-    """Return True if all bodies of the object's file are fixed or free in the world.
+    """Return True if all MuJoCo bodies of the object's file are fixed or free in the world.
 
     Flexes and loose geoms are not movable.
     """
@@ -100,7 +100,7 @@ def movable(world: GraspWorld) -> bool:
 
 
 def _own_bodies(model: mujoco.MjModel) -> list[int]:
-    """Bodies of the object's file that stand in the world."""
+    """Return the MuJoCo bodies of the object's file that are direct children of the world."""
     return [
         body
         for body in range(1, model.nbody)
@@ -109,9 +109,9 @@ def _own_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def _planar(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
-    """Return R (3, 3) and p (3,), m, in W, of the object's file's world.
+    """Return rotation R (3, 3) and position p (3,), m, in W, of the object file's world.
 
-    It is placed at `pose` relative to the hand, like in `GraspWorld`.
+    It is placed at `pose` relative to the gripper, like in `GraspWorld`.
     """
     x, y, turn = pose
     cos = math.cos(yaw)

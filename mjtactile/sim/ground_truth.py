@@ -66,8 +66,10 @@ def patch(world: World, sensor: int) -> tuple[Array, float]:
 
 
 def contact_force(world: World, sensor: int) -> Array:
-    """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a
-    negative z."""
+    """Return the total force (3,), N, of the world on membrane `sensor`, frame S.
+
+    Its z component is negative in contact.
+    """
     return contact_loads(world, [world.sensors[sensor]])[0]
 
 
@@ -236,7 +238,7 @@ def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Arra
     """Return heights (nx, ny) m in S of the contacting objects over points `x`, `y` (nx, ny) m.
 
     Heights are those of the first hit of a ray along the sensor's axis; inf without a hit. Each
-    flex, and all collision geoms of each body in contact, are included.
+    flex, and all collision geoms of each MuJoCo body in contact, are included.
     """
     model = world.model
     data = world.data
@@ -272,7 +274,7 @@ def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Arra
 def _ray(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, start: Array, along: Array
 ) -> float:
-    """Way, m, from `start` to a geom, frame W; -1 where it passes."""
+    """Return the distance, m, from `start` to a geom, frame W; -1 if the ray misses it."""
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return mujoco.mj_rayMesh(model, data, geom, start, along)
@@ -300,7 +302,7 @@ def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
 
 
 def object_bodies(world: World) -> NDArray[np.int64]:
-    """Return the grasped object's bodies, including soft parts; an argument of
+    """Return the grasped object's MuJoCo bodies, including soft parts; an argument of
     `object_position`."""
     return moving_bodies(world.model, PREFIX)
 
@@ -333,11 +335,11 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
 
 
 def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Array]:
-    """Return position `p_WO` (3,) m and rotation of the body `object`, frame W.
+    """Return position `p_WO` (3,) m and rotation of the MuJoCo body `object`, frame W.
 
-    The rotation is a unit quaternion (4,) with its real part first. The body of a soft object, a
-    `solid`, stays behind. It is moved along with the solid's best-fitting rigid pose, relative to
-    the initial one.
+    The rotation is a unit quaternion (4,) with its real part first. The MuJoCo body of a soft
+    object, a `solid`, stays behind. It is moved along with the solid's best-fitting rigid pose,
+    relative to the initial one.
     """
     body = world.model.body(PREFIX + "object").id
     p_WO = world.data.xpos[body].copy()
@@ -353,7 +355,7 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
 
 
 def gripper_position(world: GripperWorld) -> Array:
-    """Position (3,) m of the hand that carries the fingers, frame W."""
+    """Return the position (3,), m, of the gripper that carries the fingers, frame W."""
     return world.data.xpos[world.start.hand].copy()
 
 

@@ -11,6 +11,5 @@ _logger = logging.getLogger("mjtactile.mujoco")
 
 
 def route_warnings() -> None:
-    """Send MuJoCo's warnings to Python's logging, and nothing to a file. Holds for the whole
-    process."""
+    """Send MuJoCo's warnings to Python's logging instead of a file, for the whole process."""
     mujoco.set_mju_user_warning(_logger.warning)

@@ -1,7 +1,7 @@
 """Shape of a stretched membrane on an obstacle under pressure.
 
-It is finer than the simulation mesh. The model membrane has the uniform tension T found near the
-contact. It has the gas pressure p and a height w over the frame:
+It is finer than the simulation mesh. The model membrane has the uniform tension T estimated near
+the contact. It has the gas pressure p and a height w over the frame:
 
     div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,
     w <= obstacle,   q >= 0,   q = 0 where it does not touch.
@@ -44,7 +44,7 @@ class ObstacleContact:
 
     @property
     def area(self) -> float:
-        """Area of the sheet in contact, m^2."""
+        """Area of the membrane in contact, m^2."""
         slopes = np.gradient(self.w, self.spacing)
         return (
             float((self.share * np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)).sum())

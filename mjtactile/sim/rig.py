@@ -59,7 +59,7 @@ class _Plan:
 
     @property
     def steps_per_second(self) -> float:
-        """A whole number of steps is the time of one image."""
+        """Number of steps per second, Hz; each image period is a whole number of steps."""
         largest = _LARGEST_STEP
         if self.fidelity is not None:
             largest = self.fidelity.timestep * (1 + 1e-9)
@@ -209,8 +209,8 @@ def _cameras(
     specimens: Sequence[AsBuiltSensor],
     drawn: Drawn,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
-    """Return the image source of each sensor: a camera, or without a chain a synthetic touch
-    source."""
+    """Return the image source of each sensor: a camera, or a synthetic touch source without a
+    sensing pipeline."""
     if Effect.CHAIN in on:
         return tuple(
             SimCamera(sensor, seed, on, own)

@@ -31,12 +31,9 @@ def presses(sensor, *, gauge):
     ("sensor", "gauge", "error"),
     [
         ("paper16", True, 0.09),
-        pytest.param("dense", True, 0.10, marks=pytest.mark.slow),
-        pytest.param("round30", True, 0.09, marks=pytest.mark.slow),
         pytest.param("fine", True, 0.12, marks=pytest.mark.slow),
         pytest.param("dense", False, 0.16, marks=pytest.mark.slow),
         pytest.param("paper16", False, 0.14, marks=pytest.mark.slow),
-        pytest.param("round30", False, 0.13, marks=pytest.mark.slow),
     ],
 )
 def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):

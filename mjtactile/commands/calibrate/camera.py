@@ -1,5 +1,5 @@
-"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board, or of
-circles on a grid."""
+"""`mjtactile calibrate camera`: lens and focal length from images of a ChArUco board, or of circles
+on a grid."""
 
 from __future__ import annotations
 
@@ -125,7 +125,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _fits(fit, design) -> list[str]:
-    """Why the camera is refused for this sensor; nothing for a good one."""
+    """Return the reasons why the camera is rejected for this sensor; an empty list if it is
+    valid."""
     size = design.camera.width, design.camera.height
     wrong = (
         f"the images have {fit.size[0]} x {fit.size[1]} pixels, but sensor {design.name!r} "

@@ -176,7 +176,10 @@ def _recorded(
 def _references(
     options: argparse.Namespace, goal: output_options.OutputFile, before: Calibration
 ) -> Any:
-    """A chain with references: of --flat and --rest, else of the calibration's own part `frame`."""
+    """Return a sensing pipeline with references from --flat and --rest.
+
+    Without them, the references come from the calibration's own part `frame`.
+    """
     from mjtactile import SensingPipeline, StatefulPipeline
     from mjtactile.calibrate.force import ready_perception
 
@@ -197,7 +200,7 @@ def _references(
 
 
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:
-    """The lines of a table of loads, checked; pictures are read when their turn comes."""
+    """Read and check the lines of a table of loads. Images are read only when required."""
     from mjtactile.calibrate.force import GRAVITY
     from mjtactile.calibrate.result_io import read_columns
 

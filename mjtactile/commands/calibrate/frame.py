@@ -104,7 +104,7 @@ def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
 
 
 def _live(options: argparse.Namespace, targets: list[output_options.OutputFile]) -> list[Taken]:
-    """Open the valves, take pictures, inflate, seal, take pictures; the jaws stand still."""
+    """Open the valves, take images, inflate, seal, and take images again. The jaws do not move."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.interactive import reference_images
 

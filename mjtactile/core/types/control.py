@@ -23,7 +23,7 @@ MEMORY_MAX = 100_000
 
 
 def _finite(value: Any, name: str) -> float:
-    """A number of a Command. Raises InputError."""
+    """Return a finite number of a Command. Raises InputError for any other."""
     with contextlib.suppress(ArithmeticError, TypeError, ValueError):
         if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)

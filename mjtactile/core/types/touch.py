@@ -196,7 +196,7 @@ class Touch:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticTouch(Image):
-    """In place of an image: the `touch` that would be found in it. It has no pixels."""
+    """Replacement for an image without pixels: it holds the `touch` that would be estimated."""
 
     touch: Touch | None = None
 

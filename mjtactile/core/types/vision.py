@@ -66,7 +66,7 @@ class Ellipses:
 
 @dataclass(frozen=True, eq=False)
 class SyntheticEllipses(Image):
-    """In place of an image: the `ellipses` that would be found in it. It has no pixels."""
+    """Replacement for an image without pixels: it holds the `ellipses` that would be detected."""
 
     ellipses: Ellipses | None = None
 

@@ -85,12 +85,12 @@ class OpenCvCamera:
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
         self._period = 1.0 / config.rate
-        # Decoding a JPEG straight to grey takes 1.2 ms where FFmpeg's way over its colours takes
-        # 1.9 ms.
+        # Direct decoding of a JPEG to gray takes 1.2 ms; FFmpeg takes 1.9 ms, since it decodes the
+        # colors.
         self._is_raw = config.backend == "ffmpeg" and config.fourcc == "MJPG"
         self._condition = threading.Condition()
         self._newest: Image | None = None
-        self._fresh_time = -math.inf  # when the picture last changed
+        self._fresh_time = -math.inf  # time of the last change of the image
         self._error: str | None = None
         self._stopping = scaled_clock.Event()
         self._capture = (capture or self._open)()
@@ -110,8 +110,8 @@ class OpenCvCamera:
         self._await_first()
 
     def read(self) -> Image:
-        """The newest picture; its `time` is that of capture, monotonic s. Raises DeviceError when
-        it is stale."""
+        """Return the newest image; its `time` is the capture time, monotonic s. Raises DeviceError
+        for an outdated image."""
         with self._condition:
             image = self._newest
             fresh = self._fresh_time
@@ -131,8 +131,8 @@ class OpenCvCamera:
         return image
 
     def wait_newer(self, than: float, timeout: float) -> bool:
-        """Wait until there is a picture captured after `than` s; False when there is none within
-        `timeout` s."""
+        """Wait for an image captured after `than` s. Return False if none arrives within `timeout`
+        s."""
         with self._condition:
             return self._condition.wait_for(
                 lambda: (
@@ -159,8 +159,8 @@ class OpenCvCamera:
     def _open(self) -> Capture:
         config = self.config
         if config.backend == "ffmpeg":
-            # One thread: several would each hold a picture back, which is latency. A JPEG is taken
-            # as it comes.
+            # One thread: each further thread would hold back an image and add latency. A JPEG is
+            # passed on undecoded.
             raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
             return cv2.VideoCapture(
                 config.source,
@@ -238,7 +238,7 @@ class OpenCvCamera:
                 self._accept(pixels)
                 continue
             failures += 1
-            # one broken JPEG is a lost picture; three failures in a row are a lost camera
+            # one broken JPEG is a lost image; three failures in a row are a lost camera
             if failures >= 3:
                 reason = self._no_image_reason()
                 if good and self._is_raw:
@@ -261,8 +261,7 @@ class OpenCvCamera:
         captured = self._capture_time(arrival)
         with self._condition:
             last = self._newest
-            # Sensor noise makes true pictures differ, but for those that are white or black all
-            # over.
+            # Sensor noise makes real images differ, except all-white and all-black ones.
             same = (
                 last is not None and np.array_equal(gray, last.pixels) and gray.min() != gray.max()
             )
@@ -282,8 +281,11 @@ class OpenCvCamera:
         del self.counters.intervals[:-1000]
 
     def _capture_time(self, arrival: float) -> float:
-        """Kernel time of the frame (V4L2 stamps on the monotonic clock), or arrival less the
-        stream's known delay."""
+        """Return the capture time of a frame.
+
+        It is the kernel time (V4L2 stamps on the monotonic clock), or the arrival minus the
+        stream's known delay.
+        """
         if self.config.timestamps == "arrival":
             return arrival - self.config.delay
         kernel = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)

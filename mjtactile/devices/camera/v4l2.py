@@ -42,7 +42,7 @@ class VideoDevice:
 
 
 def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
-    """All that send pictures; `root`: of the file system."""
+    """List all devices that send images; `root`: root of the file system."""
     found = []
     for folder in sorted(
         (root / "sys/class/video4linux").glob("video*"),
@@ -101,7 +101,7 @@ def _codes(number: int, ioctl: Ioctl) -> Iterator[int]:
 def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
     for data in _entries(number, _ENUM_FRAMESIZES, 44, (code,), ioctl):
         kind, width, height = struct.unpack_from("3I", data, 8)
-        # a range (least, largest and step of the width, then of the height): its largest
+        # a range (minimum, maximum and step of the width, then of the height): use its maximum
         if kind != _DISCRETE:
             _, width, _, _, height = struct.unpack_from("5I", data, 12)
         yield width, height
@@ -112,7 +112,7 @@ def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
 def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl) -> float:
     rates = [0.0]
     for data in _entries(number, _ENUM_FRAMEINTERVALS, 52, (code, width, height), ioctl):
-        # of the interval, or of the least of a range
+        # the interval, or the minimum of a range of intervals
         numerator, denominator = struct.unpack_from("2I", data, 20)
         rates.append(denominator / numerator if numerator else 0.0)
     return max(rates)

@@ -20,7 +20,7 @@ from mjtactile.rig.doctor_finding import Finding
 from mjtactile.rig.file import RigFile, load_rig_file
 from mjtactile.rig.sensors import calibration_findings, finger_design
 
-# times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
+# maximum ratio to the data sheet's torque per ampere; gear friction takes up to 20 % of it
 _TORQUE_OFF_MAX = 1.5
 _MAY_FALL = "a held object falls when the host is lost: use servos that brake, or a cup below"
 
@@ -72,7 +72,8 @@ def examine(
 
 
 def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
-    """Torque per ampere that no specimen of the model can have: forces would be off by as much."""
+    """Report a torque per ampere outside of the servo model's range. Forces would have the same
+    error."""
     for servo in rig_file.gripper.servos:
         model = MODELS.get(servo.model)
         if model is None or servo.torque_per_A is None:

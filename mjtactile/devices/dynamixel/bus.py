@@ -29,7 +29,7 @@ from mjtactile.core import scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.port import PacketHandler, Port
 
-# places in a status packet
+# byte positions in a status packet
 _ID = 4
 _LENGTH = 5
 _ERROR = 8
@@ -103,7 +103,7 @@ class DynamixelBus:
                 self._port.closePort()
 
     def ping(self, servo: int) -> tuple[int, int]:
-        """Model number and firmware version of one servo. Raises BusError when it does not
+        """Return model number and firmware version of one servo. Raises BusError if it does not
         answer."""
         with self._transaction(servo):
             packet = self._exchange(servo, [1], reply=3)

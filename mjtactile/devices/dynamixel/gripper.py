@@ -211,7 +211,7 @@ class DynamixelGripper:
     def _find_place(self, servo: Servo, ticks: int) -> None:
         """Determine the servo's turn from the possible range of its jaw."""
         if servo.id not in self._jaws:
-            self._lift_zero_ticks = ticks  # the lift's height is measured from where it stands
+            self._lift_zero_ticks = ticks  # the lift's height is relative to its current position
             return
         jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
         low, high = (limit / len(self._jaws) for limit in self.config.opening)
@@ -243,8 +243,8 @@ class DynamixelGripper:
         return int(min(max(1, units), servo.model.current_max_units))
 
     def _first_current(self, servo: Servo) -> int:
-        """Enough to hold still until the first command: a lift carries its hand, jaws are
-        gentle."""
+        """Return the current limit until the first command. A lift must carry its gripper; jaws get
+        the gentle force limit."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             return jaw.current_units(self._force_limit, servo.ticks)
@@ -362,7 +362,7 @@ class DynamixelGripper:
                     or now - self._bus_time < interval
                 ):
                     continue
-                # the loop's next call meets the same trouble and raises it
+                # the loop's next call encounters the same fault and raises it
                 with contextlib.suppress(DeviceError):
                     self._refresh()
                     self._poll_one()

@@ -20,8 +20,8 @@ _LIMIT_SAMPLES = 32
 
 
 class JawServo:
-    """Units of one jaw servo. Raises InputError when its law cannot be inverted or its model is not
-    known."""
+    """Units of one jaw servo. Raises InputError if its law cannot be inverted or its model is
+    unknown."""
 
     def __init__(self, config: ServoConfig, source: str):
         self.config = config
@@ -65,7 +65,7 @@ class JawServo:
         )
 
     def current_limit(self, force: float, low: float, high: float) -> int:
-        """The most of `current_units` wherever its jaw is between [`low`, `high`] m."""
+        """Return the maximum of `current_units` over the jaw range [`low`, `high`] m."""
         parts = (low + (high - low) * i / _LIMIT_SAMPLES for i in range(_LIMIT_SAMPLES + 1))
         return max(self.current_units(force, self.ticks(part)) for part in parts)
 

@@ -57,8 +57,11 @@ class Port(PortHandler):
         return 1e3 * scaled_clock.monotonic()
 
     def isPacketTimeout(self) -> bool:
-        """Late only when nothing is waiting to be read: it may be this thread that was late. A
-        babbler gets no more time."""
+        """Return True if the reply is late and no data is waiting to be read.
+
+        With waiting data, this thread may have been late. A device that sends continuously gets no
+        additional time.
+        """
         passed = self.getTimeSinceStart()
         return passed > self.packet_timeout and (
             self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout
@@ -69,7 +72,7 @@ class Port(PortHandler):
 
 
 class PacketHandler(Protocol2PacketHandler):
-    """The SDK's packets, with byte stuffing that works in place and for more than one place in a
+    """Packet handler of the SDK with in-place byte stuffing, also at several positions in a
     packet."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:

@@ -293,7 +293,7 @@ class ServoReport:
 
 
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
-    """Ask one servo about itself. Changes nothing. Raises BusError."""
+    """Read the properties of one servo without changing any setting. Raises BusError."""
     number, firmware = bus.ping(servo)
     if number in MODEL_BY_NUMBER:
         name = MODEL_BY_NUMBER[number].name

@@ -73,7 +73,7 @@ class Register:
 
 def _rows() -> tuple[ServoModel, ...]:
     return (
-        # number, name, A per unit, largest current limit, N m per A
+        # model number, name, A per unit, largest current limit, N m per A
         ServoModel(1190, "XL330-M077", 1.00e-3, 1750, 0.146),  # 0.215 N m, 1.47 A at 5 V
         ServoModel(1200, "XL330-M288", 1.00e-3, 1750, 0.354),  # 0.52 N m, 1.47 A at 5 V
         ServoModel(1210, "XC330-T181", 1.00e-3, 910, 0.95),  # 0.76 N m, 0.80 A at 11.1 V
@@ -102,8 +102,8 @@ NO_CURRENT_CONTROL: Mapping[int, str] = {
 
 
 def require_model(number: int, where: str) -> ServoModel:
-    """The model with this number. Raises DeviceError for one that cannot limit its force or whose
-    units are not known."""
+    """Return the model with this number. Raises DeviceError for a model without force limit or with
+    unknown units."""
     if number in NO_CURRENT_CONTROL:
         raise DeviceError(
             f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot "
@@ -121,7 +121,7 @@ def require_model(number: int, where: str) -> ServoModel:
 def load_table(stem: str) -> Mapping[str, Register]:
     """Registers by name from the SDK's `<stem>.model`. Raises DeviceError when the SDK does not
     ship it."""
-    # found, not imported: only its tables are wanted
+    # located, not imported: only its tables are required
     package = importlib.util.find_spec("dynamixel_easy_sdk")
     folders = [] if package is None else list(package.submodule_search_locations or [])
     path = next(

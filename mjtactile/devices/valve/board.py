@@ -147,8 +147,8 @@ class ValveBoard:
         return reading
 
     def measure(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
-        """Ask the board now, for at most `disk_wait_time` s (None: a command's). Raises
-        DeviceError."""
+        """Query the board, with a wait of at most `disk_wait_time` s (None: a command's time).
+        Raises DeviceError."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             return self._with_retry(lambda: self._read(channel, disk_wait_time))
@@ -260,7 +260,7 @@ class ValveBoard:
 
     @staticmethod
     def _with_retry(act: Callable[[], _T]) -> _T:
-        """Once more when nothing comes: a command that is heard twice does the same."""
+        """Repeat a command if no reply arrives. A command received twice has the same effect."""
         for _ in range(_ATTEMPTS - 1):
             with contextlib.suppress(_NoReply):
                 return act()
@@ -376,7 +376,8 @@ class ValveBoard:
 
 
 class _NoReply(DeviceError):
-    """Nothing readable came in time: the command may or may not have been heard."""
+    """Missing readable reply within the time limit: the command may or may not have been
+    received."""
 
 
 def open_port(port: str, baud: int) -> serial.SerialBase:

@@ -39,7 +39,7 @@ def encode(sequence: int, text: str) -> bytes:
 
 
 def decode(line: bytes) -> tuple[int, str] | None:
-    """Sequence number and text of a line without its end; None for one that is damaged."""
+    """Return sequence number and text of a line without its end; None for a damaged line."""
     match = _LINE.fullmatch(line)
     if match is None or len(line) > LONGEST or zlib.crc32(line[:-9]) != int(match[3], 16):
         return None

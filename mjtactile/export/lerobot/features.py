@@ -113,7 +113,8 @@ def _first_images(episode: RecordedEpisode) -> tuple[Image, ...]:
 
 
 def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
-    """A column of the log: numbers as one feature, texts as one a finger, all else as JSON."""
+    """Convert a column of the log: numbers to one feature, texts to one per finger, others to
+    JSON."""
     name = f"{'truth' if key in TRUE else 'recorded'}.{key}"
     column = episode.recording.columns[key]
     if key not in LISTS and not np.prod(column.shape[1:]):
@@ -139,7 +140,7 @@ def _text(value: Any) -> str:
 
 
 def _markers(seen: Perceived, finger: int, count: int) -> Array:
-    """Positions (3 count,) m in S; NaN of one that was not seen."""
+    """Return the positions (3 count,) m in S; NaN for an undetected marker."""
     p_SM = np.full((count, 3), np.nan)
     if seen.touch and (markers := seen.touch[finger].markers) is not None:
         p_SM[markers.ids] = markers.p_SM

@@ -14,9 +14,9 @@ _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Compute the statistics of each column of (n, k) numbers.
+    """Compute the statistics of each column of (n, k) values.
 
-    Unknown numbers are skipped; a column of only unknown numbers is null.
+    Unknown values are skipped; a column of only unknown values is null.
     """
     known = np.isfinite(values)
     filled = np.where(known.any(axis=0), values, 0.0)

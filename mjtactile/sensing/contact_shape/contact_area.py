@@ -23,7 +23,7 @@ _INTERVAL = (0.16, 0.84)
 _LIKELY = 1e-3  # probability, below which a family has no part in an interval
 FACES = ("disc", "block")
 _SLOPES = (0.02, 1.2)  # slope of the membrane at a rim: minimum, maximum
-_FACE_MIN = 0.5  # of a face that was found, that may be left of it
+_FACE_MIN = 0.5  # minimum fraction of an estimated face area that remains after the rim correction
 
 
 def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[float]:
@@ -167,13 +167,13 @@ def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> f
 
 
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
-    """68 % interval, m^2, of an area over all bodies that may be.
+    """Return the 68 % interval of an area, m^2, over all candidate shapes.
 
     Args:
-        bodies: Of each the probability, the area and its standard deviation.
+        bodies: Probability, area and its standard deviation of each shape.
 
     Returns:
-        Its ends.
+        The ends of the interval.
     """
     from scipy.special import ndtr  # takes a while to import
 

@@ -29,7 +29,7 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
 
 _EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
-_ROUNDING = 0.5  # spacings of the film
+_ROUNDING = 0.5  # rounding of the rims, in node spacings of the membrane
 _MAX_PARTS = 3  # simultaneous contacts
 _PART_FRACTION = 0.12  # minimum force fraction of a separate part; nearly all patches exceed it
 

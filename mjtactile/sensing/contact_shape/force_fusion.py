@@ -18,7 +18,7 @@ from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _NORMAL = 2
-_BESIDE = 2.1  # spacings of the film: its two last rows of nodes
+_BESIDE = 2.1  # node spacings of the membrane from the frame: its two outermost rows of nodes
 _BELOW = 1e-4  # depth below the frame with full weight, m
 
 
@@ -27,7 +27,7 @@ class ContactLoad:
     """Load that indents the membrane with the estimated shape to its depth.
 
     `load` (3,) holds the normal force, N, and the torques about x and y, N m. The torques give the
-    pressure center. `cov` is the covariance of `load`. `rows` (3, 6) map a wrench to these numbers.
+    pressure center. `cov` is the covariance of `load`. `rows` (3, 6) map a wrench to these values.
     `explained` is the fraction of the variance due to sharp features that the shape explains.
     """
 
@@ -79,8 +79,8 @@ def borne(
     doubt = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_max) ** 2
     cov = model + by_numbers + doubt * np.outer(off, off)
-    # The membrane catches on a point, while the model slides. Blunt shapes explain nothing sharp:
-    # if the markers show something sharp, it may be a misclassified point.
+    # The membrane catches on a point, while the model slides. Blunt shapes explain no sharp
+    # features. If the markers show some, the contact may be a misclassified point.
     explains = kinds["edge"] + kinds["multiple"]
     return ContactLoad(load, cov, rows, max(1 - left, 0.0) * explains)
 
@@ -133,7 +133,7 @@ def _model(
     force = abs(float(load[0]))
     share = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
     variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_fraction * below) ** 2
-    places = load[1:] / max(force, 1e-9)  # of the middle of pressure
+    places = load[1:] / max(force, 1e-9)  # position of the pressure center
     turn = np.concatenate([[-1.0], places])
     cov = variance * np.outer(turn, turn)
     aside = misfit * (place * force) ** 2 + s.torque_sd**2

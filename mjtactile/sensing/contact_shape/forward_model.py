@@ -1,5 +1,7 @@
-"""From a body to how high the markers stand, by the film (docs/theory/quasistatic_membrane.md, Eq.
-X1-X5)."""
+"""Forward model from a contact shape to the marker heights.
+
+It uses the quasi-static membrane (docs/theory/quasistatic_membrane.md, Eq. X1-X5).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ from mjtactile.quasistatic.sensitivities import answered, derived
 from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, MembraneSolutionBatch
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 
-_STEPS = 20  # of 50 films that come to rest 49 have; those that never do take all
+_STEPS = 20  # enough for 49 of 50 converging solutions; those that never converge use all
 _MORE = 0.02  # of the pressure, for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
 """Membrane sums used in the fit: wrench (N, N m), pressure (Pa), area (m^2)."""
@@ -66,8 +68,10 @@ class ForwardModel:
         self.rest_heights = self.heights(self.film.rest.x[None])[0]
 
     def by_gas(self) -> Array:
-        """Heights (N,) m of the markers by the share of gas that is there more than was
-        measured."""
+        """Return the derivative (N,), m, of the marker heights by the relative excess of gas.
+
+        The excess is relative to the measured amount.
+        """
         film = self.film
         if not film.sealed:
             return np.zeros(len(self.rest_heights))

@@ -27,7 +27,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 _DAMPING = (1e-2, 1e-8, 1e2)  # first, minimum, maximum
 _GOOD = 0.4  # fraction of the promised gain above which damping decreases
 _POLISHED = 2  # times, with exact slopes,
-_POLISHING = 2  # of so many films
+_POLISHING = 2  # membrane solutions in each refinement
 _POLISH = 0.05
 # Thresholds of the cost relative to its noise: gain that does not separate two shapes; promised
 # gain that requires fresh slopes; distance behind the best fit where a fit is stopped
@@ -63,12 +63,12 @@ class Fit:
 
     @property
     def theta(self) -> Array:
-        """Its numbers."""
+        """Parameters of the shape."""
         return self.at.theta
 
     @property
     def state(self) -> MembraneSolution:
-        """The film on it."""
+        """Membrane solution on the shape."""
         return self.at.state
 
     @property
@@ -87,12 +87,12 @@ class Fit:
         return self.curvature / noise + self.prior.precision
 
     def cov_with(self, noise: float) -> Array:
-        """Covariance (k, k) of the numbers."""
+        """Return the covariance (k, k) of the parameters."""
         sd = self.family.sd
         return np.linalg.inv(self.precision_with(noise)) * np.outer(sd, sd)
 
     def sums_cov_with(self, noise: float) -> Array:
-        """Covariance (8, 8) of the film's sums, by the numbers' alone."""
+        """Return the covariance (8, 8) of the membrane sums due to the parameters alone."""
         cov = np.linalg.inv(self.precision_with(noise))
         return self.slopes.sums @ cov @ self.slopes.sums.T
 

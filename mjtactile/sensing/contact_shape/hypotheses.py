@@ -59,7 +59,7 @@ class Evaluation:
     share: float
 
     def exactly(self, forward: ForwardModel, data: Data, noise: float) -> Evaluation:
-        """With the body's exact slopes."""
+        """Return the evaluation with the shape's exact Jacobian."""
         return replace(self, fit=exactly(forward, self.fit, data, noise))
 
     def with_noise(self, noise: float) -> Candidate:
@@ -116,8 +116,11 @@ class PressHistory:
         return [family for family in families if family.name in close]
 
     def bodies(self) -> list[tuple[float, Fit]]:
-        """Each candidate's probability and body: the newest of the likeliest, of the others that of
-        the last look."""
+        """Return probability and fit of each candidate.
+
+        The fit is the newest one for the most likely candidate. For the others it comes from the
+        last evaluation of all candidates.
+        """
         fits = [self.now, *(one.fit for one in self.candidates[1:])]
         return list(zip(self.probabilities.tolist(), fits, strict=True))
 

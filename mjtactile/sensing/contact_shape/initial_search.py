@@ -1,6 +1,6 @@
 """Search for shapes without a prior.
 
-A ball is lowered until the force matches; other models start from the shapes found so far.
+A ball is lowered until the force matches. Other models start from the shapes fitted so far.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, principal
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
-_APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
+_APPROACH = (1.2, 0.7, 0.3, 0.0)  # heights above the start, mm: the membrane is indented in steps
 _WIDE = (0.75, 1.05)  # radius of a start disc relative to a disc with the contact's area
 _FORCE_STEPS = 3
 _FORCE_NEAR = 0.1  # tolerance relative to the estimated force
@@ -122,7 +122,7 @@ def _best_start(
         return None
     reached.sort(key=lambda one: one[0].cost)
     if not family.parts:
-        del reached[1:]  # of several bodies each start may end elsewhere
+        del reached[1:]  # with several parts, different starts may converge to different fits
     minimum = min([minimum, *(one.chi2 for one in known)])
     fits = [
         refine(forward, family, hint, at, data, prior, known=minimum, noise=noise)
@@ -213,7 +213,7 @@ def beside(
     prior: Prior,
     state: MembraneSolution | None,
 ) -> FitState | None:
-    """Put a shape in the place of another one.
+    """Replace a shape by another one at the same position.
 
     First choose its height so that the contact forces do no work on the change. Then adjust it to
     the force.

@@ -18,7 +18,7 @@ from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _WORN = 8.0  # parameter change, in derivative steps, after which the Jacobian is recomputed
-# of a family's steps: bodies' own differences, which are closed forms
+# fraction of a model's steps, for differences of the shapes, which have closed forms
 _SMALL = 1e-5
 _LITTLE = 1e-2  # the edge of an obstacle is located to a millionth of a spacing
 
@@ -42,8 +42,11 @@ class Jacobian:
         return data.root @ self.heights[data.ids]
 
     def learnt(self, moved: Array, heights: Array, sums: Array) -> Jacobian:
-        """Broyden's: those nearest these that explain that numbers `moved` (k,) over their sd
-        changed heights and sums so."""
+        """Return the Jacobian after Broyden's update.
+
+        It is the nearest one that explains the observed change of `heights` and `sums` by the
+        parameter change `moved` (k,), in standard deviations.
+        """
         along = moved / max(float(moved @ moved), 1e-12)
         return replace(
             self,
@@ -92,8 +95,8 @@ def approximate_jacobian(
 def _beside(
     family: ShapeModel, hint: InitialGuess, theta: Array, steps: Array
 ) -> list[tuple[Obstacle, ...]]:
-    """Bodies of a family: one with numbers `theta` (k,), and those that are one of `steps` (k,)
-    further."""
+    """Build the shape with parameters `theta` (k,), and one shape per parameter changed by `steps`
+    (k,)."""
     return family.build_each(np.vstack([theta, theta + np.diag(steps)]), hint)
 
 
@@ -129,7 +132,8 @@ def exact_jacobian(
 def _by_differences(
     forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState, steps: Array
 ) -> Jacobian:
-    """The same by films on bodies with numbers `steps` (k,) further on."""
+    """Compute the Jacobian by differences of membrane solutions, for parameter changes `steps`
+    (k,)."""
     batch = forward.solve(_beside(family, hint, at.theta, steps)[1:], at.state)
     over = (batch.converged / (steps / family.sd))[:, None]
     heights = (forward.heights(batch.x) - at.heights) * over

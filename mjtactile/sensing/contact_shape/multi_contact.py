@@ -1,4 +1,4 @@
-"""Several bodies at once: which family each of them is of."""
+"""Choice of the shape model of each part of a shape with several contacts."""
 
 from __future__ import annotations
 

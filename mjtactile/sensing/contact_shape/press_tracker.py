@@ -22,7 +22,7 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 _WORSE = 1.5  # misfit ratio to the last search over all models above which they are searched again
 _BAD = 0.25  # fraction of misfit_max above which every evaluation with grown force searches all
-_BETTER = 0.8  # misfit ratio below which a newly found shape replaces the tracked one
+_BETTER = 0.8  # misfit ratio below which a newly fitted shape replaces the tracked one
 _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 _ONE = tuple(FAMILIES.values())
 

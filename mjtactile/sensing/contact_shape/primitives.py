@@ -19,7 +19,7 @@ from mjtactile.quasistatic.obstacles import ready
 
 _FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
-_RIM = 360  # places on an outline
+_RIM = 360  # number of points on an outline
 _RIM_OUT = 1.4  # outward offset of the rounded rim from the nominal rim, in rounding radii
 
 
@@ -47,7 +47,7 @@ class InitialGuess:
     round: bool = False
 
     def on(self, nodes: tuple[Array, Array], rounding: float) -> InitialGuess:
-        """The same over another film's nodes."""
+        """Return the same guess for the nodes of another membrane model."""
         parts = tuple(part.on(nodes, rounding) for part in self.parts)
         return replace(self, nodes=nodes, rounding=rounding, parts=parts)
 
@@ -94,7 +94,7 @@ def principal(theta: Array) -> tuple[float, float, float]:
 
 
 def _above(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
-    """The place `up` m over that of the first three numbers."""
+    """Return the position `up` m above that of the first three parameters."""
     x, y, z = place_of(theta, hint).tolist()
     return x, y, z + up
 
@@ -150,7 +150,10 @@ def _soft(off: Array, rounding: float) -> Array:
 
 
 def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
-    """Nodes' places from the body's middle, (nx, ny) m, and the tilted face's heights there."""
+    """Return the node positions relative to the shape's center (nx, ny), m, and the heights there.
+
+    The heights are those of the tilted face.
+    """
     place = place_of(theta, hint)
     x = hint.nodes[0] - place[0]
     y = hint.nodes[1] - place[1]

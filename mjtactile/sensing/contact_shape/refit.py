@@ -19,7 +19,7 @@ from mjtactile.sensing.contact_shape.initial_search import Films, approach, besi
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 
 FOLLOWED = 3  # rounds of a fit that is followed
-LOOKED = 5  # the same, at a look
+LOOKED = 5  # the same, at an evaluation of all candidates
 _LEVEL = ("tilt_x", "tilt_y", "lean")
 
 
@@ -50,7 +50,7 @@ def warm_start(
     if by < 0:
         theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
     at = begin(films.fine, family, hint, theta, data, prior, newest.state)
-    # on flat faces a film now and then goes to and fro from one start, and not from another
+    # on flat faces the solver may oscillate from one start and converge from another
     at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
     at = at or begin(films.fine, family, hint, theta, data, prior, None)
     if at is None:
@@ -131,7 +131,8 @@ def _restart_from_centroid(
     known: float,
     near: MembraneSolution,
 ) -> Fit | None:
-    """From the middle of the touch."""
+    """Restart a fit from the center of the touch, and return it; None: the solver did not
+    converge."""
     family = one.family
     hint = _matched(one.fit.hint, hint)
     prior = one.common.prior(one.fit, noise, hint)

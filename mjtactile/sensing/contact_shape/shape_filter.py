@@ -36,7 +36,7 @@ class ShapeFilter:
 
     @classmethod
     def of(cls, family: ShapeModel) -> ShapeFilter:
-        """Before any look: nothing."""
+        """Create the filter before any evaluation, without information."""
         count = int(family.kept.sum())
         return cls(np.zeros((count, count)), np.zeros(count))
 

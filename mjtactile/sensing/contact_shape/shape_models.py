@@ -100,7 +100,7 @@ class ShapeModel:
         return np.split(numbers, np.cumsum([len(part.names) for part in self.parts])[:-1])
 
     def rebased(self, theta: Array, old: InitialGuess, new: InitialGuess) -> Array:
-        """Numbers that counted from `old`, from `new`."""
+        """Return parameters relative to the guess `new` instead of the guess `old`."""
         if self.parts:
             given = zip(self.parts, self.split(theta), old.parts, new.parts, strict=True)
             return np.concatenate([part.rebased(own, a, b) for part, own, a, b in given])

@@ -1,4 +1,4 @@
-"""A fitted body in a user's words: curvatures, radius, direction, pose, outline."""
+"""Report of a fitted shape: curvatures, radius, direction, pose, outline."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
 from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_FINER = 4  # of the film's nodes, for an outline
+_FINER = 4  # subdivision of the membrane's node spacing for an outline
 _UNTOLD = math.pi / math.sqrt(12)  # standard deviation of an unknown direction, rad
 
 
@@ -238,7 +238,8 @@ _TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
 def _axes(
     family: ShapeModel, theta: Array, direction: float
 ) -> tuple[Array, tuple[int | None, int | None, int | None]]:
-    """The body's axes in S, and which numbers turn it about x, y, z."""
+    """Return the shape's axes in S, and the indices of the parameters that rotate it about x, y,
+    z."""
     turns = _TURNS[family.name]
     x, y, _ = (0.0 if number is None else float(theta[number]) for number in turns)
     angle = direction
@@ -265,7 +266,10 @@ def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> A
 
 
 def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
-    """Border (P, 2) m of where the film presses with `force` (nx, ny) N, between its nodes."""
+    """Return the border (P, 2), m, of the contact region, interpolated between the nodes.
+
+    In that region the contact `force` (nx, ny), N, exceeds half of its median.
+    """
     if not (force > 0).any():
         return np.zeros((0, 2))
     across, along = (_between(count) for count in force.shape)

@@ -36,7 +36,7 @@ _ROUNDS = 4
 _BELONGS = 0.5  # fraction of the outlier limit below which no fiducial counts as an outlier
 _AS_DARK = 0.03  # of levels as above: a load changes those of markers by 0.01
 _LEVELS_MIN = 0.01  # rms, of a level inside over that outside: noise has 0.005
-_LINEAR_PX = 0.3  # of the picture's motion, beyond which one linear step is not enough
+_LINEAR_PX = 0.3  # image motion, px, above which one linear step is not enough
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class CameraDriftEstimator:
         darker = _darker(now, rest, here, there)
         rows = self._modes[ids]
         rows[:, 2, _LEVELS] = self._s.drift_levels * darker
-        # place and size of a circle are independent, nearly
+        # position and size of a circle are nearly independent
         variance = np.diagonal(now.cov[here] + rest.cov[there], axis1=1, axis2=2)
         weight = 1 / np.sqrt(variance + self._floor**2)
         weighted = weight[:, :, None] * rows
@@ -190,7 +190,7 @@ class CameraDriftEstimator:
         )
 
     def undone(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
-        """Return the markers (m, 3), m, frame S, as seen by the camera of the rest reference.
+        """Return the markers (m, 3), m, frame S, as observed by the camera of the rest reference.
 
         The image transform is already undone. `darker` (m,) is as for `camera_modes`.
         """

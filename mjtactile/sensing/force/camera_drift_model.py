@@ -1,9 +1,9 @@
 """Effect of camera drift since the references on the apparent marker positions (Eq. F11).
 
 A knock changes position and orientation of the camera. Lens breathing scales the image. A changed
-tone curve moves all edges inward or outward by about the same amount. So every circle looks larger,
-and nearer. Each moves all markers in a pattern that no load on the membrane produces. The reason is
-that the membrane is fixed at its frame.
+tone curve moves all edges inward or outward by about the same amount. So every circle appears
+larger, and nearer. Each effect moves all markers in a pattern that no load on the membrane
+produces. The reason is that the membrane is fixed at its frame.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class CameraDriftFilter:
     """Camera drift estimated from the markers of all images up to `time`, s.
 
     `mean` (MODES,) holds the modes in units of their standard deviation. `known` (MODES, MODES) is
-    the lower factor of their covariance. In each image all circles look larger by an independent
+    the lower factor of their covariance. In each image all circles appear larger by an independent
     `jitter`, in standard deviations of the size mode.
     """
 

@@ -24,21 +24,21 @@ from mjtactile.core.types import Array
 
 _PRESSED = 0.35  # of the gas's pressure: more is contact
 _AROUND = 1.5  # contact margin, in smoothing lengths: counts pressure smeared by smoothing
-_AWAY = 3.0  # smoothing lengths from contact, beyond which the sheet is free
+_AWAY = 3.0  # distance from contact, in smoothing lengths, above which the membrane is free
 _ROUNDS = 3  # iterations of the free-surface search and of the outlier rejection
 _OUTLIER = 3.0  # sd, at which a point counts half
 _FEWEST = 40  # points
-_MIN_SEEN = 0.25  # of a cell's usual number of points: less is a hole
+_MIN_SEEN = 0.25  # minimum ratio of a cell's point count to the usual one: less is a hole
 _FREE_MIN = 0.2  # minimum free fraction of the surface for a tension estimate
 
 
 @dataclass(frozen=True, eq=False)
 class RestSurface:
-    """A membrane that nothing touches, measured as it is when something does.
+    """Membrane without contact, measured in the same way as with contact.
 
     Attributes:
-        points: (n, 3) m on it.
-        pressure: Of its gas above ambient, Pa.
+        points: Points on the membrane (n, 3), m.
+        pressure: Gauge pressure of its gas, Pa.
     """
 
     points: Array

@@ -104,7 +104,7 @@ class GasFilter:
             volume = state.seen[-1][1]
             gas = Gas(amount / volume**self._gamma - self._ambient, amount)
         s = self.settings
-        # a gauge's scale is as wrong as it is far from where its zero was seen
+        # scale error of a pressure sensor: proportional to the distance from its zero
         sd = math.hypot(
             math.sqrt(cov[0, 0]) * self._ambient, s.floor, s.scale * (gas.gauge - state.rest)
         )

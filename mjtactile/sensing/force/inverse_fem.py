@@ -44,7 +44,7 @@ from mjtactile.sensing.settings import (
     PriorSettings,
 )
 
-# iterations after a cold start; before, loads and camera drift share the marker motion
+# iterations after a cold start; before them, loads and camera drift both fit the marker motion
 REWEIGHTED = 4
 STEPS_MAX = 8
 STEP_LIMIT = 2e-3  # maximum change of a coefficient per step, m
@@ -159,7 +159,7 @@ class InverseMembrane(LoadedMembrane):
         """Do one Gauss-Newton step from `c`.
 
         The membrane relaxes to equilibrium; tractions and drift explain the remaining motion of the
-        markers. `seen` (m, 3), m, are the positions seen by the camera as assumed.
+        markers. `seen` (m, 3), m, are the positions observed by the camera as assumed.
         """
         ids = markers.ids
         m = len(markers)
@@ -429,8 +429,10 @@ class InverseMembrane(LoadedMembrane):
         return cov * np.outer(scale, scale)
 
     def posterior_fraction(self, shape: Shape) -> Array:
-        """Share (6,) of the wrench's predicted variances: more where markers misfit or show
-        drift."""
+        """Return the factors (6,) on the wrench's predicted variances.
+
+        They are larger if the markers misfit or show drift.
+        """
         return np.maximum(max(1.0, shape.misfit) * self._posterior_fraction, shape.drift - 1)
 
 

@@ -21,7 +21,7 @@ from mjtactile.sensing.settings import DEFAULTS, ModelErrorSettings
 
 # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
 AXES = np.array([0, 0, 1, 2, 2, 3])
-# places among the shares: of `lateral`, of `sharp` and `caught`
+# indices of the fractions: `lateral`; `sharp` and `caught`
 _LATERAL = 1
 _SHARP = slice(2, 4)
 _TILTS = AXES == 2
@@ -46,7 +46,7 @@ class FitDiagnostics:
 
 
 class ModelErrorVariance:
-    """The model's own share of a wrench's variance, of one sensor with nodes (J, 2) m."""
+    """Variance of a wrench due to model error, for one sensor with nodes (J, 2), m."""
 
     def __init__(
         self, design: SensorDesign, nodes: Array, settings: ModelErrorSettings = DEFAULTS.doubt

@@ -39,7 +39,7 @@ class LoadPrior:
         )
 
     def first(self) -> Array:
-        """Standard deviations (3 J,) Pa before any traction was found."""
+        """Return the standard deviations (3 J,), Pa, before any traction estimate."""
         count = self._shape[0] * self._shape[1]
         return self.settings.pressure_sd * np.repeat(
             [self.settings.friction, self.settings.friction, 1.0], count

@@ -52,11 +52,11 @@ class InverseRest:
 
 
 class MarkedMembrane:
-    """The sheet of one sensor and the markers on it.
+    """Membrane of one sensor with its markers.
 
     Args:
         design: The sensor's values.
-        settings: The stage's chosen numbers.
+        settings: Settings of the stage.
     """
 
     def __init__(self, design: SensorDesign, settings: InverseSettings):
@@ -89,7 +89,7 @@ class MarkedMembrane:
         if gauge_pressure > self.settings.informative_pressure:
             for _ in range(_REST_STEPS):
                 modelled = self._at_markers[markers.ids] @ c[2]
-                # pressed in below the frame: no bulge
+                # membrane indented below the frame: no bulge
                 ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
                 scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
                 young, stretch = self._apart(scale, c)
@@ -125,7 +125,7 @@ class MarkedMembrane:
         return scale / (1 + more / strain), 1 + more / nominal
 
     def volume(self, c: Array) -> float:
-        """Gas volume, m^3, behind the sheet at coefficients `c`."""
+        """Return the gas volume, m^3, behind the membrane at coefficients `c`."""
         return self.design.chamber_volume_flat + self.sheet.state(c).volume
 
     def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
@@ -151,7 +151,7 @@ class MarkedMembrane:
         return replace(rest, c=c, gauge_pressure=held)
 
     def _state(self, c: Array, rest: InverseRest) -> State:
-        """The sheet of this sensor at `c` (3, n) m."""
+        """Return the state of this sensor's membrane at coefficients `c` (3, n), m."""
         return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
 
     def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:

@@ -33,8 +33,10 @@ class MarkerSlopes:
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:
-        """Measured less modelled slopes (m, 2), for coefficients `c` (3, n) m; NaN where a marker's
-        normal is not known."""
+        """Return the measured minus modeled slopes (m, 2) for coefficients `c` (3, n), m.
+
+        They are NaN for a marker without a normal.
+        """
         g1, g2 = self._tangents(c, markers.ids)
         x1, y1, z1 = g1.T
         x2, y2, z2 = g2.T

@@ -146,15 +146,15 @@ class Sheet:
         self._table = (law.table.shape[1], law.table, turns)
         self.width = 9 * ay.count + 11  # of the stiffness's band
 
-    # -- places
+    # -- positions
 
     def basis(self, own: Array) -> Array:
-        """Values (N, n) of the splines at the sheet's own coordinates (N, 2) m."""
+        """Return the spline values (N, n) at the membrane's parametric coordinates (N, 2), m."""
         ax, ay = self.axes
         return _products(ax.at(own[:, 0]), ay.at(own[:, 1]))
 
     def slopes(self, own: Array) -> tuple[Array, Array]:
-        """Derivatives (N, n) of the splines by X and by Y, 1/m, at the sheet's own coordinates."""
+        """Return the spline derivatives (N, n) by X and by Y, 1/m, at parametric coordinates."""
         ax, ay = self.axes
         x, y = own.T
         by_x = _products(ax.at(x, 1), ay.at(y))
@@ -165,24 +165,27 @@ class Sheet:
         return xX * by_x + yX * by_y, xY * by_x + yY * by_y
 
     def own(self, X: Array) -> Array:
-        """The sheet's own coordinates (N, 2) m of places X (N, 2) m on the mounted sheet."""
+        """Return the parametric coordinates (N, 2), m, of positions X (N, 2), m, on the mounted
+        membrane."""
         outline = self.design.frame.outline
         return X if outline is None else outline.square(X) * self._half
 
     def places(self, own: Array) -> Array:
-        """Places (N, 2) m on the mounted sheet of its own coordinates (N, 2) m."""
+        """Return the positions (N, 2), m, on the mounted membrane at parametric coordinates (N, 2),
+        m."""
         outline = self.design.frame.outline
         return own if outline is None else outline.plane(own / self._half)
 
     def turns(self, own: Array) -> Array:
-        """Derivatives (N, 2, 2) of the sheet's own coordinates by X and Y."""
+        """Return the derivatives (N, 2, 2) of the parametric coordinates by X and Y."""
         outline = self.design.frame.outline
         if outline is None:
             return np.broadcast_to(np.eye(2), (len(own), 2, 2))
         return np.linalg.inv(outline.jacobian(own / self._half) / self._half)
 
     def density(self, own: Array) -> Array:
-        """Area (N,) on the mounted sheet to one of its own coordinates."""
+        """Return the ratio (N,) of area on the mounted membrane to area in parametric
+        coordinates."""
         return 1 / np.linalg.det(self.turns(own))
 
     @property
@@ -222,14 +225,17 @@ class Sheet:
         S22, S12."""
         g1, g2 = self._tangents(c)
         stretch2 = self.design.membrane.pre_stretch**2
-        # the right Cauchy-Green tensor against the free sheet
+        # right Cauchy-Green tensor relative to the unstretched membrane
         C11 = stretch2 * np.einsum("kxy,kxy->xy", g1, g1)
         C22 = stretch2 * np.einsum("kxy,kxy->xy", g2, g2)
         C12 = stretch2 * np.einsum("kxy,kxy->xy", g1, g2)
         return self.law.stress(C11, C22, C12)
 
     def forces_of(self, c: Array, stress: Array) -> Array:
-        """Generalised forces (3, n) N of a stress (3, qx, qy) N/m in the sheet at `c` (Eq. F3)."""
+        """Compute the generalized forces (3, n), N, of a membrane stress at `c` (Eq. F3).
+
+        The stress (3, qx, qy) is in N/m.
+        """
         qx, qy = self.weights.shape
         g1, g2 = self._tangents(c)
         S11, S22, S12 = stress * self.weights
@@ -309,9 +315,12 @@ class Sheet:
         )
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, Stiffness]:
-        """Residual (3, n) and its factorised tangent, gas stiffness included. Where wrinkles make
-        the sheet's own indefinite, it is pushed towards the identity until it is not. Raises
-        MjtactileError where a number of the state is not finite."""
+        """Compute the residual (3, n) and its factorized tangent, gas stiffness included.
+
+        Wrinkles can make the membrane's own tangent indefinite. Then it is shifted toward the
+        identity until it is positive definite. Raises MjtactileError if a value of the state is not
+        finite.
+        """
         pressure, gas_stiffness = self.gas_pressure(state, gas)
         band = self.tangent(state, pressure)
         softened = np.empty(3 * self.count)

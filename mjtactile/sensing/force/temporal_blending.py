@@ -1,12 +1,12 @@
 """Detection of cameras that blend several images: temporal noise reduction, a rolling shutter.
 
-Then each image still contains the previous one, and motion is measured with a delay. Blending shows
-in the marker noise while nothing moves. The noise of two images is independent, unless a fraction
-`a` of the next image is the last one. Successive image differences then have the correlation -(1 -
-a) / 2 instead of -1/2. Motion is smooth over the membrane and noise is not. A polynomial removes
-the motion. If it removes more than noise would contribute, something moves.
+Then each image still contains the previous one, and motion is measured with a delay. Blending is
+detected from the marker noise without motion. The noise of two images is independent, unless a
+fraction `a` of the next image is the last one. Successive image differences then have the
+correlation -(1 - a) / 2 instead of -1/2. Motion is smooth over the membrane and noise is not. A
+polynomial removes the motion. If it removes more than noise would contribute, there is motion.
 
-Rounding to whole gray levels adds noise, which makes a large `a` look smaller.
+Rounding to whole gray levels adds noise, which makes a large `a` appear smaller.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _DEGREE_MAX = 5
 _MARKERS_TO_A_TERM = 3
 _STILL = 1.5  # of the noise's mean square, which the polynomial may have taken out
 _KEPT = 0.95  # memory factor per still image: 20 of them count
-_ENOUGH = 6.0  # still pictures, by weight
-_SURE = 0.15  # of a share: three of its sd with 16 markers, ten with 81
+_ENOUGH = 6.0  # minimum number of still images, by weight
+_SURE = 0.15  # minimum fraction: three standard deviations with 16 markers, ten with 81
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,10 @@ class Blend:
 
 
 class BlendEstimator:
-    """Follows one sensor's pictures; nothing changes.
+    """Blending estimator for the images of one sensor. Stateless.
 
     Args:
-        p_SM: All markers' places on the flat sheet, (N, 3) m.
+        p_SM: Positions of all markers on the flat membrane (N, 3), m.
     """
 
     def __init__(self, p_SM: Array):

@@ -15,7 +15,7 @@ from mjtactile.core.types import Array
 _ROUNDS = 5
 _STEP_LIMIT = 0.3  # of ln gamma in a round
 _FEWEST = 3
-_AS_BEFORE = 0.02  # of all levels: less is no other curve
+_AS_BEFORE = 0.02  # maximum relative change of all levels for an unchanged curve
 _TOP = 255.0
 
 

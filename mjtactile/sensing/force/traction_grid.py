@@ -24,7 +24,7 @@ class LoadedMembrane(MarkedMembrane):
 
     Args:
         design: The sensor's values.
-        settings: The stage's chosen numbers.
+        settings: Settings of the stage.
     """
 
     def __init__(self, design: SensorDesign, settings: InverseSettings):
@@ -60,7 +60,7 @@ class LoadedMembrane(MarkedMembrane):
         return along_x, along_y
 
     def force(self, shape: Shape) -> Array:
-        """Net force (3,) N on the sheet."""
+        """Return the net force (3,), N, on the membrane."""
         return shape.traction @ self.node_area
 
     def node_positions(self, c: Array) -> Array:
@@ -74,8 +74,8 @@ class LoadedMembrane(MarkedMembrane):
         return moved
 
     def pressing_at_points(self, shape: Shape) -> Array:
-        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N;
-        never negative."""
+        """Return the contact force per cell at the membrane's Gauss points (qx, qy), N; never
+        negative."""
         hat_x, hat_y = self._hats
         pressure = np.maximum(-shape.traction[2], 0.0) * self._density
         pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])

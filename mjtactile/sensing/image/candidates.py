@@ -53,15 +53,17 @@ _NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, 
 def find(
     dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = DEFAULTS.candidates
 ) -> Candidates:
-    """Candidates for dark blobs in an 8-bit image (H, W) with semi-axes of at least about
-    `min_radius_px`."""
+    """Find candidates for dark blobs in an 8-bit image (H, W).
+
+    Their semi-axes are at least about `min_radius_px`.
+    """
     if min_radius_px >= s.half_from and min(dark.shape) >= 4 * s.cells:
         height, width = (side // 2 for side in dark.shape)
         half = cv2.resize(
             dark[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
         )
         found = find(half, min_radius_px / 2, s)
-        # the middle of the first 2 x 2 pixels is at (0.5, 0.5)
+        # the center of the first 2 x 2 pixels is at (0.5, 0.5)
         return Candidates(2 * found.center + 0.5, 2 * found.shape, 2 * found.misfit, found.cut)
     return outlines(threshold(dark, s), min_radius_px, s)
 

@@ -20,10 +20,10 @@ _FAR = 1e7  # px; beyond any image
 def band(
     size: tuple[int, int], center: Array, shape: Array, width: float
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """Pixels within +-`width` of each ellipse: flat lists `u`, `v`, and `counts` (N,) of pixels per
-    ellipse.
+    """Return the pixels within +-`width` of each ellipse.
 
-    Row by row: each image row cuts the outer and the inner ellipse in at most one interval each.
+    They are flat lists `u`, `v`, and `counts` (N,) of pixels per ellipse. Each image row intersects
+    the outer and the inner ellipse in at most one interval each.
     """
     outer = shape + [width, 0, width]
     inner = shape - [width, 0, width]

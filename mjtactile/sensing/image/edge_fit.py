@@ -230,7 +230,7 @@ def gather(
         v = v[clear]
         used = np.bincount(owner[clear], minlength=len(used))
     counts = used
-    # wholly outside of the image: one stand-in pixel, so that every stretch exists
+    # marker completely outside the image: one placeholder pixel, so that no segment is empty
     if (used == 0).any():
         at = np.cumsum(used)[used == 0]
         u = np.insert(u, at, 0)

@@ -140,10 +140,10 @@ def _blurred_disc(
 
 
 def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
-    """Phi(-z) and the normal density, float32.
+    """Return Phi(-z) and the normal density, float32.
 
-    Abramowitz & Stegun 26.2.17, error below 8e-8; it shares the exponential with the density,
-    unlike erf.
+    Abramowitz & Stegun 26.2.17, error below 8e-8. Unlike erf, it uses the same exponential as the
+    density.
     """
     z = np.clip(z, -12, 12)
     size = np.abs(z)

@@ -121,7 +121,7 @@ def _with_more(
         part = candidates.outlines(
             _black_hat(small, settings), max(min_radius_px / scale, 1.5), settings.candidates
         )
-        # the middle of the first scale x scale pixels is at (scale - 1)/2
+        # the center of the first scale x scale pixels is at (scale - 1)/2
         part = Candidates(
             scale * part.center + (scale - 1) / 2, scale * part.shape, scale * part.misfit, part.cut
         )

@@ -22,7 +22,7 @@ BLURRED = "too blurred"
 LONG = "too long"
 NO_FIT = "no fit"
 MOVED = "edge lies elsewhere"
-# in the order of the numbers in mjtactile/kernels/candidates.c
+# in the order of the status codes in mjtactile/kernels/candidates.c
 STATUSES = np.array(
     [
         "ok",

@@ -62,7 +62,7 @@ def linear_light(grey: NDArray, gamma: float) -> NDArray:
 
 
 def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAULTS) -> Gamma:
-    """Gamma of the image `grey` (H, W) from the `ellipses` found in it."""
+    """Estimate the gamma of the image `grey` (H, W) from the detected `ellipses`."""
     s = settings.gamma
     b = ellipses.semi_axes_px[:, 1]
     use = np.flatnonzero((ellipses.status == "ok") & (b >= s.min_radius))

@@ -1,5 +1,4 @@
-"""From an image to ellipses with covariance and status: candidates, sub-pixel fit, and the
-judgement of each."""
+"""Marker ellipses of an image: candidates, sub-pixel fit with covariance, and status of each."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Sub-pixel ellipses from edge profiles, for all markers together, at camera rate.
 
-K profiles cross each ellipse along its normals. Filters reduce each to a few numbers: levels, area,
+K profiles cross each ellipse along its normals. Filters reduce each to a few values: levels, area,
 offset of the edge by a matched filter, width. Robust least squares then move the ellipses. Offsets
 first come from the area, which is correct even two pixels away. Then they come from the matched
 filter, which is near the Cramer-Rao bound close to the edge.
@@ -32,7 +32,7 @@ def fit(
     # on the edge position within a pixel, by 2 um of depth in the paper's geometry.
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     n = len(center)
-    # moved in place
+    # these arrays are updated in place
     center = np.array(center, float, order="C")
     shape = np.array(shape, float, order="C")
     cov = np.empty((n, 5, 5))

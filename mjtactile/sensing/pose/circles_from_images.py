@@ -102,8 +102,8 @@ def detect_circles(
 ) -> DetectedCircles:
     """Find circles of a known radius in one image, and their poses.
 
-    If the bright side of the edges is clipped, all dark circles look smaller by tenths of a pixel.
-    The image does not show this error, so the covariance includes it.
+    If the bright side of the edges is clipped, all dark circles appear smaller by tenths of a
+    pixel. The image does not show this error, so the covariance includes it.
 
     Args:
         image: Gray levels or colors (H, W) or (H, W, 3), or an `Image`.
@@ -112,8 +112,8 @@ def detect_circles(
         polarity: Circles "dark" on a bright background, or "bright".
         min_radius_px: Minimum radius to search for.
         neighbours: Smoothing over 40 or more circles that clearly lie on one smooth surface. "auto"
-            shares elongation, and depth if the circles are small and all of one radius. "always"
-            shares depth at any size; "never" estimates each alone. Circles that disagree are not
+            smooths elongation, and depth if the circles are small and all of one radius. "always"
+            smooths depth at any size; "never" estimates each alone. Circles that disagree are not
             smoothed.
         gamma: Gamma of a camera whose gray levels are light to the power of 1/gamma; "auto" uses a
             clear estimate from the circles. The covariance then includes its uncertainty. If the
@@ -226,7 +226,7 @@ def _preferred(
     better, cov_p_alt, sure = prefer(
         poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference
     )
-    # NaN for a place that the camera cannot see through its glass
+    # NaN for a position that is not visible through the glass
     uv_px = optics.project(camera, better.p_CM)
     inside = (better.status == "ok") & ~np.isfinite(uv_px).all(axis=1)
     better = replace(better, uv_px=uv_px, status=np.where(inside, NOT_BEYOND_GLASS, better.status))

@@ -1,5 +1,8 @@
-"""Circles on any marked skin, followed from image to image: gels, pins, bubbles that no sensor file
-describes. In pixels, and in space where the camera and the circles' radius are known."""
+"""Tracking of circles on any marked skin from image to image.
+
+Examples are gels, pins, and bubbles without a sensor file. Results are in pixels. They are also in
+space if the camera and the radius of the circles are given.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ NOBODY = -1  # of a circle that is not followed
 CUT = "cut by image border"
 _GATE = 0.45  # maximum motion relative to the others, as a fraction of the circle distance
 _NEW = 0.7  # of it, from all that are followed: another circle
-_SMALL = 0.6  # of the middle size: less is a speck
+_SMALL = 0.6  # minimum size relative to the median: less is a speck
 _FEWEST = 2  # circles that are not cut by the border, to begin with
 
 
@@ -151,7 +154,7 @@ def _together(skin: _Skin, places: Array) -> Array:
 
 
 def _distance(places: Array) -> float:
-    """Middle distance, px, of each place (n, 2) to its nearest."""
+    """Return the median distance, px, of the `places` (n, 2) to their nearest neighbors."""
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     return _middle(apart.min(axis=1))

@@ -51,7 +51,7 @@ class FiducialFinder:
         if before is not None and len(before) == self.count:
             places = before.center_px
         elif before is not None and len(before):
-            # those that were not seen moved as the others did
+            # undetected fiducials are assumed to move like the others
             moved = np.median(before.center_px - places[before.ids], axis=0)
             places = places + moved
             places[before.ids] = before.center_px
@@ -66,10 +66,12 @@ class FiducialFinder:
 
 
 def average(seen: Sequence[FiducialDetections]) -> FiducialDetections:
-    """Mean of repeated measurements; a fiducial counts when at least half of them saw it.
+    """Return the mean of repeated measurements.
+
+    A fiducial counts if it is detected in at least half of them.
 
     Args:
-        seen: Of images in a row, during which the camera stood still.
+        seen: Detections in successive images of a camera that does not move.
 
     Returns:
         The mean.

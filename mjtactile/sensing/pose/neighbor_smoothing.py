@@ -4,10 +4,10 @@ On a smooth surface the elongation of the ellipses changes smoothly over the ima
 distance of a circle depends on its longest axis. Half of the error of that axis comes from the
 ellipse's elongation. With known tilt the variance would be a third (the factor 3 in the Cramer-Rao
 bound). The many circles of a board or of a smooth membrane together determine the tilt. Only the
-elongation is shared, never the size. Each distance still depends on its own marker only.
+elongation is smoothed, never the size. Each distance still depends on its own marker only.
 
-The elongation is shared only if the data support it. The residuals about a second-order field must
-not exceed a few standard deviations of the ellipses. Circles with independent tilts stay
+The elongation is smoothed only if the data support it. The residuals about a second-order field
+must not exceed a few standard deviations of the ellipses. Circles with independent tilts stay
 unchanged.
 """
 

@@ -79,8 +79,8 @@ def _probability(
     ok = known & (poses.status == "ok")
     for _ in range(_ROUNDS if ok.any() else 0):
         on = share * density[:, ok].sum(axis=0)
-        # so many each way beforehand, so that a handful that agree by chance cannot make certain of
-        # all
+        # prior counts of circles on and off the surface, so that a few that agree by chance do not
+        # decide for all
         share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (
             1 + s.free_circles_prior + ok.sum()
         )

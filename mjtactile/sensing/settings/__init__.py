@@ -1,4 +1,4 @@
-"""Tuned parameters of the sensing chain, each with its meaning and source.
+"""Tuned parameters of the sensing pipeline, each with its meaning and source.
 
 There is one frozen class per stage and one module per subpackage. `Settings` holds one of each;
 `DEFAULTS` is used wherever no other settings are given:
@@ -86,7 +86,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Settings:
-    """All stages' numbers."""
+    """Parameters of all stages."""
 
     min_detected: float = number(
         0.4, "fraction of detected markers below which the shape is unreliable", TRIED, high=1.0
@@ -143,7 +143,7 @@ class Settings:
         return result
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers by names like "zero.touch_sd"."""
+        """Return all parameters by names like "zero.touch_sd"."""
         flat: dict[str, Any] = {}
         for name, value in dataclasses.asdict(self).items():
             if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Numbers of sensing/force: markers to tractions."""
+"""Parameters of sensing/force: markers to tractions."""
 
 from __future__ import annotations
 

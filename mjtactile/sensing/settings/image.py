@@ -1,4 +1,4 @@
-"""Numbers of sensing/image: pixels to ellipses."""
+"""Parameters of sensing/image: pixels to ellipses."""
 
 from __future__ import annotations
 
@@ -247,7 +247,7 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class ExhaustiveDetectionSettings:
-    """The second look of `mjtactile detect-circles` at photographs
+    """Settings of the second search of `mjtactile detect-circles` in photographs
     (sensing/image/exhaustive_detection.py)."""
 
     closing_size: int = number(

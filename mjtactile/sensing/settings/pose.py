@@ -1,4 +1,5 @@
-"""Numbers of sensing/pose and sensing/shape: ellipses to circles in space, circles to a surface."""
+"""Parameters of sensing/pose and sensing/shape: ellipses to circles in space, circles to a
+surface."""
 
 from __future__ import annotations
 

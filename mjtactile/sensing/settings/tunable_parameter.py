@@ -66,7 +66,10 @@ def check(settings: Any, stage: str, name: str, value: Any) -> Any:
 
 @lru_cache(maxsize=64)
 def as_numbers(settings: Any) -> np.ndarray:
-    """A settings class of plain numbers as the kernels take it: one a field, in their order."""
+    """Return a settings class of plain numbers as an array for the kernels.
+
+    The array holds one number per field, in field order.
+    """
     array = np.array(astuple(settings), float)
     array.flags.writeable = False
     return array

@@ -31,12 +31,13 @@ from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.settings import DEFAULTS, SmoothnessSettings
 
 # Half and twice these values had no visible effect on any image of `bench setting-sensitivity`.
-_PER_FREEDOM = 8.0  # circles for each degree of freedom of the spline, at most
+_PER_FREEDOM = 8.0  # maximum number of circles per degree of freedom of the spline
 _MAX_SCATTER = 5.0  # ratio to the predicted sd that a real camera may cause on a smooth surface
-_MIN_SD_FRACTION = 0.7  # of the predicted sd, of errors: a noise-free bend and noise can look alike
+# minimum error, relative to the predicted sd: a noise-free bend can resemble noise
+_MIN_SD_FRACTION = 0.7
 
 _ROUNDS = 3
-# of signal to noise tried, relative to the stiffest mode
+# tested signal-to-noise ratios, relative to the stiffest mode
 _RATIOS = np.exp(np.arange(-18.0, 18.5, 0.75))
 
 

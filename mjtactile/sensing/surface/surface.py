@@ -307,7 +307,8 @@ def banded(matrix: Array, width: int) -> Array:
 
 
 def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
-    """Grid lines x (nx,), y (ny,) m over the opening, frame included, at most `step` apart."""
+    """Return grid lines x (nx,), y (ny,), m, over the opening, frame included, at most `step`
+    apart."""
     nx, ny = (int(np.ceil(size / step - 1e-9)) + 1 for size in (frame.length, frame.width))
     return np.linspace(-frame.length / 2, frame.length / 2, nx), np.linspace(
         -frame.width / 2, frame.width / 2, ny
@@ -315,7 +316,7 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
 
 
 def enough(markers: int, minimum: int) -> Status:
-    """Return the status OK if there are at least `least` markers, else TOO_FEW_MARKERS."""
+    """Return the status OK for at least `least` markers, else TOO_FEW_MARKERS."""
     if markers >= minimum:
         return OK
     return Status(

@@ -154,7 +154,7 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
         # a prior: mild stiffening
         return np.concatenate([(curve.width(force) - width) / sd, [s.stiffening_prior * p[2]]])
 
-    first = float(width[:3].max())  # seen at `force_estimate` or a little more
+    first = float(width[:3].max())  # width measured at `force_estimate` or slightly more
     start = np.array([first + min(slope * force[0], 0.5 * s.unseen_max), 1.0, 0.1])
     fit = least_squares(
         residual,
@@ -223,8 +223,11 @@ def _probabilities(
     stayed_sd: float,
     s: MaterialSettings,
 ) -> dict[str, float]:
-    """Solid against not by the compliance, soft against amorphous by the share that stayed, each
-    with its error."""
+    """Return the probabilities of the material classes, with the error of each criterion.
+
+    Compliance separates solid from the others. The permanent fraction of the deformation separates
+    soft from amorphous.
+    """
     solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
     fraction_sd = math.hypot(s.set_fraction_sd, math.hypot(stayed_sd, s.set_fraction * sd) / scale)
@@ -258,7 +261,8 @@ def _permanent_set(
 
 
 def _ratio(force: float, deformation: float, sd: float) -> tuple[float, float, float]:
-    """Stiffness F / d, N/m, and its 68 % interval; inf where the deformation may be nothing."""
+    """Return the stiffness F / d, N/m, and its 68 % interval; inf if the deformation may be
+    zero."""
 
     def over(d: float) -> float:
         return force / d if d > 0 else math.inf
@@ -269,8 +273,10 @@ def _ratio(force: float, deformation: float, sd: float) -> tuple[float, float, f
 def _modulus(
     stiffness: tuple[float, float, float], length: float, area: float, area_sd: float
 ) -> tuple[float, float, float]:
-    """E = K L / A, Pa, of a body between flat faces, and its 68 % interval (Eq. P4); `area_sd` of
-    `area`."""
+    """Return E = K L / A, Pa, of an object between flat faces, and its 68 % interval (Eq. P4).
+
+    `area_sd` is the relative standard deviation of `area`.
+    """
     if area <= 0:
         return math.nan, math.nan, math.nan
     best, low, high = (k * length / area for k in stiffness)

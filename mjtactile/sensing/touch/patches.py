@@ -29,7 +29,7 @@ from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 def find_patches(
     estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
 ) -> tuple[Contact, ...]:
-    """Contact patches, the strongest first; empty when nothing presses."""
+    """Return the contact patches, the strongest first; empty without contact."""
     nx = len(estimator.x)
     ny = len(estimator.y)
     pressing = np.zeros((nx, ny))
@@ -106,7 +106,7 @@ def _smoother(nodes: int, sd: float) -> Array:
 
 
 def _nearest_place(places: NDArray) -> NDArray:
-    """For each point the number of the nearest labelled place; 0 when there is none."""
+    """Return the label of the nearest labeled position for each point; 0 if there is none."""
     if places.max() <= 1:
         return np.full_like(places, places.max())
     _, nearest = cv2.distanceTransformWithLabels(

@@ -38,10 +38,10 @@ from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
 # of the peak: less is the contact's edge, where little pressure divides little shear
 _PRESSED = 0.1
-_NODES = 6  # that press alike, or as good as that
+_NODES = 6  # minimum effective number of equally loaded nodes
 _ROTATION_NODES = 4  # same for rotation: shear that is uniform along circles is rarer
 _ROTATION_FRACTION = 1.5  # of the force, as much torque over the radius of gyration
-_IMAGES = 3  # two of these must show it: noise may make the shear of one image look uniform
+_IMAGES = 3  # two of these must show slip: noise may make the shear of one image uniform
 _ROTATION_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
 _POINT = 1e-4  # minimum patch size, m; a patch of a single node has no extent
 
@@ -110,7 +110,8 @@ def judge(
     velocity, way = _motion(now.samples, s)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     is_even = is_finite_value and uneven < s.even
-    rolls = is_finite_value and uneven > s.rolls  # its middle sticks, wherever the whole goes
+    # the center sticks, in whatever direction the contact moves
+    rolls = is_finite_value and uneven > s.rolls
     goes = not rolls and way > s.min_displacement and evidence(now, normal, s) > asked
     slips = load > s.min_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
@@ -284,14 +285,16 @@ def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
 
 
 def split(force: Array, normal: Array) -> tuple[float, Array]:
-    """Normal force, N (positive presses), and shear (3,) N of a force on a patch with outward unit
-    normal (3,)."""
+    """Return the normal force, N, and the shear (3,), N, of a force on a patch.
+
+    The patch has the outward unit normal (3,). The normal force is positive for compression.
+    """
     along = float(force @ normal)
     return -along, force - along * normal
 
 
 def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
-    """Outward unit normal (3,) of the membrane, averaged over where it is pressed."""
+    """Return the outward unit normal (3,) of the membrane, averaged over the contact."""
     weight = estimator.pressing_at_points(shape)
     n = estimator.sheet.area_vector(shape.c, weight)
     if weight.any():
@@ -300,8 +303,10 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
 
 
 def _pressed(estimator: InverseMembrane, shape: Shape, core_fraction: float) -> Array:
-    """Share (J,) of the pressing force at each node; less than `core_fraction` of the peak is no
-    touch."""
+    """Return the fraction (J,) of the normal contact force at each node.
+
+    Nodes below `core_fraction` of the peak count as no contact.
+    """
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
     weight = np.maximum(weight - core_fraction * weight.max(), 0.0)
     return weight / weight.sum()

@@ -148,9 +148,9 @@ def parse(text: str) -> dict[Effect, bool]:
 
 
 def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
-    """Add the overrides implied by leaving out the sensing chain.
+    """Add the overrides implied by leaving out the sensing pipeline.
 
-    Without a chain, images are not needed, and touch comes from a quasi-static membrane. Raises
+    Without it, images are not needed, and touch comes from a quasi-static membrane. Raises
     InputError for contradictory overrides.
     """
     if forced.get(Effect.CHAIN, True):

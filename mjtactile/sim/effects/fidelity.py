@@ -24,8 +24,10 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
 REAL_TIME_MARGIN = 1.25
-"""Physics must be this much faster than the clock: cameras, perception and the rest want their
-share."""
+"""Minimum speed of the physics relative to real time.
+
+The margin is for cameras, perception and the remaining tasks.
+"""
 CHOICES = ("0.02N (a force error)", "realtime")
 FILM = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
@@ -71,10 +73,12 @@ class Fidelity:
     def for_force_error(
         cls, force_error: float, table: Path | None = None, *, films: bool = False
     ) -> Fidelity:
-        """The cheapest measured setting with at most `force_error` N; else the most accurate one,
-        with `met` False. With `films`, one without a mesh may be it.
+        """Return the cheapest measured setting with a force error of at most `force_error`, N.
 
-        Raises InputError when `force_error` is not a finite number > 0.
+        If there is none, return the most accurate setting, with `met` False. With `films`, the
+        result may be a setting without a mesh.
+
+        Raises InputError if `force_error` is not a finite number > 0.
         """
         if not math.isfinite(force_error) or force_error <= 0:
             raise InputError(
@@ -99,8 +103,10 @@ class Fidelity:
 
     @classmethod
     def for_real_time(cls, table: Path | None = None) -> Fidelity:
-        """The most accurate measured setting that keeps up with the clock; else the fastest, with
-        `met` False."""
+        """Return the most accurate measured setting that runs in real time.
+
+        If there is none, return the fastest setting, with `met` False.
+        """
         rows, stamp = load_table(table)
         good = [row for row in rows if row.real_time_factor >= REAL_TIME_MARGIN]
         if good:
@@ -120,8 +126,11 @@ class Fidelity:
 
     @classmethod
     def parse(cls, text: str, table: Path | None = None, *, films: bool = False) -> Fidelity:
-        """Read "0.02N" or "realtime"; `films`: a force error may be had from a film. Raises
-        InputError listing the choices."""
+        """Read "0.02N" or "realtime".
+
+        With `films`, a force error may be met by a quasi-static membrane. Raises InputError that
+        lists the choices.
+        """
         word = text.strip().lower()
         if word in ("realtime", "real-time"):
             return cls.for_real_time(table)
@@ -184,7 +193,7 @@ def levels_path() -> Path:
 def load_membranes() -> Sequence[Fidelity]:
     """Return the measured settings of quasi-static membranes; empty without such a file.
 
-    Their touch comes from the complete sensing chain.
+    Their touch comes from the complete sensing pipeline.
     """
     path = levels_path()
     if not path.is_file():

@@ -35,7 +35,7 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
         tension = sheet.pretension + stiffness * (1 / math.cos(t) - 1)
         return math.pi * ((a + b) * tension + a * b * pressure) * math.sin(t) ** 2 - force
 
-    # halved until nothing is left of it; it grows with the angle
+    # bisection to machine precision; the force balance increases with the angle
     low = 0.0
     high = 1.5707
     for _ in range(52):

@@ -86,7 +86,8 @@ class Light:
         return np.maximum(1 - self._falloff * (1 - share) / self._loss, 0.0)
 
     def _aside(self, xy: Array) -> Array:
-        """Squared distances (n, ...) m^2 of places (..., 2) from the LEDs, along the membrane."""
+        """Return the squared distances (n, ...), m^2, of positions (..., 2) from the LEDs, along
+        the membrane."""
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)
 
     def _irradiance(self, aside: Array, z: Array) -> Array:

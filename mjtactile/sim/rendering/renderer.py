@@ -32,15 +32,18 @@ from mjtactile.sim.rendering.shadows import ShadowedLight
 # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
 _WALL_FRACTION = 0.45
 BLUR_MIN_PX = 0.2
-"""A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
+"""Minimum blur, px; a smaller one is rendered as this one.
+
+No lens has less, and the quadrature needs a smooth edge.
+"""
 # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _STEP_PER_BLUR = 1.25
 _OUTLINE = 360  # corners of the polygon in a round opening: 0.01 px of `round30`
 _NODES = 4  # in each panel of a straight side
-# places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
+# positions per pixel at which the edge functions are tabulated: random error of at most 1e-3 px
 _BINS = 512
 _TAIL = 5.0  # sd at which the Gaussian ends: 3e-7 of it are beyond
-_POOL_FRAMES = 4  # noise is cut from a pool of this many frames' worth, at a random place
+_POOL_FRAMES = 4  # size of the noise pool, in frames; noise is taken from a random position in it
 
 Floats = NDArray[np.float32]
 
@@ -87,7 +90,7 @@ class Renderer:
         self._fixed = FiducialRenderer.of(design)
 
     def reseed(self, seed: int) -> None:
-        """Cut the noise of the images to come from other places of the pool."""
+        """Set the generator that selects the noise of the images from the pool."""
         self._rng = np.random.default_rng(seed)
 
     def render(
@@ -276,8 +279,10 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
 
 
 def _below(x: Array) -> Array:
-    """The normal distribution's share below each `x`, as scipy's `ndtr`: its import takes a sixth
-    of a second."""
+    """Return the fraction of the normal distribution below each `x`, like scipy's `ndtr`.
+
+    Importing scipy's function takes a sixth of a second.
+    """
     root = math.sqrt(0.5)
     shares = [0.5 * math.erfc(-root * value) for value in x.ravel().tolist()]
     return np.reshape(shares, x.shape)

@@ -40,12 +40,13 @@ _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft 
 # fixed point: ray against height field; each halves the rest even at the corner and a slope of 45
 # degrees
 _CAMERA_STEPS = 6
-# fixed point: which material point lies at a place; displacements change by 0.2 per length
+# fixed point: material point at a position; displacements change by 0.2 per length
 _CARRY_STEPS = 4
 # convergence step of both fixed points, m: the remaining error is below half of it, 0.2 px
 _NEAR = 2e-5
-_BEYOND = 1.1  # how far past the sheet's lowest point a ray is followed, for the penumbra
-_MAX_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
+# ray length relative to that down to the membrane's lowest point; the excess is for the penumbra
+_BEYOND = 1.1
+_MAX_STEPS = 200  # maximum samples along a ray: 0.1 m of length at the usual node spacing
 
 
 class ShadowedLight(Light):
@@ -89,8 +90,10 @@ class ShadowedLight(Light):
         return cv2.add(cv2.multiply(field, self._opening), self._wall)
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
-        """Share (H, W) of the LEDs' light that does not arrive; None when all of it does. `light`
-        (n, ny, nx): each LED's."""
+        """Return the fraction (H, W) of the LEDs' light that is blocked; None if all of it arrives.
+
+        `light` (n, ny, nx) is that of each LED.
+        """
         sheet = self._sheet
         clear = None
         if may_block(sheet.xy, z, self._p_SL):
@@ -125,7 +128,8 @@ class ShadowedLight(Light):
         return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
 
     def _places(self, z: Array, block: int) -> Array:
-        """Columns and rows (nv, nu, 2) of the height field `z` at which blocks of pixels look."""
+        """Return the columns and rows (nv, nu, 2) of the height field `z` that pixel blocks
+        observe."""
         slopes, shift = self._looks[block]
         # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
         if block != BLOCK_PX:
@@ -164,7 +168,7 @@ class SmoothMembrane:
         rim = _rim(frame)
         known = np.concatenate([self._flat[:, :2], rim])
         values = np.eye(len(known))[:, : len(self._flat)]
-        from scipy.interpolate import RBFInterpolator  # lazily: few pictures have shadows
+        from scipy.interpolate import RBFInterpolator  # imported lazily: few images have shadows
 
         operator = RBFInterpolator(known, values, kernel="thin_plate_spline")(
             self.xy.reshape(-1, 2)
@@ -173,15 +177,16 @@ class SmoothMembrane:
         self._operator = operator
 
     def columns_rows(self, xy: Array) -> Array:
-        """Places (..., 2) m as fractional columns and rows of the grid."""
+        """Convert positions (..., 2), m, to fractional columns and rows of the grid."""
         first = self.xy[0, 0]
         last = self.xy[-1, -1]
         return (xy - first) * (np.array([len(self.x), len(self.y)]) - 1) / (last - first)
 
     def heights(self, p_SM: Array) -> Array:
-        """Heights (ny, nx) m of the sheet at its nodes' places for markers at `p_SM` (N, 3).
+        """Return the heights (ny, nx), m, of the membrane at its nodes for markers at `p_SM` (N,
+        3).
 
-        Material moves along the sheet too: at x lies the material point X with X + u(X) = x.
+        Material also moves along the membrane: the material point X with X + u(X) = x is at x.
         """
         if p_SM.shape != self._flat.shape or not np.isfinite(p_SM).all():
             raise InputError(
@@ -251,7 +256,7 @@ def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> A
         y = xy[..., 1] + part * to_y
         at = np.stack([(x - first[0]) * scale[0], (y - first[1]) * scale[1]], axis=-1)
         np.minimum(minimum, (bilinear(z, at) - z) / part, out=minimum)
-    # a sheet right below an LED sees it
+    # membrane directly below an LED is not shadowed
     return (minimum + down) / down * np.maximum(across, 2 * radius) / radius
 
 
@@ -270,12 +275,14 @@ def wall_clearance(
 
 
 def visible(clear: Array | Floats) -> Floats:
-    """Share of an LED that is seen at a `clearance`: of a square one behind a straight edge."""
+    """Return the visible fraction of an LED at a `clearance`, for a square LED behind a straight
+    edge."""
     return np.clip((1 + clear) / 2, 0.0, 1.0).astype(np.float32)
 
 
 def edge_distance(frame: Frame, xy: Array) -> Array:
-    """Distance (...) m of places (..., 2) from the opening's edge, positive inside."""
+    """Return the distance (...), m, of positions (..., 2) from the opening's edge, positive
+    inside."""
     if frame.outline is not None:
         return frame.inside(xy.reshape(-1, 2)).reshape(xy.shape[:-1])
     return np.minimum(frame.length / 2 - np.abs(xy[..., 0]), frame.width / 2 - np.abs(xy[..., 1]))

@@ -66,7 +66,7 @@ class EllipseSampler:
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
-        """Draw the errors to come from another generator."""
+        """Set the generator of the ellipse errors."""
         self._rng = np.random.default_rng(seed)
 
     def sight(

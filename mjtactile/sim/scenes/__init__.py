@@ -1,1 +1,1 @@
-"""Worlds with sensors in them: a gripper and an object, indenters, bodies of known material."""
+"""Worlds with sensors in them: gripper and object, indenters, objects of known material."""

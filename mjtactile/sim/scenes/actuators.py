@@ -54,7 +54,7 @@ class PositionActuator:
         self.dofs = model.jnt_dofadr[self.joints]
         gears = self.gears.tolist()
         self.reads = list(zip(self._qpos.tolist(), gears, strict=True))
-        """Places in qpos that its length hangs on, and by how much."""
+        """Addresses in qpos that determine its length, with their factors."""
         self._moves = list(zip(self.dofs.tolist(), gears, strict=True))
         self._asked = math.nan  # last limit, N or N m
         limited = bool(model.actuator_forcelimited[self.id])
@@ -84,7 +84,7 @@ class PositionActuator:
         return float(self._data.actuator_force[self.id])
 
     def force_reached(self, sign: float) -> float:
-        """The most that the model lets it push in the direction `sign`, N or N m."""
+        """Return the maximum force of the model in the direction `sign`, N or N m."""
         return float(self._range[1] if sign > 0 else -self._range[0])
 
     def limit_force(self, force: float) -> None:

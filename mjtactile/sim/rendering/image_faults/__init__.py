@@ -45,7 +45,7 @@ class FaultyImage:
         return bool(self._steps)
 
     def __call__(self, image: Image) -> Image:
-        """The picture as it arrives; the same where nothing is on yet."""
+        """Return the image with the faults; unchanged before the faults start."""
         if not self._steps or image.time < self.troubles.start:
             return image
         pixels = image.pixels.astype(np.float32)

@@ -12,7 +12,7 @@ from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Flo
 _MASK = 1.0  # px, sd of the unsharp mask
 _STUDIO = (16.0, 219.0)  # black, and levels from there to white, of YUYV
 _BROKEN_BYTES = 3
-_HEAD = 700  # bytes of a JPEG before its picture
+_HEAD = 700  # number of header bytes of a JPEG
 _MAX_LINES = 12
 _QUALITY = 90  # of JPEGs that break where none is asked for
 
@@ -77,7 +77,7 @@ def compressed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def torn(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """From some row on the picture before."""
+    """Replace the rows below a random row by those of the previous image."""
     rng = shot.own
     if shot.last is None or rng.random() >= t.torn:
         return pixels

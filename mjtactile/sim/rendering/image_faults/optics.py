@@ -57,7 +57,7 @@ def dusty(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def scratched(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Straight fine lines, most of the picture long."""
+    """Add fine straight lines across most of the image."""
     lines = _lines(pixels.shape, round(t.scratches), int(shot.fixed.integers(2**31)))
     return _floats(pixels * (1 - _SCRATCH_TAKES * lines))
 
