@@ -135,7 +135,7 @@ def _estimate_images(press: RecordedPress, settings: Settings) -> list[tuple[Any
     rows: list[tuple[Any, ...]] = []
     try:
         chain = SensingPipeline(press.design, settings=settings)
-        state = chain.measure_flat_reference(chain.begin(), press.flat)
+        state = chain.measure_flat_reference(chain.initial_state(), press.flat)
         state = chain.measure_rest_reference(state, press.rest, press.gauge_pressure)
         for image in press.images:
             touch, state = chain.step(state, image, image.time)

@@ -121,12 +121,12 @@ def _errors(
     for k in range(count):
         if state is None or k % _PER_REFERENCE == 0:
             state = chain.measure_flat_reference(
-                chain.begin(), [look(poses[0]) for _ in range(_REFERENCES)]
+                chain.initial_state(), [look(poses[0]) for _ in range(_REFERENCES)]
             )
             state = chain.measure_rest_reference(
                 state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0
             )
-        markers, state = chain.see(state, look(poses[2]))
+        markers, state = chain.detect_markers(state, look(poses[2]))
         error = np.full_like(p_SM, np.nan)
         sd = np.full_like(p_SM, np.nan)
         error[markers.ids] = markers.p_SM - p_SM[markers.ids]

@@ -27,7 +27,7 @@ from mjtactile.grasp_estimation import (
     FrictionProbe,
     GripStiffnessEstimator,
     LoadEstimator,
-    weigh,
+    estimate_weight,
 )
 from mjtactile.types import Command, Observation
 
@@ -136,7 +136,9 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
         worst, minimum = trial.grip * load.maximum, MIN_TEST_FORCE
     target = max(minimum, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.maximum))
     found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
-    return _remember(command, target=target, **found, mass=load.mass, mass_sd=weigh(touch).sd)
+    return _remember(
+        command, target=target, **found, mass=load.mass, mass_sd=estimate_weight(touch).sd
+    )
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:

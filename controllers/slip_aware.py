@@ -9,7 +9,7 @@ tightens. `step` is pure: it writes its memory into `Command.memory` and reads i
 from dataclasses import replace
 from math import isfinite
 
-from mjtactile.grasp_estimation import shear, support
+from mjtactile.grasp_estimation import shear, support_force
 from mjtactile.types import Command, Observation
 
 # initial and maximum target force per finger, N
@@ -192,7 +192,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     # an object that slid down in the grip reaches the table before the gripper is down; stop here,
     # else it is pressed onto its edge
     held = command.memory.get("held", shear(observation.touch))
-    if support(observation.touch, held) > TABLE_FORCE:
+    if support_force(observation.touch, held) > TABLE_FORCE:
         return _remember(_go(command, "release"), grip_opening=command.opening)
     time_max = (observation.goal.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
     if height == goal and (

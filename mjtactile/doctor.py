@@ -37,7 +37,7 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     if design.fiducials is None:
         return
     chain = SensingPipeline(design)
-    _, state = chain.see(chain.begin(), image)
+    _, state = chain.detect_markers(chain.initial_state(), image)
     known = chain.sight.known
     assert known is not None
     seen = 0 if state.fiducials is None else len(state.fiducials)

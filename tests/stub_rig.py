@@ -48,7 +48,7 @@ class World:
     def now(self):
         return self.time
 
-    def start(self, time):
+    def advance_towards(self, time):
         pass
 
     def wait_until(self, time):
@@ -59,7 +59,7 @@ class World:
             raise DeviceError("left camera is stale")
         return Image(np.zeros((2, 2), np.uint8), self.time)
 
-    def ask(self):
+    def request_state(self):
         pass
 
     def state(self):

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults.error_statistics import numbers
 from benchmarks.camera_faults.fault_kinds import ALWAYS, RUN, kinds, label
-from benchmarks.camera_faults.replay import Grasp, ReplayResult, feel, record
+from benchmarks.camera_faults.replay import Grasp, ReplayResult, record, replay_faults
 from mjtactile.runtime.progress import Progress
 
 SENSORS = ("dense", "dense_fiducials")
@@ -73,7 +73,7 @@ def _rows(
     for kind in kinds():
         if kind.name not in names or kind.when != (ALWAYS if kind.name == "none" else RUN):
             continue
-        both = feel(grasp, kind)
+        both = replay_faults(grasp, kind)
         clean = clean or both
         for gauge, felt, without in zip((True, False), both, clean, strict=True):
             row = _row(grasp, felt, without)
@@ -104,7 +104,7 @@ def _prices(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
     for _ in range(turns):
         for sensor, grasp in grasps.items():
             start = time.process_time()
-            feel(grasp, clean, gauges=(True,))
+            replay_faults(grasp, clean, gauges=(True,))
             spent[sensor].append((time.process_time() - start) / len(grasp.images))
     return {sensor: 1e3 * float(np.min(each)) for sensor, each in spent.items()}
 

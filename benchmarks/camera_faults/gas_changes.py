@@ -32,13 +32,13 @@ def rows(quick: bool = False) -> list[dict[str, Any]]:
     """Each trouble with nothing on the sensor, and with a ball; the worst and where it was."""
     names = list(TROUBLES)[:: 3 if quick else 1]
     return [
-        {"trouble": name, "held": held, **feel(TROUBLES[name], held)}
+        {"trouble": name, "held": held, **apply_gas_change(TROUBLES[name], held)}
         for name in names
         for held in (False, True)
     ]
 
 
-def feel(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
+def apply_gas_change(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
     """Compute the force errors after the change, over images whose status is ok."""
     model, data, finger = scene(MASS if held else None)
     errors(model, data, finger, BEFORE)

@@ -56,7 +56,9 @@ class ReplayResult:
     refused: str = ""
 
 
-def feel(grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)) -> list[ReplayResult]:
+def replay_faults(
+    grasp: Grasp, kind: Kind, *, gauges: Sequence[bool] = (True, False)
+) -> list[ReplayResult]:
     """Evaluate the grasp with that fault, with and without pressure readings.
 
     One pass over the images serves both.

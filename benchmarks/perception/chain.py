@@ -104,7 +104,7 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     x, y = np.meshgrid(*grid_of(design.frame, 0.0005))
     for sheet, image in zip(sheets, images, strict=True):
         chain = SensingPipeline(design)
-        markers, _ = chain.see(chain.begin(), image)
+        markers, _ = chain.detect_markers(chain.initial_state(), image)
         seen.append(len(markers))
         spline: Spline = chain.fitter.fit_spline(markers.p_SM, markers.cov_p, markers.n_S)
         truth = sheet(x, y)
@@ -126,12 +126,12 @@ def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[f
     """Processor time of each run from image to surface, ms, in turn through `images` as in a
     recording."""
     chain = SensingPipeline(design)
-    markers, state = chain.see(chain.begin(), images[0])
+    markers, state = chain.detect_markers(chain.initial_state(), images[0])
     chain.fitter.fit(markers)
     spent = []
     for k in range(repeats):
         begin = time.thread_time()
-        markers, state = chain.see(state, images[k % len(images)])
+        markers, state = chain.detect_markers(state, images[k % len(images)])
         chain.fitter.fit(markers)
         spent.append(1e3 * (time.thread_time() - begin))
     return spent

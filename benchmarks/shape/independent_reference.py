@@ -37,7 +37,7 @@ def rows() -> list[dict[str, Any]]:
     film = QuasistaticMembrane(design, _FILM)
     order = [int(np.abs(_GRID - at[:2]).sum(axis=1).argmin()) for at in design.markers.p_SM]
     state = chain.load_rest_reference(
-        chain.begin(), _seen(_at_rest(film)[order]), film.gauge_pressure
+        chain.initial_state(), _seen(_at_rest(film)[order]), film.gauge_pressure
     )
     finder = chain.make_shape_estimator(state)
     path = Path(benchmarks.__path__[0]) / "film_reference.json"
@@ -47,7 +47,7 @@ def rows() -> list[dict[str, Any]]:
             continue
         places = 1e-6 * np.array(case["markers_um"])[order]
         markers = _seen(places + _NOISE * np.random.default_rng(seed).standard_normal((81, 3)))
-        touch, _ = chain.feel(state, markers, chain.fitter.fit(markers), 0.0)
+        touch, _ = chain.estimate_touch(state, markers, chain.fitter.fit(markers), 0.0)
         shape = chain.estimate_contact_shape(state, [touch], finder)
         found.append(
             {

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.slip.evaluate_case import Sample
 from mjtactile.core.types import Touch
-from mjtactile.grasp_estimation import SlipTestResult, follows
+from mjtactile.grasp_estimation import SlipTestResult, evaluate_slip_test
 
 WINDOW = 0.3  # window, s: a little more than one period
 IN_TIME = 0.4  # time limit of a detection with the test, s
@@ -40,9 +40,9 @@ def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
     shear = np.array([_shear(look.touch) for look in looks])
     begins = np.searchsorted(time, time - WINDOW - 1e-9)
     return [
-        follows(normal[begin : k + 1], shear[begin : k + 1])
+        evaluate_slip_test(normal[begin : k + 1], shear[begin : k + 1])
         if time[k] - time[0] >= WINDOW - 1e-9
-        else follows([], [])
+        else evaluate_slip_test([], [])
         for k, begin in enumerate(begins)
     ]
 

@@ -79,7 +79,7 @@ def references(
     """The sensor's own references, from images of it flat and inflated."""
     world = SlipWorld(design, case, mesh=mesh)
     renderer = Renderer(design, seed=case.seed)
-    state = chain.begin()
+    state = chain.initial_state()
     world.inflate(0.0)
     state = chain.measure_flat_reference(
         state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)]

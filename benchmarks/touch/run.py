@@ -87,7 +87,7 @@ class LayoutView(View):
             start = time.thread_time()
             chain = self.perception.chain
             state = self.perception.state
-            _, self.perception.state = chain.feel(
+            _, self.perception.state = chain.estimate_touch(
                 state, touch.markers, touch.surface, image.time + 1e-4
             )
             self.milliseconds.append(1e3 * (time.thread_time() - start))

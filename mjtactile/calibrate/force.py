@@ -83,7 +83,7 @@ def ready_perception(
     return perception
 
 
-def feel(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, float]:
+def mean_force(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, float]:
     """Estimate the mean normal force, N, and area, m^2, from images of one load.
 
     The sensor must have references. Raises InputError with the reason if no image is usable.

@@ -126,7 +126,7 @@ def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline
     calibration = load_calibration(path)
     calibration.check(design, calibration.finger, path)
     chain = SensingPipeline(design, calibration)
-    return StatefulPipeline(chain, chain.recall())
+    return StatefulPipeline(chain, chain.restored_state())
 
 
 def _reconstruct(
@@ -141,8 +141,8 @@ def _reconstruct(
     if state.reference is not None:
         touch = perception.perceive(image, time.monotonic())
     else:
-        markers, perception.state = chain.see(state, image)
-        status = chain.enough(markers)
+        markers, perception.state = chain.detect_markers(state, image)
+        status = chain.check_markers(markers)
         surface = chain.fitter.fit(markers) if status == "ok" else None
         touch = Touch(
             0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status

@@ -91,7 +91,7 @@ class ResolutionPredictor:
             return Resolution(x, y, force, *[unknown] * 6)
         edge_sd = self.edge_sd(place, force) if edges else unknown
         pressed = self.stand.press(ball(place, BALL_RADIUS), force)
-        felt = None if pressed is None else self.stand.feel(pressed.state)
+        felt = None if pressed is None else self.stand.estimate_touch(pressed.state)
         if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
             return Resolution(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
         wrench = felt.touch.traction.wrench
@@ -153,7 +153,9 @@ class ResolutionPredictor:
         if pressed is None:
             return None
         hint = replace(over, height=pressed.height)
-        data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.see(pressed.state)))
+        data = self._data(
+            Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.detect_markers(pressed.state))
+        )
         believed = Prior(theta / family.sd, np.eye(len(theta)))
         try:
             at = begin(self._forward, family, hint, theta, data, believed, pressed.state)

@@ -127,7 +127,7 @@ def _within_tolerance(stand: VirtualBench, force: float) -> bool:
     pressed = stand.press(ball(np.zeros(2), RANGE_RADIUS), force)
     if pressed is None:
         return False
-    felt = stand.feel(pressed.state)
+    felt = stand.estimate_touch(pressed.state)
     if not felt.ok or felt.touch.traction is None:
         return False
     return bool(abs(-felt.touch.traction.wrench[2] - force) < _FELT_RIGHT * force)

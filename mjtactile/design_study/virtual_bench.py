@@ -92,7 +92,7 @@ class VirtualBench:
         self._require_all(flat, "flat")
         rest = self.sight(self.film.rest)
         self._require_all(rest, "inflated")
-        state = self.chain.measure_flat_reference(self.chain.begin(), [flat])
+        state = self.chain.measure_flat_reference(self.chain.initial_state(), [flat])
         self.state = self.chain.measure_rest_reference(state, [rest], self.film.gauge_pressure)
 
     def _require_all(self, seen: SyntheticEllipses, how: str) -> None:
@@ -206,11 +206,11 @@ class VirtualBench:
         """Compute the exact ellipses in the camera image of a membrane solution."""
         return self._sighter.sight(*self.poses(film.x), time, errors=False)
 
-    def see(self, film: MembraneSolution) -> Markers:
+    def detect_markers(self, film: MembraneSolution) -> Markers:
         """Compute the markers detected by the sensing pipeline, with their covariance."""
-        return self.chain.see(self.state, self.sight(film))[0]
+        return self.chain.detect_markers(self.state, self.sight(film))[0]
 
-    def feel(self, film: MembraneSolution) -> PredictedTouch:
+    def estimate_touch(self, film: MembraneSolution) -> PredictedTouch:
         """Run the sensing pipeline on a membrane in equilibrium.
 
         The second image is evaluated, since the covariance after a sudden load change is inflated.
@@ -256,7 +256,7 @@ class VirtualBench:
         """Return the standard deviation, N, of the running force level without contact, used to
         detect light contacts."""
         blend = self.chain.settings.zero.blend
-        one = math.sqrt(self.noise(self.feel(self.film.rest))[2, 2])
+        one = math.sqrt(self.noise(self.estimate_touch(self.film.rest))[2, 2])
         return one * math.sqrt(blend / (2 - blend))
 
 

@@ -35,7 +35,7 @@ class MonotonicClock:
     def now(self) -> float:
         return scaled_clock.monotonic()
 
-    def start(self, time: float) -> None:
+    def advance_towards(self, time: float) -> None:
         """The real world moves by itself."""
 
     def wait_until(self, time: float) -> None:

@@ -2,7 +2,7 @@
 images.
 
 The images pass through the product's own sensing pipeline up to the markers
-(`SensingPipeline.see`). Recorded force estimates and ground truth are not used.
+(`SensingPipeline.detect_markers`). Recorded force estimates and ground truth are not used.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def read_evidence(
     chain = SensingPipeline(design, calibration)
     flat, rest = recording.references
     flat_images = tuple(flat.images(number))
-    state = chain.measure_flat_reference(chain.begin(), flat_images)
+    state = chain.measure_flat_reference(chain.initial_state(), flat_images)
     seen = [markers for _, markers in _see(chain, state, rest.images(number))]
     reading = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
     note = recording.notes.get("stage")
@@ -162,8 +162,8 @@ def _see(
     """The images that show enough markers, and these; each is expected where the last image had
     it."""
     for image in images:
-        markers, after = chain.see(state, image)
-        if chain.enough(markers) == "ok":
+        markers, after = chain.detect_markers(state, image)
+        if chain.check_markers(markers) == "ok":
             state = after
             yield image, markers
 

@@ -10,20 +10,20 @@ from mjtactile.grasp_estimation.friction_estimator import FrictionEstimator
 from mjtactile.grasp_estimation.friction_probe import FrictionProbe
 from mjtactile.grasp_estimation.grip_stiffness import GripStiffnessEstimator
 from mjtactile.grasp_estimation.load_estimator import LoadEstimator
-from mjtactile.grasp_estimation.slip_test import SlipTestResult, follows
+from mjtactile.grasp_estimation.slip_test import SlipTestResult, evaluate_slip_test
 from mjtactile.grasp_estimation.touch_statics import (
     GAIN_SD,
     GRAVITY,
     Friction,
     Weight,
-    downward,
-    friction,
+    estimate_friction,
+    estimate_weight,
+    load_direction,
     load_vector,
     min_grip_force,
-    pull,
+    pull_force,
     shear,
-    support,
-    weigh,
+    support_force,
 )
 
 __all__ = [
@@ -37,13 +37,13 @@ __all__ = [
     "LoadEstimator",
     "SlipTestResult",
     "Weight",
-    "downward",
-    "follows",
-    "friction",
+    "estimate_friction",
+    "estimate_weight",
+    "evaluate_slip_test",
+    "load_direction",
     "load_vector",
     "min_grip_force",
-    "pull",
+    "pull_force",
     "shear",
-    "support",
-    "weigh",
+    "support_force",
 ]

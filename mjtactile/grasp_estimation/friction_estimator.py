@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Touch
-from mjtactile.grasp_estimation.touch_statics import friction, shear
+from mjtactile.grasp_estimation.touch_statics import estimate_friction, shear
 
 # Tuned in simulation (docs/how-to/controllers.md). All in s: delay of a slip report; time within
 # which all fingers must report it; pause until the next slip counts; time constant of forgetting a
@@ -94,7 +94,7 @@ class FrictionEstimator:
         Returns:
             The updated estimator.
         """
-        told = friction(touch)
+        told = estimate_friction(touch)
         used = max(float(np.nan_to_num(told.used).max()), self.used * math.exp(-period / _LATE))
         proven = self.proven * math.exp(-period / _PROOF_TIME)
         since_slip = self.since_slip + period

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.grasp_estimation.touch_statics import GRAVITY, downward, load_vector, shear
+from mjtactile.grasp_estimation.touch_statics import GRAVITY, load_direction, load_vector, shear
 
 _KEPT = 1.5  # time constant of forgetting a past load, s: half of a shake is light
 _SPARE = 0.02  # shear margin for noise and for the start of a load, N
@@ -77,7 +77,7 @@ class LoadEstimator:
         """
         press = float(np.mean([one.force_normal for one in touch]))
         before = press * np.asarray(self.inner) if len(self.inner) else 0.0
-        return replace(self, down=downward(touch, before).tolist())
+        return replace(self, down=load_direction(touch, before).tolist())
 
     def vector(self, touch: Sequence[Touch]) -> Array:
         """Return the external force on the hanging object.

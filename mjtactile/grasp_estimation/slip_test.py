@@ -35,7 +35,7 @@ _MOMENTS_MIN = 4
 _CHANGE_MIN = 0.01  # of the normal force, rms: less is in its noise
 
 
-def follows(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
+def evaluate_slip_test(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
     """Test one finger, or the mean of several.
 
     Args:

@@ -8,7 +8,7 @@ measures the force on its membrane in its own frame S. The direction of gravity 
 needed. The fingers alone carry a hanging object, in parallel contact planes. For tips inclined by
 an angle, the shear is underestimated by the cosine of that angle.
 
-    found = weigh(touch)                # lifted: 0.0602 kg +- 0.0014
+    found = estimate_weight(touch)                # lifted: 0.0602 kg +- 0.0014
     grip = min_grip_force(found.mass, friction=0.6, fingers=2)
 """
 
@@ -78,7 +78,9 @@ def shear(touch: Sequence[Touch]) -> Array:
     return np.array([_wrench(one)[:2] for one in touch])
 
 
-def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: float = 0.0) -> Weight:
+def estimate_weight(
+    touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: float = 0.0
+) -> Weight:
     """Estimate the mass of a lifted object: sum of shears = m (g + a).
 
     Args:
@@ -105,7 +107,7 @@ def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: floa
     return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
 
 
-def friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
+def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
     """Estimate friction from the shears: a hold gives a lower bound, a slip the value (Coulomb).
 
     Args:
@@ -149,7 +151,7 @@ def min_grip_force(
     return mass * (GRAVITY + abs(acceleration)) / (fingers * friction)
 
 
-def support(touch: Sequence[Touch], held: ArrayLike) -> float:
+def support_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     """Return the external support against the load of the fingers, such as the table during
     lowering.
 
@@ -169,7 +171,7 @@ def support(touch: Sequence[Touch], held: ArrayLike) -> float:
     return float(np.mean(gone - np.linalg.norm(before, axis=1)))
 
 
-def downward(touch: Sequence[Touch], before: ArrayLike = 0.0) -> Array:
+def load_direction(touch: Sequence[Touch], before: ArrayLike = 0.0) -> Array:
     """Estimate the direction of the load on each finger.
 
     Args:
@@ -209,7 +211,7 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
     return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])
 
 
-def pull(touch: Sequence[Touch], held: ArrayLike) -> float:
+def pull_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     """Return the external pull on the held object along the membranes, for example by a person.
 
     Args:

@@ -185,7 +185,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         cycle = self._cycle
         deadline = cycle.now + rig.period
         wanted = command_from_action(self._seen, action)
-        rig.clock.start(deadline)
+        rig.clock.advance_towards(deadline)
         sent = cycle.send(wanted)
         self._score.send(sent.phase)
         outcome = ""
@@ -266,7 +266,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         """Take the current images, estimate the touches and store the controller's observation."""
         self._problem = ""
         self._cycle.look()
-        self._seen = self._cycle.feel()
+        self._seen = self._cycle.observe()
         if self._cycle.failure is not None:
             raise self._cycle.failure
 

@@ -196,7 +196,7 @@ class SimFinger:
 
     def _look(self) -> None:
         self._image = self._camera.read()
-        reading = self._finger.reading(self._valve.state())
+        reading = self._finger.pressure_reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)
         reference = self._perception.state.reference
         self._seen = SensorReading(

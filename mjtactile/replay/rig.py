@@ -79,7 +79,7 @@ class ReplayClock:
             )
         return float(self._tape.recording.columns["time"][max(self._tape.cycle, 0)])
 
-    def start(self, time: float) -> None:
+    def advance_towards(self, time: float) -> None:
         """Do nothing: only the recording advances."""
 
     def wait_until(self, time: float) -> None:
@@ -103,7 +103,7 @@ class ReplayGripper:
     def __init__(self, tape: Tape):
         self._tape = tape
 
-    def ask(self) -> None:
+    def request_state(self) -> None:
         """Do nothing: the recording contains the answer."""
 
     def state(self) -> GripperState:
@@ -158,7 +158,7 @@ class ReplayValve:
     def close(self) -> None:
         """It was closed then."""
 
-    def follow(self, gauge_pressure: float | None) -> None:
+    def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Do nothing: the valve followed the recorded command."""
 
 

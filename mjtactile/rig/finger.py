@@ -46,7 +46,7 @@ class Finger:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
 
-    def follow(self, gauge_pressure: float | None) -> None:
+    def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Have the valve keep the chamber at a pressure.
 
         Args:
@@ -59,9 +59,9 @@ class Finger:
             return
         measured = None if self.calibration is None else self.calibration.valve
         zero = 0.0 if measured is None else measured.offset
-        self.valve.follow(None if gauge_pressure is None else gauge_pressure + zero)
+        self.valve.regulate_pressure(None if gauge_pressure is None else gauge_pressure + zero)
 
-    def reading(self, valve: ValveState | None) -> PressureReading | None:
+    def pressure_reading(self, valve: ValveState | None) -> PressureReading | None:
         """Return the corrected reading of the chamber's pressure sensor.
 
         Args:
@@ -142,7 +142,7 @@ class Rig:
         """
         states = iter(valves)
         return tuple(
-            finger.reading(next(states, None) if finger.valve is not None else None)
+            finger.pressure_reading(next(states, None) if finger.valve is not None else None)
             for finger in self.fingers
         )
 

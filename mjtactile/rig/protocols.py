@@ -24,7 +24,7 @@ class CameraDevice(Protocol):
 class Gripper(Protocol):
     """Jaws, in any number, and lift of the gripper."""
 
-    def ask(self) -> None:
+    def request_state(self) -> None:
         """Start the measurement that the next `state` returns.
 
         The servos then respond while an image is processed.
@@ -35,7 +35,7 @@ class Gripper(Protocol):
         """Opening, speed, effort, height, with the time of measurement on the rig's clock and its
         age.
 
-        Measured when `ask` was called, or now if it was not.
+        Measured when `request_state` was called, or now if it was not.
         """
         ...
 
@@ -61,7 +61,7 @@ class Valve(Protocol):
         """Seal the chamber: from here on the amount of gas is kept."""
         ...
 
-    def follow(self, gauge_pressure: float | None) -> None:
+    def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Keep the chamber at a pressure sensor reading of `gauge_pressure`, Pa, from now on.
 
         None stops this and seals the chamber. The call does not wait. It is used only on rigs whose
@@ -76,7 +76,7 @@ class Clock(Protocol):
 
     def now(self) -> float: ...
 
-    def start(self, time: float) -> None:
+    def advance_towards(self, time: float) -> None:
         """Let the world move on towards `time` while the caller computes. Real time needs no
         telling."""
         ...

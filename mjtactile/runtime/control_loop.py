@@ -166,8 +166,8 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     """One cycle from the images to the command that was sent. The world moves on meanwhile."""
     before = cycle.last
     cycle.look()
-    cycle.rig.clock.start(deadline)
-    observation = cycle.feel()
+    cycle.rig.clock.advance_towards(deadline)
+    observation = cycle.observe()
     begin = wall.perf_counter()
     wanted = _think(cycle, controller, observation)
     controller_ms = 1e3 * (wall.perf_counter() - begin)

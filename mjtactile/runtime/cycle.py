@@ -59,7 +59,7 @@ class Perceiving(Protocol):
 class ControlCycle:
     """State of a rig between two commands, with its newest images, touch and device states.
 
-    A cycle consists of `look`, `feel`, and `send` with the requested command. Without images the
+    A cycle consists of `look`, `observe`, and `send` with the requested command. Without images the
     force is unknown. Any other failure makes the supervisor take over.
 
     Attributes:
@@ -105,7 +105,7 @@ class ControlCycle:
         self._seen = wall.perf_counter()
         self.camera_ms = 1e3 * (self._seen - begin)
         self.now = self.rig.clock.now()
-        self.attempt(self.rig.gripper.ask)
+        self.attempt(self.rig.gripper.request_state)
         if not self.attempt(self._read_valves):
             self.valves = tuple(
                 replace(valve, gauge_pressure=None, time=math.nan, age=math.nan)
@@ -113,7 +113,7 @@ class ControlCycle:
             )
         self.attempt(self.observer.on_images)
 
-    def feel(self) -> Observation:
+    def observe(self) -> Observation:
         """Estimate the touch from the images and return the controller's observation."""
         if self._blind:
             self._touch_unknown(Status(StatusCode.NO_IMAGE, self._blind))

@@ -86,7 +86,7 @@ class PerceptionPool:
         have answered.
         """
         for worker, own in self._shares(with_readings(images, readings)):
-            worker.begin("feel", own, now)
+            worker.begin("perceive", own, now)
         end = scaled_clock.monotonic() + disk_wait_time
         felt = list[Outcome | None]([None] * len(images))
         for first, (worker, own) in enumerate(self._shares(self._perceptions)):
@@ -140,7 +140,7 @@ def serve(channel: Channel) -> None:
                 case "take", own:
                     perceptions = pickle.loads(own)
                     channel.send()
-                case "feel", seen, now:
+                case "perceive", seen, now:
                     channel.send(
                         *[
                             (

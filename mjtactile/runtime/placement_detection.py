@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.grasp_estimation import shear, support
+from mjtactile.grasp_estimation import shear, support_force
 
 _TABLE_FORCE = 0.3  # minimum support per finger, N; a nudge on the way down is less
 _FOLLOWS = 0.2  # weight of a new shear sample in the low-pass filter of the load
@@ -45,4 +45,4 @@ class SuspendedLoad:
         down."""
         if height <= self._slid:
             return True
-        return self._shear is not None and support(touch, self._shear) > _TABLE_FORCE
+        return self._shear is not None and support_force(touch, self._shear) > _TABLE_FORCE

@@ -57,4 +57,4 @@ def send(rig: Rig, command: Command, last: Command) -> None:
         return
     pressures = command.gauge_pressure or (None,) * len(rig.fingers)
     for finger, pressure in zip(rig.fingers, pressures, strict=True):
-        finger.follow(pressure)
+        finger.regulate_pressure(pressure)

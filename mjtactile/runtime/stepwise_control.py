@@ -48,8 +48,8 @@ class StepwiseControl:
         rig.clock.wait_until(self._deadline)
         self._cycle.look()
         self._deadline = max(self._deadline, rig.clock.now() - rig.period) + rig.period
-        rig.clock.start(self._deadline)
-        seen = self._cycle.feel()
+        rig.clock.advance_towards(self._deadline)
+        seen = self._cycle.observe()
         if self._cycle.failure is not None:
             raise self._cycle.failure
         self.images = self._cycle.images

@@ -53,9 +53,9 @@ class MarkerDetector:
         )
         self._largest_px = _largest_px(design, camera)
 
-    def see(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
+    def detect_markers(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """The markers of one image in S, and the state that expects them there; see
-        `SensingPipeline.see`."""
+        `SensingPipeline.detect_markers`."""
         return self._identified(state, *self._ellipses(state.tracks, image))
 
     def _identified(
@@ -99,9 +99,9 @@ class MarkerDetector:
             settings=self.settings,
         )
 
-    def enough(self, markers: Markers) -> Status:
+    def check_markers(self, markers: Markers) -> Status:
         """Check that enough markers were detected to determine the shape; see
-        `SensingPipeline.enough`."""
+        `SensingPipeline.check_markers`."""
         seen = len(markers)
         if self._are_enough(seen):
             return OK
@@ -146,7 +146,7 @@ class MarkerDetector:
     def require(self, markers: Markers, what: str) -> None:
         """Raise DeviceError for too few markers, or for non-finite positions."""
         known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
-        if known < len(markers) or self.enough(markers) != OK:
+        if known < len(markers) or self.check_markers(markers) != OK:
             raise DeviceError(
                 f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
                 "markers found; check lighting, focus and the sensor file"

@@ -82,10 +82,10 @@ class SensingPipeline:
         )
         self.estimator = MembraneEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
-        self.sight = MarkerDetector(design, self.camera, self.estimator, settings)
+        self.detector = MarkerDetector(design, self.camera, self.estimator, settings)
         self._judge = ContactDecision(self.inverse, self._measured.force, settings)
 
-    def begin(self) -> PipelineState:
+    def initial_state(self) -> PipelineState:
         """Make the state before any measurement, from the sensor file.
 
         Returns:
@@ -93,13 +93,13 @@ class SensingPipeline:
         """
         return PipelineState(FlatReference.nominal(self.design), self.design.markers.p_SM)
 
-    def recall(self) -> PipelineState:
+    def restored_state(self) -> PipelineState:
         """Make the state with the references that `calibrate frame` measured, if there are any.
 
         Returns:
             The state.
         """
-        state = self.begin()
+        state = self.initial_state()
         frame = self._measured.frame
         if frame is None:
             return state
@@ -131,7 +131,7 @@ class SensingPipeline:
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
         seen = [
-            self.sight.locate(nominal, image, self.design.markers.p_SM, "flat reference")
+            self.detector.locate(nominal, image, self.design.markers.p_SM, "flat reference")
             for image in images
         ]
         flat = measure_flat(self.design, self.camera, seen, self.settings.reference)
@@ -182,7 +182,7 @@ class SensingPipeline:
         expected = self.design.markers.p_SM
         seen = []
         for image in images:
-            markers = self.sight.locate(state, image, expected, "rest reference")
+            markers = self.detector.locate(state, image, expected, "rest reference")
             expected = moved(expected, markers)
             seen.append(markers)
         if not seen:
@@ -214,7 +214,7 @@ class SensingPipeline:
         Raises:
             DeviceError: The markers do not show the bulge of the sensor file.
         """
-        self.sight.require(markers, "rest reference")
+        self.detector.require(markers, "rest reference")
         inflated_s = math.inf if math.isinf(time) else time - state.flat_at
         rest = self.inverse.rest_state(
             markers, gauge_pressure, sealed=sealed, inflated_s=inflated_s
@@ -344,16 +344,16 @@ class SensingPipeline:
                 f"sensor {self.design.name}: an image was given before the flat and rest references"
             )
         unknown = Touch(image.time, now - image.time, np.nan, np.nan, False)
-        markers, state = self.see(state, image)
-        if (status := self.enough(markers)) != OK:
+        markers, state = self.detect_markers(state, image)
+        if (status := self.check_markers(markers)) != OK:
             return replace(unknown, status=status), state
         if state.camera is not None:
             unknown = replace(unknown, camera=state.camera.change)
         surface = self.fitter.fit(markers)
-        touch, state = self.feel(state, markers, surface, image.time, reading)
+        touch, state = self.estimate_touch(state, markers, surface, image.time, reading)
         return replace(touch, age=unknown.age, camera=unknown.camera), state
 
-    def see(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
+    def detect_markers(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """Find and identify the markers in one image.
 
         Args:
@@ -363,9 +363,9 @@ class SensingPipeline:
         Returns:
             The markers in S, and the state with their expected positions updated.
         """
-        return self.sight.see(state, image)
+        return self.detector.detect_markers(state, image)
 
-    def enough(self, markers: Markers) -> Status:
+    def check_markers(self, markers: Markers) -> Status:
         """Check that enough markers were detected to determine the shape.
 
         Args:
@@ -374,9 +374,9 @@ class SensingPipeline:
         Returns:
             "ok", or the reason.
         """
-        return self.sight.enough(markers)
+        return self.detector.check_markers(markers)
 
-    def feel(
+    def estimate_touch(
         self,
         state: PipelineState,
         markers: Markers,
@@ -401,7 +401,7 @@ class SensingPipeline:
         """
         reference = state.required(self.design.name, "markers")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
-        if (status := self.enough(markers)) != OK:
+        if (status := self.check_markers(markers)) != OK:
             return replace(unknown, status=status), state
         if state.rubber is not None:
             rest = self.inverse.at_rest(replace(reference.rest, faded=state.rubber.total))

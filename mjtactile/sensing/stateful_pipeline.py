@@ -34,7 +34,7 @@ class StatefulPipeline:
         contact_shapes: bool = False,
     ):
         self.chain = chain
-        self.state = chain.begin() if state is None else state
+        self.state = chain.initial_state() if state is None else state
         self.contact_shapes = contact_shapes
         self._finder: tuple[tuple[InverseRest, float], ContactShapeEstimator] | None = None
 

@@ -48,7 +48,7 @@ class SimClock:
     def now(self) -> float:
         return self._world.time
 
-    def start(self, time: float) -> None:
+    def advance_towards(self, time: float) -> None:
         if self._running is None:
             self._running = self._begin(lambda: self._go(time))
 
@@ -143,7 +143,7 @@ class SimValve:
     def close(self) -> None:
         self._defer(self._close)
 
-    def follow(self, gauge_pressure: float | None) -> None:
+    def regulate_pressure(self, gauge_pressure: float | None) -> None:
         self._defer(lambda: self._follow(gauge_pressure))
 
     def move(self) -> None:
@@ -196,7 +196,7 @@ class SimGripper:
         """Set the generator of noise and delays."""
         self._rng = np.random.default_rng([seed, 1])
 
-    def ask(self) -> None:
+    def request_state(self) -> None:
         world = self._world
         force = world.grip_force + (
             self._change.force_noise * self._rng.standard_normal()
@@ -210,7 +210,7 @@ class SimGripper:
 
     def state(self) -> GripperState:
         if self._asked is None:
-            self.ask()
+            self.request_state()
         state = self._asked
         self._asked = None
         assert state is not None

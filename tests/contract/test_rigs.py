@@ -151,7 +151,7 @@ def test_images_have_the_designs_size_and_see_the_markers(rig):
         image = patient_read(camera, rig.clock, rig.period)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
         chain = SensingPipeline(DESIGN)
-        assert len(chain.see(chain.begin(), image)[0]) == DESIGN.markers.count
+        assert len(chain.detect_markers(chain.initial_state(), image)[0]) == DESIGN.markers.count
 
 
 def test_state_is_finite_and_within_the_limits(rig):

@@ -338,10 +338,10 @@ def test_the_edge_of_a_round_frame_is_no_marker():
     picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
     _, status = markers.search(picture)
     assert (status == "touches another").all() and len(status) == 6
-    assert SensingPipeline(ROUND).sight._largest_px == pytest.approx(
+    assert SensingPipeline(ROUND).detector._largest_px == pytest.approx(
         2 * 600 * 0.9 / 25
     )  # at the glass
-    assert SensingPipeline(load_sensor("dense")).sight._largest_px == np.inf
+    assert SensingPipeline(load_sensor("dense")).detector._largest_px == np.inf
     fit, status = markers.search(picture, max_radius_px=43.2)
     assert (status == "ok").all() and len(fit.center) == 5
     shown = find_ellipses(Image(picture))  # in summaries, films and pages

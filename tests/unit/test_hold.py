@@ -43,7 +43,7 @@ def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, accelera
         touch(x + load * way[0], y + load * way[1], 1.0)
         for (x, y), load, way in zip(before, loads, turned, strict=True)
     ]
-    found = grasp_estimation.weigh(now, before, acceleration=acceleration)
+    found = grasp_estimation.estimate_weight(now, before, acceleration=acceleration)
     assert found.mass == pytest.approx(mass, rel=1e-9)
     np.testing.assert_allclose(found.load, loads)
     np.testing.assert_allclose(found.share, [2 / 3, 1 / 3])
@@ -58,18 +58,20 @@ def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
         gain = 1 + grasp_estimation.GAIN_SD * rng.standard_normal()
         down = gain * 0.06 * 9.81 / 2
         now = [touch(x, y - down, 1.0) for x, y in noise]
-        found = grasp_estimation.weigh(now, before)
+        found = grasp_estimation.estimate_weight(now, before)
         errors.append((found.mass - 0.06) / found.sd)
     assert np.std(errors) == pytest.approx(1.0, abs=0.1)  # sd of 2000: 0.016
     assert 0.0005 < found.sd < 0.0015  # 60 g to 1 g
 
 
 def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
-    held = grasp_estimation.friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
+    held = grasp_estimation.estimate_friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
     assert held.minimum == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
-    slid = grasp_estimation.friction([touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)])
+    slid = grasp_estimation.estimate_friction(
+        [touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)]
+    )
     assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.minimum < 0.2
-    nothing = grasp_estimation.friction([touch(0.0, 0.0, 0.01), UNKNOWN])
+    nothing = grasp_estimation.estimate_friction([touch(0.0, 0.0, 0.01), UNKNOWN])
     assert nothing.minimum == 0.0 and np.isnan(nothing.used).all()
 
 
@@ -81,12 +83,16 @@ def test_a_grip_is_as_hard_as_coulomb_asks():
 
 def test_the_table_is_told_from_a_load_that_it_took_over():
     held = [(0.0, -0.3), (0.0, -0.3)]
-    assert grasp_estimation.support([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(-0.3)  # hangs
-    assert grasp_estimation.support([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.0)  # stands
-    assert grasp_estimation.support([touch(0, 0.2, 1.0)] * 2, held) == pytest.approx(
+    assert grasp_estimation.support_force([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(
+        -0.3
+    )  # hangs
+    assert grasp_estimation.support_force([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(
+        0.0
+    )  # stands
+    assert grasp_estimation.support_force([touch(0, 0.2, 1.0)] * 2, held) == pytest.approx(
         0.2
     )  # is pressed down
-    assert grasp_estimation.pull([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
+    assert grasp_estimation.pull_force([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, 2.5])
@@ -104,7 +110,7 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
         np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]) @ spin,
     ]
 
-    def feel(force, inner):
+    def touch_at(force, inner):
         felt = []
         for sign, R_WS, side in zip((1, -1), frames, (0.5, 0.5), strict=True):
             push = np.array([-sign * 1.0, 0, 0])  # the grip
@@ -112,13 +118,13 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
             felt.append(touch(f_S[0], f_S[1], -f_S[2]))
         return felt
 
-    hangs = feel([0, 0, -0.3], [0, 0, 0.03])
-    down = grasp_estimation.downward(hangs)
-    leans = feel([0.0, 0.2, -0.5], [0, 0.4, 0.9])
+    hangs = touch_at([0, 0, -0.3], [0, 0, 0.03])
+    down = grasp_estimation.load_direction(hangs)
+    leans = touch_at([0.0, 0.2, -0.5], [0, 0.4, 0.9])
     along, across, through = grasp_estimation.load_vector(leans, down)
     assert along == pytest.approx(0.5) and abs(across) == pytest.approx(0.2)
     assert through == pytest.approx(0.0)
-    pulled = grasp_estimation.load_vector(feel([0.4, 0, -0.3], [0, 0, 0]), down)
+    pulled = grasp_estimation.load_vector(touch_at([0.4, 0, -0.3], [0, 0, 0]), down)
     assert abs(pulled[2]) == pytest.approx(0.4) and pulled[0] == pytest.approx(0.3)
     # more than two: downward alone
     three = grasp_estimation.load_vector([hangs[0]] * 3, [down[0]] * 3)
@@ -183,7 +189,7 @@ def test_what_slips_follows_the_grip(slips):
     for _ in range(300):
         normal = 0.8 * (1 + wobble) + rng.normal(0, 0.001, 12)
         shear = 0.4 * (1 + slips * wobble + 0.3 * time) + rng.normal(0, 0.001, 12)
-        found.append(grasp_estimation.follows(normal, shear))
+        found.append(grasp_estimation.evaluate_slip_test(normal, shear))
     shares = np.array([one.share for one in found])
     # the load's own growth, 11 % in that time, is in the mean that the shear is compared with
     assert shares.mean() == pytest.approx(slips, rel=0.08, abs=0.02)
@@ -194,9 +200,9 @@ def test_what_slips_follows_the_grip(slips):
 
 def test_a_grip_that_does_not_change_tells_nothing():
     steady = np.full(12, 0.8) + 1e-4 * np.sin(np.arange(12))
-    assert math.isnan(grasp_estimation.follows(steady, np.full(12, 0.4)).share)
-    assert math.isnan(grasp_estimation.follows([0.8, 0.9], [0.4, 0.4]).share)
-    assert math.isnan(grasp_estimation.follows([0.8, math.nan] * 6, [0.4] * 12).share)
+    assert math.isnan(grasp_estimation.evaluate_slip_test(steady, np.full(12, 0.4)).share)
+    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, 0.9], [0.4, 0.4]).share)
+    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, math.nan] * 6, [0.4] * 12).share)
 
 
 def tried(mu, load, minimum):
@@ -267,9 +273,9 @@ def test_what_slips_at_the_least_grip_has_no_more_friction_than_was_in_use(left,
 def test_unknown_is_not_zero():
     both = [touch(0, 0, 1.0), UNKNOWN]
     assert np.isnan(grasp_estimation.shear(both)).tolist() == [[False, False], [True, True]]
-    assert math.isnan(grasp_estimation.weigh(both, np.zeros((2, 2))).mass)
-    assert math.isnan(grasp_estimation.support(both, np.zeros((2, 2))))
-    assert math.isnan(grasp_estimation.pull(both, np.zeros((2, 2))))
+    assert math.isnan(grasp_estimation.estimate_weight(both, np.zeros((2, 2))).mass)
+    assert math.isnan(grasp_estimation.support_force(both, np.zeros((2, 2))))
+    assert math.isnan(grasp_estimation.pull_force(both, np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize("hardness", [0.7, 1.0, 3.0])

@@ -128,13 +128,15 @@ def _estimate_all(
     n)."""
     import numpy as np
 
-    from mjtactile.calibrate.force import feel
+    from mjtactile.calibrate.force import mean_force
 
     true = []
     felt = []
     for name, force, shots in loads:
         try:
-            felt.append([feel(chain, images) for chain, images in zip(chains, shots, strict=True)])
+            felt.append(
+                [mean_force(chain, images) for chain, images in zip(chains, shots, strict=True)]
+            )
         except InputError as error:
             raise InputError(
                 str(error), source=options.source or options.rig, field=name
@@ -188,7 +190,7 @@ def _references(
         flat, rest = (_images(source, goal.design) for source in (options.flat, options.rest))
         return ready_perception(goal.design, before, flat, rest, reading)
     chain = SensingPipeline(goal.design, replace(before, force=None))
-    state = chain.recall()
+    state = chain.restored_state()
     if state.reference is None:
         raise InputError(
             "references are missing: add --flat and --rest, or --recording, or run "

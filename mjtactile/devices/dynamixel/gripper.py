@@ -94,7 +94,7 @@ class DynamixelGripper:
     # -- the rig's protocol
     # --------------------------------------------------------------------------------
 
-    def ask(self) -> None:
+    def request_state(self) -> None:
         """Request the state of all servos now; `state` collects the replies. Raises DeviceError
         when the port is lost."""
         with self._lock:
@@ -102,7 +102,7 @@ class DynamixelGripper:
             self._request_all()
 
     def state(self) -> GripperState:
-        """Return the state from the replies to `ask`, which is called if necessary.
+        """Return the state from the replies to `request_state`, which is called if necessary.
 
         Raises DeviceError when a servo is lost, ServoFault when one reports a hardware error.
         """

@@ -71,7 +71,7 @@ class BoardValve:
         self.board.seal(self.config.channel)
         self._goal = None
 
-    def follow(self, gauge_pressure: float | None) -> None:
+    def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Set the sensor reading `gauge_pressure`, Pa, that the board shall maintain.
 
         None: seal the chamber, if it was maintained. The heartbeat's thread sends it to the

@@ -14,7 +14,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array, Surface
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.surface.surface import GAUSS, GRID_STEP, enough, grid_of
+from mjtactile.sensing.surface.surface import GAUSS, GRID_STEP, check_markers, grid_of
 
 
 def reconstruct_delaunay(
@@ -61,7 +61,7 @@ def reconstruct_delaunay(
         volume,
         np.nan,
         np.nan,
-        enough(len(p_SM), DEFAULTS.surface.markers_min),
+        check_markers(len(p_SM), DEFAULTS.surface.markers_min),
     )
 
 

@@ -237,7 +237,9 @@ class SurfaceFitter:
             found,
         )
         misfit, markers = found.tolist()
-        return Spline(self, c, factor, misfit, enough(int(markers), self.settings.markers_min))
+        return Spline(
+            self, c, factor, misfit, check_markers(int(markers), self.settings.markers_min)
+        )
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Return the design matrix (N, ny * nx) at `x`, `y` (N,), m.
@@ -315,7 +317,7 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
     )
 
 
-def enough(markers: int, minimum: int) -> Status:
+def check_markers(markers: int, minimum: int) -> Status:
     """Return the status OK for at least `least` markers, else TOO_FEW_MARKERS."""
     if markers >= minimum:
         return OK

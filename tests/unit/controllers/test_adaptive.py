@@ -33,12 +33,12 @@ def finger(down, side=0.0, normal=0.4, state: SlipState = "sticking"):
     return Touch(0.0, 0.01, normal, 0.003, normal > 0.05, traction=traction, slip=slip)
 
 
-def run(command, feel, count, goal=None):
-    """Run `count` cycles on a gripper that reaches every goal immediately; `feel(k, command)` gives
+def run(command, touch_at, count, goal=None):
+    """Run `count` cycles on a gripper that reaches every goal immediately; `touch_at(k, command)` gives
     the touches."""
     for k in range(count):
         state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
-        felt = feel(k, command)
+        felt = touch_at(k, command)
         command = step(
             Observation(k * PERIOD, PERIOD, felt, state, (), command, goal or TaskGoal())
         )
@@ -66,13 +66,13 @@ def test_friction_is_found_before_it_lifts_on(friction, weight):
     """
     grips = []
 
-    def feel(k, command):
+    def touch_at(k, command):
         grips.append(command.memory.get("target", 0.3))
         grip = grips[max(0, k - 3)]
         carried = min(1.0, command.lift_height / 5e-4) * weight
         return (finger(min(carried, friction * grip), normal=grip),) * 2
 
-    command = run(Command(0.04, 5.0, 0.0, "lift"), feel, 160)
+    command = run(Command(0.04, 5.0, 0.0, "lift"), touch_at, 160)
     assert command.phase == "hold"
     margin = command.memory["target"] * friction / weight
     assert 1.2 < margin < 1.25 / 0.75 * (1 + 0.02 / weight)

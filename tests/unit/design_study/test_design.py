@@ -31,7 +31,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     rest = paper16.film.rest
 
     def sd(changed):
-        return np.sqrt(np.trace(VirtualBench(changed).see(rest).cov_p, axis1=1, axis2=2))
+        return np.sqrt(np.trace(VirtualBench(changed).detect_markers(rest).cov_p, axis1=1, axis2=2))
 
     def with_camera(**values):
         return replace(design, camera=replace(camera, **values))
@@ -48,7 +48,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
 def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
     # the chain's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
-    felt = paper16.feel(pressed.state)
+    felt = paper16.estimate_touch(pressed.state)
     said = math.sqrt(paper16.noise(felt)[2, 2])
     forces = []
     for number in range(40):

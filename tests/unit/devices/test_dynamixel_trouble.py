@@ -37,7 +37,7 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
     gripper = bench.gripper()
     try:
         before = gripper.state()
-        gripper.ask()
+        gripper.request_state()
         asked = scaled_clock.monotonic()
         wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
@@ -53,7 +53,7 @@ def test_what_comes_between_question_and_state_spoils_neither(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     try:
         before = gripper.state()
-        gripper.ask()
+        gripper.request_state()
         gripper.command(Command(before.opening, 1.0))
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         for _ in range(2):  # the answers were thrown away, so that the servos are asked again

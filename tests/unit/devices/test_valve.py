@@ -175,21 +175,21 @@ def test_a_chamber_follows_what_is_commanded_and_is_sealed_as_it_is_when_nothing
     board, valves, firmware, faults, chambers = rig
     if not board.has_sensors:
         return  # such a rig refuses it: `Rig.limits.pressure` is None
-    valves[0].follow(None)
+    valves[0].regulate_pressure(None)
     valves[0].open(1000.0)
     valves[0].close()
     for pressure in (960.0, 920.0, 1500.0):
-        valves[0].follow(pressure)
+        valves[0].regulate_pressure(pressure)
         assert wait_for(lambda goal=pressure: abs(chambers.pressures[1] - goal) < 5)
         assert valves[0].state().is_open
-    valves[0].follow(9000.0)
+    valves[0].regulate_pressure(9000.0)
     assert wait_for(lambda: firmware.channels[1].goal == 3000.0)  # the rig file's largest
-    valves[0].follow(None)
+    valves[0].regulate_pressure(None)
     assert wait_for(lambda: firmware.channels[1].state == "sealed")
     assert firmware.channels[2].state == "vent"
-    valves[0].follow(1500.0)
+    valves[0].regulate_pressure(1500.0)
     faults.set("valve_stuck", 1)
-    valves[0].follow(500.0)
+    valves[0].regulate_pressure(500.0)
     valves[0]._goal_time -= 10.0  # the settling time has passed
     with pytest.raises(DeviceError, match="stuck"):
         valves[0].state()

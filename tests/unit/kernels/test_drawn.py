@@ -110,7 +110,7 @@ def test_a_chain_with_drawn_settings_says_something(seed):
     images = membrane_images.sequence()
     chain = SensingPipeline(load_sensor("paper16"), settings=drawn(np.random.default_rng(seed)))
     try:
-        state = chain.measure_flat_reference(chain.begin(), images.flat)
+        state = chain.measure_flat_reference(chain.initial_state(), images.flat)
         state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
         for image in images.pressed:
             touch, state = chain.step(state, image, image.time)
@@ -129,7 +129,7 @@ def test_the_images_are_felt_as_what_they_are():
     """
     images = membrane_images.sequence()
     chain = SensingPipeline(load_sensor("paper16"))
-    state = chain.measure_flat_reference(chain.begin(), images.flat)
+    state = chain.measure_flat_reference(chain.initial_state(), images.flat)
     state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
     for image, (shear, normal) in zip(images.pressed, membrane_images.LOADS, strict=True):
         touch, state = chain.step(state, image, image.time)

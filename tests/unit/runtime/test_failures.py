@@ -152,7 +152,7 @@ def test_whatever_sending_raises_leads_to_the_retreat(change):
     world = World()
     cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
     cycle.look()
-    cycle.feel()
+    cycle.observe()
     sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
     assert cycle.failure is not None and cycle.supervisor.state == "safe"
     assert world.sent == [sent] and sent.lift_height < 0.02  # on its way down, in the same cycle
@@ -163,7 +163,7 @@ def test_a_retreat_that_cannot_be_sent_is_the_end():
     world.command = lambda command: 1 / 0  # type: ignore[method-assign]
     cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
     cycle.look()
-    cycle.feel()
+    cycle.observe()
     cycle.send(Command(0.05, 4.0))
     assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)
 

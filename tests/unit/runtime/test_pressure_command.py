@@ -49,7 +49,7 @@ class Chamber:
     def state(self):
         return ValveState(bool(self.told) and self.told[-1] is not None, self.pressure, 0.0)
 
-    def follow(self, pressure):
+    def regulate_pressure(self, pressure):
         self.told.append(pressure)
         self.pressure = self.pressure if pressure is None else pressure
 
@@ -115,7 +115,7 @@ def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
 
 def test_a_valve_that_does_not_obey_leads_to_the_retreat():
     class Broken(Chamber):
-        def follow(self, pressure):
+        def regulate_pressure(self, pressure):
             raise DeviceError("valve left is lost")
 
     world = World()

@@ -36,7 +36,7 @@ def sensor():
     chain = SensingPipeline(design)
     film = QuasistaticMembrane(design, (41, 31))
     rest = seen(in_order(benchmarks.quasistatic._markers(film, film.rest)))
-    state = chain.load_rest_reference(chain.begin(), rest, film.gauge_pressure)
+    state = chain.load_rest_reference(chain.initial_state(), rest, film.gauge_pressure)
     return chain, state, chain.make_shape_estimator(state)
 
 
@@ -61,7 +61,7 @@ def seen(places, rng=None):
 def touch_of(sensor, places, seed=0) -> Touch:
     chain, state, _ = sensor
     markers = seen(places, np.random.default_rng(seed))
-    return chain.feel(state, markers, chain.fitter.fit(markers), 0.0)[0]
+    return chain.estimate_touch(state, markers, chain.fitter.fit(markers), 0.0)[0]
 
 
 def in_order(places):

@@ -25,7 +25,7 @@ class Round:
         self.carried = carried(self.film, self.flat[:, :2])
         rest = self.seen(self.film.rest.x)
         self.state = self.chain.load_rest_reference(
-            self.chain.begin(), rest, self.film.gauge_pressure
+            self.chain.initial_state(), rest, self.film.gauge_pressure
         )
         self.finder = self.chain.make_shape_estimator(self.state)
         self.top = float(self.film.rest.heights.max())
@@ -42,7 +42,9 @@ class Round:
     def shape(self, body, seed):
         state = self.film.solve(body)
         markers = self.seen(state.x, np.random.default_rng(seed))
-        touch = self.chain.feel(self.state, markers, self.chain.fitter.fit(markers), 0.0)[0]
+        touch = self.chain.estimate_touch(self.state, markers, self.chain.fitter.fit(markers), 0.0)[
+            0
+        ]
         return state, self.chain.estimate_contact_shape(self.state, [touch], self.finder)
 
 

@@ -109,7 +109,7 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     distance is proportional to one over its radius.
     """
     sensor, _ = begun()
-    finder = sensor.chain.sight.known._camera
+    finder = sensor.chain.detector.known._camera
     s = DEFAULTS.inverse
     p_SM = DESIGN.markers.p_SM + [0.0, 0.0, 2e-3]
     eye = DESIGN.camera.p_SC + [0.0, 0.0, DESIGN.apparent_glass_thickness]
@@ -157,7 +157,7 @@ def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(share, load):
 def covered(*ids, of=DESIGN):
     """A change of the picture that blackens a square over these fiducials."""
     sensor, _ = begun()
-    places = sensor.chain.sight.known._circles.places_px[list(ids)]
+    places = sensor.chain.detector.known._circles.places_px[list(ids)]
 
     def change(image):
         pixels = image.pixels.copy()
@@ -219,7 +219,7 @@ def test_fiducials_are_no_markers():
     knock = troubled({"image_shift_px": [8.0, 6.0]})
     pixels = knock(images[3]).pixels.copy()
     pixels[:, 75:150] = 150  # the first column of markers is gone
-    markers, _ = sensor.chain.see(sensor.state, Image(pixels, images[3].time))
+    markers, _ = sensor.chain.detect_markers(sensor.state, Image(pixels, images[3].time))
     assert len(markers.fiducials) == 10
     assert set(markers.ids) == {k for k in range(81) if k % 9}
     assert np.abs(markers.p_SM - DESIGN.markers.p_SM[markers.ids])[:, :2].max() < 2e-3
@@ -231,7 +231,7 @@ def test_a_sensor_without_them_knows_nothing_of_it():
     sensor.measure_flat_reference(images.flat)
     sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     touch = sensor.perceive(images.rest[0], 0.0)
-    assert sensor.chain.sight.known is None
+    assert sensor.chain.detector.known is None
     assert touch.camera is None
     assert touch.markers.fiducials is None
 
@@ -269,7 +269,7 @@ def test_they_are_rows_of_the_same_fit():
 
 def test_one_that_is_far_off_counts_for_nothing():
     sensor, _ = begun()
-    finder = sensor.chain.sight.known._camera
+    finder = sensor.chain.detector.known._camera
     rest = sensor.state.reference.fiducials
     center = rest.center_px + [0.5, -0.2]
     assert isinstance(finder, CameraDriftEstimator)

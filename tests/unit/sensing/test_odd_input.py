@@ -27,12 +27,12 @@ def chain():
 
 @pytest.fixture(scope="module")
 def flat(chain):
-    return chain.measure_flat_reference(chain.begin(), membrane_images.sequence().flat)
+    return chain.measure_flat_reference(chain.initial_state(), membrane_images.sequence().flat)
 
 
 def test_no_images_are_no_reference(chain, flat):
     with pytest.raises(DeviceError, match="flat reference: 0 images"):
-        chain.measure_flat_reference(chain.begin(), [])
+        chain.measure_flat_reference(chain.initial_state(), [])
     with pytest.raises(DeviceError, match="rest reference: no images"):
         chain.measure_rest_reference(flat, [], 1000.0)
 
@@ -74,7 +74,7 @@ def test_touch_without_markers_says_so(chain, flat):
     rest = chain.measure_rest_reference(
         flat, membrane_images.sequence().rest, membrane_images.GAUGE
     )
-    touch, _ = chain.feel(rest, NO_MARKERS, chain.fitter.fit(NO_MARKERS), 0.0)
+    touch, _ = chain.estimate_touch(rest, NO_MARKERS, chain.fitter.fit(NO_MARKERS), 0.0)
     assert touch.status == "only 0 of 16 markers detected"
     assert np.isnan(touch.force_normal)
 
@@ -104,9 +104,9 @@ def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
     design = load_sensor(sensor)
     images = membrane_images.sequence(sensor)
     chain = SensingPipeline(design)
-    state = chain.measure_flat_reference(chain.begin(), images.flat)
+    state = chain.measure_flat_reference(chain.initial_state(), images.flat)
     state = spotted = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
-    markers, _ = chain.see(state, images.rest[0])
+    markers, _ = chain.detect_markers(state, images.rest[0])
     seen = project(chain.camera, markers.p_SM - design.camera.p_SC)
     middle = seen[len(seen) // 2]
     radius = larger * chain.camera.fx * design.markers.radius / design.camera.distance

@@ -132,7 +132,7 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
     estimator, rest = sensor
     chain = SensingPipeline(estimator.design)
     rng = np.random.default_rng(3)
-    state = chain.load_rest_reference(chain.begin(), seen(estimator, rest.c), SUPPLY)
+    state = chain.load_rest_reference(chain.initial_state(), seen(estimator, rest.c), SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
     surface = state.reference.surface
@@ -145,7 +145,7 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
         c, _ = pressed(
             estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3)
         )
-        touch, state = chain.feel(state, seen(estimator, c, rng), surface, time)
+        touch, state = chain.estimate_touch(state, seen(estimator, c, rng), surface, time)
         felt.append(touch.force_normal)
     # the noise of a mean of ten images is 2 mN; light touches are estimated a seventh too low; the
     # rate of the zero absorbed 30 mN before
@@ -157,14 +157,14 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     chain = SensingPipeline(load_sensor("paper16"))
     estimator = chain.inverse
     detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
-    state = chain.load_rest_reference(chain.begin(), detect_rest_markers, SUPPLY)
+    state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
     surface = chain.fitter.fit(detect_rest_markers)
     markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
-    _, state = chain.feel(state, detect_rest_markers, surface, 0.0)
+    _, state = chain.estimate_touch(state, detect_rest_markers, surface, 0.0)
     for k in range(40):
-        touch, state = chain.feel(state, markers, surface, (k + 1) * FRAME)
+        touch, state = chain.estimate_touch(state, markers, surface, (k + 1) * FRAME)
     assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
@@ -172,11 +172,11 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert rest.gas.constant is not None
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
     bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
-    warm, _ = chain.feel(state, bulged, surface, 10.0)
+    warm, _ = chain.estimate_touch(state, bulged, surface, 10.0)
     assert warm.status == "ok" and abs(warm.force_normal) < 3 * warm.force_normal_sd
     pulled = seen(estimator, pressed(estimator, rest, np.array([0, 0, 0.25]))[0])
     for k in range(40):
-        touch, state = chain.feel(state, pulled, surface, 10 + k * FRAME)
+        touch, state = chain.estimate_touch(state, pulled, surface, 10 + k * FRAME)
         if touch.status != "ok":
             break
     assert touch.status.code in ("reference lost", "fit failed") and np.isnan(touch.force_normal)
@@ -188,13 +188,13 @@ def loaded(sensor):
     estimator, _ = sensor
     chain = SensingPipeline(load_sensor("paper16"))
     detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
-    state = chain.load_rest_reference(chain.begin(), detect_rest_markers, SUPPLY)
+    state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     strong = seen(estimator, pressed(estimator, state.reference.rest, np.array([0, 0, -1.5]))[0])
     surface = chain.fitter.fit(detect_rest_markers)
     for k in range(8):
         shown = strong if k else detect_rest_markers
-        touch, state = chain.feel(state, shown, surface, k * FRAME)
+        touch, state = chain.estimate_touch(state, shown, surface, k * FRAME)
     assert touch.force_normal == pytest.approx(1.5, abs=5 * touch.force_normal_sd)
     return chain, strong, surface, state
 
@@ -208,10 +208,10 @@ def torn(markers):
 
 def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
     chain, strong, surface, state = loaded
-    before = chain.feel(state, strong, surface, 0.3)[0]
-    touch, lost = chain.feel(state, torn(strong), surface, 0.3)
+    before = chain.estimate_touch(state, strong, surface, 0.3)[0]
+    touch, lost = chain.estimate_touch(state, torn(strong), surface, 0.3)
     assert touch.status.code == "fit failed" and lost.shape is state.shape
-    again, state = chain.feel(lost, strong, surface, 0.3)
+    again, state = chain.estimate_touch(lost, strong, surface, 0.3)
     assert again.status == "ok" and state.unexplained == 0
     assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
 
@@ -220,12 +220,12 @@ def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_m
     chain, strong, surface, state = loaded
     said = []
     for k in range(20):
-        touch, state = chain.feel(state, torn(strong), surface, 0.3 + k * FRAME)
+        touch, state = chain.estimate_touch(state, torn(strong), surface, 0.3 + k * FRAME)
         said.append(touch.status)
     assert [status.code for status in said[:3]] == ["fit failed", "overloaded", "overloaded"]
     assert "a normal force of 1.5 N and a shear force of 0.0 N" in said[-1]
     assert state.shape is None  # half a second ago is forgotten
-    touch, state = chain.feel(state, strong, surface, 1.0)
+    touch, state = chain.estimate_touch(state, strong, surface, 1.0)
     assert touch.status == "ok" and state.lost_at is None
 
 
@@ -235,8 +235,8 @@ def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
     All of the force may have appeared just then.
     """
     chain, strong, surface, state = loaded
-    first, state = chain.feel(state.without_history(), strong, surface, 0.3)
-    second, _ = chain.feel(state, strong, surface, 0.3 + FRAME)
+    first, state = chain.estimate_touch(state.without_history(), strong, surface, 0.3)
+    second, _ = chain.estimate_touch(state, strong, surface, 0.3 + FRAME)
     assert 0.25 * 1.5 < first.force_normal_sd < 0.5 * 1.5
     assert second.force_normal_sd < 0.06 * 1.5
 
@@ -248,7 +248,9 @@ def light_estimate(sensor, **settings):
     coarse = 5 * NOISE
     chain = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
     nothing = estimator.sheet.equilibrium(Gas(SUPPLY))
-    state = chain.load_rest_reference(chain.begin(), seen(estimator, nothing, noise=coarse), SUPPLY)
+    state = chain.load_rest_reference(
+        chain.initial_state(), seen(estimator, nothing, noise=coarse), SUPPLY
+    )
     assert state.reference is not None
     rest = state.reference.rest
     light = pressed(estimator, rest, np.array([0, 0, -0.05]), (1e-3, 1e-3), 2.5e-3)[0]
@@ -257,7 +259,7 @@ def light_estimate(sensor, **settings):
     found = []
     for k in range(20):
         shown = seen(estimator, nothing if k < 10 else light, rng, coarse)
-        touch, state = chain.feel(state, shown, surface, k * FRAME)
+        touch, state = chain.estimate_touch(state, shown, surface, k * FRAME)
         found.append((touch.force_normal, touch.force_normal_sd))
     return np.array(found).T
 
