@@ -44,10 +44,7 @@ class ComplianceMap:
         return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))
 
     def summary(self) -> dict[str, Any]:
-        """Return `stiffness_N_m`, or a lower bound `stiffness_least_N_m` if it is unknown.
-
-        The stiffness is unknown if the measured compliance is not significant.
-        """
+        """Return `stiffness_N_m`, or a lower bound `stiffness_least_N_m` if it is unknown."""
         if not math.isfinite(self.mean):
             return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
         minimum = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)

@@ -50,11 +50,8 @@ class Bench(Protocol):
 
 @dataclass(frozen=True)
 class ExplorationGoal:
-    """Stop criteria: number of `touches`, or surface `accuracy`, m.
-
-    The accuracy is the root mean square of the surface's own standard deviation. `force` is the
-    contact force of a touch, N.
-    """
+    """Stop criteria: number of `touches`, or surface `accuracy`, m. The accuracy is the root mean
+    square of the surface's own standard deviation. `force` is the contact force of a touch, N."""
 
     touches: int = 12
     accuracy: float = 0.0
@@ -63,11 +60,9 @@ class ExplorationGoal:
 
 @dataclass(frozen=True, eq=False)
 class ExplorationResult:
-    """Result of an exploration.
-
-    `outcome`: "accurate", "touches" (the requested number), "nothing left", "nothing there" or
-    "interrupted". `families` holds the probability of each shape model.
-    """
+    """Result of an exploration. `outcome`: "accurate", "touches" (the requested number), "nothing
+    left", "nothing there" or "interrupted". `families` holds the probability of each shape
+    model."""
 
     patches: tuple[Patch, ...]
     surface: SurfacePosterior
@@ -226,10 +221,8 @@ def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
 
 
 class PatchStore:
-    """File with the patches of an exploration, one line each.
-
-    Each patch is written immediately, so that an abort loses no data.
-    """
+    """File with the patches of an exploration, one line each. Each patch is written immediately, so
+    that an abort loses no data."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -240,10 +233,7 @@ class PatchStore:
             file.write(json.dumps(to_json(patch.to_dict())) + "\n")
 
     def read(self) -> list[Patch]:
-        """The patches that are there; a line that was cut off while it was written is left out.
-
-        Raises InputError for a file that is none.
-        """
+        """The patches that are there; a line that was cut off while it was written is left out."""
         lines = self.path.read_text(encoding="utf-8").splitlines()
         patches = []
         for number, line in enumerate(lines):

@@ -118,10 +118,8 @@ def _of_presses(recording: Recording) -> list[Patch]:
 
 
 def _direction_to_stiffest(felt: Array) -> NDArray[np.int64]:
-    """Return the cycles from permanent contact to the largest force.
-
-    At most `_MOST` cycles, plus that of the largest force. `felt` (k,) are the forces, N.
-    """
+    """Return the cycles from permanent contact to the largest force. At most `_MOST` cycles, plus
+    that of the largest force. `felt` (k,) are the forces, N."""
     firmest = int(felt.argmax())
     quiet = np.flatnonzero(felt[:firmest] < _SEEN)
     begin = quiet[-1] + 1 if len(quiet) else 0
@@ -154,10 +152,8 @@ def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Stateful
 
 
 def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
-    """Return depth below first contact and shear of a stage at given times, s, both in m.
-
-    The depth is NaN while the indenter is lifted or loaded with a weight.
-    """
+    """Return depth below first contact and shear of a stage at given times, s, both in m. The depth
+    is NaN while the indenter is lifted or loaded with a weight."""
     depths = np.full(len(times), np.nan)
     shears = np.zeros(len(times))
     depth = math.nan

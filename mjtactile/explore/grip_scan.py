@@ -43,10 +43,8 @@ _FACING = (
 
 @dataclass(frozen=True, eq=False)
 class GripCycle:
-    """One cycle of a grip.
-
-    It holds each finger's touch, the opening between the frames, m, and the gripper's height, m.
-    """
+    """One cycle of a grip. It holds each finger's touch, the opening between the frames, m, and the
+    gripper's height, m."""
 
     touch: tuple[Touch, ...]
     opening: float
@@ -55,11 +53,9 @@ class GripCycle:
 
 @dataclass(frozen=True)
 class GripController:
-    """Controller of a grip scan.
-
-    At each of the `heights`, m, it closes until each finger measures `force` N. It holds, opens,
-    and then lowers the gripper. A single finger is loaded with at most 1.5 times this force.
-    """
+    """Controller of a grip scan. At each of the `heights`, m, it closes until each finger measures
+    `force` N. It holds, opens, and then lowers the gripper. A single finger is loaded with at most
+    1.5 times this force."""
 
     heights: tuple[float, ...]
     force: float

@@ -55,11 +55,8 @@ def score(found: ExplorationResult, true: TrueSurface, p_HO: Array, R_HO: Array)
 
 
 def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
-    """Return the fraction of sizes within their intervals, and within twice their sd.
-
-    The sizes are along the estimated axes. A tolerance of 0.05 mm covers the triangulation
-    error.
-    """
+    """Return the fraction of sizes within their intervals, and within twice their sd. The sizes are
+    along the estimated axes. A tolerance of 0.05 mm covers the triangulation error."""
     _, axes = principal_sizes(found.mesh)
     true = surface.extents(R_HO.T @ axes)
     low, high = found.sizes.interval.T
@@ -71,10 +68,8 @@ def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -
 
 
 def _missed(mesh: Mesh, points: Array) -> Array:
-    """Return the distances of true points from the estimated surface, (N,) m.
-
-    The distance is to the plane of the nearest vertex, or to that vertex if it is far away.
-    """
+    """Return the distances of true points from the estimated surface, (N,) m. The distance is to
+    the plane of the nearest vertex, or to that vertex if it is far away."""
     way, nearest = cKDTree(mesh.vertices).query(points)
     across = np.einsum("ni,ni->n", points - mesh.vertices[nearest], mesh.normals[nearest])
     return np.where(way < _APART, across, way)

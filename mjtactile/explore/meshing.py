@@ -50,11 +50,8 @@ def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
 def _between(
     outside: list[float], counts: list[int], low: list[float], edge: float
 ) -> Callable[[float, float, float], float]:
-    """Return a function for the depth inside the surface, interpolated between grid nodes.
-
-    It uses plain Python numbers, since it is called about a hundred thousand times for single
-    points.
-    """
+    """Return a function for the depth inside the surface, interpolated between grid nodes. It uses
+    plain Python numbers, since it is called about a hundred thousand times for single points."""
     nx, ny, nz = (count - 2 for count in counts)
     row = counts[2]
     plane = counts[1] * counts[2]

@@ -31,11 +31,8 @@ class Aim:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Estimated surface as triangles.
-
-    `vertices` (V, 3), m, `triangles` (T, 3), outward `normals` (V, 3), and `sd` (V,) of each vertex
-    along its normal, m.
-    """
+    """Estimated surface as triangles. `vertices` (V, 3), m, `triangles` (T, 3), outward `normals`
+    (V, 3), and `sd` (V,) of each vertex along its normal, m."""
 
     vertices: Array
     triangles: Array
@@ -54,11 +51,9 @@ class Mesh:
 
 
 def _around(mesh: Mesh, told: Array) -> Array:
-    """Return the value of a touch at each vertex, m.
-
-    This is the mean of `told` (V,) over the area of a touch. It is reduced on curved areas, since
-    an edge or a corner gives information only about itself.
-    """
+    """Return the value of a touch at each vertex, m. This is the mean of `told` (V,) over the area
+    of a touch. It is reduced on curved areas, since an edge or a corner gives information only
+    about itself."""
     tree = cKDTree(mesh.vertices)
     near = tree.query_ball_point(mesh.vertices, _REACH)
     areas = mesh.areas()

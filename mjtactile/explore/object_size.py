@@ -26,11 +26,9 @@ _RIVAL = 0.02  # minimum probability of a relevant rival surface
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """Extents along the surface's principal axes, the largest first.
-
-    `mean` (3,), m, and `sd` (3,), m, cover the uncertainty of surface and shape model. `interval`
-    (3, 2), m, is the 68 % interval; it contains the extent of the touched points.
-    """
+    """Extents along the surface's principal axes, the largest first. `mean` (3,), m, and `sd` (3,),
+    m, cover the uncertainty of surface and shape model. `interval` (3, 2), m, is the 68 % interval;
+    it contains the extent of the touched points."""
 
     mean: Array
     sd: Array
@@ -81,10 +79,7 @@ def rivals(surfaces: Sequence[SurfacePosterior]) -> list[SurfacePosterior]:
 
 
 def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
-    """Return the information gain of a touch at each vertex about the three sizes, (V,) m.
-
-    It is the square root of the reduction of their variances.
-    """
+    """Return the information gain of a touch at each vertex about the three sizes, (V,) m."""
     _, axes = principal_sizes(mesh)
     doubt = mesh.sd**2 + _OBSERVED_SD**2
     told = np.zeros(len(mesh.vertices))
@@ -96,10 +91,8 @@ def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
 
 
 def _ends(mesh: Mesh, axis: Array) -> list[Array]:
-    """Return the positions (N, 3) m at both ends of a surface along an axis.
-
-    For a flat end they cover its face. For a round end it is the tip.
-    """
+    """Return the positions (N, 3) m at both ends of a surface along an axis. For a flat end they
+    cover its face. For a round end it is the tip."""
     found = []
     for way in (axis, -axis):
         along = mesh.vertices @ way
@@ -111,11 +104,9 @@ def _ends(mesh: Mesh, axis: Array) -> list[Array]:
 
 
 def _variance(surface: SurfacePosterior, ends: Sequence[Array], touched: Array) -> float:
-    """Return the variance of the distance between two ends, m^2.
-
-    It includes shape and field, and three model errors. These are ends far from any touch, a poorly
-    fitting shape, and a common error of all touches.
-    """
+    """Return the variance of the distance between two ends, m^2. It includes shape and field, and
+    three model errors. These are ends far from any touch, a poorly fitting shape, and a common
+    error of all touches."""
     places = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
     told = max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)

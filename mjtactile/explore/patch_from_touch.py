@@ -128,10 +128,7 @@ _Told = tuple[Array, Array, tuple[float, float, float, float]]
 
 def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told | None:
     """Return points of the estimated shape inside its outline; None if the membrane does not lie on
-    it.
-
-    In that case the shape is wrong.
-    """
+    it."""
     middle = shape.outline.mean(axis=0)
     if shape.kind == "edge":
         xy = _along(shape, middle)
@@ -173,11 +170,8 @@ def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _bent(curvature: float, way: Array) -> Array:
-    """Return the height of a circle over its lowest point.
-
-    The horizontal distance is limited to 0.8 of the radius, so that the rise stays below half of
-    it.
-    """
+    """Return the height of a circle over its lowest point. The horizontal distance is limited to
+    0.8 of the radius, so that the rise stays below half of it."""
     if abs(curvature) < 1e-3:
         return 0.5 * curvature * way**2
     radius = 1 / curvature

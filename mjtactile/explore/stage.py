@@ -69,10 +69,8 @@ class SimulatedStage:
         return dict(self.world.flags)
 
     def reaches(self, aim: Aim) -> bool:
-        """Return True if the sensor can reach the target.
-
-        It always can: the area under the holder is touched with the object upside down.
-        """
+        """Return True if the sensor can reach the target. It always can: the area under the holder
+        is touched with the object upside down."""
         return True
 
     def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:

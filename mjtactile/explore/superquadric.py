@@ -76,10 +76,8 @@ def beyond_cut(theta: Array, p: Array) -> Array:
 
 
 def _level(theta: Array, p: Array) -> tuple[Array, Array]:
-    """Return the scale factor at which each shape (K, 14) reaches each point (Eq. E1), (K, N).
-
-    The second result is its gradient, (K, N, 3), 1/mm, in the axes of the shape.
-    """
+    """Return the scale factor at which each shape (K, 14) reaches each point (Eq. E1), (K, N). The
+    second result is its gradient, (K, N, 3), 1/mm, in the axes of the shape."""
     R = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()
     q = (p[None] - theta[:, None, :3]) @ R
     a, b, c = np.moveaxis(np.exp(theta[:, 6:9]), 1, 0)[..., None]

@@ -104,10 +104,8 @@ def _of_family(
 
 
 def _ends_flat(data: _Data, theta: Array) -> bool:
-    """Return True if the flat end of a shape was touched.
-
-    Without a touch, the end may as well be round.
-    """
+    """Return True if the flat end of a shape was touched. Without a touch, the end may as well be
+    round."""
     touched = data.points[: data.parts[-1].stop]
     off = superquadric.beyond_cut(theta[None], touched)[0]
     return bool((np.abs(off) < _ON_END).sum() >= _END_POINTS)
@@ -124,11 +122,9 @@ def _cost(found: OptimizeResult) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """Data of the fit.
-
-    Points are in mm. Their distances outside, mm, have a covariance, mm^2. Further data are
-    free-space points, the points of each patch, and the log odds of all outliers.
-    """
+    """Data of the fit. Points are in mm. Their distances outside, mm, have a covariance, mm^2.
+    Further data are free-space points, the points of each patch, and the log odds of all
+    outliers."""
 
     points: Array
     outside: Array
@@ -155,11 +151,9 @@ class _Data:
         return self.outside - superquadric.distance(theta, self.points)
 
     def with_uncertainty(self, theta: Array) -> _Data:
-        """Inflate the covariance of patches, then of points, that contradict a shape.
-
-        Causes are an edge mistaken for a face, or an overestimated patch width. Each outlier
-        reduces the log odds.
-        """
+        """Inflate the covariance of patches, then of points, that contradict a shape. Causes are an
+        edge mistaken for a face, or an overestimated patch width. Each outlier reduces the log
+        odds."""
         left = self.left(theta)
         noise = self.noise.copy()
         odds = self.odds
@@ -228,10 +222,8 @@ def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Arr
 
 
 def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, list[Array]]:
-    """Return derivatives with respect to the shape parameters.
-
-    They are those of the distances at the points, of the free-space residuals and of the prior.
-    """
+    """Return derivatives with respect to the shape parameters. They are those of the distances at
+    the points, of the free-space residuals and of the prior."""
     inside = superquadric.distance(theta, data.free)
     pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MAX))
     rows = superquadric.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
@@ -292,10 +284,8 @@ def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
 def _with_field(
     data: _Data, family: ObjectFamily, theta: Array, field: tuple[float, float]
 ) -> SurfacePosterior:
-    """Compute the posterior of field and shape parameters about `theta` (Eq. E3).
-
-    It includes the evidence (Eq. E5).
-    """
+    """Compute the posterior of field and shape parameters about `theta` (Eq. E3). It includes the
+    evidence (Eq. E5)."""
     rows = superquadric.by_numbers(theta, data.points)
     own = kernel(data.points, data.points, *field) + data.noise
     cov = rows @ family.cov @ rows.T + own
@@ -312,11 +302,9 @@ def _with_field(
 
 
 def _starts(patches: Sequence[Patch]) -> list[Array]:
-    """Return start vectors (9,) of position, rotation and sizes.
-
-    The position is near the intersection of the patches' normals. The sizes are those of a ball.
-    The rotations are likely ones.
-    """
+    """Return start vectors (9,) of position, rotation and sizes. The position is near the
+    intersection of the patches' normals. The sizes are those of a ball. The rotations are likely
+    ones."""
     middles = _MM * np.stack([patch.middle for patch in patches])
     normals = np.stack([patch.normal for patch in patches])
     centre, radius = _meeting(middles, normals)
@@ -328,10 +316,7 @@ def _starts(patches: Sequence[Patch]) -> list[Array]:
 
 
 def _meeting(middles: Array, normals: Array) -> tuple[Array, float]:
-    """Fit center and radius of a sphere to the patches, mm.
-
-    The prior radius is 15 mm.
-    """
+    """Fit center and radius of a sphere to the patches, mm. The prior radius is 15 mm."""
     rows = np.concatenate([np.tile(np.eye(3), (len(middles), 1)), np.zeros((1, 3))])
     rows = np.column_stack([rows, np.append(normals.ravel(), 0.0)])
     rows[-1, 3] = 0.5

@@ -60,10 +60,8 @@ class Patch:
         return self.points.mean(axis=0)
 
     def covariance(self) -> Array:
-        """Return the covariance of the points along the normal, (N, N) m^2.
-
-        The points lie on one face with uncertain height, tilt and curvatures.
-        """
+        """Return the covariance of the points along the normal, (N, N) m^2. The points lie on one
+        face with uncertain height, tilt and curvatures."""
         axes = tangents(self.normal)
         u, v = axes @ (self.points - self.middle).T
         height, tilt, curvature, alone = self.spread
@@ -118,10 +116,8 @@ def tangents(normal: Array) -> Array:
 
 
 def between(patch: Patch, other: Patch) -> Array:
-    """Return the covariance (N, M), m^2, of two patches' points along their normals.
-
-    It is caused by the common displacement of the object in a grip.
-    """
+    """Return the covariance (N, M), m^2, of two patches' points along their normals. It is caused
+    by the common displacement of the object in a grip."""
     if not patch.group or patch.group != other.group:
         return np.zeros((len(patch.points), len(other.points)))
     alike = patch.loose * other.loose * float(patch.normal @ other.normal)

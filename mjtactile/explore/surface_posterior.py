@@ -62,10 +62,8 @@ class SurfacePosterior:
         return np.sqrt(self.excess * np.maximum(before - told, 1e-8) + ALIKE**2) / _MM
 
     def distance_cov(self, p: Array, q: Array) -> Array:
-        """Return the covariance (N, M), m^2, of the distances at points `p` and `q`.
-
-        The error common to all touches is excluded, because another touch cannot reduce it.
-        """
+        """Return the covariance (N, M), m^2, of the distances at points `p` and `q`. The error
+        common to all touches is excluded, because another touch cannot reduce it."""
         p_mm, q_mm = _MM * p, _MM * q
         rows, others = (superquadric.by_numbers(self.theta, at) for at in (p_mm, q_mm))
         before = rows @ self.family.cov @ others.T + kernel(p_mm, q_mm, *self.field)

@@ -44,10 +44,8 @@ def excess(
 
 
 def _square(part: slice, inverse: Array, pulls: Array, noise: Array, said: Array) -> float:
-    """Return the squared prediction error of a touch's mean height.
-
-    It is normalized by the prediction variance plus the touch's own variance.
-    """
+    """Return the squared prediction error of a touch's mean height. It is normalized by the
+    prediction variance plus the touch's own variance."""
     within = np.linalg.inv(inverse[part, part])  # its covariance, given all others
     miss = float((within @ pulls[part]).mean())
     foretold = max(float((within - noise[part, part]).mean()), 0.0)

@@ -37,11 +37,8 @@ class ConstitutiveLaw:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Parameters as kernels/spline_fem.h expects them.
-
-        1 if neo-Hookean, the modulus, Poisson's ratio, and the first abscissa and samples per unit
-        of `table`.
-        """
+        """Parameters as kernels/spline_fem.h expects them. 1 if neo-Hookean, the modulus, Poisson's
+        ratio, and the first abscissa and samples per unit of `table`."""
         neo_hookean = self._law is not Law.STVK
         per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
         return (

@@ -38,11 +38,9 @@ class ContactDecision:
         self._settings = settings
 
     def lost(self, state: PipelineState) -> PipelineState:
-        """Return the state after an image that no membrane shape explains.
-
-        The next image starts from the last explained one, because a torn image is gone by then.
-        After too many unexplained images it starts without a shape.
-        """
+        """Return the state after an image that no membrane shape explains. The next image starts
+        from the last explained one, because a torn image is gone by then. After too many
+        unexplained images it starts without a shape."""
         shape = state.shape
         force = state.lost_at
         if force is None and shape is not None:
@@ -53,10 +51,8 @@ class ContactDecision:
         return replace(state.without_history(), shape=shape, unexplained=missed, lost_at=force)
 
     def failure_status(self, state: PipelineState) -> Status:
-        """Return the status of an image that no membrane shape explains.
-
-        Several such images in a row after a large force mean an overload.
-        """
+        """Return the status of an image that no membrane shape explains. Several such images in a
+        row after a large force mean an overload."""
         force = state.lost_at
         maximum = self._settings.inverse.overload_min
         if force is None or state.unexplained < _OVERLOADS_SURE or np.linalg.norm(force) < maximum:
@@ -90,11 +86,9 @@ class ContactDecision:
         return traction if force is None else force.apply(traction)
 
     def _unbalanced(self, estimate: Estimate, traction: Traction) -> float:
-        """Return the force, N, by which the pressure sensor contradicts the estimated shape.
-
-        A flat contact carries the gauge pressure times its area. The area follows from force and
-        estimated pressure, and is at most that of the frame.
-        """
+        """Return the force, N, by which the pressure sensor contradicts the estimated shape. A flat
+        contact carries the gauge pressure times its area. The area follows from force and estimated
+        pressure, and is at most that of the frame."""
         pressure = max(estimate.shape.gauge_pressure, 1.0)
         area = min(abs(float(traction.wrench[2])) / pressure, self._area)
         return abs(estimate.pressure_gap) * area

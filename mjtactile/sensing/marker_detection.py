@@ -131,10 +131,8 @@ class MarkerDetector:
         return markers
 
     def _require_levels(self, image: Image, ellipses: Ellipses, what: str) -> None:
-        """Raise DeviceError if the image is overexposed around most circles.
-
-        Their apparent size then changes with the light.
-        """
+        """Raise DeviceError if the image is overexposed around most circles. Their apparent size
+        then changes with the light."""
         if isinstance(image, SyntheticEllipses):
             return
         if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):
@@ -154,11 +152,8 @@ class MarkerDetector:
 
 
 def _largest_px(design: SensorDesign, camera: Camera) -> float:
-    """Return a radius above that of any marker, px: twice that of a marker at the glass.
-
-    Only a frame that is not rectangular has an edge that looks like a circle and encloses all
-    markers.
-    """
+    """Return a radius above that of any marker, px: twice that of a marker at the glass. Only a
+    frame that is not rectangular has an edge that looks like a circle and encloses all markers."""
     if design.frame.outline is None:
         return math.inf
     nearest = max(design.camera.distance - design.chamber.depth, 1e-3)
@@ -173,10 +168,8 @@ def moved(expected: Array, markers: Markers) -> Array:
 
 
 def average(seen: Sequence[Markers]) -> Markers:
-    """Return the mean of repeated measurements of markers at rest.
-
-    A marker counts if it is detected in at least half of them.
-    """
+    """Return the mean of repeated measurements of markers at rest. A marker counts if it is
+    detected in at least half of them."""
     count = np.bincount(np.concatenate([m.ids for m in seen]))
     total = np.zeros((len(count), 3))
     normal = np.zeros((len(count), 3))

@@ -119,10 +119,8 @@ class MembraneEstimator:
         return seen >= self._settings.min_detected * self._design.markers.count
 
     def fits_markers(self, shape: Shape) -> bool:
-        """Return True if the markers fit this shape.
-
-        If all of them have drifted together, they fit, and the reference is lost.
-        """
+        """Return True if the markers fit this shape. If all of them have drifted together, they
+        fit, and the reference is lost."""
         s = self._settings
         drifted = shape.drift > s.zero.drift_max
         load = float(np.linalg.norm(self._inverse.force(shape)))
@@ -147,11 +145,9 @@ class MembraneEstimator:
     def _gained_gas(
         self, state: PipelineState, found: Estimate, reading: PressureReading | None
     ) -> bool:
-        """Return True if the sealed chamber would contain more gas than before the image.
-
-        A sealed chamber gains no gas. A pressure that rises more than the estimated volume falls
-        is a contact that the shape does not show.
-        """
+        """Return True if the sealed chamber would contain more gas than before the image. A sealed
+        chamber gains no gas. A pressure that rises more than the estimated volume falls is a
+        contact that the shape does not show."""
         gas = state.gas
         if reading is None or gas is None or gas.is_open or reading.is_open:
             return False
@@ -224,11 +220,9 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """Return the estimate without a history, for a camera without drift if that also fits.
-
-        A large load and a camera drift may explain one image equally well. Without earlier images,
-        the camera is assumed unchanged.
-        """
+        """Return the estimate without a history, for a camera without drift if that also fits. A
+        large load and a camera drift may explain one image equally well. Without earlier images,
+        the camera is assumed unchanged."""
         load = float(np.linalg.norm(self._inverse.force(found.shape)))
         if load < self._settings.inverse.cold_load:
             return found
@@ -255,10 +249,8 @@ class MembraneEstimator:
         reading: PressureReading | None,
     ) -> Estimate:
         """Return `found`, or the estimate without a history if it fits the markers much better.
-
         After a phase without contact, the prior may reject a new touch and the markers that show
-        it.
-        """
+        it."""
         s = self._settings.inverse
         misfit = found.shape.misfit
         excess = float(found.shape.excess[0].mean())
@@ -303,11 +295,9 @@ class MembraneEstimator:
         camera: CameraDriftFilter | None = None,
         correlation: float | None = None,
     ) -> Estimate:
-        """Estimate the shape together with the gas state.
-
-        In a sealed chamber a reading is combined with the volume from the image. If it carries much
-        new information, the image is evaluated again.
-        """
+        """Estimate the shape together with the gas state. In a sealed chamber a reading is combined
+        with the volume from the image. If it carries much new information, the image is evaluated
+        again."""
         rest = reference.rest
         before = camera or self._camera(state, time)
         gas = self._gas_before(state.gas, rest, time, reading)
@@ -391,11 +381,9 @@ class MembraneEstimator:
         rest: InverseRest,
         time: float,
     ) -> CameraDriftFilter | None:
-        """Return the camera drift filter after the image; None if fiducials observe the camera.
-
-        At another pressure than that of the reference, or under a load, the bulge height depends on
-        the model. Then the image carries little information on the camera.
-        """
+        """Return the camera drift filter after the image; None if fiducials observe the camera. At
+        another pressure than that of the reference, or under a load, the bulge height depends on
+        the model. Then the image carries little information on the camera."""
         if not isinstance(before, CameraDriftFilter):
             return None
         moved = rest.gauge_pressure - reference.first.gas.gauge

@@ -25,12 +25,9 @@ KNOCKS_SURE = 3  # images in a row: a single torn image is not a knock
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Reference of the sensor at rest.
-
-    `rest` is its statics and `surface` its surface. `first` is the statics as first measured,
-    before tracking of temperature and leaks. `fiducials` are their detected positions (None: no
-    fiducials).
-    """
+    """Reference of the sensor at rest. `rest` is its statics and `surface` its surface. `first` is
+    the statics as first measured, before tracking of temperature and leaks. `fiducials` are their
+    detected positions (None: no fiducials)."""
 
     rest: InverseRest
     surface: Surface
@@ -90,10 +87,8 @@ class PipelineState:
         return self.reference
 
     def without_history(self) -> PipelineState:
-        """Return the state with the same references, but without the images since.
-
-        The states of gas and rubber are kept.
-        """
+        """Return the state with the same references, but without the images since. The states of
+        gas and rubber are kept."""
         return replace(
             self,
             shape=None,

@@ -83,12 +83,9 @@ def _area(
     share: float,
     s: ContactShapeSettings,
 ) -> float:
-    """Return the contact area of one part, m^2.
-
-    For a flat face, use the fraction of the face with touching nodes. For a round shape, use the
-    area of the membrane model, which has uniform tension. Correct it for the stretch of the
-    membrane.
-    """
+    """Return the contact area of one part, m^2. For a flat face, use the fraction of the face with
+    touching nodes. For a round shape, use the area of the membrane model, which has uniform
+    tension. Correct it for the stretch of the membrane."""
     state = found.state
     if family.name in FACES:
         off, whole = face_of(family, theta, hint, state.displacements[:2])
@@ -131,11 +128,9 @@ def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution)
 
 
 def _rim_out(slope: float, stuck: float, s: ContactShapeSettings) -> float:
-    """Return the outward offset of a sharp rim from the fitted rim, in rounding radii.
-
-    The fitted rim is rounded. A steep membrane leaves it farther outward than a flat one. Near the
-    frame the offset is larger, because the membrane sticks and is steeper than the model.
-    """
+    """Return the outward offset of a sharp rim from the fitted rim, in rounding radii. The fitted
+    rim is rounded. A steep membrane leaves it farther outward than a flat one. Near the frame the
+    offset is larger, because the membrane sticks and is steeper than the model."""
     return s.rim_slope * slope + s.rim_stuck * stuck - s.rim_in
 
 

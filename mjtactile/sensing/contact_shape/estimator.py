@@ -36,11 +36,8 @@ _PART_FRACTION = 0.12  # minimum force fraction of a separate part; nearly all p
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Contact shape result of one image.
-
-    It holds the `shape`, its `load` (None: the shape is unknown), and the history for the next
-    image.
-    """
+    """Contact shape result of one image. It holds the `shape`, its `load` (None: the shape is
+    unknown), and the history for the next image."""
 
     shape: ContactShape
     load: ContactLoad | None

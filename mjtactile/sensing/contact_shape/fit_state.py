@@ -20,11 +20,9 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one image: marker heights, their noise, and the normal force.
-
-    `heights` (n,), m, are those of the markers `ids` (n,), relative to the membrane model. `root`
-    (n, n) whitens their noise. `force`, N, is the estimated normal force.
-    """
+    """Data of one image: marker heights, their noise, and the normal force. `heights` (n,), m, are
+    those of the markers `ids` (n,), relative to the membrane model. `root` (n, n) whitens their
+    noise. `force`, N, is the estimated normal force."""
 
     ids: NDArray[np.int64]
     heights: Array
@@ -93,11 +91,9 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class FitState:
-    """State of a fit: parameters, membrane solution, and residual.
-
-    `theta` are the parameters, `heights` (N,), m, the marker heights of the membrane solution.
-    `residual` is whitened; `cost` is its cost.
-    """
+    """State of a fit: parameters, membrane solution, and residual. `theta` are the parameters,
+    `heights` (N,), m, the marker heights of the membrane solution. `residual` is whitened; `cost`
+    is its cost."""
 
     theta: Array
     state: MembraneSolution

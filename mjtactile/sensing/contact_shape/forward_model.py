@@ -68,10 +68,7 @@ class ForwardModel:
         self.rest_heights = self.heights(self.film.rest.x[None])[0]
 
     def by_gas(self) -> Array:
-        """Return the derivative (N,), m, of the marker heights by the relative excess of gas.
-
-        The excess is relative to the measured amount.
-        """
+        """Return the derivative (N,), m, of the marker heights by the relative excess of gas."""
         film = self.film
         if not film.sealed:
             return np.zeros(len(self.rest_heights))
@@ -85,10 +82,7 @@ class ForwardModel:
         return higher / rise * absolute / (1 + yields)
 
     def heights(self, x: Array) -> Array:
-        """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny).
-
-        Only the last component of the second axis is used.
-        """
+        """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny)."""
         if self._by_node is not None:
             return x[:, -1].reshape(len(x), -1) @ self._by_node.T
         rows = self._across @ x[:, -1]
@@ -97,11 +91,9 @@ class ForwardModel:
     def answers(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
-        """Approximate the changes of marker heights (n, N), m, and normal force (n,), N.
-
-        The changes are from a state on the first of `bodies` to the others. Each of the others is
-        one of `steps` (n,) further (`film.derivatives.answered`).
-        """
+        """Approximate the changes of marker heights (n, N), m, and normal force (n,), N. The
+        changes are from a state on the first of `bodies` to the others. Each of the others is one
+        of `steps` (n,) further (`film.derivatives.answered`)."""
         by_z, by_force = answered(self.film, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 

@@ -97,10 +97,8 @@ class Fit:
         return self.slopes.sums @ cov @ self.slopes.sums.T
 
     def log_evidence_with(self, noise: float) -> float:
-        """Return the log evidence of the model for this image (Laplace approximation).
-
-        The marker variances are multiplied by `noise`.
-        """
+        """Return the log evidence of the model for this image (Laplace approximation). The marker
+        variances are multiplied by `noise`."""
         cost = self.chi2 / noise + self.prior.cost(self.theta / self.family.sd)
         spread = np.linalg.slogdet(self.precision_with(noise))[1]
         known = np.linalg.slogdet(self.prior.precision)[1]
@@ -109,11 +107,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class _Enough:
-    """Cost thresholds of a fit.
-
-    A smaller promised gain than `settled` ends the fit. A larger one than `far` requires fresh
-    slopes. `known` is the best cost so far, and `behind` the maximum cost worth following.
-    """
+    """Cost thresholds of a fit. A smaller promised gain than `settled` ends the fit. A larger one
+    than `far` requires fresh slopes. `known` is the best cost so far, and `behind` the maximum cost
+    worth following."""
 
     settled: float
     far: float
@@ -128,10 +124,8 @@ class _Enough:
         return cls(2 * settled * noise, _FAR * noise, known, known + _BEHIND * noise)
 
     def is_reached(self, cost: float, step: Step, damping: float) -> bool:
-        """Return True if the fit should stop at this cost instead of taking the step.
-
-        A short or strongly damped step predicts little of the possible gain.
-        """
+        """Return True if the fit should stop at this cost instead of taking the step. A short or
+        strongly damped step predicts little of the possible gain."""
         settled = max(self.settled, _ALIKE * (cost - self.known))
         whole = not step.cut and damping <= _DAMPING[0]
         return step.promised < settled or (whole and cost - _PROMISED * step.promised > self.behind)

@@ -47,11 +47,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Fit to the newest image, with the history of its model.
-
-    It holds the log evidence `image_log` and the filter `common`. The evidence of the new image is
-    weighted by `share`.
-    """
+    """Fit to the newest image, with the history of its model. It holds the log evidence `image_log`
+    and the filter `common`. The evidence of the new image is weighted by `share`."""
 
     fit: Fit
     image_log: float
@@ -116,11 +113,8 @@ class PressHistory:
         return [family for family in families if family.name in close]
 
     def bodies(self) -> list[tuple[float, Fit]]:
-        """Return probability and fit of each candidate.
-
-        The fit is the newest one for the most likely candidate. For the others it comes from the
-        last evaluation of all candidates.
-        """
+        """Return probability and fit of each candidate. The fit is the newest one for the most
+        likely candidate. For the others it comes from the last evaluation of all candidates."""
         fits = [self.now, *(one.fit for one in self.candidates[1:])]
         return list(zip(self.probabilities.tolist(), fits, strict=True))
 

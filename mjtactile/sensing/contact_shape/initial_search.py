@@ -32,10 +32,8 @@ _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
 @dataclass(frozen=True, eq=False)
 class Films:
-    """Membrane model of one sensor, and the response of its markers to gas.
-
-    `by_gas` (N,), m, is the rise of the marker heights for a relative increase of the gas.
-    """
+    """Membrane model of one sensor, and the response of its markers to gas. `by_gas` (N,), m, is
+    the rise of the marker heights for a relative increase of the gas."""
 
     fine: ForwardModel
     by_gas: Array
@@ -134,11 +132,9 @@ def _best_start(
 def _starts(
     family: ShapeModel, hint: InitialGuess, known: Sequence[Fit], pressed: _Pressed | None
 ) -> Sequence[Array]:
-    """Return start parameters of a model.
-
-    Usually they are the model's own, moved to the contact of the other shape and scaled to its
-    size. A model related to another (ball, smooth, cylinder) starts from that model's fit.
-    """
+    """Return start parameters of a model. Usually they are the model's own, moved to the contact of
+    the other shape and scaled to its size. A model related to another (ball, smooth, cylinder)
+    starts from that model's fit."""
     if family.parts:
         return family.starts(hint)
     by_name = {one.family.name: one.theta for one in known}
@@ -169,11 +165,9 @@ def _starts(
 
 @dataclass(frozen=True, eq=False)
 class _Pressed:
-    """Contact region of a membrane solution.
-
-    It holds the center `middle` (2,), m, and `area`, m^2. `angle` is that of the longer axis, rad.
-    The half-extents (2,), m, are those of a rectangle with the same force spread.
-    """
+    """Contact region of a membrane solution. It holds the center `middle` (2,), m, and `area`, m^2.
+    `angle` is that of the longer axis, rad. The half-extents (2,), m, are those of a rectangle with
+    the same force spread."""
 
     middle: Array
     area: float

@@ -25,12 +25,9 @@ _LITTLE = 1e-2  # the edge of an obstacle is located to a millionth of a spacing
 
 @dataclass(frozen=True, eq=False)
 class Jacobian:
-    """Derivatives by the scaled parameters at `theta` (k,).
-
-    They are those of the marker `heights` (N, k), m, and of the membrane's `sums` (8, k)
-    (`forward.SUMS`). If not `exact`, they suffice for the fit to converge, but the sums are not
-    accurate enough to report.
-    """
+    """Derivatives by the scaled parameters at `theta` (k,). They are those of the marker `heights`
+    (N, k), m, and of the membrane's `sums` (8, k) (`forward.SUMS`). If not `exact`, they suffice
+    for the fit to converge, but the sums are not accurate enough to report."""
 
     heights: Array
     sums: Array
@@ -42,11 +39,9 @@ class Jacobian:
         return data.root @ self.heights[data.ids]
 
     def learnt(self, moved: Array, heights: Array, sums: Array) -> Jacobian:
-        """Return the Jacobian after Broyden's update.
-
-        It is the nearest one that explains the observed change of `heights` and `sums` by the
-        parameter change `moved` (k,), in standard deviations.
-        """
+        """Return the Jacobian after Broyden's update. It is the nearest one that explains the
+        observed change of `heights` and `sums` by the parameter change `moved` (k,), in standard
+        deviations."""
         along = moved / max(float(moved @ moved), 1e-12)
         return replace(
             self,

@@ -22,10 +22,8 @@ _SIZE_STEP = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost.
-
-    `cut` is True if the step was limited.
-    """
+    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost. `cut` is
+    True if the step was limited."""
 
     by: Array
     promised: float
@@ -60,11 +58,9 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
 def _within(
     H: Array, gradient: Array, step: Array, maximum: Array, far: NDArray[np.bool_]
 ) -> Array:
-    """Return a step within its limits.
-
-    Parameters that would go too `far` are held at their limit, and the others are solved again. If
-    these then exceed their limits, the whole step is shortened.
-    """
+    """Return a step within its limits. Parameters that would go too `far` are held at their limit,
+    and the others are solved again. If these then exceed their limits, the whole step is
+    shortened."""
     held = step.copy()
     held[far] = np.clip(step, -maximum, maximum)[far]
     near = ~far

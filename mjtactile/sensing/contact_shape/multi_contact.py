@@ -15,10 +15,8 @@ _PARTS = ("ball", "cylinder", "disc", "block")
 
 
 def other_parts(films: Films, best: Fit, data: Data, s: ContactShapeSettings) -> list[Fit]:
-    """Fit several contacts with each part replaced in turn by another shape model.
-
-    A replacement is kept where it has more evidence. All fits are returned.
-    """
+    """Fit several contacts with each part replaced in turn by another shape model. A replacement is
+    kept where it has more evidence. All fits are returned."""
     tried: list[Fit] = []
     noise = max(s.noise_min, best.misfit)
     for place in range(len(best.family.parts)):

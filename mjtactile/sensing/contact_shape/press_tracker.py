@@ -81,10 +81,8 @@ def _first(
     but: PressHistory | None = None,
 ) -> PressHistory | None:
     """Fit all models without a prior, or from the membrane solution on the rejected shape `but`.
-
     With `but`, models far behind in this contact episode are skipped. Fits that explain no more
-    than `but` are stopped.
-    """
+    than `but` are stopped."""
     if but is None:
         found = search(films, _ONE, hint, data, s.noise_min)
     else:
@@ -117,10 +115,8 @@ def _with_past(
     s: ContactShapeSettings,
 ) -> PressHistory:
     """Merge the evaluation `looked` and the new search `other`, with the history of their models.
-
     The history is that before this image. A model without history is assumed to have explained the
-    images equally well.
-    """
+    images equally well."""
     known = {one.family.name: one for one in (*past.left, *past.candidates)}
     best = past.candidates[0]
     bodies = {one.family.name: one.fit for one in looked.candidates}

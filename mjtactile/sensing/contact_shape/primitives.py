@@ -53,11 +53,9 @@ class InitialGuess:
 
 
 def feasible_half_extents(frame: Frame, edge: float) -> Array:
-    """Return the half-extents (2,) of the region that long shapes may fill, m.
-
-    For a rectangle they are `edge` m inside the frame. For another outline they are the half-axes
-    of the largest ellipse in it.
-    """
+    """Return the half-extents (2,) of the region that long shapes may fill, m. For a rectangle they
+    are `edge` m inside the frame. For another outline they are the half-axes of the largest ellipse
+    in it."""
     half = np.array([frame.length, frame.width]) / 2 - edge
     if frame.outline is None:
         return half
@@ -138,11 +136,8 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 
 def _soft(off: Array, rounding: float) -> Array:
     """Return the rise of a rim's flank over its face, m: zero far inside, steep outside, rounded
-    between.
-
-    The membrane solution on a sharp rim changes in steps with the node positions. With a rounding
-    of half a spacing it does not, and the fit converges from any start.
-    """
+    between. The membrane solution on a sharp rim changes in steps with the node positions. With a
+    rounding of half a spacing it does not, and the fit converges from any start."""
     rise = np.sqrt(off * off + rounding**2)
     rise += off
     rise *= _RIM_SLOPE / 2
@@ -151,9 +146,7 @@ def _soft(off: Array, rounding: float) -> Array:
 
 def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Return the node positions relative to the shape's center (nx, ny), m, and the heights there.
-
-    The heights are those of the tilted face.
-    """
+    The heights are those of the tilted face."""
     place = place_of(theta, hint)
     x = hint.nodes[0] - place[0]
     y = hint.nodes[1] - place[1]
@@ -161,10 +154,8 @@ def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, 
 
 
 def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
-    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`.
-
-    They are x (m, nx, 1), y (m, 1, ny), heights (m, nx, ny).
-    """
+    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`. They are x (m, nx,
+    1), y (m, 1, ny), heights (m, nx, ny)."""
     place = 1e-3 * thetas[:, :3, None, None]
     x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
     y = (hint.nodes[1][:1] - hint.place[1]) - place[:, 1]

@@ -33,12 +33,9 @@ def warm_start(
     rounds: int,
     known: float = math.inf,
 ) -> Fit | None:
-    """Refit one shape model to a new image.
-
-    The prior comes from earlier images. The start is the last pose, shifted in depth by the force
-    change divided by the contact stiffness. The fit stops early when its cost stays far above
-    `known`, the cost of a competing model.
-    """
+    """Refit one shape model to a new image. The prior comes from earlier images. The start is the
+    last pose, shifted in depth by the force change divided by the contact stiffness. The fit stops
+    early when its cost stays far above `known`, the cost of a competing model."""
     family = one.family
     hint = _matched(newest.hint, hint)
     prior = one.common.prior(one.fit, noise, hint)
@@ -80,10 +77,8 @@ def restart_fit(
     near: MembraneSolution,
 ) -> Fit | None:
     """Return the fit `stuck`, or a restarted fit next to the membrane solution `near` if it is
-    better.
-
-    Fits on flat faces can stop early. A round shape can look sharp while few nodes touch it.
-    """
+    better. Fits on flat faces can stop early. A round shape can look sharp while few nodes touch
+    it."""
     if one.family.name in FACES or one.family.parts:
         other = _restart_from_centroid(films, one, noise, hint, data, known, near)
     else:

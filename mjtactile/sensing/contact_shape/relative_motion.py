@@ -162,10 +162,7 @@ def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
 
 
 def _rolling(found: Fit, velocity: Array, cov: Array) -> tuple[Array, Array]:
-    """Return the rotation rate (2,) about x and y, rad/s, of a shape that rolls without sliding.
-
-    It is z x K v with the curvatures K (2, 2).
-    """
+    """Return the rotation rate (2,) about x and y, rad/s, of a shape that rolls without sliding."""
     K = np.zeros((2, 2))
     name = found.family.name
     if name == "ball":

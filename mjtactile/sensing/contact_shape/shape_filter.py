@@ -24,11 +24,8 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 @dataclass(frozen=True, eq=False)
 class ShapeFilter:
     """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
-    deviation.
-
-    `precision` (m, m) is their precision, `told` (m,) the precision times the mean. `drift` is the
-    sum of squares of their changes.
-    """
+    deviation. `precision` (m, m) is their precision, `told` (m,) the precision times the mean.
+    `drift` is the sum of squares of their changes."""
 
     precision: Array
     told: Array
@@ -57,11 +54,9 @@ class ShapeFilter:
         return ShapeFilter(self.precision + seen, self.told + told, drift)
 
     def _off(self, seen: Array, told: Array) -> float:
-        """Return the squared Mahalanobis distance of an evaluation from the earlier ones.
-
-        The evaluation has precision `seen` (m, m) and information vector `told` (m,). Unobserved
-        directions do not count.
-        """
+        """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
+        evaluation has precision `seen` (m, m) and information vector `told` (m,). Unobserved
+        directions do not count."""
         if not self.precision.any():
             return 0.0
         tiny = _UNSEEN * np.eye(len(told))
@@ -101,11 +96,8 @@ _BY_NODE = 1.5  # relative model error of a curvature or size, times the number 
 
 def _alone(fit: Fit) -> tuple[Array, Array]:
     """Return precision (m, m) and information vector (m,) of the constant parameters from one
-    image.
-
-    They are scaled by the standard deviations, exclude the prior of these parameters, and are
-    marginalized over the pose.
-    """
+    image. They are scaled by the standard deviations, exclude the prior of these parameters, and
+    are marginalized over the pose."""
     kept = fit.family.kept
     free = ~kept
     t = fit.theta / fit.family.sd
@@ -124,10 +116,8 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
 
 
 def _own_wrong(fit: Fit) -> Array:
-    """Return the variance (m, m) of the scaled constant parameters from membrane model errors.
-
-    It covers errors that differ between evaluations. It grows as fewer nodes touch.
-    """
+    """Return the variance (m, m) of the scaled constant parameters from membrane model errors. It
+    covers errors that differ between evaluations. It grows as fewer nodes touch."""
     share = np.hypot(fit.family.share, _BY_NODE / touching(fit))
     return np.diag((share * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
 

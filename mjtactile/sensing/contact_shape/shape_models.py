@@ -133,10 +133,8 @@ def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
 def face_of(
     family: ShapeModel, theta: Array, hint: InitialGuess, moved: Array
 ) -> tuple[Array, float]:
-    """Return signed distances (nx, ny), m, from a flat face's rim, and its area, m^2.
-
-    The distance is negative inside the rim. `moved` (2, nx, ny) are the node displacements, m.
-    """
+    """Return signed distances (nx, ny), m, from a flat face's rim, and its area, m^2. The distance
+    is negative inside the rim. `moved` (2, nx, ny) are the node displacements, m."""
     x, y, _ = offset_from_center(theta, hint)
     x = x + moved[0]
     y = y + moved[1]
@@ -180,10 +178,7 @@ _SHARE = {"k": 0.03, "radius": 0.05, "half": 0.05}
 
 
 def several(names: Sequence[str]) -> ShapeModel:
-    """Return a shape model of several simultaneous contacts, one named model for each.
-
-    The initial guess has the same number of parts.
-    """
+    """Return a shape model of several simultaneous contacts, one named model for each."""
     parts = tuple(FAMILIES[name] for name in names)
 
     def build(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:

@@ -58,9 +58,7 @@ def words(
 
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
     """Return the covariance of the parameters including the error of membrane model and simulator.
-
-    That error scales all curvatures or sizes together, and grows as fewer nodes touch.
-    """
+    That error scales all curvatures or sizes together, and grows as fewer nodes touch."""
     by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
     kinds = [name.split("_")[0] for name in found.family.names]
     wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
@@ -115,10 +113,8 @@ def _several(
     interval: tuple[float, float],
     s: ContactShapeSettings,
 ) -> ContactShape:
-    """Build the result for several contacts, each with the nodes nearest to it.
-
-    Each part gets its fraction of the area interval and of the force.
-    """
+    """Build the result for several contacts, each with the nodes nearest to it. Each part gets its
+    fraction of the area interval and of the force."""
     family = found.family
     force = found.state.contact_forces
     thetas = family.split(found.theta)
@@ -249,10 +245,8 @@ def _axes(
 
 
 def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> Array:
-    """Return the covariance (6, 6) of position, m, and rotations, rad.
-
-    Rotations that are not parameters of the model have NaN on the diagonal (unknown).
-    """
+    """Return the covariance (6, 6) of position, m, and rotations, rad. Rotations that are not
+    parameters of the model have NaN on the diagonal (unknown)."""
     numbers = [0, 1, 2, *turns]
     units = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
     pose = np.zeros((6, 6))
@@ -266,10 +260,8 @@ def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> A
 
 
 def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
-    """Return the border (P, 2), m, of the contact region, interpolated between the nodes.
-
-    In that region the contact `force` (nx, ny), N, exceeds half of its median.
-    """
+    """Return the border (P, 2), m, of the contact region, interpolated between the nodes. In that
+    region the contact `force` (nx, ny), N, exceeds half of its median."""
     if not (force > 0).any():
         return np.zeros((0, 2))
     across, along = (_between(count) for count in force.shape)

@@ -58,11 +58,8 @@ class CameraDriftEstimate:
 def observed_modes(
     design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
 ) -> Array:
-    """Return the apparent marker motion (m, 3, OBSERVED_MODES), m.
-
-    It is the motion for one standard deviation of each mode observed by fiducials. Arguments are
-    those of `camera_modes`.
-    """
+    """Return the apparent marker motion (m, 3, OBSERVED_MODES), m. It is the motion for one
+    standard deviation of each mode observed by fiducials. Arguments are those of `camera_modes`."""
     modes = np.zeros((len(p_SM), 3, OBSERVED_MODES))
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
@@ -191,9 +188,7 @@ class CameraDriftEstimator:
 
     def undone(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
         """Return the markers (m, 3), m, frame S, as observed by the camera of the rest reference.
-
-        The image transform is already undone. `darker` (m,) is as for `camera_modes`.
-        """
+        The image transform is already undone. `darker` (m,) is as for `camera_modes`."""
         R, aside = self._motion(seen.mean)
         design = self.design
         away = (p_SM - design.camera.p_SC - aside) @ R
@@ -216,10 +211,7 @@ class CameraDriftEstimator:
 
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
-        `mean`.
-
-        Only the dependence on levels is linearized.
-        """
+        `mean`."""
         picture = self.picture(mean, 0.0)
         then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
@@ -228,10 +220,8 @@ class CameraDriftEstimator:
 
     def _likely(self, moved_px: float) -> Array:
         """Return the prior standard deviations (K,) of the modes for the observed image motion.
-
         They scale with this motion. Planar circles do not separate all modes. Modes that cancel are
-        as unlikely as a knock without image motion.
-        """
+        as unlikely as a knock without image motion."""
         s = self._s
         camera = self.design.camera
         px = max(moved_px, self._own.still)
@@ -245,11 +235,8 @@ class CameraDriftEstimator:
 
     def _responses(self) -> Array:
         """Compute the change of (u, v, radius) of each fiducial, px, per standard deviation of each
-        mode.
-
-        Shape (F, 3, K). Camera shifts and rotations use finite differences of the projected
-        outline.
-        """
+        mode. Shape (F, 3, K). Camera shifts and rotations use finite differences of the projected
+        outline."""
         s = self._s
         size = s.drift_size
         found = np.zeros((len(self._p_CF), 3, OBSERVED_MODES))
@@ -268,10 +255,8 @@ class CameraDriftEstimator:
         return found
 
     def _outlines(self, R: Array, aside: Array) -> Array:
-        """Return center u, v and radius (F, 3), px, of the moved fiducials.
-
-        They are rotated by `R` about the camera and shifted by `aside` (3,), m.
-        """
+        """Return center u, v and radius (F, 3), px, of the moved fiducials. They are rotated by `R`
+        about the camera and shifted by `aside` (3,), m."""
         outline = (self._p_CF[:, None] + self._ring) @ R.T + aside
         uv = optics.project(self.camera, outline)
         ahead = np.roll(uv, -1, axis=1)
@@ -315,11 +300,9 @@ class CameraDriftEstimator:
 
 
 def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Array, Array, float]:
-    """Return mean, covariance and misfit of the modes, fitted robustly.
-
-    `rows` (n, 3, K) are the weighted rows, `likely` (K,) the prior standard deviations, and `moved`
-    (n, 3) the data. A fiducial `outlier` times farther off than the others gets a small weight.
-    """
+    """Return mean, covariance and misfit of the modes, fitted robustly. `rows` (n, 3, K) are the
+    weighted rows, `likely` (K,) the prior standard deviations, and `moved` (n, 3) the data. A
+    fiducial `outlier` times farther off than the others gets a small weight."""
     n, _, K = rows.shape
     flat = rows.reshape(-1, K)
     moves = moved.ravel()
@@ -345,11 +328,8 @@ def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Ar
 def _darker(
     now: FiducialDetections, rest: FiducialDetections, here: Array | slice, there: Array | slice
 ) -> Array:
-    """Return the change (n,) of the log ratio of inside to outside level.
-
-    It is set to zero if it is only noise of the levels. Such noise would give a false slope of the
-    curve.
-    """
+    """Return the change (n,) of the log ratio of inside to outside level. It is set to zero if it
+    is only noise of the levels. Such noise would give a false slope of the curve."""
     then = rest.inside[there] / rest.outside[there]
     darker = np.log(now.inside[here] / now.outside[here] / then)
     # False for NaN: unknown

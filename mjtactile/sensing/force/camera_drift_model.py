@@ -69,10 +69,8 @@ class CameraDriftFilter:
     def unseen(
         cls, s: InverseSettings, *, knocked: bool = False, steady: bool = False
     ) -> CameraDriftFilter:
-        """Return the prior of a camera without images since the references.
-
-        It may have been `knocked`, or be as `steady` as it was there.
-        """
+        """Return the prior of a camera without images since the references. It may have been
+        `knocked`, or be as `steady` as it was there."""
         sd = np.ones(MODES)
         if not knocked:
             sd[:3] = s.drift_camera / s.knock_shift
@@ -133,10 +131,8 @@ class CameraDriftFilter:
 
 
 def drift_of(found: Array, seen: Array) -> float:
-    """Return the mean square drift relative to its expected value; 1 means as assumed.
-
-    `found` is the estimated drift in standard deviations (gas, then the camera's modes). `seen` is
-    the fraction of their variance that estimates have. Gas counts as one mode of four.
-    """
+    """Return the mean square drift relative to its expected value; 1 means as assumed. `found` is
+    the estimated drift in standard deviations (gas, then the camera's modes). `seen` is the
+    fraction of their variance that estimates have. Gas counts as one mode of four."""
     share = found**2 / seen
     return float((share[0] + 3 * share[1:].mean()) / 4)

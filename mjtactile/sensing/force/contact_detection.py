@@ -71,11 +71,9 @@ def detect_touch(
 
 @dataclass(frozen=True, eq=False)
 class RestTracker:
-    """Tracked rest state.
-
-    `apart` (N, 3), m, is the deviation of all markers from it, averaged over about
-    `ContactDetectionSettings.smooth` s. `share` is the last relative correction of its gas.
-    """
+    """Tracked rest state. `apart` (N, 3), m, is the deviation of all markers from it, averaged over
+    about `ContactDetectionSettings.smooth` s. `share` is the last relative correction of its
+    gas."""
 
     rest: InverseRest
     apart: Array
@@ -126,10 +124,8 @@ def follow(
 
 
 def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
-    """Return the bulge change (3, n), m, in coefficients, per relative change of the gas amount.
-
-    It is 0 where a valve keeps the pressure.
-    """
+    """Return the bulge change (3, n), m, in coefficients, per relative change of the gas amount. It
+    is 0 where a valve keeps the pressure."""
     if rest.gas.constant is None and rest.gas_sd is None:
         return np.zeros_like(rest.c)
     state = estimator.sheet.state(rest.c, rest.young)
@@ -145,11 +141,9 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
-    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the misfit.
-
-    The misfit is the mean square of the remainder after gas and camera motion. It is relative to
-    the markers' covariance `cov` (m, 3, 3).
-    """
+    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the misfit. The
+    misfit is the mean square of the remainder after gas and camera motion. It is relative to the
+    markers' covariance `cov` (m, 3, 3)."""
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
     camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))
     columns = np.concatenate([moved[:, :, None], camera], axis=2) if moved.any() else camera

@@ -122,10 +122,8 @@ def estimate_force_from_surface(
 
 
 def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure: float) -> Array:
-    """Compute the smooth tension (nx, ny), N/m, of a resting surface.
-
-    It is the pressure divided by a quadric fitted to the curvatures `bent` (nx, ny), 1/m.
-    """
+    """Compute the smooth tension (nx, ny), N/m, of a resting surface. It is the pressure divided by
+    a quadric fitted to the curvatures `bent` (nx, ny), 1/m."""
     X, Y = np.meshgrid(grid.x - grid.x.mean(), grid.y - grid.y.mean(), indexing="ij")
     columns = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], axis=-1)
     found, *_ = np.linalg.lstsq(columns[seen], bent[seen], rcond=None)
@@ -137,10 +135,8 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
 
 
 def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
-    """Return a factor on the curvature pressure `held` (nx, ny), Pa.
-
-    It makes the contact pressure zero on the free surface.
-    """
+    """Return a factor on the curvature pressure `held` (nx, ny), Pa. It makes the contact pressure
+    zero on the free surface."""
     factor = 1.0
     for _ in range(_ROUNDS):
         contact = seen & (np.abs(pressure - factor * held) > _PRESSED * pressure)
@@ -193,11 +189,9 @@ class _Grid:
         self.inside = _within(places, outline)
 
     def fit(self, points: ArrayLike, field: str) -> tuple[Array, NDArray[np.bool_]]:
-        """Return heights (nx, ny), m, and a mask (nx, ny) of where they were measured.
-
-        The surface has minimum bending and fits the points within `smoothing`. Robust least squares
-        rejects outliers.
-        """
+        """Return heights (nx, ny), m, and a mask (nx, ny) of where they were measured. The surface
+        has minimum bending and fits the points within `smoothing`. Robust least squares rejects
+        outliers."""
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -281,10 +275,8 @@ class _Grid:
 
 
 def _within(places: Array, outline: Array) -> NDArray[np.bool_]:
-    """Return a mask of the positions (..., 2) inside a polygon (k, 2).
-
-    A ray toward +x crosses the polygon an odd number of times from there.
-    """
+    """Return a mask of the positions (..., 2) inside a polygon (k, 2). A ray toward +x crosses the
+    polygon an odd number of times from there."""
     odd = np.zeros(places.shape[:-1], bool)
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if a[1] == b[1]:

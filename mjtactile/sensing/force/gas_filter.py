@@ -49,10 +49,8 @@ class GasState:
     rest: float = math.nan
 
     def corrected(self, share: float) -> GasState:
-        """Return the state with `zero` raised by `share`, as observed on the membrane at rest.
-
-        The cause is a drift of the pressure sensor's zero, or the weather.
-        """
+        """Return the state with `zero` raised by `share`, as observed on the membrane at rest. The
+        cause is a drift of the pressure sensor's zero, or the weather."""
         return replace(self, zero=self.zero + share)
 
     def refine_estimate(self, volume: float) -> GasState:
@@ -137,10 +135,8 @@ class GasFilter:
         )
 
     def read(self, state: GasState, reading: PressureReading) -> tuple[GasState, bool]:
-        """Return the state after a reading, and True if it carries much new information.
-
-        A reading that was already used changes nothing.
-        """
+        """Return the state after a reading, and True if it carries much new information. A reading
+        that was already used changes nothing."""
         ahead = reading.time - state.time
         if not math.isfinite(reading.gauge_pressure) or ahead <= 0:
             return state, False

@@ -137,10 +137,8 @@ class InverseMembrane(LoadedMembrane):
         camera: CameraDriftFilter | CameraDriftEstimate,
         correlation: float,
     ) -> float:
-        """Approximate the log evidence of fresh tractions with this correlation length, m.
-
-        The membrane is linearized at the given shape, which costs a fraction of a fit.
-        """
+        """Approximate the log evidence of fresh tractions with this correlation length, m. The
+        membrane is linearized at the given shape, which costs a fraction of a fit."""
         gain = self._gain(shape.c, markers, rest, None, camera, False, correlation)
         seen = markers.p_SM - rest.offset[markers.ids]
         if isinstance(camera, CameraDriftFilter):
@@ -156,11 +154,9 @@ class InverseMembrane(LoadedMembrane):
         gain: Linearization,
         count: int,
     ) -> Shape:
-        """Do one Gauss-Newton step from `c`.
-
-        The membrane relaxes to equilibrium; tractions and drift explain the remaining motion of the
-        markers. `seen` (m, 3), m, are the positions observed by the camera as assumed.
-        """
+        """Do one Gauss-Newton step from `c`. The membrane relaxes to equilibrium; tractions and
+        drift explain the remaining motion of the markers. `seen` (m, 3), m, are the positions
+        observed by the camera as assumed."""
         ids = markers.ids
         m = len(markers)
         slopes_off = None
@@ -308,11 +304,8 @@ class InverseMembrane(LoadedMembrane):
         self, c: Array, markers: Markers, distrust: Array
     ) -> tuple[Array, Array, Array | None]:
         """Return the whitening of each marker's position (n, 3, 3) and slope (n,), and the slope
-        rows.
-
-        The slope rows are the whitened derivatives of the slopes by the membrane's tangents; None:
-        slopes are not used.
-        """
+        rows. The slope rows are the whitened derivatives of the slopes by the membrane's tangents;
+        None: slopes are not used."""
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
         if self._slopes is None:
@@ -323,9 +316,7 @@ class InverseMembrane(LoadedMembrane):
 
     def _distrust(self, ids: NDArray[np.int64], before: Shape | None) -> Array:
         """Return the factor (2, n) on the standard deviation of each marker's position and slope.
-
-        It exceeds 1 if the previous image did not explain the marker.
-        """
+        It exceeds 1 if the previous image did not explain the marker."""
         excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
         usual = [[self.settings.excess], [self.settings.slope_excess]]
         return np.sqrt(np.maximum(1.0, excess / usual))
@@ -333,10 +324,7 @@ class InverseMembrane(LoadedMembrane):
     def _camera_modes(
         self, p_SM: Array, changed: Array, camera: CameraDriftFilter | CameraDriftEstimate
     ) -> Array:
-        """Return the motion (m, 3, modes), m, of markers at `p_SM` (m, 3).
-
-        It is the motion for one standard deviation of each camera mode.
-        """
+        """Return the motion (m, 3, modes), m, of markers at `p_SM` (m, 3)."""
         if isinstance(camera, CameraDriftFilter):
             return camera_modes(self.design, p_SM, changed, self.settings)
         return observed_modes(self.design, p_SM, changed, self.settings, self._known)
@@ -344,11 +332,9 @@ class InverseMembrane(LoadedMembrane):
     def _gas_drift(
         self, state: State, rest: InverseRest, lost: float | None
     ) -> tuple[float, Array]:
-        """Return one standard deviation of the gas drift.
-
-        It is given as pressure, Pa, and as a load (3, n). `lost` is the standard deviation of the
-        amount if some gas may have been lost.
-        """
+        """Return one standard deviation of the gas drift. It is given as pressure, Pa, and as a
+        load (3, n). `lost` is the standard deviation of the amount if some gas may have been
+        lost."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
@@ -406,10 +392,8 @@ class InverseMembrane(LoadedMembrane):
         return self._doubt.of_sharpness(force, float(shape.excess[0].mean()))
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:
-        """Return the posterior covariance (6, 6) of the wrench, for nodes at `positions` (J, 3), m.
-
-        It covers the prior's uncertainty between markers, and the marker noise.
-        """
+        """Return the posterior covariance (6, 6) of the wrench, for nodes at `positions` (J, 3),
+        m."""
         gain = shape.gain
         cov = np.empty((6, 6))
         jx, jy, _, _, *roots = self._nodes(gain.correlation)
@@ -429,10 +413,8 @@ class InverseMembrane(LoadedMembrane):
         return cov * np.outer(scale, scale)
 
     def posterior_fraction(self, shape: Shape) -> Array:
-        """Return the factors (6,) on the wrench's predicted variances.
-
-        They are larger if the markers misfit or show drift.
-        """
+        """Return the factors (6,) on the wrench's predicted variances. They are larger if the
+        markers misfit or show drift."""
         return np.maximum(max(1.0, shape.misfit) * self._posterior_fraction, shape.drift - 1)
 
 
@@ -443,11 +425,9 @@ def _net(force: Array, positions: Array) -> Array:
 
 
 def _observed_drift(gas: Array, camera: Array) -> Array:
-    """Return the whitened markers' response (r, 1 + modes) to one standard deviation of drift.
-
-    The drift is that of the `gas` (r,) and of the `camera`'s modes (m, 3, modes). Slopes, the rows
-    after 3 m, are nearly independent of camera motion.
-    """
+    """Return the whitened markers' response (r, 1 + modes) to one standard deviation of drift. The
+    drift is that of the `gas` (r,) and of the `camera`'s modes (m, 3, modes). Slopes, the rows
+    after 3 m, are nearly independent of camera motion."""
     markers, _, modes = camera.shape
     drift = np.zeros((len(gas), 1 + modes))
     drift[:, 0] = gas

@@ -77,11 +77,8 @@ class Linearization:
         lost: bool,
         correlation: float,
     ) -> bool:
-        """Return True if it is valid near `c` for these markers.
-
-        The gas and camera priors and the correlation length of the tractions, m, must also
-        match.
-        """
+        """Return True if it is valid near `c` for these markers. The gas and camera priors and the
+        correlation length of the tractions, m, must also match."""
         if correlation != self.correlation:
             return False
         if lost != self.lost or not _equally_certain(camera, self.camera):
@@ -121,10 +118,8 @@ class Shape:
     @property
     def log_evidence(self) -> float:
         """Logarithm of the markers' probability density under the priors that it was made with.
-
         Hypotheses about load and camera that explain the same markers are compared by it. The
-        discounted markers count with their larger standard deviations.
-        """
+        discounted markers count with their larger standard deviations."""
         gain = self.gain
         log_sd = 3 * np.log(gain.distrust[0]).sum()
         if gain.tilts is not None:

@@ -113,19 +113,14 @@ class ModelErrorVariance:
 
 
 def _outside(layout: MarkerLayout, nodes: Array) -> Array:
-    """Return the degree (J,) to which nodes lie outside the outermost markers.
-
-    It is 1 from half a marker pitch outside, and 0 from half a pitch inside, where markers surround
-    the node.
-    """
+    """Return the degree (J,) to which nodes lie outside the outermost markers. It is 1 from half a
+    marker pitch outside, and 0 from half a pitch inside, where markers surround the node."""
     maximum = np.abs(layout.p_SM[:, :2]).max(axis=0)
     beyond = (np.abs(nodes) - maximum) / [layout.pitch_x, layout.pitch_y]
     return np.square(np.clip(beyond + 0.5, 0.0, 1.0).max(axis=1))
 
 
 def _burst(change: float, size: float) -> float:
-    """Return the sudden part of a force `change`, N.
-
-    It is zero for a change below half of the force `size`, N.
-    """
+    """Return the sudden part of a force `change`, N. It is zero for a change below half of the
+    force `size`, N."""
     return change * min(max(2 * change / max(size, 1e-9) - 1, 0.0), 1.0)

@@ -19,12 +19,9 @@ _JITTER = 1e-6  # keeps the correlation's factor finite
 
 
 class LoadPrior:
-    """Prior covariance S C S of nodal tractions.
-
-    S holds the standard deviations of the nodes. C is a Gaussian correlation over the grid lines
-    `x` (jx,) and `y` (jy,), m. It is the same for each component. `root` are the lower factors of C
-    along x and along y.
-    """
+    """Prior covariance S C S of nodal tractions. S holds the standard deviations of the nodes. C is
+    a Gaussian correlation over the grid lines `x` (jx,) and `y` (jy,), m. It is the same for each
+    component. `root` are the lower factors of C along x and along y."""
 
     def __init__(self, x: Array, y: Array, settings: PriorSettings = DEFAULTS.prior):
         self.settings = settings

@@ -78,10 +78,8 @@ class MarkedMembrane:
         sealed: bool = True,
         inflated_s: float = math.inf,
     ) -> InverseRest:
-        """Calibrate on a state without contact and with a known gauge pressure, Pa.
-
-        The membrane has been in this state for `inflated_s` s. For the result see `InverseRest`.
-        """
+        """Calibrate on a state without contact and with a known gauge pressure, Pa. The membrane
+        has been in this state for `inflated_s` s. For the result see `InverseRest`."""
         valve = Gas(gauge_pressure)
         scale = young = stretch = 1.0
         c = self.sheet.equilibrium(valve)
@@ -110,11 +108,8 @@ class MarkedMembrane:
 
     def _apart(self, scale: float, c: Array) -> tuple[float, float]:
         """Return the factors on Young's modulus and pre-stretch for an apparent stiffness `scale`
-        (Eq. F25).
-
-        The membrane bulges at `c`. Each factor deviates in proportion to its variance, and the
-        pre-stretch by at most three standard deviations.
-        """
+        (Eq. F25). The membrane bulges at `c`. Each factor deviates in proportion to its variance,
+        and the pre-stretch by at most three standard deviations."""
         s = self.settings
         nominal = self.design.membrane.pre_stretch
         strain = nominal - 1 + self.sheet.mean_strain(c)
@@ -129,10 +124,8 @@ class MarkedMembrane:
         return self.design.chamber_volume_flat + self.sheet.state(c).volume
 
     def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
-        """Return the rest state of the same sensor, filled with `gas`.
-
-        The standard deviation of its pressure is `sd`, Pa, in a chamber of `volume`, m^3.
-        """
+        """Return the rest state of the same sensor, filled with `gas`. The standard deviation of
+        its pressure is `sd`, Pa, in a chamber of `volume`, m^3."""
         rest = self.at_rest(replace(rest, gas=gas))
         return replace(rest, gas_sd=sd, gas_volume=volume)
 
@@ -164,10 +157,7 @@ class MarkedMembrane:
 
 
 def _spans(design: SensorDesign, settings: InverseSettings) -> tuple[int, int]:
-    """Return the number of spline intervals along x and y.
-
-    They are those of the settings. For an outline, they are about as many with equal sides.
-    """
+    """Return the number of spline intervals along x and y."""
     nx, ny = settings.spans
     if design.frame.outline is None:
         return nx, ny

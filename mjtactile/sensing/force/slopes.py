@@ -19,11 +19,8 @@ from mjtactile.sensing.surface.slope_noise import slope_sd
 
 
 class MarkerSlopes:
-    """Slopes (dz/dx, dz/dy) of one membrane at its markers.
-
-    The marker positions (N, 3), m, are those of the mounted flat membrane. `distance`, m, is that
-    of the camera.
-    """
+    """Slopes (dz/dx, dz/dy) of one membrane at its markers. The marker positions (N, 3), m, are
+    those of the mounted flat membrane. `distance`, m, is that of the camera."""
 
     def __init__(self, sheet: Sheet, p_SM: Array, distance: float, settings: InverseSettings):
         self._settings = settings
@@ -33,10 +30,8 @@ class MarkerSlopes:
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:
-        """Return the measured minus modeled slopes (m, 2) for coefficients `c` (3, n), m.
-
-        They are NaN for a marker without a normal.
-        """
+        """Return the measured minus modeled slopes (m, 2) for coefficients `c` (3, n), m. They are
+        NaN for a marker without a normal."""
         g1, g2 = self._tangents(c, markers.ids)
         x1, y1, z1 = g1.T
         x2, y2, z2 = g2.T

@@ -39,11 +39,8 @@ _CONVERGED = 1e-9  # convergence tolerance of a step, m
 
 @dataclass(frozen=True, eq=False)
 class Gas:
-    """Gas in the chamber.
-
-    It is a sealed amount, p V^gamma = `constant`. If `constant` is None, a valve keeps `gauge`
-    Pa.
-    """
+    """Gas in the chamber. It is a sealed amount, p V^gamma = `constant`. If `constant` is None, a
+    valve keeps `gauge` Pa."""
 
     gauge: float
     constant: float | None = None
@@ -86,11 +83,8 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Factorized tangent stiffness of `sheet`.
-
-    `factor` is the Cholesky factor of the band at constant pressure. The gas changes the inverse by
-    -`share` w w^T with w = `softened` (3 n,).
-    """
+    """Factorized tangent stiffness of `sheet`. `factor` is the Cholesky factor of the band at
+    constant pressure. The gas changes the inverse by -`share` w w^T with w = `softened` (3 n,)."""
 
     sheet: Sheet
     factor: Array
@@ -201,10 +195,8 @@ class Sheet:
     def state(
         self, c: Array, scale: float = 1.0, faded: Array | None = None, stretch: float = 1.0
     ) -> State:
-        """Compute the state of the membrane at coefficients `c` (3, n), m.
-
-        Its relaxed stress `faded` (3, qx, qy), N/m, is subtracted.
-        """
+        """Compute the state of the membrane at coefficients `c` (3, n), m. Its relaxed stress
+        `faded` (3, qx, qy), N/m, is subtracted."""
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
         volume = np.empty(1)
@@ -232,10 +224,8 @@ class Sheet:
         return self.law.stress(C11, C22, C12)
 
     def forces_of(self, c: Array, stress: Array) -> Array:
-        """Compute the generalized forces (3, n), N, of a membrane stress at `c` (Eq. F3).
-
-        The stress (3, qx, qy) is in N/m.
-        """
+        """Compute the generalized forces (3, n), N, of a membrane stress at `c` (Eq. F3). The
+        stress (3, qx, qy) is in N/m."""
         qx, qy = self.weights.shape
         g1, g2 = self._tangents(c)
         S11, S22, S12 = stress * self.weights
@@ -286,11 +276,9 @@ class Sheet:
         return state.elastic - gauge_pressure * state.gradient
 
     def tangent(self, state: State, gauge_pressure: float) -> Array:
-        """Compute d(residual)/dc at constant pressure, N/m (Eq. F10).
-
-        The result is the lower band (3 n, stride) in the format of kernels/band_cholesky_f64.h. The
-        three components of a spline are stored together.
-        """
+        """Compute d(residual)/dc at constant pressure, N/m (Eq. F10). The result is the lower band
+        (3 n, stride) in the format of kernels/band_cholesky_f64.h. The three components of a spline
+        are stored together."""
         band = np.empty((3 * self.count, band_stride(self.width)))
         law = self._law(state.stretch)
         kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, gauge_pressure, band)
@@ -315,12 +303,9 @@ class Sheet:
         )
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, Stiffness]:
-        """Compute the residual (3, n) and its factorized tangent, gas stiffness included.
-
-        Wrinkles can make the membrane's own tangent indefinite. Then it is shifted toward the
-        identity until it is positive definite. Raises MjtactileError if a value of the state is not
-        finite.
-        """
+        """Compute the residual (3, n) and its factorized tangent, gas stiffness included. Wrinkles
+        can make the membrane's own tangent indefinite. Then it is shifted toward the identity until
+        it is positive definite. Raises MjtactileError if a value of the state is not finite."""
         pressure, gas_stiffness = self.gas_pressure(state, gas)
         band = self.tangent(state, pressure)
         softened = np.empty(3 * self.count)
@@ -343,14 +328,9 @@ class Sheet:
         faded: Array | None = None,
         stretch: float = 1.0,
     ) -> Array:
-        """Compute the coefficients (3, n) at equilibrium by Newton steps from `start`.
-
-        The membrane is under `gas` and generalized loads (3, n), N. `faded` is the same as for
-        `state`.
-
-        Raises MjtactileError if no equilibrium is found (a design that cannot hold its own
-        pressure).
-        """
+        """Compute the coefficients (3, n) at equilibrium by Newton steps from `start`. The membrane
+        is under `gas` and generalized loads (3, n), N. `faded` is the same as for `state`. Raises
+        MjtactileError if no equilibrium is found (a design that cannot hold its own pressure)."""
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
             residual, stiffness = self.linearise(self.state(c, scale, faded, stretch), gas)

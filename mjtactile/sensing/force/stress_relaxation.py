@@ -21,10 +21,8 @@ from mjtactile.sensing.force.spline_fem import Sheet
 
 @dataclass(frozen=True, eq=False)
 class RelaxationState:
-    """Relaxed stress of each term, `faded` (terms, 3, qx, qy), N/m.
-
-    `stress` (3, qx, qy), N/m, is the long-term stress. Both hold at `time`, s.
-    """
+    """Relaxed stress of each term, `faded` (terms, 3, qx, qy), N/m. `stress` (3, qx, qy), N/m, is
+    the long-term stress. Both hold at `time`, s."""
 
     faded: Array
     stress: Array
@@ -46,10 +44,8 @@ class RelaxingMembrane:
         self._shares = relaxation.shares[:, None, None, None]
 
     def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
-        """Return the state at `time`, s, of a membrane after inflation.
-
-        The membrane was always flat, then at `c` (3, n), m, for `inflated_s` s.
-        """
+        """Return the state at `time`, s, of a membrane after inflation. The membrane was always
+        flat, then at `c` (3, n), m, for `inflated_s` s."""
         flat = scale * self._sheet.stress(np.zeros_like(c))
         stress = scale * self._sheet.stress(c)
         kept = self._kept(inflated_s)

@@ -97,10 +97,7 @@ class BlendEstimator:
 
     def _moved(self, before: Blend, markers: Markers) -> Array | None:
         """Return the marker motion since `before` (m, 3), in standard deviations, without its
-        smooth part.
-
-        Return None if the markers are others, or really move.
-        """
+        smooth part. Return None if the markers are others, or really move."""
         if not np.array_equal(before.ids, markers.ids) or not len(markers.ids):
             return None
         sd = np.sqrt(np.diagonal(markers.cov_p, axis1=1, axis2=2))

@@ -82,10 +82,8 @@ class LoadedMembrane(MarkedMembrane):
         return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
 
     def _on_grid(self, force: Array) -> Array:
-        """Return the nodal forces (3, J), N, on the regular grid of `Traction`, (ny, nx, 3).
-
-        The force of a node between grid lines is distributed so that sum and position are kept.
-        """
+        """Return the nodal forces (3, J), N, on the regular grid of `Traction`, (ny, nx, 3). The
+        force of a node between grid lines is distributed so that sum and position are kept."""
         nodal = np.zeros((len(self.y), len(self.x), 3))
         if self._shared is None:
             inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)
@@ -96,10 +94,7 @@ class LoadedMembrane(MarkedMembrane):
         return nodal
 
     def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
-        """Return rows, columns and weights (J,) of the four grid positions around each node.
-
-        Return None if the nodes lie on the grid.
-        """
+        """Return rows, columns and weights (J,) of the four grid positions around each node."""
         if self.design.frame.outline is None:
             return None
         places = []

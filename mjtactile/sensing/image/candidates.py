@@ -18,11 +18,9 @@ from mjtactile.sensing.settings import DEFAULTS, CandidateSettings
 
 @dataclass(frozen=True)
 class Candidates:
-    """N borders: `center` (N, 2), and `shape` (N, 3) of the ellipse with the same moments.
-
-    `misfit` (N,) is the maximum distance of the border from that ellipse, px. `cut` (N,) is True if
-    it touches the image border.
-    """
+    """N borders: `center` (N, 2), and `shape` (N, 3) of the ellipse with the same moments. `misfit`
+    (N,) is the maximum distance of the border from that ellipse, px. `cut` (N,) is True if it
+    touches the image border."""
 
     center: Array
     shape: Array
@@ -53,10 +51,8 @@ _NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, 
 def find(
     dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = DEFAULTS.candidates
 ) -> Candidates:
-    """Find candidates for dark blobs in an 8-bit image (H, W).
-
-    Their semi-axes are at least about `min_radius_px`.
-    """
+    """Find candidates for dark blobs in an 8-bit image (H, W). Their semi-axes are at least about
+    `min_radius_px`."""
     if min_radius_px >= s.half_from and min(dark.shape) >= 4 * s.cells:
         height, width = (side // 2 for side in dark.shape)
         half = cv2.resize(
@@ -119,10 +115,7 @@ def _moments(
     points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]
 ) -> Candidates:
     """Area moments of all borders at once, by Green's theorem on the polygons through their pixels'
-    centres.
-
-    `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
-    """
+    centres. `points` (P, 1, 2) of one border after the other, `counts` (N,) of them."""
     n = len(counts)
     center = np.empty((n, 2))
     shape = np.empty((n, 3))

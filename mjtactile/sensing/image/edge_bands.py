@@ -20,11 +20,9 @@ _FAR = 1e7  # px; beyond any image
 def band(
     size: tuple[int, int], center: Array, shape: Array, width: float
 ) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the pixels within +-`width` of each ellipse.
-
-    They are flat lists `u`, `v`, and `counts` (N,) of pixels per ellipse. Each image row intersects
-    the outer and the inner ellipse in at most one interval each.
-    """
+    """Return the pixels within +-`width` of each ellipse. They are flat lists `u`, `v`, and
+    `counts` (N,) of pixels per ellipse. Each image row intersects the outer and the inner ellipse
+    in at most one interval each."""
     outer = shape + [width, 0, width]
     inner = shape - [width, 0, width]
     hollow = (inner[:, 0] > 0) & (inner[:, 0] * inner[:, 2] > inner[:, 1] ** 2)
@@ -56,10 +54,8 @@ def band(
 
 
 def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
-    """Return the intersections of rows at `dy` (N, R) from the center with the ellipses.
-
-    The interval is empty if there is no intersection.
-    """
+    """Return the intersections of rows at `dy` (N, R) from the center with the ellipses. The
+    interval is empty if there is no intersection."""
     p, q, s = ellipse.inverse_shape(shape).T[..., None]
     A = p * p + q * q
     B = q * (p + s)
@@ -71,11 +67,8 @@ def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
 
 
 class Pixels:
-    """Pixels of some markers as flat float32 arrays.
-
-    `x` and `y` are relative to each marker's origin. The others are `observed`, and the bounds of
-    each marker's range.
-    """
+    """Pixels of some markers as flat float32 arrays. `x` and `y` are relative to each marker's
+    origin. The others are `observed`, and the bounds of each marker's range."""
 
     def __init__(self, x: NDArray, y: NDArray, observed: NDArray, counts: NDArray):
         self.x = x
@@ -105,10 +98,8 @@ class Pixels:
 @dataclass(frozen=True)
 class Around:
     """Markers with `center` (M, 2) and `shape` (M, 3) that may darken the band of another one.
-
     `near` (N, k) holds their indices for each of N markers, padded with -1. `margin`, px, is the
-    darkened zone next to their edges.
-    """
+    darkened zone next to their edges."""
 
     center: Array
     shape: Array

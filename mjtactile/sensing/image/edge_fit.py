@@ -65,10 +65,8 @@ class EdgeFit:
 
 @dataclass(frozen=True)
 class _KnownBlur:
-    """Blur of `sigma` px (softening included).
-
-    `weight` is that of a prior for it, over the pixels' noise variance.
-    """
+    """Blur of `sigma` px (softening included). `weight` is that of a prior for it, over the pixels'
+    noise variance."""
 
     sigma: float
     weight: float
@@ -97,12 +95,9 @@ def fit(
     others: tuple[Array, Array] | None = None,
     s: EdgeSettings = DEFAULTS.edges,
 ) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px.
-
-    The blur is approximate; `blur_sd`, px, is its standard deviation from another source. Pixels
-    that another marker darkens are left out. `others` holds centers and shapes of more such
-    markers.
-    """
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px. The blur is
+    approximate; `blur_sd`, px, is its standard deviation from another source. Pixels that another
+    marker darkens are left out. `others` holds centers and shapes of more such markers."""
     width = max(5.0, 3.5 * blur)
     known = _KnownBlur(
         float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE))), s.covariance_factor / blur_sd**2
@@ -173,11 +168,9 @@ def _fit_some(
     iterations: int,
     s: EdgeSettings,
 ) -> EdgeFit:
-    """Fit markers of similar size by Gauss-Newton.
-
-    The first steps use a subset of the pixels. The last two use all, with one normal matrix between
-    them (the fixed point does not depend on it).
-    """
+    """Fit markers of similar size by Gauss-Newton. The first steps use a subset of the pixels. The
+    last two use all, with one normal matrix between them (the fixed point does not depend on
+    it)."""
     small = bool(
         (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min()
         < (s.small_radius * max(blur.sigma, 1)) ** 2
@@ -218,10 +211,8 @@ def _fit_some(
 def gather(
     image: NDArray, center: Array, shape: Array, around: Around, width: float
 ) -> tuple[Pixels, NDArray, Array]:
-    """Return the band pixels without those darkened by neighbors.
-
-    Also return their true count per marker, and each marker's origin (whole px).
-    """
+    """Return the band pixels without those darkened by neighbors. Also return their true count per
+    marker, and each marker's origin (whole px)."""
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
     if around.near.size:
         clear = around.clear(u, v, used)

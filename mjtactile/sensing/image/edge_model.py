@@ -19,11 +19,8 @@ _HERMITE = (
 
 def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     """Return the model image (P,) for parameters `theta` (n, 10), and fill J (10, P) with
-    derivatives.
-
-    `small`: True for markers whose curvature matters beyond first order, see `_blurred_disc`. To
-    first order, blur shifts a curved edge by kappa sigma^2/2.
-    """
+    derivatives. `small`: True for markers whose curvature matters beyond first order, see
+    `_blurred_disc`. To first order, blur shifts a curved edge by kappa sigma^2/2."""
     cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(_numbers(theta))
     dx = pixels.x - cu
     dy = pixels.y - cv
@@ -65,11 +62,9 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
 
 
 def _numbers(theta: Array) -> Array:
-    """Return the values common to all pixels of a marker (12, n).
-
-    The first are center, inverse shape and its squared determinant. Then follow step height of the
-    edge and outside level. The last are gradient of the light, inverse blur and blur.
-    """
+    """Return the values common to all pixels of a marker (12, n). The first are center, inverse
+    shape and its squared determinant. Then follow step height of the edge and outside level. The
+    last are gradient of the light, inverse blur and blur."""
     cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
     det = 1 / (p * s - q * q)
     shape = (s * det, -q * det, p * det, det * det)
@@ -87,10 +82,8 @@ def _fill(
     d: tuple[NDArray, NDArray],
     tail: NDArray,
 ) -> None:
-    """Fill the derivatives J (10, P) of the image in the order of the parameters.
-
-    Position and shape of the edge, the two levels, gradient of the light, blur.
-    """
+    """Fill the derivatives J (10, P) of the image in the order of the parameters. Position and
+    shape of the edge, the two levels, gradient of the light, blur."""
     np.multiply(slope, m[0], out=J[0])
     np.multiply(slope, m[1], out=J[1])
     np.multiply(J[0], e[0], out=J[2])
@@ -140,11 +133,8 @@ def _blurred_disc(
 
 
 def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
-    """Return Phi(-z) and the normal density, float32.
-
-    Abramowitz & Stegun 26.2.17, error below 8e-8. Unlike erf, it uses the same exponential as the
-    density.
-    """
+    """Return Phi(-z) and the normal density, float32. Abramowitz & Stegun 26.2.17, error below
+    8e-8. Unlike erf, it uses the same exponential as the density."""
     z = np.clip(z, -12, 12)
     size = np.abs(z)
     density = np.exp(-0.5 * z * z)

@@ -17,10 +17,7 @@ _ROUND = 1e-6  # below this (a - b)/a the angle is meaningless; the floor keeps 
 
 
 def middle(values: Array) -> float:
-    """Return the upper median of all `values`, at a fifth of np.median's cost.
-
-    Use it for scales, where half a rank does not matter.
-    """
+    """Return the upper median of all `values`, at a fifth of np.median's cost."""
     flat = values.ravel()
     return float(np.partition(flat, flat.size // 2)[flat.size // 2])
 
@@ -33,10 +30,8 @@ def inverse_shape(shape: Array) -> Array:
 
 def shape_from_moments(second: Array) -> Array:
     """S (N, 3) of the ellipse whose area has central second moments (xx, xy, yy) `second` (N, 3):
-    S^2 = 4 moments.
-
-    The square root of a 2x2 matrix M: (M + sqrt(det M) I)/sqrt(trace M + 2 sqrt(det M)).
-    """
+    S^2 = 4 moments. The square root of a 2x2 matrix M: (M + sqrt(det M) I)/sqrt(trace M + 2
+    sqrt(det M))."""
     xx, xy, yy = (4 * second).T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0))
     scale = 1 / np.sqrt(np.maximum(xx + yy + 2 * root, 1e-12))
@@ -93,10 +88,7 @@ def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
 
 
 def covariance_of_shape(cov: Array, semi_axes: Array, angle: Array) -> Array:
-    """Return the covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle).
-
-    It is the inverse of `covariance_of_axes`.
-    """
+    """Return the covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle)."""
     J = axes_jacobian(semi_axes, angle)
     return J @ cov @ J.transpose(0, 2, 1)
 
@@ -112,11 +104,9 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
 
 
 def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
-    """Return the ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]].
-
-    The move is in units of the local radius (clipped at 0.4). The center is c + S w. The square of
-    the new shape is that of S (I + V).
-    """
+    """Return the ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]]. The move is
+    in units of the local radius (clipped at 0.4). The center is c + S w. The square of the new
+    shape is that of S (I + V)."""
     w0, w1, v0, v1, v2 = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
     p, q, s = shape.T
     a = 1 + v0

@@ -20,10 +20,8 @@ from mjtactile.sensing.settings import Settings
 
 
 def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> EdgeFit:
-    """Fit an ellipse to each candidate in a gray image (H, W).
-
-    The covariance is either reliable, or as large as the marker.
-    """
+    """Fit an ellipse to each candidate in a gray image (H, W). The covariance is either reliable,
+    or as large as the marker."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     large = axes[:, 1] >= settings.markers.profile_min_radius
     if not large.any():
@@ -38,10 +36,8 @@ def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> Edge
 
 
 def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Settings) -> EdgeFit:
-    """Fit candidates with these semi-minor axes (N,), px, by profiles.
-
-    They are fitted again by pixels if the blur turns out too large for profiles.
-    """
+    """Fit candidates with these semi-minor axes (N,), px, by profiles. They are fitted again by
+    pixels if the blur turns out too large for profiles."""
     s = settings.markers
     fit = profile_fit.fit(grey, found.center, found.shape, settings.profiles)
     # fits by pixels know of no motion
@@ -66,11 +62,8 @@ def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Se
 
 
 def sound(fit: EdgeFit) -> EdgeFit:
-    """Return `fit` with invalid fits marked as untrusted.
-
-    Invalid fits have values that are not those of a minimum. Their covariance is set to the
-    marker's size.
-    """
+    """Return `fit` with invalid fits marked as untrusted. Invalid fits have values that are not
+    those of a minimum. Their covariance is set to the marker's size."""
     variances = np.diagonal(fit.cov, axis1=1, axis2=2)
     bad = ~(
         np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual)

@@ -57,11 +57,8 @@ def detect_thoroughly(
     min_radius_px: float = 1.5,
     settings: Settings = DEFAULTS,
 ) -> tuple[Ellipses, Rejected]:
-    """Detect markers as `markers.detect`, followed by a second search.
-
-    All other candidates are returned with the reason for their rejection. Raises InputError as
-    `markers.detect`.
-    """
+    """Detect markers as `markers.detect`, followed by a second search. All other candidates are
+    returned with the reason for their rejection. Raises InputError as `markers.detect`."""
     grey = _with_grey_edges(markers.grey_image(image), settings.thorough)
     s = settings.markers
     markers.check_polarity(polarity)
@@ -135,11 +132,8 @@ def _with_more(
 def _new(
     all_of_them: Candidates, s: ExhaustiveDetectionSettings, larger: float
 ) -> NDArray[np.bool_]:
-    """Return a mask (N,) of the new candidates.
-
-    A candidate is not new if it repeats an earlier one. It is not new either if it is part of one
-    up to `larger` times larger.
-    """
+    """Return a mask (N,) of the new candidates. A candidate is not new if it repeats an earlier
+    one. It is not new either if it is part of one up to `larger` times larger."""
     center = all_of_them.center
     xx, xy, yy = ellipse.inverse_shape(all_of_them.shape).T
     size = np.sqrt(all_of_them.shape[:, 0] * all_of_them.shape[:, 2])
@@ -156,10 +150,8 @@ def _new(
 
 
 def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
-    """Return a binary image of the pixels darker than the closing of the image.
-
-    The threshold is half the maximum difference nearby.
-    """
+    """Return a binary image of the pixels darker than the closing of the image. The threshold is
+    half the maximum difference nearby."""
     s = settings.thorough
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.closing_size, s.closing_size))

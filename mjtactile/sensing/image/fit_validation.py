@@ -43,10 +43,8 @@ STATUSES = np.array(
 
 
 def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
-    """Return the reason why each candidate cannot be a marker; "" if it can.
-
-    Reasons: too small or long, or a border far from its own ellipse (further if cut).
-    """
+    """Return the reason why each candidate cannot be a marker; "" if it can. Reasons: too small or
+    long, or a border far from its own ellipse (further if cut)."""
     codes = np.empty(len(found), np.int64)
     kernel("judge_borders")(
         len(found), found.shape, found.misfit, found.cut, min_radius_px, as_numbers(s), codes

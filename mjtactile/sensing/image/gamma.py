@@ -138,12 +138,9 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
 
 
 def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Compute gray levels (P,) of the model and their derivatives.
-
-    The derivatives are (10, P) by the parameters, and (P,) by log gamma. Gray levels are relative
-    to `_MIDDLE`, so that light is of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E =
-    L^(1/gamma).
-    """
+    """Compute gray levels (P,) of the model and their derivatives. The derivatives are (10, P) by
+    the parameters, and (P,) by log gamma. Gray levels are relative to `_MIDDLE`, so that light is
+    of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E = L^(1/gamma)."""
     edge = theta[:, 5:7] / _MIDDLE
     linear = theta.copy()
     linear[:, 5:7] = edge**gamma
@@ -171,10 +168,8 @@ def _moved(theta: Array, change: Array) -> Array:
 
 def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
     """Return the common gamma, with a standard deviation that includes the scatter of circles.
-
     `own` are the deviations of the circles from it. It is unknown if it is not plausible for a
-    camera.
-    """
+    camera."""
     good = np.isfinite(own) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
     if good.sum() < s.min_circles or not s.range[0] <= gamma <= s.range[1]:

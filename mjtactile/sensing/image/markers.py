@@ -52,10 +52,8 @@ def search(
     max_radius_px: float = math.inf,
     settings: Settings = DEFAULTS,
 ) -> tuple[EdgeFit, NDArray[np.str_]]:
-    """Run `detect` on a gray image (H, W) and return the fits with a status for each.
-
-    Candidates larger than `max_radius_px` are skipped, as is a round frame's own edge.
-    """
+    """Run `detect` on a gray image (H, W) and return the fits with a status for each. Candidates
+    larger than `max_radius_px` are skipped, as is a round frame's own edge."""
     eight = eight_bit(grey)
     s = settings.markers
     found = candidates.find(
@@ -78,10 +76,8 @@ def check_polarity(polarity: str) -> None:
 
 
 def grey_image(image: NDArray | Image) -> NDArray:
-    """Return the gray channel (H, W), uint8 or uint16, of an array or `Image`.
-
-    Color images are converted by the mean of their channels.
-    """
+    """Return the gray channel (H, W), uint8 or uint16, of an array or `Image`. Color images are
+    converted by the mean of their channels."""
     pixels = np.asarray(image.pixels if isinstance(image, Image) else image)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(

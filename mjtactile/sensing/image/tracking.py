@@ -27,10 +27,8 @@ from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Trusted fits of the image at `time`, s, and the velocity of their centers (N, 2), px/s.
-
     `count` is the expected number of markers. `left` is the number of following images that need no
-    search.
-    """
+    search."""
 
     time: float
     fit: edge_fit.EdgeFit
@@ -49,9 +47,7 @@ def follow(
     settings: Settings = DEFAULTS,
 ) -> tuple[Ellipses, Tracks | None]:
     """Detect `count` dark markers in `image`, as `markers.detect` does, and return the next tracks.
-
-    `before`: tracks from the last image, None for the first.
-    """
+    `before`: tracks from the last image, None for the first."""
     grey = markers.grey_image(image)
     s = settings.tracking
     fit = None if before is None else _tracked(grey, image.time, before, min_radius_px, settings)
@@ -79,10 +75,8 @@ def follow(
 def _tracked(
     grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings
 ) -> edge_fit.EdgeFit | None:
-    """Return the fits of `before` tracked to this image.
-
-    Return None if a search is due or a fit is rejected.
-    """
+    """Return the fits of `before` tracked to this image. Return None if a search is due or a fit is
+    rejected."""
     s = settings.tracking
     step = time - before.time
     if before.left < 1 or not 0 <= step <= s.max_gap:
@@ -120,10 +114,8 @@ def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:
-    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2); 0 if unknown.
-
-    It follows from the nearest of those `before`.
-    """
+    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2); 0 if unknown. It follows
+    from the nearest of those `before`."""
     unknown = np.zeros_like(center)
     if before is None or not before.time < time:
         return unknown

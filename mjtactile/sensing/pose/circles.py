@@ -72,11 +72,8 @@ def pose_covariances(
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
     """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the
-    cones `Q` (N, 3, 3).
-
-    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90
-    deg of z. Normals point towards the camera.
-    """
+    cones `Q` (N, 3, 3). Q has one negative eigenvalue (the inside of the ellipse is negative), its
+    eigenvector within 90 deg of z. Normals point towards the camera."""
     poses = np.empty((4, len(Q), 3))
     kernel("circles_on_cones")(len(Q), Q, radius, poses)
     return poses[:2], poses[2:]

@@ -34,10 +34,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".pp
 
 
 def load_image(path: str | Path) -> NDArray:
-    """Read an image file: (H, W) or (H, W, 3) BGR, uint8 or uint16, as stored.
-
-    Raises InputError for a missing, unreadable or corrupt file.
-    """
+    """Read an image file: (H, W) or (H, W, 3) BGR, uint8 or uint16, as stored. Raises InputError
+    for a missing, unreadable or corrupt file."""
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -257,10 +255,8 @@ def locate(
 
 
 def plain_grey(image: NDArray | Image) -> NDArray | Image:
-    """Convert a color image to gray (mean of the channels) in one pass.
-
-    Any other input is passed on for `detect` to check.
-    """
+    """Convert a color image to gray (mean of the channels) in one pass. Any other input is passed
+    on for `detect` to check."""
     if (
         isinstance(image, np.ndarray)
         and image.ndim == 3

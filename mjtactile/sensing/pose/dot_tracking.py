@@ -140,11 +140,8 @@ def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64]
 
 
 def _together(skin: _Skin, places: Array) -> Array:
-    """Compute the motion (2,), px, of most circles.
-
-    It is the median offset of all circles to the nearest of `places` (n, 2). A second iteration
-    starts from the result.
-    """
+    """Compute the motion (2,), px, of most circles. It is the median offset of all circles to the
+    nearest of `places` (n, 2). A second iteration starts from the result."""
     moved = np.zeros(2)
     for _ in range(2):
         apart = skin.places[:, None] + moved - places[None]

@@ -28,12 +28,9 @@ _FEWEST_MARKERS = 3  # that give a camera's pose
 
 @dataclass(frozen=True, eq=False)
 class FlatReference:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,), m, and marker sizes from the flat membrane.
-
-    `scale` (N,) is the true over the nominal radius of each marker (1 if not detected).
-    `residual_px` is the rms of the marker centers. `scale_sd` is the rms scatter of `scale` over
-    the images.
-    """
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,), m, and marker sizes from the flat membrane. `scale`
+    (N,) is the true over the nominal radius of each marker (1 if not detected). `residual_px` is
+    the rms of the marker centers. `scale_sd` is the rms scatter of `scale` over the images."""
 
     R_SC: Array
     p_SC: Array
@@ -47,10 +44,8 @@ class FlatReference:
         return cls(np.eye(3), design.camera.p_SC, np.ones(design.markers.count), 0.0, 0.0)
 
     def to_nominal(self, design: SensorDesign, poses: CirclePoses) -> CirclePoses:
-        """Transform the circles to a camera at the sensor file's pose.
-
-        There, C is parallel to S, at `camera.p_SC`.
-        """
+        """Transform the circles to a camera at the sensor file's pose. There, C is parallel to S,
+        at `camera.p_SC`."""
         shift = self.p_SC - design.camera.p_SC
         R = self.R_SC
         p, p_alt, n, n_alt = np.array([poses.p_CM, poses.p_CM_alt, poses.n_C, poses.n_C_alt]) @ R.T
@@ -70,11 +65,9 @@ def measure_flat(
     seen: Sequence[Markers],
     s: ReferenceSettings = DEFAULTS.reference,
 ) -> FlatReference:
-    """Camera pose and marker radii from images of the flat membrane.
-
-    `seen` holds the identified markers of each image, positions as if the file's pose and radii
-    were right. Raises DeviceError when they do not agree with the sensor file.
-    """
+    """Camera pose and marker radii from images of the flat membrane. `seen` holds the identified
+    markers of each image, positions as if the file's pose and radii were right. Raises DeviceError
+    when they do not agree with the sensor file."""
     count = design.markers.count
     total = np.zeros((count, 2))
     times = np.zeros(count)
@@ -111,11 +104,9 @@ def measure_flat(
 def fit_camera_pose(
     design: SensorDesign, camera: Camera, p_SP: Array, uv_px: Array
 ) -> tuple[Array, Array, float]:
-    """Fit the camera pose R_SC (3, 3), p_SC (3,), m, and return it with the rms residual, px.
-
-    It projects points `p_SP` (n, 3), m, frame S, to `uv_px` (n, 2) through lens and glass.
-    Gauss-Newton from the sensor file's pose.
-    """
+    """Fit the camera pose R_SC (3, 3), p_SC (3,), m, and return it with the rms residual, px. It
+    projects points `p_SP` (n, 3), m, frame S, to `uv_px` (n, 2) through lens and glass.
+    Gauss-Newton from the sensor file's pose."""
     R = np.eye(3)
     p = design.camera.p_SC.copy()
     step = 1e-6

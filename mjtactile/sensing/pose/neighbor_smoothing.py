@@ -60,11 +60,9 @@ def smooth_aspect_ratio(
 
 
 def _field(uv: Array, D: Array, sd: Array, outlier: float) -> tuple[Array, Array, Array, float]:
-    """Fit a smooth field (N, 2) to `D`.
-
-    Also return its standard deviation relative to that of D (N,), and robust weights (N,). The last
-    result is the scatter relative to the predicted standard deviation.
-    """
+    """Fit a smooth field (N, 2) to `D`. Also return its standard deviation relative to that of D
+    (N,), and robust weights (N,). The last result is the scatter relative to the predicted standard
+    deviation."""
     x = (uv - uv.mean(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
     A = np.stack(
         [np.ones(len(x)), x[:, 0], x[:, 1], x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=1

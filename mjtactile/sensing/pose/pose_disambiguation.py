@@ -106,11 +106,8 @@ def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
 
 
 def _density(n: Array, mean: Array, cov: Array, minimum: float) -> Array:
-    """Compute the normal density (2, N) per steradian of unit vectors `n` (2, N, 3).
-
-    The mean is `mean` (N, 3). The covariance is `cov` (2, N, 3, 3) plus the square of `minimum`,
-    rad.
-    """
+    """Compute the normal density (2, N) per steradian of unit vectors `n` (2, N, 3). The mean is
+    `mean` (N, 3). The covariance is `cov` (2, N, 3, 3) plus the square of `minimum`, rad."""
     T = np.stack(geometry.tangents(mean), axis=1)  # shape (N, 2, 3)
     d = np.einsum("nij,knj->kni", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)

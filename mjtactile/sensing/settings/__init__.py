@@ -5,11 +5,11 @@ There is one frozen class per stage and one module per subpackage. `Settings` ho
 
     SensingPipeline(design, settings=DEFAULTS.override({"zero.touch_min": 0.03}))
 
-The `source` of a parameter names the benchmark used to fit it, the quantity that bounds it, or
-TRIED. The benchmark `bench touch` fits on indentations with seeds below 1000, which are excluded
-from its own table. TRIED means tuned by hand; docs/reference/parameters.md lists the effect of half
-and twice the value. Recordings keep the settings in their header. Purely numerical parameters
-(steps, tolerances) stay with their code.
+The `source` of a parameter names the benchmark used to fit it or the quantity that bounds it. The
+benchmark `bench touch` fits on indentations with seeds below 1000, which are excluded from its own
+table. A parameter without a source is tuned by hand; docs/reference/parameters.md lists the effect
+of half and twice the value. Recordings keep the settings in their header. Purely numerical
+parameters (steps, tolerances) stay with their code.
 """
 
 from __future__ import annotations
@@ -37,13 +37,15 @@ from mjtactile.sensing.settings.image import (
     ProfileSettings,
     TrackingSettings,
 )
-from mjtactile.sensing.settings.locate import (
+from mjtactile.sensing.settings.pose import (
+    IdentitySettings,
     LocateSettings,
     NeighborSmoothingSettings,
     PoseDisambiguationSettings,
+    ReferenceSettings,
     SmoothnessSettings,
+    SurfaceSettings,
 )
-from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
     ContactShapeSettings,
     MaterialSettings,
@@ -51,37 +53,8 @@ from mjtactile.sensing.settings.touch import (
     SlipSettings,
     SqueezeSettings,
 )
-from mjtactile.sensing.settings.tunable_parameter import TRIED, as_numbers, check, number
-
-__all__ = [
-    "DEFAULTS",
-    "CandidateSettings",
-    "ContactDetectionSettings",
-    "ContactShapeSettings",
-    "EdgeSettings",
-    "ExhaustiveDetectionSettings",
-    "FiducialSettings",
-    "GammaSettings",
-    "IdentitySettings",
-    "InverseSettings",
-    "LocateSettings",
-    "MarkerSettings",
-    "MaterialSettings",
-    "ModelErrorSettings",
-    "NeighborSmoothingSettings",
-    "PatchSettings",
-    "PoseDisambiguationSettings",
-    "PriorSettings",
-    "ProfileSettings",
-    "ReferenceSettings",
-    "Settings",
-    "SlipSettings",
-    "SmoothnessSettings",
-    "SqueezeSettings",
-    "SurfaceSettings",
-    "TrackingSettings",
-    "as_numbers",
-]
+from mjtactile.sensing.settings.tunable_parameter import as_numbers as as_numbers
+from mjtactile.sensing.settings.tunable_parameter import check, number
 
 
 @dataclass(frozen=True)
@@ -89,7 +62,7 @@ class Settings:
     """Parameters of all stages."""
 
     min_detected: float = number(
-        0.4, "fraction of detected markers below which the shape is unreliable", TRIED, high=1.0
+        0.4, "fraction of detected markers below which the shape is unreliable", high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
@@ -118,19 +91,14 @@ class Settings:
     gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
-        """Return these settings with new values for fields named like "zero.touch_sd".
-
-        Raises InputError for a name that does not exist. It also does so for a value of the wrong
-        type or out of range.
-        """
+        """Return these settings with new values for fields named like "zero.touch_sd". Raises
+        InputError for an unknown name, and for a value of the wrong type or out of range."""
         result = self
         for path, value in values.items():
             stage, _, name = path.rpartition(".")
             owner = getattr(result, stage, None) if stage else result
-            if dataclasses.is_dataclass(owner):
-                known = [f.name for f in dataclasses.fields(owner)]
-            else:
-                known = []
+            is_stage = dataclasses.is_dataclass(owner)
+            known = [f.name for f in dataclasses.fields(owner)] if is_stage else []
             if name not in known or dataclasses.is_dataclass(getattr(owner, name)):
                 if known and stage:
                     choices = [f"{stage}.{key}" for key in known]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.tunable_parameter import GAUGED, SEEN, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import GAUGED, SEEN, number
 
 _BARS = "bench uncertainty: fitted to scenes with seeds below 1000, which its table excludes"
 
@@ -17,23 +17,19 @@ class PriorSettings:
     """Settings of the traction prior, before any image is processed (sensing/force/prior.py)."""
 
     pressure_sd: float = number(
-        4e3, "standard deviation of the contact pressure without earlier images, Pa", TRIED
+        4e3, "standard deviation of the contact pressure without earlier images, Pa"
     )
-    background: float = number(
-        0.03, "fraction of it that nodes without estimated pressure keep", TRIED
-    )
+    background: float = number(0.03, "fraction of it that nodes without estimated pressure keep")
     pressure_limit: float = number(
         20e3,
         "maximum pressure of a node, Pa; more is a spike that no object causes",
         "a membrane of 28 N/m bent around 3 mm",
     )
-    friction: float = number(0.8, "prior ratio of shear to pressure", TRIED)
+    friction: float = number(0.8, "prior ratio of shear to pressure")
     correlation: float = number(
-        2e-3, "correlation length of the pressure, m: a fraction of an object's size", TRIED
+        2e-3, "correlation length of the pressure, m: a fraction of an object's size"
     )
-    softening: float = number(
-        1e-3, "smoothing length of the previously estimated pressure, m", TRIED
-    )
+    softening: float = number(1e-3, "smoothing length of the previously estimated pressure, m")
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,7 @@ class InverseSettings:
     """Tractions from markers (sensing/force/inverse_fem.py, sensing/force/slopes.py)."""
 
     spans: tuple[int, int] = number(
-        (14, 10), "intervals of the membrane spline along x and y", TRIED, low=4, high=40
+        (14, 10), "intervals of the membrane spline along x and y", low=4, high=40
     )
     marker_floor: float = number(
         8e-6,
@@ -57,18 +53,13 @@ class InverseSettings:
     slope_model_sd: float = number(
         0.01, "slope error next to an edge, which the membrane spline cannot follow", "bench touch"
     )
-    slope_sd_max: float = number(0.1, "maximum standard deviation of a slope that is used", TRIED)
+    slope_sd_max: float = number(0.1, "maximum standard deviation of a slope that is used")
     slope_off_max: float = number(
         0.6,
-        (
-            "maximum deviation of a used slope from the prediction; more is the wrong solution "
-            "of the ellipse"
-        ),
-        TRIED,
+        "maximum deviation of a used slope from the prediction; more is the wrong solution "
+        "of the ellipse",
     )
-    slopes_cell: float = number(
-        20e-6, "membrane area per marker, m^2, above which slopes are used", TRIED
-    )
+    slopes_cell: float = number(20e-6, "membrane area per marker, m^2, above which slopes are used")
     drift_gas: float = number(
         2e-4,
         "relative standard deviation of the gas amount since it was measured; the zero tracks it",
@@ -144,7 +135,7 @@ class InverseSettings:
     )
     dent_fraction: float = number(
         0.03,
-        ("standard deviation of the volume of a dent between the markers, relative to that volume"),
+        "standard deviation of the volume of a dent between the markers, relative to that volume",
         "bench touch",
     )
     posterior_fraction: tuple[float, float, float, float] = number(
@@ -154,7 +145,7 @@ class InverseSettings:
         "bench uncertainty, without contact; " + _BARS,
     )
     informative_pressure: float = number(
-        100.0, "minimum pressure, Pa, for an estimate of the stiffness from the bulge", TRIED
+        100.0, "minimum pressure, Pa, for an estimate of the stiffness from the bulge"
     )
     rest_power: float = number(
         1.6,
@@ -326,10 +317,7 @@ class FiducialSettings:
 @dataclass(frozen=True)
 class ModelErrorSettings:
     """Settings of the model error that the wrench's posterior leaves out
-    (sensing/force/model_error.py).
-
-    Each has values for shear, normal force, tilt and spin.
-    """
+    (sensing/force/model_error.py). Each has values for shear, normal force, tilt and spin."""
 
     share: tuple[float, float, float, float] = number(
         (0.001, 0.0125, 0.0, 0.0),
@@ -401,9 +389,7 @@ class ModelErrorSettings:
 @dataclass(frozen=True)
 class GasFilterSettings:
     """Settings of the gas filter that uses a pressure sensor (sensing/force/gas_filter.py).
-
-    Pressures and amounts are fractions of the absolute ambient pressure: 1e-5 is one pascal.
-    """
+    Pressures and amounts are fractions of the absolute ambient pressure: 1e-5 is one pascal."""
 
     floor: float = number(
         1.5,
@@ -465,52 +451,42 @@ class GasFilterSettings:
 
 @dataclass(frozen=True)
 class ContactDetectionSettings:
-    """Settings of contact detection, and of the zero that tracks weather without contact.
-
-    See sensing/force/contact_detection.py.
-    """
+    """Settings of contact detection, and of the zero that tracks weather without contact. See
+    sensing/force/contact_detection.py."""
 
     touch_sd: float = number(
-        5.0, "minimum force of a touch, or of its mean, in standard deviations of the noise", TRIED
+        5.0, "minimum force of a touch, or of its mean, in standard deviations of the noise"
     )
-    touch_min: float = number(0.02, "minimum force of a touch, N", TRIED)
-    blend: float = number(0.5, "weight of the newest image in the mean force", TRIED, high=1.0)
+    touch_min: float = number(0.02, "minimum force of a touch, N")
+    blend: float = number(0.5, "weight of the newest image in the mean force", high=1.0)
     jump_sd: float = number(
         4.0,
-        (
-            "force change, in standard deviations, that the mean force follows at once because "
-            "it is not noise"
-        ),
-        TRIED,
+        "force change, in standard deviations, that the mean force follows at once because "
+        "it is not noise",
     )
     pull_max: float = number(
-        0.15, "maximum pull on the membrane, N; more means that the zero is lost", TRIED
+        0.15, "maximum pull on the membrane, N; more means that the zero is lost"
     )
     drift_max: float = number(
-        30.0,
-        "maximum mean squared drift over its variance; more means that the zero is lost",
-        TRIED,
+        30.0, "maximum mean squared drift over its variance; more means that the zero is lost"
     )
-    release: float = number(0.6, "fraction of the threshold below which a touch ends", TRIED)
-    noise_first: float = number(
-        0.01, "initial noise, N, or the predicted noise if it is smaller", TRIED
-    )
-    memory_images: int = number(30, "number of images over which the noise is estimated", TRIED)
-    quiet: float = number(0.5, "time without touch before the zero follows, s", TRIED)
-    follow: float = number(4.0, "time constant of the zero, s", TRIED)
-    smooth: float = number(0.5, "averaging time of the markers' deviation from the zero, s", TRIED)
+    release: float = number(0.6, "fraction of the threshold below which a touch ends")
+    noise_first: float = number(0.01, "initial noise, N, or the predicted noise if it is smaller")
+    memory_images: int = number(30, "number of images over which the noise is estimated")
+    quiet: float = number(0.5, "time without touch before the zero follows, s")
+    follow: float = number(4.0, "time constant of the zero, s")
+    smooth: float = number(0.5, "averaging time of the markers' deviation from the zero, s")
     local_max: float = number(
         0.3,
         "mean square of that mean over the markers' variance, without gas and camera motion: "
         "more is a slow touch",
-        TRIED,
     )
     slowly: float = number(
-        0.05, "fraction of the speed at which the zero still follows during a slow touch", TRIED
+        0.05, "fraction of the speed at which the zero still follows during a slow touch"
     )
     drift_rate: float = number(
         2e-4, "maximum rate of a gas change due to weather instead of touch, 1/s", "0.06 K/s"
     )
     offset_fraction: float = number(
-        0.1, "fraction of that speed at which the offset of each marker follows", TRIED
+        0.1, "fraction of that speed at which the offset of each marker follows"
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.tunable_parameter import PRESSED, TRIED, number
+from mjtactile.sensing.settings.tunable_parameter import PRESSED, number
 
 _PRESSED = "bench uncertainty: fitted to scenes with seeds below 1000"
 
@@ -13,12 +13,11 @@ _PRESSED = "bench uncertainty: fitted to scenes with seeds below 1000"
 class PatchSettings:
     """Settings of contact patch detection (sensing/touch/patches.py)."""
 
-    smoothing: float = number(0.6, "standard deviation of the pressure smoothing, nodes", TRIED)
+    smoothing: float = number(0.6, "standard deviation of the pressure smoothing, nodes")
     separate_fraction: float = number(
         0.8,
         "pressure below which patches are separate, fraction of the geometric mean of gas "
         "pressure and peak",
-        TRIED,
     )
     area_disc: float = number(
         1e-6, "area at which the estimate equals that of the uniform disc, m^2", _PRESSED
@@ -31,14 +30,12 @@ class PatchSettings:
         0.7, "exponent that combines the two area estimates; the smaller one dominates", _PRESSED
     )
     core_fraction: float = number(
-        0.03, "fraction of the peak pressure; lower pressure is ignored for the centroid", TRIED
+        0.03, "fraction of the peak pressure; lower pressure is ignored for the centroid"
     )
-    min_fraction: float = number(
-        0.1, "minimum fraction of the total force that a patch carries", TRIED
-    )
+    min_fraction: float = number(0.1, "minimum fraction of the total force that a patch carries")
 
 
-_PRESSED_SHAPES = "bench shape: shapes with seeds below 1000, which its table excludes"
+_SHAPES = "bench shape: shapes with seeds below 1000, which its table excludes"
 
 
 _CALIBRATED = "bench shape, calibrated on shapes with seeds 2000 to 2059: "
@@ -48,7 +45,7 @@ _CALIBRATED = "bench shape, calibrated on shapes with seeds 2000 to 2059: "
 class ContactShapeSettings:
     """Settings of the contact shape estimation (sensing/contact_shape)."""
 
-    spacing: float = number(1.3e-3, "node spacing of the quasi-static membrane, m", _PRESSED_SHAPES)
+    spacing: float = number(1.3e-3, "node spacing of the quasi-static membrane, m", _SHAPES)
     film_sd: float = number(
         16e-6,
         "standard deviation of the marker height error of the quasi-static membrane, m",
@@ -58,7 +55,7 @@ class ContactShapeSettings:
         2.0,
         "minimum factor on the height variance; model errors of neighbouring markers are "
         "correlated",
-        _PRESSED_SHAPES,
+        _SHAPES,
         low=1.0,
     )
     area_sd: float = number(
@@ -66,24 +63,20 @@ class ContactShapeSettings:
         "relative standard deviation of the area of a round shape due to the membrane model",
         _CALIBRATED + "68 % of the errors are within it",
     )
-    area_by_node: float = number(
-        0.8, "the same, times the number of touching nodes", _CALIBRATED + "the same"
-    )
+    area_by_node: float = number(0.8, "the same, times the number of touching nodes", _CALIBRATED)
     rim_in: float = number(
         0.72,
         "inward offset of a sharp rim from the fitted, rounded rim, in rounding radii",
         _CALIBRATED + "minimum area error",
     )
     rim_slope: float = number(
-        1.15,
-        "outward offset per membrane slope at the rim, in rounding radii",
-        _CALIBRATED + "the same",
+        1.15, "outward offset per membrane slope at the rim, in rounding radii", _CALIBRATED
     )
     rim_stuck: float = number(
         10.7,
         "outward offset per increase of the sticking force ratio from its center value, in "
         "rounding radii",
-        _CALIBRATED + "the same",
+        _CALIBRATED,
     )
     rim_sd: float = number(
         0.25,
@@ -96,60 +89,46 @@ class ContactShapeSettings:
         "touching nodes",
         _CALIBRATED + "maximum likelihood of the errors",
     )
-    size_by_node: float = number(
-        4.0, "the same for the radius or half side of a face", _CALIBRATED + "the same"
-    )
+    size_by_node: float = number(4.0, "the same for the radius or half side of a face", _CALIBRATED)
     area_light: float = number(
-        1.0,
-        "ratio of the contact area to that of the membrane model, at light contact",
-        _PRESSED_SHAPES,
+        1.0, "ratio of the contact area to that of the membrane model, at light contact", _SHAPES
     )
     area_stretched: float = number(
-        0.65,
-        "increase of that ratio per relative increase of the membrane tension",
-        _PRESSED_SHAPES,
+        0.65, "increase of that ratio per relative increase of the membrane tension", _SHAPES
     )
     stretched_max: float = number(
-        0.1, "maximum relative increase of the tension that counts", _PRESSED_SHAPES
+        0.1, "maximum relative increase of the tension that counts", _SHAPES
     )
     friction: float = number(
-        1.024,
-        "force of a sticking membrane over that of the sliding model, at the center",
-        _PRESSED_SHAPES,
+        1.024, "force of a sticking membrane over that of the sliding model, at the center", _SHAPES
     )
     friction_aside: tuple[float, float] = number(
         (0.2, 0.5),
         "increase of that ratio per squared distance of the load from the center along x and "
         "y, in half-extents of the frame",
-        _PRESSED_SHAPES,
+        _SHAPES,
     )
     force_sd: float = number(
         2e-3,
         "standard deviation of the normal force due to membrane and friction model, N",
-        _PRESSED_SHAPES,
+        _SHAPES,
     )
     force_fraction: float = number(
-        0.012,
-        "the same as a fraction of the force, times the misfit where it exceeds one",
-        _PRESSED_SHAPES,
+        0.012, "the same as a fraction of the force, times the misfit where it exceeds one", _SHAPES
     )
     frame_fraction: float = number(
         6.0,
         "the same as a multiple of the force close to the frame, where the membrane is below it",
-        _PRESSED_SHAPES,
+        _SHAPES,
         low=0.0,
     )
     place_sd: float = number(
-        4e-4,
-        ("standard deviation of the force position, m, times the root of that misfit"),
-        _PRESSED_SHAPES,
+        4e-4, "standard deviation of the force position, m, times the root of that misfit", _SHAPES
     )
     place_sd_sharp: float = number(
-        4e-5, "the same for edges and for several shapes, m", _CALIBRATED + "the same"
+        4e-5, "the same for edges and for several shapes, m", _CALIBRATED
     )
-    torque_sd: float = number(
-        7e-6, "standard deviation of the torque, N m", _CALIBRATED + "the same"
-    )
+    torque_sd: float = number(7e-6, "standard deviation of the torque, N m", _CALIBRATED)
     shear_above: tuple[float, float] = number(
         (0.35e-3, 1.1e-3),
         "height of the shear above the pressure, for blunt and for other shapes, m: shear "
@@ -160,27 +139,21 @@ class ContactShapeSettings:
         0.6, "standard deviation as a fraction of that height", _CALIBRATED + "remaining error"
     )
     tip_curvature: float = number(
-        190.0,
-        "curvature in both directions above which a shape may be a corner, 1/m",
-        _PRESSED_SHAPES,
+        190.0, "curvature in both directions above which a shape may be a corner, 1/m", _SHAPES
     )
     tip_light: float = number(
-        0.2,
-        ("force below which corners appear blunter, with the root of the force, N"),
-        _PRESSED_SHAPES,
+        0.2, "force below which corners appear blunter, with the root of the force, N", _SHAPES
     )
     tip_fraction: float = number(
-        0.07,
-        ("relative standard deviation of the force on a corner due to the models"),
-        _PRESSED_SHAPES,
+        0.07, "relative standard deviation of the force on a corner due to the models", _SHAPES
     )
     motion_time: float = number(
         0.25, "time over which the motion is estimated, s", "seven images at 30 Hz"
     )
     motion_sd: float = number(
         1e-5,
-        ("standard deviation of the shape position over the rubber, added to the fit's, m"),
-        _PRESSED_SHAPES,
+        "standard deviation of the shape position over the rubber, added to the fit's, m",
+        _SHAPES,
     )
     misfit_max: float = number(
         12.0,
@@ -188,11 +161,11 @@ class ContactShapeSettings:
         "above, no shape explains the markers",
         PRESSED,
     )
-    force_min: float = number(0.03, "minimum force for a shape estimate, N", _PRESSED_SHAPES)
+    force_min: float = number(0.03, "minimum force for a shape estimate, N", _SHAPES)
     check_force: float = number(
         1.4,
         "force ratio to the last full evaluation, up or down, that triggers the next one",
-        _PRESSED_SHAPES,
+        _SHAPES,
         low=1.0,
     )
     check_images: int = number(
@@ -202,7 +175,7 @@ class ContactShapeSettings:
         1.5, "misfit above which all shape models are searched again", PRESSED
     )
     misfit_one: float = number(
-        0.7, "misfit below which contact at two places is treated as one shape", _PRESSED_SHAPES
+        0.7, "misfit below which contact at two places is treated as one shape", _SHAPES
     )
     log_body: float = number(3.0, "minimum gain in log evidence for each additional shape", PRESSED)
     log_lost: float = number(
@@ -251,7 +224,7 @@ class SlipSettings:
     baseline: float = number(
         0.28, "duration of the baseline before the slip, s", "eight images at 30 Hz; " + _SLID
     )
-    min_before: int = number(2, "minimum number of images in the baseline", TRIED)
+    min_before: int = number(2, "minimum number of images in the baseline")
     follows: float = number(
         0.35, "patch displacement due to partial slip, fraction of that of the rubber", _SLID
     )
@@ -285,21 +258,18 @@ class SlipSettings:
     )
     body_spin: float = number(
         0.5,
-        ("minimum rotation rate of a slip about the normal of the shape, over the rubber, rad/s"),
+        "minimum rotation rate of a slip about the normal of the shape, over the rubber, rad/s",
         _SLID,
     )
     body_sure: float = number(6.0, "minimum of these speeds in standard deviations", _SLID)
-    incipient: float = number(
-        0.7, "fraction of the friction limit above which slip is incipient", TRIED
-    )
+    incipient: float = number(0.7, "fraction of the friction limit above which slip is incipient")
     min_force: float = number(
-        0.05, "minimum force, N; below, the patch and its shear are too uncertain", TRIED
+        0.05, "minimum force, N; below, the patch and its shear are too uncertain"
     )
-    gap: float = number(0.2, "time without an image after which the history is discarded, s", TRIED)
+    gap: float = number(0.2, "time without an image after which the history is discarded, s")
     core_fraction: float = number(
         0.03,
         "fraction of the peak pressure; lower pressure is ignored for the contact position",
-        TRIED,
         high=0.9,
     )
 

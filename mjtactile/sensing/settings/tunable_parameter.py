@@ -17,18 +17,23 @@ GAUGED = "tuned; sensitivity: bench gas-filter-sensitivity, docs/reference/param
 SEEN = "tuned; sensitivity: bench detection-sensitivity, docs/reference/parameters.md"
 PRESSED = "tuned; sensitivity: bench shape-sensitivity, docs/reference/parameters.md"
 _FACTOR = 100.0
-_PLACES = ("first", "second", "third", "fourth")
+_ORDINALS = ("first", "second", "third", "fourth")
 
 
 def number(
-    default: Any, meaning: str, source: str, *, low: float | None = None, high: float | None = None
+    default: Any,
+    meaning: str,
+    source: str = TRIED,
+    *,
+    low: float | None = None,
+    high: float | None = None,
 ) -> Any:
     """Return a field of a frozen settings class; a test checks every field for both texts.
 
     Args:
         default: A float, a whole number, or a tuple of them.
         meaning: Its unit and effect.
-        source: Derivation, or the benchmark used to fit it.
+        source: Derivation, or the benchmark used to fit it; tuned by hand if left out.
         low: Lowest value that `Settings.override` accepts; left out: a hundredth of the default, or
             1 for a count.
         high: Highest value; left out: a hundred times the default.
@@ -50,26 +55,22 @@ def number(
         "high": highest if high is None else high,
         "whole": whole,
     }
-    found = Number(**limits)
+    kind = Number(**limits)
     if isinstance(default, tuple):
-        found = Numbers(**limits, names=_PLACES[: len(default)])
-    return entry(found, default, more={"meaning": meaning, "source": source})
+        kind = Numbers(**limits, names=_ORDINALS[: len(default)])
+    return entry(kind, default, more={"meaning": meaning, "source": source})
 
 
 def check(settings: Any, stage: str, name: str, value: Any) -> Any:
-    """A value for the field `name` of a settings class. Raises InputError for one of another kind
-    or out of range."""
-    found = replace(entries(type(settings))[name], key=name)
+    """Return a valid value of the field `name` of a settings class, or raise InputError."""
+    kind = replace(entries(type(settings))[name], key=name)
     table = {name: list(value) if isinstance(value, tuple) else value}
-    return found.read(Section(table, stage, "settings"), ...)
+    return kind.read(Section(table, stage, "settings"), ...)
 
 
 @lru_cache(maxsize=64)
 def as_numbers(settings: Any) -> np.ndarray:
-    """Return a settings class of plain numbers as an array for the kernels.
-
-    The array holds one number per field, in field order.
-    """
+    """Return a settings class of plain numbers as an array for the kernels, in field order."""
     array = np.array(astuple(settings), float)
     array.flags.writeable = False
     return array

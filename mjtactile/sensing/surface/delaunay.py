@@ -21,10 +21,8 @@ def reconstruct_delaunay(
     design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP
 ) -> Surface:
     """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
-
     `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers'
-    pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN.
-    """
+    pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN."""
     # lazily: only the paper's route needs it
     from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 

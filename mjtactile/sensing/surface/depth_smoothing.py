@@ -82,11 +82,9 @@ class SharedDepth:
 def agree_on_depth(
     alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothness
 ) -> SharedDepth | None:
-    """The smooth surface that the circles lie on; None if they do not plainly lie on one.
-
-    `alone` was estimated with no help of neighbours, so that its errors are independent. Circles
-    that disagree with the surface are not `at` it.
-    """
+    """The smooth surface that the circles lie on; None if they do not plainly lie on one. `alone`
+    was estimated with no help of neighbours, so that its errors are independent. Circles that
+    disagree with the surface are not `at` it."""
     ok = np.flatnonzero(alone.status == "ok")
     if not s.circle_range[0] <= len(ok) <= s.circle_range[1]:
         return None

@@ -16,11 +16,9 @@ the resulting standard deviation."""
 
 
 def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:
-    """Return the standard deviation (N,) of slopes measured at markers; see `slope_sd_of`.
-
-    The markers have unit normals `n` and positions `p_CM` (N, 3), m, from the camera. `variance`
-    (N,), m^2, is that of their depths.
-    """
+    """Return the standard deviation (N,) of slopes measured at markers; see `slope_sd_of`. The
+    markers have unit normals `n` and positions `p_CM` (N, 3), m, from the camera. `variance` (N,),
+    m^2, is that of their depths."""
     far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
     return slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
 

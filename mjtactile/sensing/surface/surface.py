@@ -54,10 +54,8 @@ _BENT = (((2, 0), (0, 2)),)  # the Laplacian, squared by `_energy`
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """A fitted surface in S, zero on the frame.
-
-    `coefficients` (ny, nx) m are those of z(x, y) = sum B_j(y) c_ji B_i(x).
-    """
+    """A fitted surface in S, zero on the frame. `coefficients` (ny, nx) m are those of z(x, y) =
+    sum B_j(y) c_ji B_i(x)."""
 
     fitter: SurfaceFitter
     coefficients: Array
@@ -171,11 +169,8 @@ class SurfaceFitter:
         )
 
     def _tables(self, weights: Array, inside: Array | None) -> tuple[object, ...]:
-        """Return the tables with which the kernel measures a surface.
-
-        The Gauss points have `weights` (qy, qx) m^2. `inside` is an outline; None: the
-        rectangle.
-        """
+        """Return the tables with which the kernel measures a surface. The Gauss points have
+        `weights` (qy, qx) m^2. `inside` is an outline; None: the rectangle."""
         quad_x, quad_y = self._quad
         return (
             np.ascontiguousarray(self.grid_x[0].T),
@@ -242,10 +237,8 @@ class SurfaceFitter:
         )
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
-        """Return the design matrix (N, ny * nx) at `x`, `y` (N,), m.
-
-        It is z or its derivative of order (dx, dy) per coefficient.
-        """
+        """Return the design matrix (N, ny * nx) at `x`, `y` (N,), m. It is z or its derivative of
+        order (dx, dy) per coefficient."""
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
 
     def _fraction_inside(self, frame: Frame) -> Array:
@@ -262,11 +255,9 @@ class SurfaceFitter:
         return share + cut * (lacking / float(y.weights @ cut @ x.weights))
 
     def _energy(self, weights: Array | None, *terms: tuple[tuple[int, int], ...]) -> Array:
-        """Return the matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2.
-
-        Each d is an order of derivative (x, y). The Gauss points have `weights` (qy, qx) m^2; None:
-        those of the rectangle.
-        """
+        """Return the matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2. Each d is
+        an order of derivative (x, y). The Gauss points have `weights` (qy, qx) m^2; None: those of
+        the rectangle."""
         if weights is not None:
             quad_x, quad_y = self._quad
             at = weights.ravel()[:, None]
@@ -297,11 +288,8 @@ def _derivatives(basis: Cubic) -> list[Array]:
 
 
 def banded(matrix: Array, width: int) -> Array:
-    """Return the lower triangle of a symmetric banded `matrix` (n, n) in band storage (n, stride).
-
-    The matrix vanishes beyond `width` from its diagonal. The layout is that of
-    kernels/band_cholesky_f64.h: row j is column j from its diagonal on.
-    """
+    """Return the lower triangle of a symmetric banded `matrix` (n, n) in band storage (n,
+    stride)."""
     band = np.zeros((len(matrix), band_stride(width)))
     for below in range(min(width + 1, len(matrix))):
         band[: len(matrix) - below, below] = np.diagonal(matrix, -below)

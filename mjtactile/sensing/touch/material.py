@@ -33,10 +33,7 @@ _CLOSING_FRACTION = 0.9
 
 @dataclass(frozen=True, eq=False)
 class _Phases:
-    """Indices of the load, hold, release, and second-touch phases.
-
-    The hold follows the load. The second touch may be empty.
-    """
+    """Indices of the load, hold, release, and second-touch phases."""
 
     load: NDArray[np.int64]
     hold: NDArray[np.int64]
@@ -47,9 +44,7 @@ class _Phases:
 @dataclass(frozen=True)
 class _Curve:
     """Deformation under load, d(F) = 2 a F / (1 + sqrt(1 + 4 q F)), so that F = d/a + (q/a^2) d^2.
-
-    `free_width` m is the width at F = 0; `cov` (3, 3) is the covariance of (free width, a, q).
-    """
+    `free_width` m is the width at F = 0; `cov` (3, 3) is the covariance of (free width, a, q)."""
 
     free_width: float
     compliance: float
@@ -72,9 +67,7 @@ class _Curve:
 
 def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
     """Classify the material from a probe: loading, hold, release and (optionally) a second touch.
-
-    For "unknown" the `status` gives the reason.
-    """
+    For "unknown" the `status` gives the reason."""
     seen = (
         np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
     )
@@ -124,21 +117,17 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
 
 
 def _press_speed(opening: Array, speed: Array) -> float:
-    """Return the median closing speed of the jaws during most of the loading, m/s.
-
-    The first one or two images may still have the approach speed, which is ten times as high.
-    """
+    """Return the median closing speed of the jaws during most of the loading, m/s. The first one or
+    two images may still have the approach speed, which is ten times as high."""
     way = opening[0] - opening
     in_transit = way < _CLOSING_FRACTION * way.max()
     return float(np.median(speed[in_transit])) if in_transit.any() else 0.0
 
 
 def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
-    """Fit free width, compliance a and stiffening q by least squares (Eq. P2).
-
-    The fit is robust against single bad widths. It uses samples up to half the maximum force: until
-    then a flowing material has flowed only little.
-    """
+    """Fit free width, compliance a and stiffening q by least squares (Eq. P2). The fit is robust
+    against single bad widths. It uses samples up to half the maximum force: until then a flowing
+    material has flowed only little."""
     gentle = load[
         (squeeze.force[load] > s.force_estimate)
         & (squeeze.force[load] <= s.gentle_fraction * squeeze.force[load].max())
@@ -224,10 +213,8 @@ def _probabilities(
     s: MaterialSettings,
 ) -> dict[str, float]:
     """Return the probabilities of the material classes, with the error of each criterion.
-
     Compliance separates solid from the others. The permanent fraction of the deformation separates
-    soft from amorphous.
-    """
+    soft from amorphous."""
     solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
     fraction_sd = math.hypot(s.set_fraction_sd, math.hypot(stayed_sd, s.set_fraction * sd) / scale)
@@ -273,10 +260,7 @@ def _ratio(force: float, deformation: float, sd: float) -> tuple[float, float, f
 def _modulus(
     stiffness: tuple[float, float, float], length: float, area: float, area_sd: float
 ) -> tuple[float, float, float]:
-    """Return E = K L / A, Pa, of an object between flat faces, and its 68 % interval (Eq. P4).
-
-    `area_sd` is the relative standard deviation of `area`.
-    """
+    """Return E = K L / A, Pa, of an object between flat faces, and its 68 % interval (Eq. P4)."""
     if area <= 0:
         return math.nan, math.nan, math.nan
     best, low, high = (k * length / area for k in stiffness)

@@ -120,10 +120,7 @@ def _nearest_place(places: NDArray) -> NDArray:
 def _patch(
     inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array
 ) -> Contact:
-    """Return one patch from its fine cells, its grid nodes and the kernel's results.
-
-    `inside` (a, b) are the fine cells, `mask` (ny, nx) the grid nodes.
-    """
+    """Return one patch from its fine cells, its grid nodes and the kernel's results."""
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
     x, y, depth, area, long, short, angle = found[3:].tolist()

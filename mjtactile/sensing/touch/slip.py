@@ -65,11 +65,9 @@ class SlipSample:
 
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
-    """State carried to the next image.
-
-    It holds the last `samples`, and the `weight` (J,) and `position` (J, 3), m, of the nodes. It
-    also holds the slip `distance`, m, and the current estimate of the coefficient of `friction`.
-    """
+    """State carried to the next image. It holds the last `samples`, and the `weight` (J,) and
+    `position` (J, 3), m, of the nodes. It also holds the slip `distance`, m, and the current
+    estimate of the coefficient of `friction`."""
 
     samples: tuple[SlipSample, ...]
     weight: Array
@@ -90,10 +88,8 @@ def judge(
     before: SlipHistory | None,
     s: SlipSettings = DEFAULTS.slip,
 ) -> tuple[Slip, SlipHistory | None]:
-    """Return the slip state of the strongest patch at `time`, s.
-
-    Also return the history for the next image (None: the touch has ended).
-    """
+    """Return the slip state of the strongest patch at `time`, s. Also return the history for the
+    next image (None: the touch has ended)."""
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
@@ -201,10 +197,8 @@ def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
     """Return the displacement of the center of pressure along the shear, in standard deviations.
-
     The displacement is a ramp that started within the last `s.recent` s. The part explained by the
-    rubber's own motion and by tilting is subtracted (Eq. F14). `normal` is the normal force, N.
-    """
+    rubber's own motion and by tilting is subtracted (Eq. F14). `normal` is the normal force, N."""
     samples = history.samples
     time = np.array([sample.time for sample in samples])
     along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
@@ -241,9 +235,7 @@ def _follow(
     s: SlipSettings,
 ) -> SlipHistory:
     """Return the history with the newest image's sample, whose `ratio` and `turning` are `shear`.
-
-    The history is reset at the start of the touch, and after a gap.
-    """
+    The history is reset at the start of the touch, and after a gap."""
     weight = _pressed(estimator, shape, s.core_fraction)
     position = estimator.node_positions(shape.c)
     p = weight @ estimator.nodes
@@ -258,10 +250,8 @@ def _follow(
 
 
 def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, float]:
-    """Compute the velocity (2,), m/s, of the center of pressure over the material.
-
-    Also return its path along the shear, m. Both are over the last `s.recent` s.
-    """
+    """Compute the velocity (2,), m/s, of the center of pressure over the material. Also return its
+    path along the shear, m. Both are over the last `s.recent` s."""
     first = next(old for old in samples if samples[-1].time - old.time <= s.recent)
     way = samples[-1].p - first.p
     elapsed = samples[-1].time - first.time
@@ -285,10 +275,8 @@ def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
 
 
 def split(force: Array, normal: Array) -> tuple[float, Array]:
-    """Return the normal force, N, and the shear (3,), N, of a force on a patch.
-
-    The patch has the outward unit normal (3,). The normal force is positive for compression.
-    """
+    """Return the normal force, N, and the shear (3,), N, of a force on a patch. The patch has the
+    outward unit normal (3,). The normal force is positive for compression."""
     along = float(force @ normal)
     return -along, force - along * normal
 
@@ -303,10 +291,8 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
 
 
 def _pressed(estimator: InverseMembrane, shape: Shape, core_fraction: float) -> Array:
-    """Return the fraction (J,) of the normal contact force at each node.
-
-    Nodes below `core_fraction` of the peak count as no contact.
-    """
+    """Return the fraction (J,) of the normal contact force at each node. Nodes below
+    `core_fraction` of the peak count as no contact."""
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
     weight = np.maximum(weight - core_fraction * weight.max(), 0.0)
     return weight / weight.sum()

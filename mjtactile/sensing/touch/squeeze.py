@@ -147,11 +147,9 @@ def contact_face(
 
 
 def covered_area(touch: Touch) -> float:
-    """Return the area covered by the contact, m^2; 0 without contact.
-
-    It is the area of the convex hull. A face has its highest pressure along its edges. So a patch
-    derived from pressure has holes.
-    """
+    """Return the area covered by the contact, m^2; 0 without contact. It is the area of the convex
+    hull. A face has its highest pressure along its edges. So a patch derived from pressure has
+    holes."""
     contact = touch.contact
     traction = touch.traction
     surface = touch.surface
