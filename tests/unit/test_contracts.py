@@ -42,10 +42,10 @@ VIOLATIONS = {
 }
 
 
-# The checkout is on the path of an editable install; `controllers` would be found in both places.
-LINT = f"""
-import sys
-sys.path[:] = ["."] + [path for path in sys.path[1:] if path != {str(CHECKOUT)!r}]
+# A checkout is on the path of an editable install; `controllers` would be found in both places.
+LINT = """
+import os, sys
+sys.path[:] = ["."] + [path for path in sys.path[1:] if not os.path.isdir(f"{path}/controllers")]
 from importlinter.cli import lint_imports
 sys.exit(lint_imports(no_cache=True))
 """
