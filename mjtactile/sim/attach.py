@@ -85,8 +85,7 @@ _MIN_MEMORY = 1 << 24  # bytes
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """A sensor that `attach_membrane` put into a spec; `bind` it to each model compiled from that
-    spec."""
+    """A sensor that `attach_membrane` put into a spec; `bind` it to each model compiled from it."""
 
     design: SensorDesign
     mesh: MembraneMesh
@@ -97,8 +96,7 @@ class Attachment:
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor | QuasistaticSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
 
-        Call it again after `spec.recompile`. Raises InputError when the model's options cannot
-        carry the sensor or the model was not compiled from the spec.
+        Raises InputError when the model's options cannot carry the sensor, or for another spec.
         """
         check_options(model.opt, source="bind")
         if Effect.SHEET not in self.effects:
@@ -121,14 +119,11 @@ def attach_membrane(
 ) -> Attachment:
     """Attach `sensor` (a design, a shipped name or a TOML file) to `spec` at `site`.
 
-    `spec` is the parent scene. `prefix` distinguishes several sensors. `mesh` is the number of
-    vertices along x and y. `mass`, kg, is that of frame, glass and camera. `contact` selects the
-    contact geometry of the membrane. It is its "vertices", its triangles ("elements"), "both", or
-    "auto" by the scene's smallest feature. `effects` are those of `Effect`, or their names.
-
-    Raises InputError for an unknown site or effect, or a prefix already used. It is also raised for
-    a membrane that the method cannot carry, and for such options of `spec`. MuJoCo never takes
-    options from an attached child.
+    `prefix` distinguishes several sensors. `mesh` is the number of vertices along x and y. `mass`,
+    kg, is that of frame, glass and camera. `contact` selects the contact geometry of the membrane:
+    its "vertices", its triangles ("elements"), "both", or "auto" by the scene's smallest feature.
+    `effects` are those of `Effect`, or their names. Raises InputError for an unknown site or
+    effect, a prefix already used, or a membrane or options of `spec` that the method cannot carry.
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
@@ -193,12 +188,6 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
 
     It is `DEFAULT_MESH` for a rectangle. An outline has at least as many vertices, nearly square
     cells, and one vertex in the center.
-
-    Args:
-        design: The sensor.
-
-    Returns:
-        The vertex counts along x and y.
     """
     frame = design.frame
     if frame.outline is None:
@@ -264,11 +253,7 @@ def _readable(name: str, value: Any) -> str:
 
 
 def check_options(option: Any, *, source: str) -> None:
-    """Raise InputError naming option, value and needed value when `option` cannot carry a membrane
-    with gas.
-
-    `option` is a spec's or a compiled model's.
-    """
+    """Raise InputError when the `option` of a spec or model cannot carry a membrane with gas."""
 
     def refuse(name: str, value: object, need: str, why: str) -> None:
         raise InputError(
@@ -309,10 +294,7 @@ def check_options(option: Any, *, source: str) -> None:
 
 
 def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
-    """Return the site to attach to.
-
-    Raises InputError if the site is missing, or on a MuJoCo body that cannot carry a membrane.
-    """
+    """Return the site to attach to. Raises InputError if it is missing or on a mocap body."""
     found = spec.site(site) if isinstance(site, str) else site
     if found is None:
         raise InputError(
@@ -333,7 +315,7 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
 
 
 def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
-    """Return the name of the mocap body that `body` is, or is fixed to; None for all others."""
+    """Return the name of the mocap body that `body` is, or is fixed to; None for others."""
     while body is not None and not list(body.joints):
         if body.mocap:
             return body.name
@@ -342,11 +324,7 @@ def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
 
 
 def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> None:
-    """Add frame walls around the chamber and a block for glass and camera behind it.
-
-    There is no geometry in front of z = 0. An outline is surrounded by `_WALLS` walls, each of
-    which touches it from outside.
-    """
+    """Add frame walls around the chamber, behind z = 0, and a block for glass and camera."""
     frame = design.frame
     depth = design.chamber.depth
     rim = max(frame.rim, 1e-3)
@@ -376,10 +354,7 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
 
 
 def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, float, float, float]]:
-    """Compute walls of width `rim`, m, that touch an outline from outside.
-
-    Each has x, y, half length and half width, m, and its angle to x.
-    """
+    """Return x, y, half length, half width, m, and angle of walls that touch an outline."""
     at = outline.points(2 * _WALLS)
     ends = at[::2]
     touching = at[1::2]

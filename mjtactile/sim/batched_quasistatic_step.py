@@ -1,10 +1,8 @@
 """`QuasistaticStepper`: many steps of a gripper with quasi-static membranes in one kernel.
 
-In a step of 2 ms, MuJoCo and the membranes need about 40 us. Calling them one after the other from
-Python takes several times that. Here one kernel (`kernels/qs_substeps.c`) performs the steps of
-`GripperWorld` and `Stepper`, without Python in between. It calls MuJoCo by the addresses of its
-functions. It releases the Python GIL meanwhile, so that worlds in threads use all processors. It
-stops early if Python must check an event.
+One kernel (`kernels/qs_substeps.c`) performs the steps of `GripperWorld` and `Stepper`. It calls
+MuJoCo by the addresses of its functions and releases the Python GIL. It stops early if Python must
+check an event.
 """
 
 from __future__ import annotations
@@ -32,13 +30,9 @@ _UNSOLVED = 1
 class Drive:
     """Linear drive of jaws and lift.
 
-    Attributes:
-        opening: Jaw opening at qpos = 0, m.
-        read: Indices (k,) of the qpos entries that determine the opening.
-        per: Change of the opening per unit of each entry (k,), m.
-        controls: Actuator ids (n,).
-        affine: Coefficients (n, 3) of the controls: value with both goals 0, change per m of
-            opening and per m of lift.
+    `opening` is that at qpos = 0, m. It changes by `per` (k,) m per unit of the qpos entries `read`
+    (k,). `controls` (n,) are actuator ids. `affine` (n, 3) are coefficients of their controls:
+    value with both goals 0, change per m of opening and per m of lift.
     """
 
     opening: float
@@ -51,10 +45,9 @@ class Drive:
 class QuasistaticStepper:
     """Batched steps of one model and data; `sensors` are bound to them.
 
-    Attributes:
-        goals: Current and requested opening, current and requested lift (4,) m; a writable view.
-        most: Limits (3,) m: change of the opening goal per step, lead of that goal over the jaws,
-            and change of the lift goal per step; a view.
+    `goals` (4,) m is a writable view of current and requested opening, current and requested lift.
+    `maximum` (3,) m is one of limits: change of the opening goal per step, lead of that goal over
+    the jaws, and change of the lift goal per step.
     """
 
     def __init__(
@@ -66,8 +59,8 @@ class QuasistaticStepper:
         movers: Array,
         hurry: Array,
     ):
-        """`movers` and `hurry` (n,) are degrees of freedom and the speeds at which they are too
-        fast."""
+        """Bind the kernel; `movers` (n,) are degrees of freedom, `hurry` (n,) their speed
+        limits."""
         self._data = data
         self._sensors = tuple(sensors)
         self._goals = np.zeros(8)
@@ -118,16 +111,10 @@ class QuasistaticStepper:
         return all(sensor.hold_gas() for sensor in self._sensors)
 
     def run(self, count: int, watch_speed: bool) -> tuple[int, int, Array]:
-        """Run up to `count` steps; fewer if a membrane does not converge or a watched speed is too
-        high.
+        """Run up to `count` steps; fewer without convergence or, with `watch_speed`, at high speed.
 
-        Args:
-            count: Number of steps, at most MOST.
-            watch_speed: True to stop if a degree of freedom is too fast.
-
-        Returns:
-            The number of steps done, the number of steps in which the solver ran out of iterations,
-            and the wrench (n, sensors, 6) on each sensor in each step.
+        Return the number of steps done, the number in which the solver ran out of iterations, and
+        the wrench (n, sensors, 6) on each sensor in each step.
         """
         self._hurries[:] = self._hurry if watch_speed else self._never
         wrenches = self._wrenches[:count]
@@ -143,10 +130,7 @@ def is_there() -> bool:
 
 @cache
 def _functions() -> tuple[int, ...]:
-    """Return the addresses of mj_kinematics and mj_step; empty if the library is not found.
-
-    The library is the one that Python's module uses.
-    """
+    """Return the addresses of mj_kinematics and mj_step; empty if the library is not found."""
     folder = Path(mujoco.__file__).parent
     found = [
         *folder.glob("libmujoco.so*"),

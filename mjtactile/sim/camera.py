@@ -18,11 +18,7 @@ _SHUTTER = (0.0, 0.5, 1.0)  # fractions of the exposure at which the moving mark
 
 
 class SimCamera:
-    """Renderer of one sensor's image.
-
-    It renders on `read`, or earlier by `draw`, in parallel with the processing of the previous
-    image.
-    """
+    """Renderer of one sensor's image, on `read` or earlier by `draw`."""
 
     def __init__(
         self,
@@ -31,14 +27,12 @@ class SimCamera:
         effects: frozenset[str] = CAMERA,
         specimen: AsBuiltSensor = NOMINAL,
     ):
-        """Create the camera.
+        """Create the camera with the rendered `effects`.
 
-        `effects` selects the rendered effects. Without IMAGES nothing is rendered: `read` gives a
-        `SyntheticEllipses`. LATENCY returns the previous image, MOTION_BLUR averages over the
-        exposure. `specimen` gives the true camera pose, the missing markers, and the image faults.
-
-        Raises InputError for image faults without IMAGES, and without CHAIN, since touch is sampled
-        directly in grasps only.
+        Without IMAGES, `read` gives a `SyntheticEllipses`. LATENCY returns the previous image,
+        MOTION_BLUR averages over the exposure. `specimen` gives the true camera pose, the missing
+        markers, and the image faults. Raises InputError for image faults without IMAGES, and
+        without CHAIN.
         """
         if Effect.CHAIN not in effects:
             raise InputError(

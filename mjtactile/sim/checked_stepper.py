@@ -1,8 +1,7 @@
 """`Stepper`: advances a compiled scene with sensors, and checks every step.
 
-MuJoCo responds to divergence by resetting the state and rewinding time. A checked scene stops
-instead with a `SimulationError`, so that it never returns a wrong number. Reduced accuracy alone
-only sets a flag.
+On divergence, MuJoCo resets the state and rewinds time. A checked scene raises a `SimulationError`
+instead. Reduced accuracy alone only sets a flag.
 """
 
 from __future__ import annotations
@@ -29,10 +28,9 @@ _QS_CHECK_PERIOD = 0.1
 class Stepper:
     """Checked stepper of a scene with `sensors`, which are bound to its model and data.
 
-    `flags` maps the kind of each warning to its reason at first occurrence. The kinds in
-    `limits.GROWS` report an amount; for these it is the largest so far. `step_count` is the number
-    of steps so far. Each of `watchers` is called at every check, 20 ms apart, and returns flags of
-    its own.
+    `flags` maps the kind of each warning to its reason at first occurrence; kinds in `GROWS` report
+    the largest amount so far. Each of `watchers` is called at every check and returns flags of its
+    own.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[AnySensor]):
@@ -75,14 +73,10 @@ class Stepper:
         return self._check_every - self.step_count % self._check_every
 
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:
-        """Check the state after `count` steps.
+        """Check the state after `count` steps, `unsolved` of which ran out of iterations (None: the
+        last is checked).
 
-        `unsolved` is the number of steps in which the solver ran out of iterations. With None, the
-        last step is checked.
-
-        Raises:
-            SimulationError: The state is not finite, MuJoCo warned, a membrane is outside the
-                model's range of validity, or an object passed through one.
+        Raises SimulationError if the state is not finite, MuJoCo warned, or a membrane failed.
         """
         self.step_count += count
         if not math.isfinite(self._qpos.dot(self._qpos) + self._qvel.dot(self._qvel)):

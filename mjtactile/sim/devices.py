@@ -30,9 +30,8 @@ class _Later:
 class SimClock:
     """Simulated time. Between `start` and `wait_until` the world steps in a separate thread.
 
-    MuJoCo releases the Python GIL while it computes, so that physics and perception use one core
-    each. Commands given meanwhile take effect when the time is reached. The latency is one camera
-    period, as on a real rig, and the same in every run.
+    MuJoCo releases the Python GIL while it computes. Commands given meanwhile take effect when the
+    time is reached. The latency is one camera period, as on a real rig.
     """
 
     def __init__(self, world: World):
@@ -53,11 +52,7 @@ class SimClock:
             self._running = self._begin(lambda: self._go(time))
 
     def wait_until(self, time: float) -> None:
-        """Step the world until `time`, then run the deferred actions; for a past time, only run
-        them.
-
-        Raises SimulationError when the world diverged.
-        """
+        """Step the world until `time`, then run the deferred actions. Raises SimulationError."""
         if self._running is not None:
             running = self._running
             self._running = None
@@ -79,11 +74,7 @@ class SimClock:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def step_in_turn(self) -> None:
-        """Step and render in the waiting thread from now on.
-
-        The result is the same with a quarter less core time. Use it for callers that run one
-        process per processor.
-        """
+        """Step and render in the waiting thread from now on, for one process per processor."""
         self.close()
         self._pool = None
 
@@ -105,10 +96,9 @@ class SimClock:
 
 
 class SimValve:
-    """Valve of one chamber, with the pressure sensor of a valve board.
+    """Valve of one chamber, with a pressure sensor that has noise and an offset of `zero` Pa.
 
-    The sensor reports whole pascals with noise and an offset of `zero` Pa. In a world that advances
-    in another thread, `defer` postpones the valve's actions. `move` is called after each step.
+    `defer` postpones actions while the world advances. `move` is called after each step.
     """
 
     def __init__(
@@ -217,10 +207,7 @@ class SimGripper:
         return state
 
     def command(self, command: Command) -> Command:
-        """Set the goals of jaw and lift, and the force limit unless it is None.
-
-        Return the command with its values limited to the ranges of the rig's file.
-        """
+        """Set goals and force limit; return the command limited to the ranges of the rig's file."""
         file = self._world.rig
         if command.force_limit is not None:
             self._force_limit = _within(command.force_limit, (0.0, file.gripper.force_max))

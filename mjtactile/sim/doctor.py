@@ -1,8 +1,4 @@
-"""Checks of `mjtactile doctor` on a simulated rig: names, fingers, jaw motion and lift motion.
-
-The rig is built without an object, inflated, opened, closed and lifted once. Findings are those of
-`mjtactile.rig.doctor_finding`.
-"""
+"""Checks of `mjtactile doctor` on a simulated rig: names, fingers, jaw motion and lift motion."""
 
 from __future__ import annotations
 
@@ -38,8 +34,8 @@ _SLACK = 1.5  # of the time that a motion takes at the rig's speed
 
 
 def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
-    """All findings; `sensor` is on the fingers for which the rig file names none. Raises InputError
-    for a broken sensor."""
+    """Return all findings; `sensor` is on fingers without one. Raises InputError for a broken
+    sensor."""
     designs = finger_designs(rig, load_sensor(sensor))
     try:
         spec = read_mjcf(rig.model)
@@ -175,8 +171,7 @@ def _arm(world: GripperWorld) -> Iterator[Finding]:
 
 
 def _motions(world: GripperWorld) -> Iterator[Finding]:
-    """Inflate; then open, close and lift, and compare the requested with the measured fingertip
-    motion."""
+    """Inflate; then open, close and lift, and compare requested with measured fingertip motion."""
     rig = world.rig
     low, high = world.rig.gripper.opening
     if touching := touched_by_sensors(world):
@@ -334,9 +329,6 @@ def _tips(world: GripperWorld) -> tuple[Array, Array]:
 
 
 def _opening_seen(world: GripperWorld) -> float:
-    """Return twice the mean distance of the fingertips from their center, m.
-
-    The distance is measured along their sensors' directions.
-    """
+    """Return twice the mean distance of the fingertips from their center, m."""
     p_WS, z_W = _tips(world)
     return 2 * float(np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * z_W, axis=1)))

@@ -1,7 +1,4 @@
-"""Restart of a simulated rig from its start, with its object at another position.
-
-Nothing is compiled again.
-"""
+"""Restart of a simulated rig from its start, with its object at another position."""
 
 from __future__ import annotations
 
@@ -20,8 +17,7 @@ from mjtactile.sim.scenes.snapshot import Snapshot
 
 
 class Restart:
-    """Snapshot of the current state of `rig`, built with `seed`, before anything touched the
-    object.
+    """Snapshot of the state of `rig`, built with `seed`, before anything touched the object.
 
     Raises InputError for a rig or object that cannot be reset; see `movable`.
     """
@@ -41,8 +37,7 @@ class Restart:
         self._snapshot = Snapshot(world, rig.gripper, rig.clock, *rig.cameras, *rig.valves)
 
     def again(self, seed: int) -> None:
-        """Reset the rig with a new seed: object pose, and noise of cameras, pressure sensors and
-        gripper."""
+        """Reset the rig with a new seed: object pose, and noise of its devices."""
         self._snapshot.restore()
         pose, seeds = start_of(seed)
         self._move(place(self._world.object, pose))
@@ -53,8 +48,7 @@ class Restart:
         self._rig.gripper.reseed(seed)  # pyright: ignore[reportAttributeAccessIssue]
 
     def _move(self, pose: tuple[float, float, float]) -> None:
-        """Move all MuJoCo bodies of the object's file together, relative to the gripper's axes on
-        the table."""
+        """Move all MuJoCo bodies of the object's file together, relative to the gripper's axes."""
         world = self._world
         model = world.model
         data = world.data
@@ -84,10 +78,7 @@ class Restart:
 
 
 def movable(world: GraspWorld) -> bool:
-    """Return True if all MuJoCo bodies of the object's file are fixed or free in the world.
-
-    Flexes and loose geoms are not movable.
-    """
+    """Return True if all parts of the object are fixed or free MuJoCo bodies in the world."""
     model = world.model
     if not isinstance(world, GraspWorld) or world.solid is not None or model.nmocap:
         return False
@@ -109,10 +100,7 @@ def _own_bodies(model: mujoco.MjModel) -> list[int]:
 
 
 def _planar(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
-    """Return rotation R (3, 3) and position p (3,), m, in W, of the object file's world.
-
-    It is placed at `pose` relative to the gripper, like in `GraspWorld`.
-    """
+    """Return rotation (3, 3) and position (3,), m, in W, of the object file's world at `pose`."""
     x, y, turn = pose
     cos = math.cos(yaw)
     sin = math.sin(yaw)

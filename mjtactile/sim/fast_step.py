@@ -63,11 +63,7 @@ def advance(
 
 
 def _integrate(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Integrate v += h a, q += h v, and the other state variables.
-
-    `mj_Euler` does exactly this when its damping is disabled; under `discrete` the damping is
-    already in the acceleration.
-    """
+    """Integrate v += h a, q += h v, and the other states: `mj_Euler` without its damping."""
     option = model.opt
     flags = option.disableflags
     option.disableflags = flags | _EULERDAMP
@@ -87,6 +83,5 @@ def _is_known_kind(option: Any) -> bool:
 
 
 def _is_constrained(model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-    """Return True if the second solve covers all degrees of freedom: it leaves out islands without
-    a constraint."""
+    """Return True if the second solve covers all degrees of freedom."""
     return data.nefc > 0 and (data.nidof == model.nv or bool(model.opt.disableflags & _ISLANDS))

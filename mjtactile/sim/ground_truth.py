@@ -1,5 +1,4 @@
-"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. The rest of the
-simulator does not import it.
+"""Ground truth of a simulated scene, for scoring, benchmarks and tests only.
 
 Forces and positions are in the sensor's frame S unless a name says otherwise; N, m, Pa.
 """
@@ -30,10 +29,9 @@ if TYPE_CHECKING:
 
 
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
-    """Return contact forces on membrane `sensor`, their points, and penetration depths.
+    """Return forces (n, 3) N on membrane `sensor`, points (n, 3) m, and penetration depths (n,) m.
 
-    The world exerts the forces `f_S` (n, 3) N on the membrane at points `p_S` (n, 3) m. Depths are
-    (n,) m. There is one row per contact, in the order of MuJoCo's contact list.
+    There is one row per contact, in the order of MuJoCo's contact list.
     """
     data = world.data
     device = world.sensors[sensor]
@@ -47,11 +45,10 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
 
 
 def patch(world: World, sensor: int) -> tuple[Array, float]:
-    """Return the force-weighted center (3,) m in S of the contact on membrane `sensor`, and its
-    radius.
+    """Return the force-weighted center (3,) m of the contact on membrane `sensor`, and its radius,
+    m.
 
-    The radius is the force-weighted mean distance from the center, m. Both are 0 without
-    contact.
+    The radius is the weighted mean distance from the center. Both are 0 without contact.
     """
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):
@@ -66,16 +63,12 @@ def patch(world: World, sensor: int) -> tuple[Array, float]:
 
 
 def contact_force(world: World, sensor: int) -> Array:
-    """Return the total force (3,), N, of the world on membrane `sensor`, frame S.
-
-    Its z component is negative in contact.
-    """
+    """Return the total force (3,), N, on membrane `sensor`; z is negative in contact."""
     return contact_loads(world, [world.sensors[sensor]])[0]
 
 
 def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
-    """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame
-    S."""
+    """Return the total forces (n, 3) N on the membranes of `devices`, each in its frame S."""
     if any(isinstance(device, QuasistaticSensor) for device in devices):
         return np.array([loads.membrane_wrench(world.data, device)[:3] for device in devices])
     f_W = np.empty((len(devices), 3))
@@ -93,16 +86,14 @@ def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
 
 
 def stretch_forces(world: World) -> Array:
-    """Return the normal forces (n, sensors) N, positive in compression, of the last batch of n
-    steps."""
+    """Return the normal forces (n, sensors) N of the last batch of n steps."""
     if world.stretch is None:
         return -contact_loads(world, world.sensors)[None, :, 2]
     return -world.stretch[:, :, 2]
 
 
 def friction_used(world: World, mu: float) -> float:
-    """Sum of all contacts' friction over `mu` times the sum of their normal forces: 1 where
-    everything slides."""
+    """Return the friction of all contacts over `mu` times their normal forces."""
     data = world.data
     force = np.zeros(6)
     sums = np.zeros(2)
@@ -113,11 +104,11 @@ def friction_used(world: World, mu: float) -> float:
 
 
 def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
-    """Return the friction on membrane `sensor` along `direction` (3,), frame W, over `mu` times the
-    normal forces.
+    """Return the friction on membrane `sensor` along `direction` (3,) over `mu` times the normal
+    force.
 
-    The direction is projected onto each contact's plane. The result is 1 if all of the membrane is
-    dragged in that direction, -1 in the opposite direction.
+    The direction, in W, is projected onto each contact's plane. The result is 1 if all of the
+    membrane is dragged in that direction, -1 in the opposite direction.
     """
     data = world.data
     device = world.sensors[sensor]
@@ -138,10 +129,8 @@ def friction_along(world: World, sensor: int, mu: float, direction: Array) -> fl
 def sliding(world: World, sensor: int) -> tuple[float, float]:
     """Return the sliding fraction and sliding speed of membrane `sensor` on the contacting object.
 
-    The sliding is described by the best-fitting rigid motion, a translation and a rotation about
-    the sensor's axis. The first result is the fraction of the friction limit that resists this
-    motion (1: everything slides). The second is its speed, m/s, rms over the contact weighted by
-    force.
+    The best-fitting rigid motion describes the sliding. The fraction is that of the friction limit
+    that resists this motion. The speed, m/s, is an rms over the contact weighted by force.
     """
     data = world.data
     device = world.sensors[sensor]
@@ -178,21 +167,15 @@ def contact_torque(world: World, sensor: int) -> Array:
 
 
 def contact_wrench(world: World, sensor: int) -> Array:
-    """Return the total contact wrench (6,) on membrane `sensor`, frame S.
-
-    It is the force, N, and the torque about the origin of S, N m. The world exerts it on the
-    membrane.
-    """
+    """Return the contact wrench (6,) on membrane `sensor` about the origin of S, N and N m."""
     return loads.membrane_wrench(world.data, world.sensors[sensor])
 
 
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     """Return the area of the membrane in contact, m^2; 0 without contact.
 
-    Vertices are too far apart to determine the area. A quasi-static membrane on the projected
-    object determines it (`film.py`). The projection is along the sensor's axis. That membrane has
-    the tension near the contact, the same pressure and the same normal force. A row of edges or
-    points has the area of the cells that it crosses. These cells have `spacing` m or less.
+    Vertices are too far apart to determine the area. `obstacle_problem` determines it on the object
+    projected along the sensor's axis, with the same tension, pressure and normal force.
     """
     device = world.sensors[sensor]
     if isinstance(device, QuasistaticSensor):
@@ -237,8 +220,7 @@ def _inside(frame: Frame, x: Array, y: Array) -> NDArray[np.bool_]:
 def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:
     """Return heights (nx, ny) m in S of the contacting objects over points `x`, `y` (nx, ny) m.
 
-    Heights are those of the first hit of a ray along the sensor's axis; inf without a hit. Each
-    flex, and all collision geoms of each MuJoCo body in contact, are included.
+    They are those of the first hit along the sensor's axis; inf without a hit.
     """
     model = world.model
     data = world.data
@@ -284,14 +266,12 @@ def _ray(
 
 
 def penetration(world: World, sensor: int) -> float:
-    """Deepest penetration of an object into membrane `sensor`, m; 0 without contact. An error of
-    the simulation."""
+    """Return the deepest penetration of an object into membrane `sensor`, m."""
     return float(max(contact_forces(world, sensor)[2].max(initial=0.0), 0.0))
 
 
 def heights(world: World, sensor: int) -> Array:
-    """Heights of the membrane's mesh over the frame's plane, (nx, ny) m, over `mesh.x`,
-    `mesh.y`."""
+    """Return the heights (nx, ny) m of the membrane's mesh over `mesh.x`, `mesh.y`."""
     device = world.sensors[sensor]
     return device.p_SV[:, 2].reshape(device.mesh.nx, device.mesh.ny)
 
@@ -302,8 +282,7 @@ def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
 
 
 def object_bodies(world: World) -> NDArray[np.int64]:
-    """Return the grasped object's MuJoCo bodies, including soft parts; an argument of
-    `object_position`."""
+    """Return the grasped object's MuJoCo bodies, including soft parts."""
     return moving_bodies(world.model, PREFIX)
 
 
@@ -335,11 +314,9 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
 
 
 def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Array]:
-    """Return position `p_WO` (3,) m and rotation of the MuJoCo body `object`, frame W.
+    """Return position (3,) m and unit quaternion (4,) of the MuJoCo body `object`, frame W.
 
-    The rotation is a unit quaternion (4,) with its real part first. The MuJoCo body of a soft
-    object, a `solid`, stays behind. It is moved along with the solid's best-fitting rigid pose,
-    relative to the initial one.
+    The MuJoCo body of a soft object, a `solid`, is moved along with the solid's rigid pose.
     """
     body = world.model.body(PREFIX + "object").id
     p_WO = world.data.xpos[body].copy()

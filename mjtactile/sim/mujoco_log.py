@@ -1,5 +1,4 @@
-"""Destination of MuJoCo's own warnings. By default MuJoCo writes MUJOCO_LOG.TXT into the current
-working folder."""
+"""Destination of MuJoCo's own warnings, which otherwise go to MUJOCO_LOG.TXT."""
 
 from __future__ import annotations
 

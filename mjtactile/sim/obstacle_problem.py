@@ -29,11 +29,10 @@ _TINY = 1e-9  # of a cell's pressure, and m
 
 @dataclass(frozen=True, eq=False)
 class ObstacleContact:
-    """Solution of the obstacle problem.
+    """Solution: heights `w` (nx, ny) m, contact fraction `share` and `force` N of each cell of
+    `spacing` m.
 
-    Fields: heights `w` (nx, ny) m of the membrane and the `force` (nx, ny) N on each cell. `share`
-    (nx, ny) is the contact fraction of each cell of `spacing` m. `settled` is True if the active
-    set converged.
+    `settled` is True if the active set converged.
     """
 
     w: Array
@@ -61,10 +60,11 @@ def lie_on(
     tension: float,
     force: float,
 ) -> ObstacleContact:
-    """Solve for the membrane that carries `force` N on `obstacle` (nx, ny) m.
+    """Solve for the membrane that carries `force` N on `obstacle` (nx, ny) m, defined up to a
+    shift.
 
-    The obstacle is defined up to a shift. It is inf where there is no obstacle. `inside` (nx, ny)
-    is True for free nodes; the others are the frame. `pressure` is Pa gauge, `tension` N/m.
+    The obstacle is inf where there is none. `inside` (nx, ny) are free nodes. `pressure` is Pa
+    gauge, `tension` N/m.
     """
     psi = obstacle[inside]
     load = np.full(int(inside.sum()), pressure * spacing**2 / tension)
@@ -96,10 +96,10 @@ def lie_on(
 def _carry(
     stiffness: csc_array, psi: Array, touching: NDArray[np.bool_], load: Array, force: float
 ) -> tuple[Array, float]:
-    """Return the heights of the membrane and the shift of the obstacle.
+    """Return the heights of the membrane, which lies on `psi` + shift where `touching`, and the
+    shift.
 
-    The membrane lies on `psi` + shift where it is `touching`. With this shift the contact carries
-    `force` (N over N/m). All quantities are linear in the shift.
+    With this shift the contact carries `force` (N over N/m).
     """
     free = ~touching
     solve = splu(stiffness[free][:, free]).solve
@@ -116,11 +116,7 @@ def _carry(
 
 
 def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
-    """Return the contact fraction of each cell.
-
-    It is the ratio of the cell's force to its force with full contact on the obstacle. A cell at an
-    edge, next to which there is no obstacle, counts as whole.
-    """
+    """Return the contact fraction of each cell: its force over that with full contact."""
     here = np.isfinite(psi)
     whole = load - stiffness @ np.where(here, psi, 0.0)
     at_edge = (abs(stiffness) @ (~here).astype(float)) > 0
@@ -130,10 +126,8 @@ def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
 
 
 def _stiffness(inside: NDArray[np.bool_], w: Array, spacing: float) -> csc_array:
-    """Return the matrix of -div(k grad) over the free nodes, times spacing^2.
-
-    Here k = 1/sqrt(1 + |grad w|^2) between the nodes of `w`.
-    """
+    """Return the matrix of -div(k grad) over the free nodes, times spacing^2 (k of the
+    docstring)."""
     height = np.zeros(inside.shape)
     number = np.full(inside.shape, -1)
     height[inside] = w

@@ -39,11 +39,8 @@ _QS_STEP_MAX = 2.1e-3
 
 @dataclass(frozen=True)
 class _Plan:
-    """Components of a scenario's rig.
-
-    Fingers are in the order of the rig file: `designs` come from their files, `specimens` are the
-    as-built sensors.
-    """
+    """Components of a scenario's rig, with `designs` and as-built `specimens` in the rig file's
+    order."""
 
     scenario: Scenario
     file: SimRigFile
@@ -72,22 +69,11 @@ class _Plan:
 def build_sim_rig(
     scenario: Scenario, *, file: SimRigFile | None = None, drawn: Drawn | None = None
 ) -> Rig:
-    """Build a simulated grasp. The seed places the object within a few millimeters and fixes the
-    cameras' noise.
+    """Build a simulated grasp.
 
     The world uses the randomized values; sensing uses the fingers' designs, and the limits are the
-    file's.
-
-    Args:
-        scenario: Object, sensor, accuracy (fidelity.py), effects (catalog.py) and seed.
-        file: The rig, if it differs from the scenario's.
-        drawn: The randomized world, if it differs from that of the scenario's seed.
-
-    Returns:
-        The rig; its `scene` is the simulated world.
-
-    Raises:
-        InputError: For bad names or files.
+    file's. `file` and `drawn` replace the scenario's rig and the randomized world of its seed.
+    Raises InputError for bad names or files.
     """
     file = load_sim_rig(scenario.rig) if file is None else file
     if drawn is None:
@@ -209,8 +195,7 @@ def _cameras(
     specimens: Sequence[AsBuiltSensor],
     drawn: Drawn,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
-    """Return the image source of each sensor: a camera, or a synthetic touch source without a
-    sensing pipeline."""
+    """Return the image source of each sensor: a camera, or a synthetic touch source."""
     if Effect.CHAIN in on:
         return tuple(
             SimCamera(sensor, seed, on, own)
@@ -250,10 +235,7 @@ def _with_task(
 
 
 def _breaking(grasped: ObjectModel, task: Task, drawn: SampledTask, fingers: int) -> ObjectModel:
-    """Return the object with the break force of the task, if specified.
-
-    The break force is proportional to the force that the task requires per finger.
-    """
+    """Return the object with a break force proportional to the required force, if specified."""
     if drawn.breaking is None or drawn.friction is None:
         return grasped
     need = drawn.need(grasped.mass, drawn.friction, fingers)
@@ -267,30 +249,22 @@ def build(request: RigRequest) -> Rig:
 
 
 def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:
-    """Return the default random values of a seed.
-
-    The first is the object's pose (m, m, fraction of its yaw range). The second is a function that
-    returns the given number of camera seeds.
-    """
+    """Return the object's pose (m, m, fraction of its yaw range) of a seed, and a source of camera
+    seeds."""
     rng = np.random.default_rng(seed)
     pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
     return pose, lambda count: [int(one) for one in rng.integers(2**31, size=count)]
 
 
 def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the position and yaw of the object.
-
-    They come from the object's randomized changes. Otherwise they come from the seed's `pose` (m,
-    m, fraction of the yaw range).
-    """
+    """Return position and yaw of the object: its randomized changes, or the seed's `pose`."""
     x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
     yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw
     return x, y, min(max(yaw, -grasped.turn), grasped.turn)
 
 
 def _true_design(design: SensorDesign, specimen: AsBuiltSensor, drawn: Drawn) -> SensorDesign:
-    """The sensor as it is; the friction of a pair is the membrane's alone (it has the higher
-    priority)."""
+    """Return the sensor as built, with the friction of its pair with the object."""
     true = true_design(design, specimen)
     return replace(
         true,

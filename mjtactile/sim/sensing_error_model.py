@@ -136,8 +136,7 @@ _ARRAYS = frozenset(
 
 
 def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
-    """Read a table written by `SensingErrorModel.table`. Raises KeyError, TypeError or
-    ValueError."""
+    """Read a table of `SensingErrorModel.table`. Raises KeyError, TypeError or ValueError."""
     values: dict[str, Any] = {
         name: np.array(table[name], float) if name in _ARRAYS else float(table[name])
         for name in SensingErrorModel.__dataclass_fields__
@@ -151,17 +150,9 @@ def path_of(design: SensorDesign) -> Path:
 
 
 def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel:
-    """Load the errors of a design's sensing pipeline.
+    """Load the errors of a design's sensing pipeline, larger if `varied` (`--randomization`).
 
-    Args:
-        design: The design of its file, with all effects.
-        varied: True if the sensor differs from its file (`--randomization`): then they are larger.
-
-    Returns:
-        The errors.
-
-    Raises:
-        InputError: They were never measured, or for another design of that name.
+    Raises InputError if they were never measured, or for another design of that name.
     """
     found = _load(path_of(design), fingerprint(design), design.name)
     return found["varied" if varied else "errors"]

@@ -1,10 +1,8 @@
-"""Touch without the sensing pipeline (`--effects -sheet,-chain`).
+"""Touch without the sensing pipeline (`--effects -mesh,-pipeline`).
 
-It combines loads of a quasi-static membrane with the errors of the sensing pipeline at that load.
-
-It models the sensor together with its software. Like a camera model, it may read the ground truth.
-Its output is a measurement. It replaces a camera and returns `SyntheticTouch` instead of an
-image.
+Loads of a quasi-static membrane get the errors of the sensing pipeline at that load. It models the
+sensor with its software, so it may read the ground truth. It replaces a camera and returns
+`SyntheticTouch` instead of an image.
 """
 
 from __future__ import annotations
@@ -79,16 +77,9 @@ class SensingErrorSampler:
     def felt(
         self, true: Array, elapsed: float, rng: np.random.Generator
     ) -> tuple[Array, Array, ErrorsAtLoad]:
-        """Return a simulated wrench estimate of the sensing pipeline.
+        """Return a simulated estimate (6,) of the `true` wrench (6,), its covariance and errors.
 
-        Args:
-            true: Ground-truth wrench (6,) N and N m, frame S.
-            elapsed: Time since the previous image, s.
-            rng: Random generator of the errors.
-
-        Returns:
-            The wrench (6,) and covariance (6, 6) of the simulated estimate, valid until the next
-            call, and the errors at this load.
+        `elapsed` s is the time since the previous image. Arrays are valid until the next call.
         """
         self._true[:] = true
         rng.standard_normal(out=self._normals)
@@ -100,13 +91,8 @@ class SensingErrorSampler:
 class SyntheticTouchSource:
     """Replacement for one sensor's camera and sensing pipeline.
 
-    Args:
-        sensor: The sensor that carries the load.
-        errors: Error model of its sensing pipeline.
-        friction: Friction coefficient of the membrane that the sensing pipeline assumes.
-        seed: Seed of the errors.
-
-    Raises InputError for a sensor with a mesh membrane.
+    `friction` is the coefficient that the sensing pipeline assumes. Raises InputError for a sensor
+    with a mesh membrane.
     """
 
     def __init__(self, sensor: AnySensor, errors: SensingErrorModel, friction: float, seed: int):
@@ -197,11 +183,7 @@ class SyntheticTouchSource:
         )
 
     def _slip(self, time: float, wrench: Array) -> Slip:
-        """Return the slip state that the sensing pipeline would report.
-
-        Slip is reported only after some sliding distance within the last images. The used fraction
-        of friction is based on the coefficient in the sensor's file.
-        """
+        """Return the slip state that the pipeline would report, after some sliding distance."""
         if not self._touching:
             self._slides.clear()
             return _NO_SLIP

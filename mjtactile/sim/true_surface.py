@@ -17,10 +17,7 @@ _FAR = 0.15  # distance at which rays start, m
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """Points (N, 3) m spread evenly over an object's outer surface, in its axes.
-
-    `model` and `data` are of the object alone.
-    """
+    """Points (N, 3) m spread evenly over an object's outer surface, with its own `model`."""
 
     points: Array
     model: mujoco.MjModel
@@ -28,11 +25,7 @@ class TrueSurface:
 
     @classmethod
     def of(cls, grasped: ObjectModel, seed: int = 0) -> TrueSurface:
-        """Sample the surface of an object at rest: first hits of random lines on its touchable
-        geoms.
-
-        Such lines hit each part of a surface in proportion to its area.
-        """
+        """Sample the surface of an object at rest by random lines, in proportion to area."""
         spec = read_spec(grasped)
         thing = spec.body("object")
         for other in list(spec.worldbody.bodies):
@@ -52,10 +45,9 @@ class TrueSurface:
         return cls(_met(model, data, radius, seed), model, data)
 
     def off(self, p: Array, n: Array) -> Array:
-        """Return the signed distance (N,) m by which estimated points lie outside the surface.
+        """Return the signed distance (N,) m of points `p` outside the surface, along normals `n`.
 
-        Points (N, 3) m have outward normals; the distance is measured along them. If such a line
-        misses the surface, the result is the distance to the nearest surface point.
+        If such a line misses the surface, it is the distance to the nearest surface point.
         """
         off = np.array(
             [
@@ -68,11 +60,7 @@ class TrueSurface:
         return np.where(wild, nearest, off)
 
     def extents(self, axes: Array) -> Array:
-        """Return the extents (k,) m along each of `axes` (3, k), columns.
-
-        The farthest of some hundred points is up to 0.2 mm short of an egg's end. From that point a
-        local search with rays parallel to the axis, at decreasing distances, finds the end.
-        """
+        """Return the extents (k,) m along each of `axes` (3, k), columns."""
         return np.array([self._end(axis) + self._end(-axis) for axis in axes.T])
 
     def _end(self, way: Array) -> float:

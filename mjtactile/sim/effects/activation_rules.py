@@ -26,7 +26,7 @@ _SHADED = 0.06
 class Scene:
     """Input of the gates.
 
-    `feature`, m, is the object's smallest radius. `sharp` is True if it has edges. `half_extents`,
+    `feature`, m, is the object's smallest radius; `sharp` is True if it has edges. `half_extents`,
     m, are half its size along and across a membrane that closes on it.
     """
 
@@ -39,8 +39,7 @@ class Scene:
 
     @property
     def bulge(self) -> float:
-        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
-        table."""
+        """Height of the free bulge at the supply's pressure, m."""
         height = analytical_solutions.bulge_height(self.design, self.design.chamber.supply_gauge)
         if math.isfinite(height):
             return abs(height)
@@ -199,10 +198,7 @@ def led_shading(s: Scene) -> tuple[bool, str]:
 
 
 def shadows(s: Scene) -> tuple[bool, str]:
-    """Compare the steepest membrane slope in a typical grasp with the LEDs' lowest ray.
-
-    The effect is also needed if slopes alone change the force by more than the force error.
-    """
+    """Compare the steepest membrane slope in a typical grasp with the LEDs' lowest ray."""
     leds = s.design.leds
     frame = s.design.frame
     if not leds.count * leds.vignetting:

@@ -34,10 +34,9 @@ from mjtactile.sim.sensor.effect_switches import Effect
 
 @dataclass(frozen=True)
 class EffectEntry:
-    """Catalog entry of one effect.
+    """Catalog entry: `name`, the part (`kind`) that implements it, and the activation rule `gate`.
 
-    `name`; `kind`: the part that implements it; `gate`: the activation rule. `built` is False if
-    this version has no such effect, `fixed` is True if it cannot be left out.
+    `built` is False if this version has no such effect, `fixed` if it cannot be left out.
     """
 
     name: Effect
@@ -51,7 +50,7 @@ class EffectEntry:
 class Choice:
     """One row of the table: the effect, its state, the reason, its cost and the error without it.
 
-    The cost is in ms per simulated second. The error is in N and um (NaN: not measured).
+    The cost is in ms per simulated second, the error in N and um (NaN: not measured).
     """
 
     effect: EffectEntry
@@ -98,8 +97,8 @@ def choose(
 ) -> Chosen:
     """Choose the effects for a sensor, an object and a force error (N); then apply `overrides`.
 
-    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name. It also does
-    so for an unbuilt effect forced on, or a required one forced off.
+    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an unbuilt
+    effect forced on, or a required one forced off.
     """
     forced = _with_what_goes_along(parse(overrides))
     scene = Scene(design, grasped, force_error, *_feature(grasped))
@@ -148,11 +147,7 @@ def parse(text: str) -> dict[Effect, bool]:
 
 
 def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
-    """Add the overrides implied by leaving out the sensing pipeline.
-
-    Without it, images are not needed, and touch comes from a quasi-static membrane. Raises
-    InputError for contradictory overrides.
-    """
+    """Add the overrides implied by leaving out the sensing pipeline. Raises InputError."""
     if forced.get(Effect.CHAIN, True):
         return forced
     if forced.get(Effect.SHEET, True):
@@ -237,22 +232,14 @@ EFFECTS: tuple[EffectEntry, ...] = (
 
 
 def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
-    """Return True if `--accuracy` may choose a quasi-static membrane.
-
-    It requires that no override sets the membrane model. The object must be rigid and round, like
-    the objects on which the error was measured.
-    """
+    """Return True if `--accuracy` may choose a quasi-static membrane: a rigid, round object."""
     if Effect.SHEET in parse(overrides) or design.relaxation is not None:
         return False
     return grasped.flesh is None and not _feature(grasped)[1]
 
 
 def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:
-    """Return the smallest radius of the object, m, its sharpness, and its half-extents, m.
-
-    The sharpness is True for sharp edges. The half-extents are those across the fingers' closing
-    direction.
-    """
+    """Return the object's smallest radius, m, its sharpness, and its half-extents, m."""
     if grasped is None:
         return math.inf, False, (math.inf, math.inf)
     model = read_spec(grasped).compile()

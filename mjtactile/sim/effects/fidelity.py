@@ -24,10 +24,7 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
 REAL_TIME_MARGIN = 1.25
-"""Minimum speed of the physics relative to real time.
-
-The margin is for cameras, perception and the remaining tasks.
-"""
+"""Minimum speed of the physics relative to real time, with a margin for the other tasks."""
 CHOICES = ("0.02N (a force error)", "realtime")
 FILM = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
@@ -61,8 +58,7 @@ class Fidelity:
     basis: str = ""
     asked: float = DEFAULT_FORCE_ERROR
     effects: str = ""
-    """Effects left out, in the format of `--effects`; for a quasi-static membrane its grid is
-    `mesh`."""
+    """Effects left out, in the format of `--effects`."""
 
     @property
     def real_time_factor(self) -> float:
@@ -76,9 +72,8 @@ class Fidelity:
         """Return the cheapest measured setting with a force error of at most `force_error`, N.
 
         If there is none, return the most accurate setting, with `met` False. With `films`, the
-        result may be a setting without a mesh.
-
-        Raises InputError if `force_error` is not a finite number > 0.
+        result may be a setting without a mesh. Raises InputError if `force_error` is not a number >
+        0.
         """
         if not math.isfinite(force_error) or force_error <= 0:
             raise InputError(
@@ -103,10 +98,7 @@ class Fidelity:
 
     @classmethod
     def for_real_time(cls, table: Path | None = None) -> Fidelity:
-        """Return the most accurate measured setting that runs in real time.
-
-        If there is none, return the fastest setting, with `met` False.
-        """
+        """Return the most accurate setting in real time, or the fastest one, with `met` False."""
         rows, stamp = load_table(table)
         good = [row for row in rows if row.real_time_factor >= REAL_TIME_MARGIN]
         if good:
@@ -126,11 +118,7 @@ class Fidelity:
 
     @classmethod
     def parse(cls, text: str, table: Path | None = None, *, films: bool = False) -> Fidelity:
-        """Read "0.02N" or "realtime".
-
-        With `films`, a force error may be met by a quasi-static membrane. Raises InputError that
-        lists the choices.
-        """
+        """Read "0.02N" or "realtime"; `films` as in `for_force_error`. Raises InputError."""
         word = text.strip().lower()
         if word in ("realtime", "real-time"):
             return cls.for_real_time(table)
@@ -143,8 +131,7 @@ class Fidelity:
         return cls.for_force_error(value, table, films=films)
 
     def with_effects(self, overrides: str) -> str:
-        """Combine the user's `--effects` overrides with the effects that this setting leaves
-        out."""
+        """Combine the user's `--effects` with the effects that this setting leaves out."""
         parts = [self.effects, "" if overrides == "auto" else overrides]
         return ",".join(part for part in parts if part) or "auto"
 
@@ -191,10 +178,7 @@ def levels_path() -> Path:
 
 @cache
 def load_membranes() -> Sequence[Fidelity]:
-    """Return the measured settings of quasi-static membranes; empty without such a file.
-
-    Their touch comes from the complete sensing pipeline.
-    """
+    """Return the measured settings of quasi-static membranes; empty without such a file."""
     path = levels_path()
     if not path.is_file():
         return ()
@@ -204,10 +188,7 @@ def load_membranes() -> Sequence[Fidelity]:
 
 @cache
 def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
-    """Return the measured settings, and one line with machine, version and date.
-
-    Raises InputError for an invalid file.
-    """
+    """Return the measured settings, and one line with machine, version and date."""
     path = table_path() if path is None else path
     try:
         table = json.loads(path.read_text(encoding="utf-8"))

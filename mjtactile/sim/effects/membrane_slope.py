@@ -45,8 +45,7 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
 
 
 def half_extents(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> tuple[float, float]:
-    """Half the size of `geoms` along y and z, m, as the model is compiled: fingers close along x.
-    Infinite without any."""
+    """Return half the size of `geoms` along y and z, m; infinite without any."""
     if not len(geoms):
         return math.inf, math.inf
     data = mujoco.MjData(model)

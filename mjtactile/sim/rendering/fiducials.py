@@ -1,7 +1,4 @@
-"""Fiducials in the camera image: white ground and black circles that never move.
-
-They become part of the background.
-"""
+"""Fiducials in the camera image: white ground and black circles that never move."""
 
 from __future__ import annotations
 
@@ -18,11 +15,10 @@ _INWARD = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class FiducialRenderer:
-    """Fiducials of a sensor and their white background.
+    """Discs `p_SF`, `n_S` (F, 3) of a `radius` m on white ground.
 
-    The discs `p_SF`, `n_S` (F, 3) have a `radius` in m. The background extends `ground` m around
-    each disc. Alternatively, it covers the area between the outlines `white` (outer, inner), (n, 3)
-    m each. `blur_px` is the minimum blur of their image.
+    The ground extends `ground` m around each disc, or covers the area between the outlines `white`
+    (outer, inner), (n, 3) m each. `blur_px` is the minimum blur of their image.
     """
 
     p_SF: Array

@@ -1,8 +1,4 @@
-"""Illumination of the membrane by the LEDs without obstruction: the inverse-square law on a smooth
-bubble.
-
-The slope of the membrane and shadows are handled in shadows.py.
-"""
+"""Illumination of the membrane by the LEDs without obstruction, on a smooth bubble."""
 
 from __future__ import annotations
 
@@ -16,18 +12,13 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array
 
 BLOCK_PX = 16
-"""The light is computed once per block of this size and interpolated: below 0.05 DN at 25 %
-vignetting."""
+"""Block size for which the light is computed once; the error is below 0.05 DN."""
 
 Floats = NDArray[np.float32]
 
 
 def block_slopes(camera: Camera, block: int) -> Array:
-    """Return slopes x/z, y/z (nv, nu, 2) in C of the rays through pixel blocks.
-
-    The rays are in air and pass through the block centers. The blocks are `block` px wide. The
-    slope is 0 where the lens model cannot be inverted.
-    """
+    """Return slopes x/z, y/z (nv, nu, 2) in C of the rays, in air, through pixel blocks."""
     nu = -(-camera.width // block)
     nv = -(-camera.height // block)
     u = (np.arange(nu) + 0.5) * (camera.width / nu) - 0.5
@@ -40,12 +31,9 @@ class Light:
     """Illumination of the membrane by a ring of LEDs around the camera.
 
     The model is the inverse-square law and two cosines. Without LEDs the light is uniform. The
-    field is 1 in the center of the flat membrane. It is 1 - vignetting at the corners. A membrane
-    closer to the camera becomes brighter.
-
-    Heights between the markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy).
-    The bubble is fitted to the markers. It is smooth, as light is, and is not a model of the
-    surface.
+    field is 1 in the center of the flat membrane and 1 - vignetting at the corners. Heights between
+    the markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy), fitted to the
+    markers.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
@@ -86,13 +74,12 @@ class Light:
         return np.maximum(1 - self._falloff * (1 - share) / self._loss, 0.0)
 
     def _aside(self, xy: Array) -> Array:
-        """Return the squared distances (n, ...), m^2, of positions (..., 2) from the LEDs, along
-        the membrane."""
+        """Return the squared lateral distances (n, ...), m^2, of positions (..., 2) from the
+        LEDs."""
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)
 
     def _irradiance(self, aside: Array, z: Array) -> Array:
-        """Return the LEDs' irradiance at squared lateral distances `aside` (n, ...) and heights `z`
-        (...)."""
+        """Return the LEDs' irradiance at squared lateral distances and heights `z` (...)."""
         h2 = (self._distance + z) ** 2
         return h2 * ((aside + h2) ** -2.0).sum(axis=0)
 

@@ -32,10 +32,7 @@ from mjtactile.sim.rendering.shadows import ShadowedLight
 # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
 _WALL_FRACTION = 0.45
 BLUR_MIN_PX = 0.2
-"""Minimum blur, px; a smaller one is rendered as this one.
-
-No lens has less, and the quadrature needs a smooth edge.
-"""
+"""Minimum blur, px; a smaller one is rendered as this one."""
 # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _STEP_PER_BLUR = 1.25
 _OUTLINE = 360  # corners of the polygon in a round opening: 0.01 px of `round30`
@@ -50,8 +47,7 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Effects:
-    """Changes to the design's camera for one image: exposure `gain`, `noise_dn` (sd), `blur_px`
-    (sd)."""
+    """Changes to the design's camera for one image: exposure `gain`, `noise_dn`, `blur_px` (sd)."""
 
     gain: float = 1.0
     noise_dn: float | None = None
@@ -59,13 +55,11 @@ class Effects:
 
 
 class Renderer:
-    """Renderer of the images of `design`'s camera. Keeps the background and a pool of noise; `seed`
-    fixes the noise.
+    """Renderer of the images of `design`'s camera; `seed` fixes the noise.
 
-    `radius` m of the markers, one or one each (default: the design's). `pose` R_SC (3, 3), p_SC
-    (3,) m of the camera, with its glass and LEDs, in S (default: the design's). With `shadows` the
-    LEDs light the deformed membrane, including shadows; all markers of the design must then be
-    given.
+    `radius` m of the markers, one or one each, and `pose` R_SC (3, 3), p_SC (3,) m of the camera
+    with its glass and LEDs default to the design's. With `shadows` the LEDs light the deformed
+    membrane, including shadows; all markers of the design must then be given.
     """
 
     def __init__(
@@ -104,8 +98,7 @@ class Renderer:
     ) -> Image:
         """Render the image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3), in S.
 
-        The normals may have either sign. `time` s is passed on. Noise comes from `rng`, or from the
-        renderer's own generator.
+        The normals may have either sign. Noise comes from `rng`, or from the renderer.
         """
         return self.expose(
             self.irradiance_image(p_SM, n_S, effects=effects), time, rng=rng, effects=effects
@@ -119,8 +112,7 @@ class Renderer:
         rng: np.random.Generator | None = None,
         effects: Effects = Effects(),
     ) -> Image:
-        """The image of grey levels `gray` (H, W): with noise, rounded. For motion blur, give the
-        mean of several."""
+        """Return the image of grey levels `gray` (H, W): with noise, rounded."""
         noise_dn = self.design.camera.noise_dn if effects.noise_dn is None else effects.noise_dn
         start = 0
         sign = 0
@@ -173,8 +165,7 @@ class Renderer:
     def _with_fixed(
         self, fixed: FiducialRenderer, white: Floats, blur: float
     ) -> tuple[Floats, Floats]:
-        """Return the `white` area (H, W) including the fiducials' background, and the fiducials'
-        black area."""
+        """Return the `white` area (H, W) with the fiducials' ground, and their black area."""
         blur = max(blur, fixed.blur_px)
         if fixed.white is None:
             ground = self._discs(fixed, fixed.radius + fixed.ground, blur)
@@ -234,8 +225,7 @@ def render_discs(
 def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
     """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C to `coverage`.
 
-    The sides are distorted by glass and lens. The method is that of `render_discs`, with
-    Gauss-Legendre quadrature along each straight side.
+    Glass and lens distort the sides, along which Gauss-Legendre quadrature is used.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     # px: closer than a rim's, since nodes are not even
@@ -258,9 +248,8 @@ def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: 
 def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     """Return the contribution of a node to the pixels around it, for `_BINS` subpixel positions.
 
-    The results are the number of bins and the number of pixels. They are followed by h across
-    (bins, pixels). The last is the increase of H from row to row (bins, pixels + 1). The first
-    pixel is pixels/2 - 1 before the node's.
+    The results are the numbers of bins and pixels, h across (bins, pixels), and the increase of H
+    from row to row (bins, pixels + 1). The first pixel is pixels/2 - 1 before the node's.
     """
     sd = max(blur_px, BLUR_MIN_PX)
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
@@ -279,17 +268,14 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
 
 
 def _below(x: Array) -> Array:
-    """Return the fraction of the normal distribution below each `x`, like scipy's `ndtr`.
-
-    Importing scipy's function takes a sixth of a second.
-    """
+    """Return the normal distribution below each `x`; importing scipy's `ndtr` takes 0.2 s."""
     root = math.sqrt(0.5)
     shares = [0.5 * math.erfc(-root * value) for value in x.ravel().tolist()]
     return np.reshape(shares, x.shape)
 
 
 def _opening(design: SensorDesign) -> Array:
-    """Corners of the frame's opening in S, (n, 3); of an outline those of a polygon in it."""
+    """Return the corners of the frame's opening in S, (n, 3)."""
     if design.frame.outline is not None:
         return np.pad(design.frame.outline.points(_OUTLINE), ((0, 0), (0, 1)))
     x = design.frame.length / 2

@@ -31,8 +31,7 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.rendering.led_illumination import BLOCK_PX, Floats, Light, block_slopes
 
 LED_RADIUS = 1.5e-3
-"""Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the
-penumbra."""
+"""Radius, m, of an LED's luminous window (packages 3528 and 5050), which makes the penumbra."""
 # node spacing of the height field, m; half of it moves shadow edges by 0.1 mm
 # (tests/unit/sim/test_shadows.py)
 _NODE = 1e-3
@@ -52,8 +51,7 @@ _MAX_STEPS = 200  # maximum samples along a ray: 0.1 m of length at the usual no
 class ShadowedLight(Light):
     """`Light` on the membrane through the markers, with local cosine and shadow of each LED.
 
-    The design's vignetting may be less than that of the LEDs alone. The difference is then uniform
-    light (white walls), which throws no shadows.
+    If the design's vignetting is less than that of the LEDs, the difference is uniform light.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
@@ -72,10 +70,7 @@ class ShadowedLight(Light):
         self._wall = super().field(np.zeros((0, 3))) * (1 - self._opening)
 
     def field(self, p_SM: Array) -> Floats:
-        """Return the relative light (H, W) on a membrane with markers at `p_SM` (N, 3).
-
-        All markers of the design are required, in its order.
-        """
+        """Return the relative light (H, W) on a membrane with all markers at `p_SM` (N, 3)."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
         sheet = self._sheet
@@ -90,10 +85,7 @@ class ShadowedLight(Light):
         return cv2.add(cv2.multiply(field, self._opening), self._wall)
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
-        """Return the fraction (H, W) of the LEDs' light that is blocked; None if all of it arrives.
-
-        `light` (n, ny, nx) is that of each LED.
-        """
+        """Return the blocked fraction (H, W) of the LEDs' `light` (n, ny, nx); None: none."""
         sheet = self._sheet
         clear = None
         if may_block(sheet.xy, z, self._p_SL):
@@ -119,17 +111,12 @@ class ShadowedLight(Light):
         )
 
     def _lines(self, block: int) -> tuple[Array, Array]:
-        """Return ray slopes (nv, nu, 2) and apparent depth offsets (nv, nu) per block of pixels.
-
-        The slopes are those beyond the glass, in C. The glass shifts a ray and keeps its direction.
-        The offset is the depth in C from which the ray appears to come.
-        """
+        """Return ray slopes (nv, nu, 2), in C, and apparent depth offsets (nv, nu) per block."""
         slopes = block_slopes(self._camera, block)
         return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
 
     def _places(self, z: Array, block: int) -> Array:
-        """Return the columns and rows (nv, nu, 2) of the height field `z` that pixel blocks
-        observe."""
+        """Return columns and rows (nv, nu, 2) of the height field `z` in pixel blocks."""
         slopes, shift = self._looks[block]
         # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
         if block != BLOCK_PX:
@@ -152,10 +139,7 @@ class ShadowedLight(Light):
 
 
 class SmoothMembrane:
-    """Smooth membrane through the markers, fixed to the frame.
-
-    Its nodes `xy` (ny, nx, 2) m are a regular grid of S.
-    """
+    """Smooth membrane through the markers, fixed to the frame, on a grid `xy` (ny, nx, 2) m."""
 
     def __init__(self, design: SensorDesign):
         self.frame = frame = design.frame
@@ -183,10 +167,9 @@ class SmoothMembrane:
         return (xy - first) * (np.array([len(self.x), len(self.y)]) - 1) / (last - first)
 
     def heights(self, p_SM: Array) -> Array:
-        """Return the heights (ny, nx), m, of the membrane at its nodes for markers at `p_SM` (N,
-        3).
+        """Return the heights (ny, nx), m, of the membrane for markers at `p_SM` (N, 3).
 
-        Material also moves along the membrane: the material point X with X + u(X) = x is at x.
+        The material point X with X + u(X) = x is at x.
         """
         if p_SM.shape != self._flat.shape or not np.isfinite(p_SM).all():
             raise InputError(
@@ -208,10 +191,7 @@ class SmoothMembrane:
 
 
 def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
-    """Return each LED's irradiance without obstruction (n, ny, nx), 1/m^2 (Eq. L1).
-
-    It is zero where the membrane faces away from the LED.
-    """
+    """Return each LED's irradiance without obstruction (n, ny, nx), 1/m^2 (Eq. L1)."""
     dz_dy, dz_dx = np.gradient(z, xy[:, 0, 1], xy[0, :, 0])
     to_x, to_y, down = _towards(xy, z, p_SL)
     # distance x cosine
@@ -220,11 +200,7 @@ def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
 
 
 def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> bool:
-    """Return True if the membrane can shade itself (Eq. L2).
-
-    The test compares its steepest slope with the lowest ray. A chord as steep as a ray requires a
-    slope that steep, by the mean value theorem.
-    """
+    """Return True if the membrane's steepest slope exceeds the lowest ray (Eq. L2)."""
     along_x, along_y = (
         np.abs(np.diff(z, axis=a)) / (xy[1, 1, 1 - a] - xy[0, 0, 1 - a]) for a in (1, 0)
     )
@@ -236,11 +212,9 @@ def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> b
 
 
 def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
-    """Return the clearance (n, ny, nx) of each LED's center over the membrane, in LED radii (Eq.
-    L3).
+    """Return the clearance (n, ny, nx) of each LED's center over the membrane, in radii (Eq. L3).
 
-    At 1 and above the LED is fully visible; at -1 and below it is fully hidden. The ray to the LED
-    is followed to the end of the membrane.
+    At 1 and above the LED is fully visible; at -1 and below it is fully hidden.
     """
     to_x, to_y, down = _towards(xy, z, p_SL)
     across = np.hypot(to_x, to_y)
@@ -263,11 +237,7 @@ def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> A
 def wall_clearance(
     frame: Frame, depth: float, xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS
 ) -> Array:
-    """The same for the frame's inner wall, which reaches from the membrane down to the glass,
-    `depth` m (Eq. L4).
-
-    The air between is convex: a ray that enters it through the glass meets no wall.
-    """
+    """Return the clearance over the frame's inner wall, down to the glass at `depth` m (Eq. L4)."""
     to_x, to_y, down = _towards(xy, z, p_SL)
     part = (z + depth) / down
     crossing = np.stack([xy[..., 0] + part * to_x, xy[..., 1] + part * to_y], axis=-1)
@@ -275,13 +245,12 @@ def wall_clearance(
 
 
 def visible(clear: Array | Floats) -> Floats:
-    """Return the visible fraction of an LED at a `clearance`, for a square LED behind a straight
-    edge."""
+    """Return the visible fraction of an LED at a `clearance`."""
     return np.clip((1 + clear) / 2, 0.0, 1.0).astype(np.float32)
 
 
 def edge_distance(frame: Frame, xy: Array) -> Array:
-    """Return the distance (...), m, of positions (..., 2) from the opening's edge, positive
+    """Return the distance (...), m, of positions (..., 2) from the opening's edge; positive
     inside."""
     if frame.outline is not None:
         return frame.inside(xy.reshape(-1, 2)).reshape(xy.shape[:-1])
@@ -289,8 +258,7 @@ def edge_distance(frame: Frame, xy: Array) -> Array:
 
 
 def bilinear(grid: Array, columns_rows: Array) -> Array:
-    """Values of `grid` (ny, nx, ...) at fractional columns and rows (..., 2); beyond its border
-    those of the border."""
+    """Interpolate `grid` (ny, nx, ...) at fractional columns and rows (..., 2)."""
     out = np.empty((*columns_rows.shape[:-1], *grid.shape[2:]))
     count = columns_rows.size // 2
     kernel("bilinear")(*grid.shape[:2], out.size // max(count, 1), grid, count, columns_rows, out)

@@ -33,10 +33,8 @@ LOSS = np.array([1.17, 1.17, 1.04, 1.0, 1.04])
 LOSS_BY_BLUR = np.array([0.0, 0.0, 6.2, 0.0, 6.2])
 """Ratio of the standard deviations of (u, v, p, q, s) to the bound.
 
-It holds for the actual deviations and for those reported by the image stages. `LOSS_BY_BLUR` is its
-increase per square of blur over radius. The image stages also fit light and blur, which takes some
-of the information. `bench no-images` measures it at 0.7 to 2 px of blur, flat to 39 degrees
-steep.
+`LOSS_BY_BLUR` is its increase per square of blur over radius. `bench no-images` measures it at 0.7
+to 2 px of blur, flat to 39 degrees steep.
 """
 
 
@@ -72,10 +70,9 @@ class EllipseSampler:
     def sight(
         self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True
     ) -> SyntheticEllipses:
-        """Return the ellipses of fully visible markers and of the fiducials.
+        """Return the ellipses of visible markers, `p_SM`, `n_S` (N, 3) in S, and of the fiducials.
 
-        The markers have centers `p_SM` (N, 3) m and normals `n_S` (N, 3) in S. Without `errors` the
-        ellipses are exact, but carry the covariance of ellipses with errors.
+        Without `errors` the ellipses are exact, but carry the same covariance.
         """
         if self._fixed is not None:
             p_SM = np.concatenate([p_SM, self._fixed.p_SF])
@@ -104,11 +101,9 @@ class EllipseSampler:
         )
 
     def _true(self, p_SM: Array, n_S: Array) -> tuple[Array, Array]:
-        """Return centres (N, 2) px and shapes (N, 3) of the marker ellipses.
+        """Return centres (N, 2) px and shapes (N, 3) of the projected circles; NaN if missing.
 
-        The ellipses have the moments of the projected circles. Values are NaN for a missing marker.
-        S^2 = 4 times the second moments of the area. Green's theorem takes them from the
-        boundary.
+        S^2 = 4 times the second moments of the area, by Green's theorem from the boundary.
         """
         p = (p_SM - self._p_SC) @ self._R_SC
         n = n_S @ self._R_SC
@@ -179,7 +174,4 @@ _DERIVATIVE = np.real(
         axis=0,
     )
 )
-"""Derivative matrix (K, K) with respect to the angle, for K samples around the circle.
-
-It is exact up to K/2 - 1 harmonics.
-"""
+"""Derivative matrix (K, K) with respect to the angle, for K samples around the circle."""

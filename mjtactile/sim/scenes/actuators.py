@@ -1,10 +1,8 @@
 """Position actuators of any model, described by their length.
 
-They drive jaws, lifts and arms of a simulated rig.
-
-A position actuator has the force g u + b0 + b1 l + b2 l'. This is MuJoCo's "fixed" gain and
-"affine" bias, with b1 < 0. The control u therefore sets a goal for its length l. The length is an
-angle or a distance of its joint or tendon, times the gear.
+They drive jaws, lifts and arms. A position actuator has the force g u + b0 + b1 l + b2 l', MuJoCo's
+"fixed" gain and "affine" bias, with b1 < 0. The control u therefore sets a goal for its length l,
+an angle or a distance of its joint or tendon, times the gear.
 """
 
 from __future__ import annotations
@@ -21,8 +19,7 @@ SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HIN
 
 
 class PositionActuator:
-    """One position actuator of a compiled model. Lengths are as the state is now, not one step old
-    as MuJoCo's own.
+    """One position actuator of a compiled model, with its present length.
 
     Raises InputError for an actuator that holds no position.
     """
@@ -113,15 +110,13 @@ class PositionActuator:
         self._data.ctrl[self.id] = self._zero + self._per_length * length
 
     def place(self, length: float, data: mujoco.MjData) -> None:
-        """Put its joints in `data` where its length is this, shared by a tendon's joints according
-        to their coefficients."""
+        """Put its joints in `data` at this length, shared according to the gears."""
         squares = sum(gear * gear for gear in self.gears)
         for gear, q in zip(self.gears, self._qpos, strict=True):
             data.qpos[q] = gear * length / squares
 
     def moment(self, data: mujoco.MjData) -> Array:
-        """Derivative (nv,) of its length by the degrees of freedom, at the last `mj_fwdPosition` of
-        `data`."""
+        """Return the derivative (1, nv) of its length, after `mj_fwdPosition` of `data`."""
         row = np.zeros((1, self._model.nv))
         start = int(data.moment_rowadr[self.id])
         count = int(data.moment_rownnz[self.id])
@@ -132,11 +127,7 @@ class PositionActuator:
 
 
 def _joints(model: mujoco.MjModel, actuator: int) -> tuple[Array, Array]:
-    """Return the slides and hinges of a joint's or fixed tendon's actuator, and the length per unit
-    of each.
-
-    Both are empty for any other transmission.
-    """
+    """Return the slides and hinges of an actuator and the length per unit of each; may be empty."""
     kind = model.actuator_trntype[actuator]
     target = int(model.actuator_trnid[actuator, 0])
     gear = float(model.actuator_gear[actuator, 0])

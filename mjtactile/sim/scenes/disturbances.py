@@ -1,9 +1,7 @@
-"""Disturbances of a held object in a task: filling, shaking, pushing, pulling, and motion of its
-support.
+"""Disturbances of a held object in a task: filling, shaking, pushing, pulling, moved support.
 
-A shaken or rotated gripper is simulated by shaken and rotated gravity. The two are
-indistinguishable in the gripper's own frame (the principle of equivalence). This works for any
-gripper, and the cameras do not observe the table.
+A shaken or rotated gripper is simulated by shaken and rotated gravity, which is the same in the
+gripper's own frame.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
     from mjtactile.sim.scenes.gripper_world import GripperWorld
 
 _UP = 0.9
-"""Fraction of the commanded lift height at which the gripper counts as lifted and time starts."""
+"""Fraction of the commanded lift height at which the gripper counts as lifted."""
 _PLACES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
@@ -36,7 +34,7 @@ _ROTATION_MAX = math.radians(60)
 class DisturbanceSchedule:
     """Disturbances of one grasp.
 
-    `step`, called after each batch of world steps, prepares the next batch. The batch ends when the
+    `step`, called after each batch of world steps, prepares the next one, which ends when the
     schedule is `due` again. During a disturbance that is after each step.
     """
 
@@ -90,10 +88,7 @@ class DisturbanceSchedule:
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
 
     def due(self) -> float:
-        """Return the latest world time of the next call of `step`, s.
-
-        A filled object gains less than a gram until then.
-        """
+        """Return the latest world time of the next call of `step`, s."""
         world = self._world
         if math.isnan(self.up_since):
             missing = self._up - self._risen()
@@ -112,10 +107,7 @@ class DisturbanceSchedule:
         return float(self._world.data.xpos[self._world.start.hand, 2]) - self._start_height
 
     def _fill(self, mass: float, done: float) -> None:
-        """Scale masses and inertias of the object towards a total of `mass` kg.
-
-        The mass changes linearly in time. Its distribution over the object stays the same.
-        """
+        """Scale masses and inertias of the object towards a total of `mass` kg."""
         model = self._world.model
         ratio = 1 + (mass / self._first_mass - 1) * done
         added = ratio * self._mass - model.body_mass[self._bodies]
@@ -128,9 +120,7 @@ class DisturbanceSchedule:
     def _pull(self, event: SampledDisturbance, done: float) -> Array:
         """Return the pulling force (3,), N.
 
-        Once the gripper releases the object, the puller has taken it. From then on the object is
-        held in place, independent of gripper contact. The pull ends, and the object is not moved
-        against a finger.
+        Once the gripper releases the object, it is held in place and not moved against a finger.
         """
         data = self._world.data
         self.is_taken |= not self._is_held()
@@ -148,10 +138,7 @@ class DisturbanceSchedule:
 
 
 def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float) -> Array:
-    """Return gravity in a shaken gripper, with smooth start and end.
-
-    The gripper moves along the event's direction and tilts about a horizontal axis normal to it.
-    """
+    """Return gravity in a gripper that moves along a direction and tilts, with smooth ends."""
     swell = math.sin(math.pi * done) ** 0.5
     phase = 2 * math.pi * event.values["rate"] * time
     moved = gravity + swell * event.values["acceleration"] * math.sin(phase) * np.array(

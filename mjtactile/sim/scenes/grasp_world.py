@@ -21,15 +21,14 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.validity_checks import Flags
 
 _STRAINED = 0.2
-"""Compression from which rubber (neo-Hookean, incompressible) is stiffer than linear elements by 27
-% and more."""
+"""Compression from which rubber is stiffer than linear elements by 27 % and more."""
 
 
 class GraspWorld(GripperWorld):
     """Fingers of `rig` around an object that stands under the gripper.
 
-    The default rig, the shipped "sim", has two fingers, left and right. In its file, the object is
-    gripped along x. It is rotated to the closing direction of the first finger.
+    In its file, the object is gripped along x. It is rotated to the closing direction of the first
+    finger.
     """
 
     def __init__(
@@ -47,10 +46,9 @@ class GraspWorld(GripperWorld):
     ):
         """Create the scene.
 
-        `timestep` s and `mesh` trade accuracy for speed. `object_pose` is x, y (m) and yaw (rad),
-        relative to the gripper. It is that of the object's file on the table. `opening` m is the
-        initial jaw opening (default: the rig file's). `effects` are those of `Effect`. `specimens`
-        are the as-built sensors of the fingers, if they differ from `sensor`.
+        `object_pose` is x, y (m) and yaw (rad) of the object's file on the table, relative to the
+        gripper. `opening` m is the initial jaw opening (default: the rig file's). `specimens` are
+        the as-built sensors of the fingers, if they differ from `sensor`.
         """
         self.design = load_sensor(sensor)
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
@@ -93,8 +91,7 @@ class GraspWorld(GripperWorld):
         require_clear(self, self.object, self.opening)
 
     def _strain_flags(self) -> Flags:
-        """Return a flag if the strain of the soft object exceeds the range of its linear
-        elements."""
+        """Return a flag if the strain exceeds the range of the object's linear elements."""
         if self.solid is None or "strain" in self.flags:
             return {}
         compression = self.solid.strain(self.data).compression

@@ -1,5 +1,5 @@
-"""`GripperWorld`: a simulated rig over its table, before anything is put there to grasp. The rig:
-docs/reference/rig_files.md."""
+"""`GripperWorld`: a simulated rig over its table (docs/reference/rig_files.md), without an
+object."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ DEFAULT_TIMESTEP = 4e-3
 class GripperWorld(World):
     """Gripper with a sensor on each finger, in the order of the rig file, and its lift.
 
-    The jaws are current-limited. They move towards their target opening at most at the rig's speed.
-    Their force is at most the force limit. `rig` is the rig file, `start` the initial state.
+    The current-limited jaws move towards their target opening at most at the rig's speed.
     """
 
     def __init__(
@@ -49,9 +48,8 @@ class GripperWorld(World):
         """Create the scene.
 
         `designs` are the fingers' sensors, `tip_height` m is the height of the fingertips above the
-        table. `timestep` s and `mesh` trade accuracy for speed. `opening` m is the initial jaw
-        opening (default: the rig file's). `grip` m is the opening at contact with the object
-        (default: `opening`). `effects` are those of `Effect`; `furnish` adds objects to the
+        table. `opening` m is the initial jaw opening (default: the rig file's), `grip` m the
+        opening at contact with the object (default: `opening`). `furnish` adds objects to the
         table.
         """
         self.rig = rig
@@ -101,10 +99,9 @@ class GripperWorld(World):
     # -- commands of a real gripper
 
     def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
-        """Set the target gap between the sensors' frames, m, and the force limit per finger, N.
+        """Set the target gap between the sensors' frames, m, and the force limit, N.
 
-        None leaves the force limit unchanged. Raises InputError for a value that is negative or not
-        finite.
+        None keeps the force limit. Raises InputError for a value that is negative or not finite.
         """
         if not np.isfinite(opening) or opening < 0:
             raise InputError(
@@ -121,10 +118,7 @@ class GripperWorld(World):
             self._jaws.limit_force(force_limit)
 
     def set_lift_target(self, height: float, speed: float | None = None) -> None:
-        """Set the target height of the lift, m above the gripper's start, and its speed, m/s.
-
-        None selects the rig's speed. Raises InputError when the target is out of reach.
-        """
+        """Set the lift's target height, m, and speed, m/s (None: the rig's). Raises InputError."""
         if not np.isfinite(height) or not 0 <= height <= self.rig.lift.travel:
             raise InputError(
                 f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m",
@@ -150,10 +144,7 @@ class GripperWorld(World):
 
     @property
     def opening(self) -> float:
-        """Gap between the sensors' frames, m.
-
-        For more than two fingers, it is twice their mean distance from the center.
-        """
+        """Gap between the sensors' frames, m; twice their mean distance from the center."""
         return self._jaws.opening()
 
     @property
@@ -177,8 +168,7 @@ class GripperWorld(World):
         return self._lift.height()
 
     def place_gripper(self, opening: float, lift: float) -> None:
-        """Put jaws and lift at these coordinates, m, at rest, with their goals there: for
-        experiments, not for control."""
+        """Put jaws and lift at these coordinates, m, at rest, for experiments."""
         scratch = self._kinematics
         scratch.qpos[:] = self.data.qpos
         scratch.mocap_pos[:] = self.data.mocap_pos
@@ -194,8 +184,7 @@ class GripperWorld(World):
     # --------------------------------------------------------------------------------
 
     def _before_step(self) -> None:
-        """Move both goals towards their targets at limited speed, the jaws' no further ahead than
-        their force needs."""
+        """Move both goals towards their targets at limited speed and lead."""
         jaw_step = self.rig.gripper.speed * self.timestep
         lift_step = self._lift_speed * self.timestep
         self._jaws.refresh_force()
@@ -207,8 +196,7 @@ class GripperWorld(World):
         self._lift.drive(self._lift_goal)
 
     def _qs_stepper(self) -> QuasistaticStepper | None:
-        """Return a stepper for batches of steps; None unless all sensors are quasi-static and jaws
-        and lift linear."""
+        """Return a stepper for batches, if all sensors are quasi-static and the drives linear."""
         films = [sensor for sensor in self.sensors if isinstance(sensor, QuasistaticSensor)]
         drive = self._jaws.drive_with(self._lift)
         known = type(self)._before_step is GripperWorld._before_step
@@ -233,10 +221,7 @@ class GripperWorld(World):
         self._lift.drive(self._lift_goal)
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
-        """Reject objects that cannot be grasped at this height.
-
-        Called with each sensor frame's half height, m, before the scene is built.
-        """
+        """Reject objects that cannot be grasped at this height."""
 
     def _checked(self, opening: float) -> float:
         low, high = self.rig.gripper.opening
@@ -252,10 +237,7 @@ class GripperWorld(World):
         data.mocap_pos[:] = self.start.mocap_pos
 
     def _hold_still(self) -> None:
-        """Set every control so that the robot is at rest initially.
-
-        Jaws and lift are at their goals, other servos at their present lengths.
-        """
+        """Set every control so that the robot is at rest initially."""
         for number in range(self.model.nu):
             try:
                 actuator = PositionActuator(
@@ -271,7 +253,7 @@ class GripperWorld(World):
 
 
 def _nearer(start: float, goal: float, maximum: float) -> float:
-    """Return `goal`, limited to a distance of `most` from `start`."""
+    """Return `goal`, limited to a distance of `maximum` from `start`."""
     return start + min(max(goal - start, -maximum), maximum)
 
 
@@ -292,10 +274,7 @@ def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> 
 
 
 def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
-    """Add a table under the gripper, from a separate model.
-
-    Defaults in the user's MJCF could otherwise prevent objects from standing on it.
-    """
+    """Add a table from a separate model, so that defaults of the user's MJCF do not apply."""
     x, y, z = (float(value) for value in top)
     child = mujoco.MjSpec()
     table = child.worldbody.add_body(name="table")

@@ -1,7 +1,4 @@
-"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it.
-
-The setup is that of the paper's experiment.
-"""
+"""`PressWorld`: one sensor on a fixed base and an indenter driven into it, as in the paper."""
 
 from __future__ import annotations
 
@@ -45,10 +42,8 @@ class Indentations(Protocol):
 class Indenter:
     """Rigid indenter shape.
 
-    `size` m is the radius of a "sphere" or "cylinder", or the edge of a "box". The cylinder is 30
-    mm long, axis along z, end face down. The box has a face down. `path` is the file of a "mesh" or
-    "model". A mesh is in STL or OBJ, in mm, a model in MJCF. All geoms of a model act as one rigid
-    indenter.
+    `size` m is the radius of a "sphere" or "cylinder" (30 mm long, axis along z, end face down), or
+    the edge of a "box". `path` is the file of a "mesh" (STL or OBJ, in mm) or "model" (MJCF).
     """
 
     kind: str
@@ -57,8 +52,7 @@ class Indenter:
 
     @classmethod
     def parse(cls, text: str) -> Indenter:
-        """Read "sphere:8", "cylinder:5", "box:10", "part.stl", "part.obj" or "shape.xml". Raises
-        InputError."""
+        """Read "sphere:8", "cylinder:5", "box:10" or a file of `_FILES`. Raises InputError."""
         kind, _, number = text.partition(":")
         path = Path(text).expanduser()
         if path.suffix.lower() in _FILES:
@@ -78,10 +72,7 @@ class Indenter:
         return cls(kind, size)
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the indenter's geoms, centered on the MuJoCo body `body`.
-
-        Raises InputError for a model that is broken or has no geoms.
-        """
+        """Add the indenter's geoms, centered on `body`. Raises InputError for a bad model."""
         if self.kind == "model":
             self._attach(spec, body)
             return
@@ -113,13 +104,12 @@ class Indenter:
 
 
 class PressWorld(World):
-    """Indentation test: the sensor faces up, and the indenter moves down along -z.
+    """Indentation test: the sensor faces up, and the indenter moves down along -z and along x.
 
-    S is the world frame. The indenter can also be dragged along x. `at` is (x, y) m in S, `tilt`
-    rad about y. Depths are relative to the first touch of the membrane in its shape at that time.
-
-    Sensor and drive stand on a carrier. It is rotated by `mount` (rotation vector, rad). It is
-    shaken along its x with `shake` (amplitude m, frequency Hz).
+    S is the world frame. `at` is (x, y) m in S, `tilt` rad about y. Depths are relative to the
+    first touch of the membrane in its shape at that time. Sensor and drive stand on a carrier,
+    rotated by `mount` (rotation vector, rad) and shaken along its x with `shake` (amplitude m,
+    frequency Hz).
     """
 
     def __init__(
@@ -168,8 +158,8 @@ class PressWorld(World):
         self._carrier = self.model.actuator("carrier").id
 
     def inflate(self, gauge_pressure: float, *, seal: bool) -> bool:
-        """Bring the chamber to `gauge_pressure` Pa, close the valve if `seal`, find first touch;
-        True when it settled."""
+        """Inflate to `gauge_pressure` Pa, close the valve if `seal`, find first touch; True if
+        settled."""
         sensor = self.sensors[0]
         self.lift_off()
         sensor.open_valve(gauge_pressure)
@@ -180,18 +170,16 @@ class PressWorld(World):
         return settled
 
     def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
-        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle.
+        """Drive to `depth` m below first touch and `shear` m along x; return True if it settled.
 
-        Return True if it settled. Shear is slow. The membrane's damping would otherwise load the
-        contact's edge and let it slip, and friction remembers that.
+        Shear is slow: the membrane's damping would load the contact's edge and let it slip.
         """
         moves = abs(shear - float(self.data.ctrl[self._x])) > 0
         self.drive(depth, shear, min(speed, _SHEAR_SPEED) if moves else speed)
         return self.settle(speed=_STILL)
 
     def drive(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> None:
-        """Drive like `press`, without settling; simulated time advances by the duration of the
-        motion."""
+        """Drive like `press`, without settling."""
         start = self.data.ctrl[[self._x, self._z]]
         goal = np.array([shear, self._touch_height - depth])
         count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep) - 1e-9)))
@@ -203,10 +191,7 @@ class PressWorld(World):
             self.step()
 
     def settle(self, time_limit: float = 1.0, speed: float = 2e-5) -> bool:
-        """Step until all speeds stay below `speed` m/s for 20 ms; False if not reached in time.
-
-        A shaken mount never comes to rest. It is simulated for 0.2 s.
-        """
+        """Step until all speeds stay below `speed` m/s for 20 ms; return False if not in time."""
         if self._shake[0]:
             self.step(round(0.2 / self.timestep))
             return True
@@ -236,8 +221,7 @@ class PressWorld(World):
 
     @property
     def drive_force(self) -> np.ndarray:
-        """Force (3,) N of the drive on the indenter, frame S: the reading of a load cell between
-        them."""
+        """Force (3,) N of the drive on the indenter, frame S, as of a load cell."""
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def lift_off(self) -> None:
@@ -245,11 +229,9 @@ class PressWorld(World):
         self._place(AWAY)
 
     def _find_touch(self) -> None:
-        """Lower the indenter onto the smooth membrane, then raise it by a clearance.
+        """Lower the indenter onto the smooth membrane of the markers, then raise it by a clearance.
 
-        Each pass lowers it by the remaining distance until that is zero. The smooth membrane is the
-        one that carries the markers. A mesh's vertices alone may leave the indenter 0.1 mm lower.
-        Raises InputError when only vertices can touch and the indenter would slip between them.
+        Raises InputError when the indenter would slip between vertices.
         """
         sensor = self.sensors[0]
         if sensor.contact == "vertices" and np.isfinite(sensor.missed[0]):
@@ -273,10 +255,8 @@ class PressWorld(World):
         self._place(height + _CLEARANCE)
 
     def _gap(self, points: np.ndarray, probe: int) -> float:
-        """Return the minimum distance between the indenter and spheres at `points`, m.
-
-        The points (n, 3) m are in frame W. The spheres have the thickness of the membrane.
-        """
+        """Return the minimum distance of the indenter from membrane spheres at `points` (n, 3),
+        m."""
         gaps = []
         for point in points:
             self.data.geom_xpos[probe] = point

@@ -12,10 +12,7 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
-    """Return the MuJoCo bodies and geoms in contact with a sensor now.
-
-    Each entry is the sensor's prefix, the other's body name ("" for a flex) and its geom name.
-    """
+    """Return sensor prefix, MuJoCo body ("": a flex) and geom of contacts with sensors."""
     found = set()
     for contact in world.data.contact:
         if contact.exclude:  # near, but not touching
@@ -33,11 +30,7 @@ def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
 
 
 def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
-    """Reject an object that touches a sensor in the initial state.
-
-    Call it on a scene at rest, with the membranes flat and the jaws at `opening` m. Raises
-    InputError.
-    """
+    """Raise InputError for an object that touches a sensor in the initial state."""
     if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
         raise InputError(
             f"touches a sensor before the jaws close: they open to {1e3 * opening:.0f} mm, "

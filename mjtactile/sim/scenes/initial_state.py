@@ -1,7 +1,7 @@
-"""Initial state of a simulated rig: jaws open, gripper over the table, fingertips at grasp height.
+"""Initial state of a simulated rig: jaws open, gripper over the table, tips at grasp height.
 
-It is planned on the robot with its sensors alone, before table and object are added. These come
-last in the model, so that the addresses and ids of earlier elements stay the same.
+It is planned on the robot with its sensors alone. Table and object come last in the model, so that
+the addresses and ids of earlier elements stay the same.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _PATH_STEP = 4e-3
 class Start:
     """Initial state of the robot, in the model passed to `plan_start`.
 
-    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the MuJoCo body that carries all fingers.
-    `centre` (3,) m is the fingertips' mean position before the gripper was `raised` by that many m.
-    `yaw` rad is the closing direction of finger 0; `path` is that of an arm.
+    `hand` is the MuJoCo body that carries all fingers. `centre` (3,) m is the fingertips' mean
+    position before the gripper was `raised` by that many m. `yaw` rad is the closing direction of
+    finger 0; `path` is that of an arm.
     """
 
     qpos: Array
@@ -45,11 +45,9 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class ArmPath:
-    """Goals (n, a) of an arm's `actuators` (a names) for n `heights` m of the gripper above its
-    start.
+    """Goals (n, a) of an arm's `actuators` and `joints` (n, nq) for n `heights` m above its start.
 
-    `joints` (n, nq) are the coordinates at these heights. The goals lead the joints by the servos'
-    deflection under gravity.
+    The goals lead the joints by the servos' deflection under gravity.
     """
 
     actuators: tuple[str, ...]
@@ -103,11 +101,10 @@ def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
 
 
 def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array | None]:
-    """Return the user's model and the initial state in its start keyframe.
+    """Return the user's model, and joint coordinates and mocap positions of its start keyframe.
 
-    The initial state consists of coordinates by joint and the positions of the mocap bodies.
-    Keyframes are removed, because they would not fit the model with sensors. Unnamed joints get a
-    name. Raises InputError for a broken file or a missing name.
+    Keyframes are removed, because they would not fit the model with sensors. Raises InputError for
+    a broken file or a missing name.
     """
     spec = read_mjcf(rig.model)
     try:
@@ -142,13 +139,11 @@ def plan_start(
     mocap: Array | None,
     grip: float | None = None,
 ) -> Start:
-    """Plan the initial state on the `model` of the robot with its sensors, whose `bodies` are
-    given.
+    """Plan the initial state on the robot's `model`, whose sensor `bodies` are given.
 
     `height` returns the required height of the fingertips' center, m, from their rotations R_WS
-    (fingers, 3, 3). Fingertips on hinges move sideways and down as they close. Their position
-    therefore refers to the opening `grip`, m, at contact with the object (None: the initial
-    opening). Raises InputError if the jaws, or an arm, cannot reach the state.
+    (fingers, 3, 3). Their position refers to the opening `grip`, m, at contact with the object
+    (None: the initial opening). Raises InputError if the jaws, or an arm, cannot reach the state.
     """
     data = mujoco.MjData(model)
     for name, value in coordinates.items():
@@ -195,11 +190,7 @@ def _centre_at(
     opening: float,
     start: Array,
 ) -> Array:
-    """Return the fingertips' mean position (3,) m with the jaws at `opening` m.
-
-    The rest of the robot is as in `data`. The result is `start`, the current position, if the
-    opening makes no difference or cannot be reached.
-    """
+    """Return the fingertips' mean position (3,) m with the jaws at `opening` m, else `start`."""
     low, high = rig.gripper.opening
     moved = mujoco.MjData(model)
     moved.qpos[:] = data.qpos
@@ -215,10 +206,7 @@ def _centre_at(
 def place_jaws(
     model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, opening: float
 ) -> list[Condition]:
-    """Put the jaws' joints at the positions that their laws require.
-
-    Return the conditions that the remaining mechanism must then satisfy.
-    """
+    """Put the jaws' joints at the positions of their laws; return the conditions that remain."""
     conditions = []
     for jaw in rig.gripper.actuators:
         actuator = PositionActuator(model, data, jaw.name, str(rig.path))
@@ -270,10 +258,7 @@ def _plan_path(
     raised: float,
     jaws: Sequence[Condition],
 ) -> ArmPath:
-    """Move the arm to the start (in `data`), and find its postures over the whole travel.
-
-    The gripper keeps its rotation.
-    """
+    """Move the arm to the start (in `data`), and find its postures over the whole travel."""
     actuators = [
         PositionActuator(model, data, name, str(rig.path))
         for name in arm_actuators(model, hand, rig)
@@ -312,10 +297,7 @@ def _plan_path(
 
 
 def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[str, ...]:
-    """Return the position actuators that move the gripper.
-
-    They are those of the rig file, or else all on the joints between world and gripper.
-    """
+    """Return the position actuators that move the gripper: the rig file's, or all of its arm."""
     if rig.lift.actuators:
         return rig.lift.actuators
     chain = arm_joints(model, hand)

@@ -1,8 +1,6 @@
-"""Inverse kinematics of a robot.
+"""Inverse kinematics of a robot by damped least squares (Wampler 1986; Nakamura, Hanafusa 1986).
 
-The joint positions satisfy jaws, gears, welds and gripper pose. The method is damped least squares
-on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986). Conditions are the model's
-equality constraints, lengths of actuators, and the gripper pose.
+Conditions are the model's equality constraints, lengths of actuators, and the gripper pose.
 """
 
 from __future__ import annotations
@@ -16,10 +14,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.actuators import SCALAR_JOINTS, PositionActuator
 
 Condition = Callable[[mujoco.MjData], tuple[Array, Array]]
-"""Function of a state after `mj_fwdPosition`.
-
-It returns the residual (m,), in m and rad, and its Jacobian (m, nv).
-"""
+"""Function of a state after `mj_fwdPosition`: residual (m,), m and rad, and Jacobian (m, nv)."""
 
 CLOSE = 1e-7  # convergence tolerance, m and rad
 _ITERATIONS = 100
@@ -28,8 +23,8 @@ _STEP = 0.3  # maximum motion of a joint per iteration, rad and m
 
 
 def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condition]) -> float:
-    """Move `data.qpos` until the `conditions` and the model's equality constraints hold; the
-    largest rest, m or rad.
+    """Move `data.qpos` until `conditions` and equality constraints hold; return the largest
+    residual.
 
     A state that meets them is left as it is, to the bit.
     """
@@ -60,10 +55,8 @@ def actuator_at(actuator: PositionActuator, length: float) -> Condition:
 def gripper_pose_at(
     model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: Array, dofs: Array
 ) -> Condition:
-    """Return the condition that MuJoCo body `body` has a given pose, by `dofs` alone.
-
-    Its point `point_H` (3,) m is at `p_W` (3,) m. Its rotation is `R_WH` (3, 3).
-    """
+    """Return the condition that `body` has rotation `R_WH` and its `point_H` is at `p_W`, by
+    `dofs`."""
     jacobian = np.zeros((6, model.nv))
     others = np.setdiff1d(np.arange(model.nv), dofs)
 

@@ -17,10 +17,8 @@ from mjtactile.sim.scenes.lifts import ActuatorLift, Lift, NoLift
 class Jaws:
     """All actuators that open and close; the opening is the sum of their parts.
 
-    The opening is the distance of opposing fingertips. For two fingers it is the gap between their
-    sensors' frames. For more fingers it is twice the mean distance of the fingertips from the
-    center. Each of n fingers then closes with 2/n of the mean of the actuators' forces, by virtual
-    work.
+    For more than two fingers, the opening is twice the mean distance of the fingertips from the
+    center. Each of n fingers closes with 2/n of the mean of the actuators' forces, by virtual work.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
@@ -48,8 +46,7 @@ class Jaws:
         return -self._share * sum(forces) / len(forces)
 
     def limit_force(self, force: float) -> None:
-        """Limit the force on each finger to `force` N and to the maximum of the model's
-        actuators."""
+        """Limit the force on each finger to `force` N and to the actuators' maximum."""
         self._force_limit = force
         for actuator, law in self._jaws:
             actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
@@ -63,10 +60,7 @@ class Jaws:
         return self._share * sum(forces) / len(forces)
 
     def reach(self, speed: float) -> float:
-        """Return the lead of a goal over the opening for the full force, m.
-
-        `speed` is the opening speed, m/s.
-        """
+        """Return the lead of a goal over the opening for the full force at `speed` m/s, m."""
         count = len(self._jaws)
         reaches = []
         for actuator, law in self._jaws:

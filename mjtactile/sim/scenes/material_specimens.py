@@ -39,10 +39,9 @@ CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic
 class Specimen:
     """Block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
 
-    Values refer to the whole block, face to face. The relaxed `stiffness` N/m and `stiffening`
-    N/m^2 give F = K d + B d^2. A viscoelastic block has a Maxwell arm of `arm_stiffness` N/m and
-    `relaxation_time` s. Plastic flow has `yield_force` N and `viscosity` N s/m. `shape` of the
-    faces is "box", or "cylinder" and "sphere" for a rigid block.
+    Values refer to the whole block, face to face: F = K d + B d^2 with the relaxed `stiffness` N/m
+    and `stiffening` N/m^2. A viscoelastic block has a Maxwell arm of `arm_stiffness` N/m and
+    `relaxation_time` s. Plastic flow has `yield_force` N and `viscosity` N s/m.
     """
 
     kind: Kind
@@ -69,10 +68,7 @@ class Specimen:
         return self.width * self.height
 
     def secant_stiffness(self, force: float) -> float:
-        """Return F / d of the whole block at rest under `force` N, N/m.
-
-        A Maxwell arm has relaxed by then.
-        """
+        """Return F / d of the whole block at rest under `force` N, with a relaxed arm, N/m."""
         if self.stiffening <= 0:
             return self.stiffness
         root = (self.stiffness**2 + 4 * self.stiffening * force) ** 0.5
@@ -84,10 +80,7 @@ class Specimen:
 
 
 def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
-    """Return the object's MJCF file.
-
-    The ground truth is in <custom> and serves only for evaluation.
-    """
+    """Return the object's MJCF file, with the ground truth in <custom>."""
     s = specimen
     numerics = {"break_force_N": s.break_force, "rotation_deg": 2.0}
     if s.kind != "rigid":
@@ -148,10 +141,7 @@ def _rigid(s: Specimen) -> tuple[str, str]:
 
 
 def _halves(s: Specimen) -> tuple[str, str]:
-    """Return the MJCF of both halves of a soft object.
-
-    A half is twice as stiff as the whole. Its stiffening is four times as large.
-    """
+    """Return the MJCF of both halves, each twice as stiff, with four times the stiffening."""
     middle = max(s.length / 2 - 0.006, 0.001)
     lines = [
         f'      <geom name="middle" type="box" size="{middle:.6g} {0.8 * s.width / 2:.6g} '

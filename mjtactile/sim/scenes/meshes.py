@@ -1,7 +1,6 @@
 """Shapes from mesh files. MuJoCo uses a mesh's convex hull for contact.
 
 Hollow meshes are cut into convex parts if CoACD is installed (`pip install 'mjtactile[meshes]'`).
-Otherwise their hull is used, and `World.flags` reports it.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ Solid = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def load_solid(path: Path) -> Solid:
-    """The shape in a mesh file in mm: STL, binary or text, or OBJ. Raises InputError naming the
-    file."""
+    """Read a shape in mm from an STL (binary or text) or OBJ file. Raises InputError."""
     spec = mujoco.MjSpec()
     mesh = spec.add_mesh(name="mesh", scale=[1e-3] * 3)
     try:
@@ -67,12 +65,7 @@ def load_solid(path: Path) -> Solid:
 
 
 def convex_parts(solid: Solid) -> list[Solid]:
-    """Return the convex parts of `solid`, or `solid` itself.
-
-    A convex solid is returned as it is. Others are cut if CoACD is installed. Without CoACD,
-    contact uses the hull of `solid`. Parts are kept in the user's cache, because cutting takes
-    seconds.
-    """
+    """Return the convex parts of `solid`, cut by CoACD and cached, or `solid` itself."""
     if filled_fraction(*solid) >= CONVEX:
         return [solid]
     try:
@@ -118,8 +111,7 @@ def _cache() -> Path:
 
 
 def _keep(path: Path, parts: Sequence[Solid]) -> None:
-    """Write the parts to a temporary file and move it: another process may read the target
-    meanwhile."""
+    """Write the parts to a temporary file and move it, for other processes that read it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""MJCF files that may come from anywhere, read."""
+"""Reader of MJCF files from any source."""
 
 from __future__ import annotations
 
@@ -13,18 +13,14 @@ from mjtactile.core.errors import InputError
 
 LARGEST = 32 << 20  # bytes
 MOST = 20_000
-"""Maximum number of copies of elements in a file.
-
-MuJoCo would process 10^7 of them for a minute before it reports an error.
-"""
+"""Maximum number of copies of elements in a file."""
 _COPIES = ("replicate", "composite", "flexcomp")
 
 
 def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.MjSpec:
     """Return the specification of the file, or of `text` if it is not empty.
 
-    Raises InputError for invalid MJCF, or for a file that expands to too many elements. The error
-    names `field`.
+    Raises InputError that names `field` for invalid MJCF or too many elements.
     """
     try:
         if not text and path.stat().st_size > LARGEST:

@@ -15,7 +15,7 @@ def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
     """Apply `changes` to a parsed file.
 
     Size scales all elements about the file's origin. Mass and stiffness apply to movable parts. The
-    mass grows with the volume, given as a mass or as a density; springs keep their stiffness.
+    mass grows with the volume; springs keep their stiffness.
     """
     _scale(spec, 1 + changes.size)
     if changes.mass or changes.size:
@@ -63,8 +63,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
 
 
 def _weigh(spec: mujoco.MjSpec, mass: float, density: float, square: float) -> None:
-    """Scale given masses by `mass` and given densities by `density`; moments of inertia by `mass`
-    times the length's `square`."""
+    """Scale given masses by `mass`, densities by `density`, and inertias by `mass` times
+    `square`."""
     for geom in spec.geoms:
         if math.isnan(geom.mass):
             geom.density *= density

@@ -1,7 +1,4 @@
-"""`ObjectOnStageWorld`: an upward-facing sensor, and an object in a holder on a stage.
-
-The stage rotates, shifts and lowers the object onto the sensor repeatedly.
-"""
+"""`ObjectOnStageWorld`: an upward-facing sensor, and an object in a holder on a stage."""
 
 from __future__ import annotations
 
@@ -30,10 +27,7 @@ class ObjectOnStage:
         self._R_HO = R_HO
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the object to MuJoCo body `body` of `spec`.
-
-        Its free joint and the other MuJoCo bodies of its file are left out.
-        """
+        """Add the object, without its free joint and other MuJoCo bodies, to `body` of `spec`."""
         held = read_spec(self.model)
         thing = held.body("object")
         for other in list(held.worldbody.bodies):
@@ -57,10 +51,8 @@ class ObjectOnStageWorld(PressWorld):
         self._holder = self.model.body("holder").id
 
     def turn(self, R_SH: Array, p_H: Array) -> None:
-        """Lift off, rotate the holder to `R_SH`, and lower it.
-
-        Its point `p_H` (3,) m ends over the sensor's center, just above first touch.
-        """
+        """Rotate the holder to `R_SH`, and lower its point `p_H` (3,) m to just above the
+        sensor."""
         self.lift_off()
         self.settle()
         over = R_SH @ p_H
@@ -70,7 +62,7 @@ class ObjectOnStageWorld(PressWorld):
 
     @property
     def p_SH(self) -> Array:
-        """(3,) m, the holder's origin in S, as the stage shows it."""
+        """Position (3,) m of the holder's origin in S, as the stage shows it."""
         drive = [self.data.qpos[joint] for joint in self._joints]
         return np.array([drive[0], 0.0, drive[1] + AWAY]) + [
             *self.model.body_pos[self._body, :2],
@@ -79,7 +71,7 @@ class ObjectOnStageWorld(PressWorld):
 
 
 def quaternion(R: Array) -> Array:
-    """(4,) Of a rotation (3, 3)."""
+    """Return the quaternion (4,) of a rotation (3, 3)."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R).ravel())
     return quat

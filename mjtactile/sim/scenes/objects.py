@@ -33,16 +33,15 @@ MATERIALS = ("solid", "soft", "amorphous")
 PREFIX = "object/"
 """Names of the object's file carry this prefix in the scene."""
 SOFT_ITERATIONS = 2000
-"""Iterations that the solver may need where a membrane and finite elements are solved together; 100
-is usual."""
+"""Maximum solver iterations of a membrane with finite elements; 100 is usual."""
 
 
 @dataclass(frozen=True)
 class Flesh:
     """Material of a volumetric flex, `young` Pa and `poisson`, and its strength.
 
-    The limits apply to the twentieth of the volume under the highest load. They are `break_stress`
-    Pa (von Mises) and `break_energy` J/m^3 of strain.
+    The limits apply to the twentieth of the volume under the highest load: `break_stress` Pa (von
+    Mises) and `break_energy` J/m^3 of strain.
     """
 
     young: float
@@ -55,10 +54,9 @@ class Flesh:
 class ObjectModel:
     """Checked object.
 
-    `break_force` is N per finger, `grasp_height` m above the table. `path` is its MJCF file. `turn`
-    rad is the maximum random rotation about z. `flesh` is that of a soft object. `changes` are
-    those of the simulated object relative to its file (`changed`). The grasp height is the file's.
-    `text` is the MJCF of an object without a file.
+    `break_force` is N per finger, `grasp_height` m above the table, `turn` rad the maximum random
+    rotation about z. `changes` are those of the simulated object relative to its file (`changed`).
+    `text` is the MJCF of an object without a file. `width` along x, the closing direction, is in m.
     """
 
     name: str
@@ -72,7 +70,6 @@ class ObjectModel:
     changes: ObjectChange = UNCHANGED
     text: str = ""
     width: float | None = None
-    """Width along x, the closing direction, m."""
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """Return this object with `changes` to its size, mass, stiffness and strength."""
@@ -96,16 +93,10 @@ class ObjectModel:
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
-    """Read and check an object by shipped name or from an MJCF file.
+    """Read and check an object by shipped name or from an MJCF file; "random:7" is that of seed 7.
 
-    "random:7" is the random object of seed 7.
-
-    Raises InputError naming file, field and valid choices. Causes are:
-
-    - broken MJCF, or a missing MuJoCo body or free joint;
-    - a missing, non-finite or negative numeric;
-    - an unknown material;
-    - an object without contact geometry.
+    Raises InputError naming file, field and valid choices for broken MJCF, missing elements or
+    numerics, an unknown material, or an object without contact geometry.
     """
     text = object_text(str(name_or_path)) or ""
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
@@ -138,11 +129,10 @@ def add_object(
     pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     height: float = 0.0,
 ) -> None:
-    """Merge the object into `scene` under the name prefix "object/".
+    """Merge the object's file into `scene` under the name prefix "object/".
 
-    The other MuJoCo bodies of its file are merged too. `pose` is x, y in m and yaw in rad of the
-    file's world on the table. The table's top is at `height` m. Raises InputError when the pose is
-    not finite.
+    `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m.
+    Raises InputError when the pose is not finite.
     """
     x, y, yaw = pose
     if not all(math.isfinite(value) for value in pose):
@@ -236,10 +226,7 @@ def _material(spec: mujoco.MjSpec, path: Path) -> str:
 
 
 def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
-    """Compile the object alone, with the options of the scene.
-
-    Return its mass in kg and its width along x in m.
-    """
+    """Compile the object alone; return its mass, kg, and its width along x, m."""
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.solver = mujoco.mjtSolver.mjSOL_CG
     try:
@@ -268,10 +255,7 @@ def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]
 
 
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
-    """Return the ids of the MuJoCo bodies that make up the object in `model`.
-
-    They are all movable MuJoCo bodies of its file, identified by `prefix`.
-    """
+    """Return the ids of the movable MuJoCo bodies with name `prefix`, the object's."""
     return np.array(
         [
             i

@@ -1,11 +1,8 @@
 """Random graspable objects: `random:SEED` instead of an object's name or file.
 
-Shapes are eggs, rounded boxes, cylinders, cones, bottles and soft fruit. They are 16 to 60 mm wide
-between the fingers, 15 to 70 mm high, 5 to 200 g. Each stands upright. A stand raises an object
-that is too low for the sensors' frames.
-
-Each withstands at least three times the force that carries it at a friction of 0.9. Every object
-can therefore be held. One seed gives one object, independent of all other random samples.
+They are 16 to 60 mm wide between the fingers, 15 to 70 mm high, 5 to 200 g, and stand upright. A
+stand raises an object that is too low for the sensors' frames. Each withstands at least three times
+the force that carries it at a friction of 0.9.
 """
 
 from __future__ import annotations
@@ -42,12 +39,8 @@ class RandomObject:
     """Parameters of a random object.
 
     Half sizes are `a` (x, between the fingers), `b` (y), `c` (z) m. `mass` is kg, `break_force` N
-    on each finger. `detail` depends on the shape:
-
-    - box: edge radius m;
-    - cone: slope (radius lost per height);
-    - bottle: neck (radius, height) m;
-    - fruit: stiffness N/m.
+    on each finger. `detail` is the edge radius m of a box, the slope (radius lost per height) of a
+    cone, neck radius and height m of a bottle, the stiffness N/m of a fruit.
     """
 
     shape: str
@@ -219,10 +212,7 @@ def _row(values: tuple[float, ...]) -> str:
 
 
 def _inertial(t: RandomObject, share: float) -> str:
-    """Return the inertial element of a solid object.
-
-    Each moment of inertia is `share` times m times the sum of the two squared half sizes.
-    """
+    """Return the inertial element of a solid, whose moments are `share` m (p^2 + q^2)."""
     moments = (
         share * (t.b**2 + t.c**2) * t.mass,
         share * (t.a**2 + t.c**2) * t.mass,
@@ -249,10 +239,7 @@ def _build_egg(t: RandomObject) -> Built:
 
 
 def _build_box(t: RandomObject) -> Built:
-    """Build the convex hull of a ball in each corner as one geom.
-
-    Several geoms at one location would push the membrane twice.
-    """
+    """Build the convex hull of a ball in each corner as one geom, to push the membrane once."""
     r = t.detail[0]
     lift, turn = np.meshgrid(
         np.linspace(0, np.pi / 2, _ARC), np.linspace(0, np.pi / 2, _ARC), indexing="ij"

@@ -1,7 +1,4 @@
-"""Scene as coloured triangles, for an image of it without OpenGL.
-
-`mjtactile.report.software_renderer` projects and shades them.
-"""
+"""Scene as coloured triangles, for `mjtactile.report.software_renderer`."""
 
 from __future__ import annotations
 
@@ -27,11 +24,8 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A geom with its surface and pose.
-
-    Surface in its own frame: points (n, 3) m and triangles (m, 3). Color (4,) from 0 to 1. Pose
-    `R_WG` (3, 3) and `p_WG` (3,) m.
-    """
+    """A geom: surface points (n, 3) m and triangles (m, 3) in its own frame, color (4,), and
+    pose."""
 
     name: str
     points: Array
@@ -48,10 +42,10 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Poses of all scene elements at one time, cheap to create.
+    """Poses of all scene elements at one time; triangles are computed on demand.
 
-    Triangles are computed on demand. `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the
-    sensors' frames. `state` (mjSTATE_INTEGRATION) is MuJoCo's own.
+    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames. `state` is MuJoCo's
+    (mjSTATE_INTEGRATION).
     """
 
     model: mujoco.MjModel
@@ -63,11 +57,7 @@ class SceneView:
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
     films: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
-    """Membranes outside the model.
-
-    Each has a function for its points (n, 3) m in S and its triangles. Its pose is R_WS (3, 3) and
-    p_WS (3,) m.
-    """
+    """Membranes outside the model: points (n, 3) m in S on demand, R_WS, p_WS, triangles."""
 
     @classmethod
     def of(cls, world: World) -> SceneView:
@@ -162,10 +152,7 @@ class SceneView:
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
-    """Return points (p, 3) m in the geom's frame and surface triangles (n, 3).
-
-    Both are empty for an infinite plane.
-    """
+    """Return points (p, 3) m in the geom's frame and triangles (n, 3); empty for a plane."""
     kind = int(model.geom_type[geom])
     size = model.geom_size[geom]
     if kind == _G.mjGEOM_BOX:
@@ -201,10 +188,7 @@ def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 
 
 def _arc() -> Array:
-    """Return heights and radii from the lower to the upper pole of a unit sphere.
-
-    The equator is included twice (a capsule is cut there).
-    """
+    """Return heights and radii of a unit sphere from pole to pole, with the equator twice."""
     half = np.linspace(-np.pi / 2, 0, _HIGH // 2 + 1)
     angle = np.concatenate([half, -half[::-1]])
     return np.column_stack([np.sin(angle), np.cos(angle)])
@@ -213,8 +197,8 @@ def _arc() -> Array:
 def _grid(
     profile: Array, scale: Array, around: int, turn: float = 0.0, stretch: float = 1.0
 ) -> tuple[Array, Array]:
-    """A surface of revolution by its profile (heights and radii), scaled along each axis; with four
-    edges, a box."""
+    """Return a surface of revolution by its profile, scaled along each axis; a box with four
+    edges."""
     angle = 2 * np.pi * np.arange(around) / around + turn
     ring = stretch * np.column_stack([np.cos(angle), np.sin(angle)])
     points = np.concatenate(

@@ -1,9 +1,7 @@
-"""Snapshot and restoration of the complete state of a simulated world: MuJoCo's state and that of
-the run-time objects.
+"""Snapshot and restoration of the complete state of a simulated world.
 
-MuJoCo's data and model arrays are copied. Every mutable attribute of the run-time objects is also
-copied: scalars, arrays, lists, generators. Arrays are restored in place. Views of them and
-addresses held by compiled kernels therefore stay valid.
+MuJoCo's data and model arrays and every mutable attribute of the run-time objects are copied.
+Arrays are restored in place. Views of them and addresses held by kernels stay valid.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """Objects that deform by finite elements, written as MJCF files with a volumetric flex.
 
-The format is that of docs/reference/object_files.md. The elements are MuJoCo's interpolated ones
-(decision 12). They form a lattice of `cells` trilinear cells over the bounding box, cut to the
-object's volume. Each cell is linear-elastic in a frame that rotates with it.
-
-The finer mesh of tetrahedra is used for contact and for display. It moves with the lattice. It lies
-under a skin: contact occurs `skin` m above it.
+The format is that of docs/reference/object_files.md. MuJoCo's interpolated elements (decision 12)
+form a lattice of `cells` trilinear cells over the bounding box. Each cell is linear-elastic in a
+frame that rotates with it. The finer mesh of tetrahedra is for contact and display. Contact occurs
+`skin` m above it.
 """
 
 from __future__ import annotations
@@ -32,13 +30,11 @@ Shape = Literal["block", "ball", "thimble"]
 class SoftBody:
     """Soft object with a `shape` of half sizes `half` (x, y, z) m, including its skin.
 
-    Shapes are "block", "ball" (an ellipsoid) and "thimble". A thimble is hollow and open below,
-    with walls of `wall` m. The material has `young` Pa, `poisson`, `density` kg/m^3 and `damping` s
-    (ratio of damping to stiffness).
-
-    The strength applies to the twentieth of the volume under the highest load. It is `break_stress`
-    Pa (von Mises) or the strain energy `break_energy` J/m^3. `lattice` (3,) are the deforming
-    cells. `mesh` is the number of tetrahedral cells along an edge (even).
+    A "ball" is an ellipsoid. A "thimble" is hollow and open below, with walls of `wall` m. The
+    material has `young` Pa, `poisson`, `density` kg/m^3 and `damping` s (over stiffness). The
+    strength applies to the twentieth of the volume under the highest load, as `break_stress` Pa
+    (von Mises) or `break_energy` J/m^3. `lattice` (3,) are the deforming cells, `mesh` the number
+    of tetrahedral cells along an edge (even).
     """
 
     shape: Shape
@@ -66,10 +62,7 @@ class SoftBody:
 
 
 def tetrahedra(body: SoftBody) -> tuple[Array, NDArray[np.int64]]:
-    """Return points (n, 3) m about the object's center, and tetrahedra (m, 4) of point indices.
-
-    The outermost points lie below the object's surface by the thickness of its skin.
-    """
+    """Return points (n, 3) m below the skin, about the center, and tetrahedra (m, 4)."""
     n = body.mesh
     line = np.linspace(-1.0, 1.0, n + 1)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -93,8 +86,7 @@ def tetrahedron_volumes(points: Array, elements: NDArray[np.int64]) -> Array:
 
 
 def _cut(cells: list[tuple[int, ...]], n: int) -> NDArray[np.int64]:
-    """Return six tetrahedra (m, 4) per cell, along its diagonal; adjacent cells have common
-    faces."""
+    """Return six tetrahedra (m, 4) per cell, along its diagonal, with common faces."""
     corners = []
     for cell, order in product(cells, permutations(range(3))):
         corner = list(cell)
@@ -127,10 +119,7 @@ def _thimble(grid: Array, body: SoftBody) -> Array:
 
 
 def _directions(grid: Array) -> tuple[Array, Array]:
-    """Return unit vectors (n, 3) to the points of a cube, and the shells (n,) of the points.
-
-    The vectors are spread evenly over a sphere.
-    """
+    """Return even unit vectors (n, 3) to the points of a cube, and the shells (n,)."""
     level = np.abs(grid).max(axis=1)
     direction = np.tan(np.pi / 4 * grid / np.where(level > 0, level, 1.0)[:, None])
     length = np.linalg.norm(direction, axis=1, keepdims=True)
@@ -138,10 +127,7 @@ def _directions(grid: Array) -> tuple[Array, Array]:
 
 
 def _in_wall(cell: NDArray[np.int64], n: int) -> bool:
-    """Return True if a cell of the cube is in a thimble's wall.
-
-    Such a cell is neither in the hollow nor in the hole below.
-    """
+    """Return True if a cell of the cube is neither in a thimble's hollow nor in its hole."""
     x, y, z = np.abs(2 * cell + 1 - n)  # 1, 3, ... n - 1
     hole = cell[2] < n / 2 and z > max(x, y) and max(x, y) < 2 * n / 3
     return bool(max(x, y, z) > n / 3) and not hole
@@ -214,10 +200,7 @@ def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
 
 
 def _stand(body: SoftBody, bottom: float) -> str:
-    """Return a stand half as wide as the object, with room for the membranes next to the object.
-
-    `bottom` m is the height of the object's lower side relative to its center.
-    """
+    """Return a stand half as wide as the object, whose lower side is at `bottom` m."""
     height = body.centre_height + bottom - body.skin
     radius = 0.5 * min(body.half[:2])
     return f"""    <body name="stand">

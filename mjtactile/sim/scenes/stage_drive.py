@@ -1,5 +1,4 @@
-"""`StageDrive`: the indenter of a `PressWorld` on a stage that follows the moves of a protocol, at
-their times."""
+"""`StageDrive`: the indenter of a `PressWorld` on a stage that follows a protocol's moves."""
 
 from __future__ import annotations
 
@@ -21,10 +20,9 @@ def current(moves: Sequence[Move], time: float) -> int | None:
 
 
 class StageDrive:
-    """Stage that executes moves on an inflated `world` with known first touch.
+    """Stage that executes moves on an inflated `world`, with `offset` m added to depths.
 
-    `offset` m is added to every depth in contact. Raises InputError for a move whose depth is
-    defined by a force.
+    Raises InputError for a move whose depth is defined by a force.
     """
 
     def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):
@@ -42,10 +40,7 @@ class StageDrive:
         self._now = 0.0
 
     def advance_to(self, time: float) -> None:
-        """Step the world to `time` s after the start.
-
-        Meanwhile the stage travels to the target of the newest move.
-        """
+        """Step the world to `time` s after the start, towards the newest move's target."""
         end = self._first + round(time / self._world.timestep)
         number = current(self._moves, self._now)
         if number is not None:

@@ -1,10 +1,7 @@
-"""Strain and pose of a soft object, from the corners of a volumetric flex's tetrahedra. For scoring
-alone.
+"""Strain and pose of a soft object from its tetrahedra, for scoring alone.
 
 MuJoCo's interpolated elements are linear in the stretch that remains after removal of a cell's
-rotation (Biot's strain U - 1). For a tetrahedron it follows from the singular values of its
-deformation gradient. `full` flexes use St. Venant-Kirchhoff instead, which is equal at small
-strain.
+rotation (Biot's strain U - 1), from the singular values of the deformation gradient.
 """
 
 from __future__ import annotations
@@ -26,11 +23,9 @@ _SAFE = 1e-3  # singular values of an element that is turned inside out
 
 @dataclass(frozen=True)
 class Strain:
-    """Strain state of a soft object.
+    """Strain state of a soft object: von Mises `stress` Pa, `energy_density` J/m^3, `compression`.
 
-    `stress` Pa is von Mises, of Cauchy's stress. `energy_density` is J/m^3. `compression` is 1 less
-    the smallest stretch. These three are values exceeded in the worst twentieth of the volume.
-    `energy` J is the total strain energy.
+    These are values exceeded in the worst twentieth of the volume. `energy` J is the total.
     """
 
     stress: float
@@ -40,8 +35,7 @@ class Strain:
 
 
 class SoftSolid:
-    """The volumetric flex numbered `flex` of a model, measured against the model's initial pose. A
-    compiled model does not know the elastic constants, `young` Pa and `poisson`, any more."""
+    """Volumetric flex number `flex` of a model, measured against the model's initial pose."""
 
     def __init__(self, model: mujoco.MjModel, flex: int, young: float, poisson: float):
         first = int(model.flex_vertadr[flex])
@@ -81,10 +75,7 @@ class SoftSolid:
         )
 
     def pose(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Return the center of volume (3,) m, frame W, and the best-fit rotation (3, 3).
-
-        The rotation is relative to the initial pose.
-        """
+        """Return the center of volume (3,) m, frame W, and the rotation (3, 3) since the start."""
         now = data.flexvert_xpos[self._vertices]
         middle = self._weights @ now
         before = self._weights @ self._rest
@@ -106,8 +97,7 @@ class SoftSolid:
 
 
 def soft_flex(model: mujoco.MjModel, prefix: str = "") -> int:
-    """Return the index of the first volumetric flex with name prefix `prefix`; -1 if there is
-    none."""
+    """Return the index of the first volumetric flex with name prefix `prefix`; -1 without one."""
     names = [
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or "" for f in range(model.nflex)
     ]

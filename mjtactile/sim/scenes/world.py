@@ -19,11 +19,8 @@ from mjtactile.sim.sensor.validity_checks import Flags
 
 
 class World:
-    """Model and data of a scene with attached sensors.
-
-    On divergence, MuJoCo resets the state and rewinds time. This is off here. `step` raises
-    SimulationError and never returns a wrong value.
-    """
+    """Model and data of a scene with attached sensors; `step` raises SimulationError on
+    divergence."""
 
     def __init__(
         self,
@@ -69,15 +66,11 @@ class World:
 
     @property
     def kinetic_energy(self) -> float:
-        """Kinetic energy with each joint's inertia at the model's reference pose, J.
-
-        It must not grow in a scene at rest.
-        """
+        """Kinetic energy with each joint's inertia at the reference pose, J."""
         return float(0.5 * np.asarray(self.model.dof_M0) @ np.square(self.data.qvel))
 
     def set_control(self, actuator: int, value: float) -> None:
-        """Set one actuator's control. Raises InputError when it is not finite (MuJoCo would take it
-        for zero)."""
+        """Set one actuator's control. Raises InputError when it is not finite."""
         if not np.isfinite(value):
             raise InputError(
                 f"{value!r} is not a finite control value",
@@ -106,7 +99,7 @@ class World:
             count -= self._go_ahead(count)
 
     def _go_ahead(self, count: int) -> int:
-        """Do up to `count` steps in one go, if that can be, else one; returns how many."""
+        """Run up to `count` steps in one kernel call if possible, else one; return how many."""
         ahead = self._ahead
         if ahead is None or self._after_step or not ahead.is_ready():
             self.stretch = None
@@ -124,8 +117,7 @@ class World:
         return done
 
     def _until_due(self) -> int:
-        """Return the number of steps, at least one, until a callback after a batch of steps is
-        due."""
+        """Return the number of steps, at least one, until a callback is due."""
         due = min((due() for due in self._dues), default=math.inf)
         if math.isinf(due):
             return MOST
@@ -144,24 +136,16 @@ class World:
     def after_each_stretch(
         self, call: Callable[[], None], due: Callable[[], float] | None = None
     ) -> None:
-        """Register `call` to run after every batch of steps.
+        """Register `call` to run after every batch of steps, at least every 20 ms.
 
-        Args:
-            call: Callback, called at least every 20 ms. With meshes, or flowing gas, it is called
-                after every step.
-            due: Function that returns the latest time of the next call, s; evaluated before each
-                batch.
+        `due` returns the latest time of the next call, s; it is evaluated before each batch.
         """
         self._after_stretch.append(call)
         if due is not None:
             self._dues.append(due)
 
     def marker_poses(self, sensor: int) -> tuple[Array, Array]:
-        """Return true marker centers (N, 3) m and outward normals (N, 3) of one sensor in its frame
-        S.
-
-        These are the input of its camera.
-        """
+        """Return marker centers (N, 3) m and outward normals (N, 3) of one sensor in S."""
         return self.sensors[sensor].marker_poses()
 
     def _before_step(self) -> None:

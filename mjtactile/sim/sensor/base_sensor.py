@@ -1,8 +1,4 @@
-"""`BaseSensor`: common part of all run-time sensors: markers on a membrane, and a gas chamber with
-a valve.
-
-The membrane is either a mesh in MuJoCo's model or a quasi-static membrane outside it.
-"""
+"""`BaseSensor`: common part of all run-time sensors: markers on a membrane, and a gas chamber."""
 
 from __future__ import annotations
 
@@ -25,18 +21,8 @@ class BaseSensor(ABC):
     """Run-time state of one sensor in a compiled model, except its membrane.
 
     Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
-    valve starts open to a supply at 0 Pa, so that the membrane starts, and stays, flat.
-
-    Args:
-        model: The compiled model.
-        data: Its data.
-        design: The sensor's values.
-        mesh: Mesh of the membrane.
-        prefix: Prefix of the sensor's names in the model.
-        effects: The effects that are on.
-
-    Raises:
-        InputError: The model has no such sensor.
+    valve starts open to a supply at 0 Pa, so that the membrane stays flat. Raises InputError if the
+    model has no such sensor.
     """
 
     def __init__(
@@ -73,14 +59,10 @@ class BaseSensor(ABC):
         """Update membrane and gas to the present state, awake, before the valve is moved."""
 
     def wake(self) -> None:  # noqa: B027 a film never sleeps
-        """Resume from the state in which the sensor fell asleep.
-
-        A manual call is needed only after a change of the model's own parameters.
-        """
+        """Resume from the state in which the sensor fell asleep, as after a change of the model."""
 
     def _gas_now(self) -> ChamberGas:
-        """Return the gas at the membrane's present volume; read-only, without side effects on the
-        state."""
+        """Return the gas at the membrane's present volume, without side effects on the state."""
         return self._gas
 
     @property
@@ -91,32 +73,23 @@ class BaseSensor(ABC):
     # -- the membrane
 
     def marker_poses(self) -> tuple[Array, Array]:
-        """Return marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3).
-
-        The order is that of the design's layout.
-        """
+        """Return marker centers `p_SM` (N, 3) m and unit normals `n_S` (N, 3) in the layout's
+        order."""
         return self._markers.marker_poses(self.p_SV)
 
     def height_at(self, x: float, y: float) -> float:
-        """Return the height of the material point (x, y) of the flat membrane, m.
-
-        It is interpolated by the spline that carries the markers.
-        """
+        """Return the height of the material point (x, y) by the spline that carries the markers,
+        m."""
         at = MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]]))
         return float(at.marker_poses(self.p_SV)[0][0, 2])
 
     def stretches(self) -> tuple[Array, Array]:
-        """Return principal stretches (m, 2), small and large, and areas (m,) m^2 of the triangles.
-
-        The stretches are relative to the free membrane.
-        """
+        """Return principal stretches (m, 2), small and large, relative to the free membrane, and
+        areas (m,) m^2 of the triangles."""
         return stretches_of(self.design, self.mesh, self.p_SV)
 
     def stretch_and_area(self) -> tuple[float, float]:
-        """Return the largest principal stretch over all triangles and the membrane's area, m^2.
-
-        The stretch is relative to the free membrane.
-        """
+        """Return the largest principal stretch of the triangles and the membrane's area, m^2."""
         stretches, areas = self.stretches()
         return float(stretches.max()), float(areas.sum())
 
@@ -142,10 +115,7 @@ class BaseSensor(ABC):
         return self._gas.is_open
 
     def open_valve(self, supply_gauge: float | None = None) -> None:
-        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's).
-
-        The pressure follows at once, or through the valve's conductance where the design gives one.
-        """
+        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's)."""
         self._come_to_now()
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 

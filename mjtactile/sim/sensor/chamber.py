@@ -1,12 +1,11 @@
-"""Chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its gas
-implicitly.
+"""Chamber behind the membrane: its volume, and the tendon of its implicit gas.
 
 A trapped gas is far too stiff for an explicit pressure on a membrane of this mass. The chamber is
 therefore a fixed tendon whose coefficients are dV/dq. Moving it by one unit changes the volume by
 one cubic meter, and its force is a pressure. Its stiffness -dp/dV joins the integrator's implicit
 system. Each step re-linearizes it at the current state, in the sensor's own frame. The pressure
-itself acts along all axes. The stiffness needs only dV/dz, because the membrane is far stiffer in
-its plane than the gas.
+acts along all axes. The stiffness needs only dV/dz, because the membrane is far stiffer in its
+plane.
 """
 
 from __future__ import annotations
@@ -43,8 +42,7 @@ class ChamberGeometry:
         )
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
-        """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated
-        surface.
+        """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices of the triangulated surface.
 
         Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, because the flat edge
         lies in z = 0. Each vertex gets a third of the area vector of each of its triangles.
@@ -56,8 +54,7 @@ class ChamberGeometry:
 
 
 class GasTendon:
-    """Writes pressure and gas stiffness of one chamber into a compiled model, once before every
-    step."""
+    """Pressure and gas stiffness of one chamber in a compiled model, written before every step."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
         """Connect to the tendon of `count` vertices; the model states 0 while a sensor sleeps."""
@@ -95,20 +92,17 @@ class GasTendon:
         )
 
     def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
-        """Apply the pressure and its change in the step.
+        """Apply the pressure and its change in the step; `gradient` (k, 3) is dV/dq.
 
-        `gradient` (k, 3) is dV/dq. The tendon's spring supplies the change. The spring is relaxed
-        at the current state. It therefore holds the *implicit* part only: f = p - k (V' - V).
-
-        MuJoCo leaves out the stiffness of a spring whose length is exactly the rest length.
-        Rounding sometimes produces this length. The gas of that step is then explicit. Therefore
-        the length is offset by far more than rounding, and the resulting force is compensated.
+        The tendon's spring supplies the change. It is relaxed at the current state and holds the
+        *implicit* part only: f = p - k (V' - V). MuJoCo leaves out the stiffness of a spring at
+        exactly its rest length, which rounding sometimes produces. Therefore the length is offset,
+        and the resulting force is compensated.
         """
         self._apply(gradient, gauge_pressure, stiffness)
 
     def suspend(self) -> None:
-        """Take the tendon's joints and the pressure out of the model; the vertices are held
-        otherwise."""
+        """Take the tendon's joints and the pressure out of the model."""
         self._model.tendon_num[self._tendon] = 0
         self._spring[0] = 0.0
         self.forces[:] = 0.0

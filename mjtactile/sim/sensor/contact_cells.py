@@ -1,7 +1,7 @@
 """Contact of a shape with the membrane cells around the vertices. Pure functions.
 
 They compute the point of deepest reach into each cell, and the stand-off of a sphere there. Lengths
-are in cells, the square root of the area of a vertex, unless m is stated.
+are in cells (square root of the area of a vertex), unless m is stated.
 """
 
 from __future__ import annotations
@@ -47,11 +47,8 @@ _ANGLES = np.arange(8) * np.pi / 4
 
 
 class Cells(NamedTuple):
-    """Vertices in the frame of a shape.
-
-    `places` (k, 3) m are in its frame. `axes` (3, 3) are those of the membrane, the third its
-    outward normal. `sizes` (k,) m are those of the vertices' cells.
-    """
+    """Vertices in the frame of a shape: `places` (k, 3) m, the membrane's `axes` (3, 3), of which
+    the third is its outward normal, and the `sizes` (k,) m of the cells."""
 
     places: Array
     axes: Array
@@ -61,7 +58,7 @@ class Cells(NamedTuple):
         return Cells(self.places[rows], self.axes, self.sizes[rows])
 
     def gaps(self, entry: ray_intersection.Entry, shifts: Array) -> Array:
-        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) in cells from the
+        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) from the
         vertices."""
         points = (
             self.places[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
@@ -73,11 +70,8 @@ class Cells(NamedTuple):
 
 
 def axes_of(normal: Array) -> Array:
-    """Return unit vectors, rows of (3, 3), of a plane with this `normal` (3,).
-
-    The first two lie in the plane. The first is as close to x as possible. The third is the
-    normal.
-    """
+    """Return unit vectors, rows of (3, 3), of a plane with this `normal` (3,): the first in the
+    plane and as close to x as possible, the third the normal."""
     first = np.array([normal[2], 0.0, -normal[0]])
     first /= max(float(np.linalg.norm(first)), 1e-9)
     return np.stack([first, np.cross(normal, first), normal])
@@ -86,10 +80,10 @@ def axes_of(normal: Array) -> Array:
 def initial_offsets(
     cells: Cells, entry: ray_intersection.Entry, core: Array
 ) -> tuple[Array, Array]:
-    """Return the shifts (k, 2), in cells, to the deepest point of a thin shape in each cell.
+    """Return shifts (k, 2) to the deepest point of a thin shape in each cell, and gaps (k,).
 
-    The shape is represented by the points `core` (m, 3) m inside. The second result are the gaps
-    (k,) there, `_MISSED` where the shape does not reach the cell.
+    The points `core` (m, 3) m represent the shape. Gaps are `_MISSED` where no point is in the
+    cell.
     """
     outward = cells.axes[2]
     heights = core @ outward + entry(core, np.broadcast_to(outward, core.shape))
@@ -111,10 +105,10 @@ def deepest(
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return the rows of the cells into which a shape protrudes, the shifts and the gaps.
 
-    The shifts (k, 2), in cells, lead to the deepest point. The gaps (k,) are those there. A deepest
-    point at a cell's border, or beyond its `reach`, also belongs to the next cell. The vertex then
-    does not move along that axis. All points `foot` (f, 2) of a sphere, in cells, rest on the
-    shape. `hints` are shifts and gaps of a thin shape.
+    The shifts (k, 2) lead to the deepest point, the gaps (k,) are those there. A deepest point at a
+    cell's border, or beyond its `reach`, also belongs to the next cell. The vertex then does not
+    move along that axis. All points `foot` (f, 2) of a sphere rest on the shape. `hints` are shifts
+    and gaps of a thin shape.
     """
     uneven = _uneven(
         cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape)))
@@ -162,11 +156,11 @@ def standoff(
     turns: Array | float = 0.2,
     width: float = 0.0,
 ) -> Array:
-    """Return the stand-off (k,), in cells, of the spheres under `loads`.
+    """Return the stand-off (k,) of the spheres under `loads`.
 
     The spheres are at shifts `at` (k, 2) from the vertices `flat` (k, 2) m. For a thin shape,
-    `turns` (k,) are its angles in the membrane plane. `width` is half the width of its contact
-    face, in cells.
+    `turns` (k,) are its angles in the membrane plane, and `width` is half the width of its contact
+    face.
     """
     angles = _ANGLES + np.broadcast_to(turns, len(at))[:, None]
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=2)
@@ -186,8 +180,7 @@ def standoff(
 def lie(cells: Cells, core: Array, at: Array) -> Array:
     """Return the angles (k,) in the membrane plane of a thin shape near the shifts `at` (k, 2).
 
-    They are computed from the points `core` (m, 3) m inside the shape. For a shape standing on end
-    they are arbitrary.
+    They are computed from the points `core` (m, 3) m inside, and arbitrary for a shape on end.
     """
     flat = cells.axes[:2]
     off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
@@ -202,11 +195,9 @@ def lie(cells: Cells, core: Array, at: Array) -> Array:
 def _juts(
     cells: Cells, entry: ray_intersection.Entry, at: Array, wider: float
 ) -> NDArray[np.bool_]:
-    """Return True (k, 2) where the shape falls away on both sides of `at` (k, 2).
+    """Return True (k, 2) where the shape falls away on both sides of `at` (k, 2), for each axis.
 
-    The two columns are the two axes. The test distance is `wider` times the usual one. The edge of
-    a face does not count. On a sliding object a sphere would alternate between both sides of the
-    edge.
+    The edge of a face does not count: a sphere would alternate between both sides of it.
     """
     gaps = np.minimum(cells.gaps(entry, at[:, None] + wider * _BESIDE), _MISSED)
     falls = gaps[:, 1:] - gaps[:, :1]
@@ -214,10 +205,7 @@ def _juts(
 
 
 def _uneven(gaps: Array) -> NDArray[np.int64]:
-    """Return the cells that a near shape bends sharply or does not fill.
-
-    The test uses the gaps (k, 9) at each cell and its neighbours.
-    """
+    """Return the cells that a near shape bends sharply or does not fill, by the gaps (k, 9)."""
     square = np.minimum(gaps, _MISSED).reshape(-1, 3, 3)
     bends = np.stack(
         [
@@ -231,9 +219,7 @@ def _uneven(gaps: Array) -> NDArray[np.int64]:
 
 
 def _minimum(grid: Array, gaps: Array) -> Array:
-    """Return the points (k, 2) of `grid` (k, s, 2) with the smallest gaps (k, s).
-
-    Near ties go to the point nearest the cell's center.
-    """
+    """Return the points (k, 2) of `grid` with the smallest gaps (k, s), nearest the cell's
+    center."""
     chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
     return grid[np.arange(len(grid)), chosen]

@@ -1,7 +1,4 @@
-"""Memory layout of MuJoCo's contact list, for kernels that read it in place.
-
-Passing its columns would require copies.
-"""
+"""Memory layout of MuJoCo's contact list, for kernels that read it in place without copies."""
 
 from __future__ import annotations
 

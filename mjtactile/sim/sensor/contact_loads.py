@@ -1,7 +1,4 @@
-"""Loads of MuJoCo's contacts on a sensor's membrane and on its frame.
-
-This is `mj_contactForce` with elliptic cones, for all rows of the list together.
-"""
+"""Loads of MuJoCo's contacts on membrane and frame: `mj_contactForce` for many rows together."""
 
 from __future__ import annotations
 
@@ -18,10 +15,8 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 def on_membrane(
     data: mujoco.MjData, sensor: AnySensor
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the rows (n,) of MuJoCo's contact list that involve the membrane.
-
-    The flags (n, 2) are True for the membrane's side of each contact.
-    """
+    """Return the rows (n,) of MuJoCo's contact list that involve the membrane, and flags (n, 2) of
+    the membrane's side."""
     geom = data.contact.geom
     first = int(sensor.vertex_geom_ids[0])
     last = int(sensor.vertex_geom_ids[-1])

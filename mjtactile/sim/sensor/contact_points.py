@@ -46,10 +46,8 @@ EVERY = 0.01
 SETTLE = 0.02
 """Update period, and time constant of the stand-off, s."""
 _TAKES = 0.52
-"""Half width of a vertex's contact search cell, in cells, if its sphere is at home.
-
-With REACH, two vertices would pass a ball back and forth forever.
-"""
+"""Half width of a vertex's contact search cell, in cells, if its sphere is at home. With REACH, two
+vertices would pass a ball back and forth forever."""
 _SLACKEST = 0.01  # minimum strain for the tension
 _STILL = 1e-5  # distance below which a sphere is back at its vertex, m
 _PACE = 7.5e-3  # maximum speed of the stand-off from a thin shape, m/s: contact must not be lost
@@ -67,11 +65,8 @@ _HALF = 0.5  # fraction of a thin shape's half width that supports a sphere's fe
 
 
 class _Goals(NamedTuple):
-    """Goals of the spheres.
-
-    Vectors `to` (k, 3) m in S start at the vertices. `back` are stand-off vectors, `blunt` (k,)
-    flags. `gaps` (k,), in cells, are those between each sphere and the object it will touch.
-    """
+    """Goals of the spheres: vectors `to` (k, 3) m in S from the vertices, stand-off vectors `back`,
+    flags `blunt` (k,), and `gaps` (k,), in cells, to the object."""
 
     to: Array
     back: Array
@@ -90,10 +85,7 @@ def _no_goals(count: int) -> _Goals:
 
 
 class ContactPoints:
-    """Positions of one sensor's contact spheres.
-
-    Call `update` before every step; it acts every 10 ms, near sharp objects.
-    """
+    """Positions of one sensor's contact spheres, updated every 10 ms near sharp objects."""
 
     def __init__(
         self,
@@ -146,10 +138,7 @@ class ContactPoints:
         self._upright = self._normals(mesh.p_SV)
 
     def update(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> None:
-        """Follow the objects near the vertices at `p_SV` (n, 3) m.
-
-        `tensions` returns the membrane's tensions (n,) N/m when they are needed.
-        """
+        """Follow the objects near the vertices at `p_SV` (n, 3) m; `tensions` returns (n,) N/m."""
         time = float(self._data.time)
         elapsed = time - self._time
         if not self._shapes or 0 <= elapsed < self._every:
@@ -186,9 +175,8 @@ class ContactPoints:
     def _rested(self, time: float) -> float:
         """Return the time during which no sharp object has moved relative to the sensor, s.
 
-        Without motion, the membrane sticks to an edge or a tip. Suppose spheres were returned to it
-        every 10 ms. Their vertices would oscillate forever, and the shear by half of the normal
-        force with them.
+        Without motion, the membrane sticks to an edge or a tip. Spheres that returned to it every
+        10 ms would make their vertices oscillate, and the shear by half of the normal force.
         """
         minimum = _STAYS * float(self._sizes[0])
         R_WS = self._data.xmat[self._body].reshape(3, 3)
@@ -201,10 +189,8 @@ class ContactPoints:
         return 0.0
 
     def _pose(self, geom: int, R_WS: Array) -> Array:
-        """Return position (3,) m and axes of a geom in the sensor's frame, as columns (3, 4).
-
-        The axes have the length of the geom's bounding radius.
-        """
+        """Return position (3,) m and axes of a geom in S as columns (3, 4), scaled by its
+        radius."""
         axes = R_WS.T @ self._data.geom_xmat[geom].reshape(3, 3)
         place = self._in_sensor(self._data.geom_xpos[geom])
         return np.column_stack([place, self._model.geom_rbound[geom] * axes])
@@ -261,10 +247,8 @@ class ContactPoints:
         return goals
 
     def _about(self, vertices: Array) -> list[int]:
-        """Return the geoms that may be close to one of the `vertices` (k, 3) m in S.
-
-        The test uses a ball around all vertices, at a fifth of the cost.
-        """
+        """Return the geoms that may be close to one of the `vertices` (k, 3) m in S, by one
+        ball."""
         data = self._data
         middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
@@ -283,10 +267,7 @@ class ContactPoints:
         ]
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
-        """Return the indices of the `vertices` (k, 3) m in S that a geom may be near.
-
-        The result is empty if all are two cells away from it.
-        """
+        """Return the indices of the `vertices` (k, 3) m in S that a geom may be near."""
         middle = self._in_sensor(self._data.geom_xpos[geom])
         distances = np.linalg.norm(vertices - middle, axis=1)
         close = np.flatnonzero(distances - self._model.geom_rbound[geom] < self._sizes)
@@ -300,10 +281,7 @@ class ContactPoints:
         return np.flatnonzero(reach > self._model.geom_size[geom, 1])
 
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
-        """Return shifts and gaps to the points where a thin geom reaches farthest in.
-
-        `update` checks at every step until the geom makes contact.
-        """
+        """Return shifts and gaps to the points where a thin geom reaches farthest in."""
         hints = initial_offsets(cells, entry, self._cores[geom])
         if hints[1].min(initial=np.inf) < REACHED:
             # it is met from the first step
@@ -324,8 +302,8 @@ class ContactPoints:
         loads: Array,
         touching: NDArray[np.int64],
     ) -> Array:
-        """Return the stand-off (k,), in cells, of the spheres at shifts `at` (k, 2) from the
-        vertices `touching` (k,)."""
+        """Return the stand-off (k,), in cells, of spheres at shifts `at` (k, 2) from `touching`
+        (k,)."""
         flat = self._flat[touching]
         loads = loads[touching]
         if geom not in self._cores:
@@ -341,8 +319,7 @@ class ContactPoints:
     def _take(self, blunt: NDArray[np.bool_], gaps: Array) -> None:
         """Make the spheres of these vertices `blunt`, and the others small again.
 
-        An object already inside a vertex's cell is met at its present position, and lifted
-        afterwards.
+        An object already inside a vertex's cell is met at its present position, and lifted later.
         """
         sunk = blunt & (self._radii == self._radius) & (gaps < 0)
         self._back[sunk] = 0.0
@@ -353,10 +330,8 @@ class ContactPoints:
         self._boxes[:] = radii[:, None]
 
     def _ease(self, loads: Array) -> None:
-        """Follow `loads` (k,) slowly.
-
-        A contact that is lost for one step must return with the same stand-off.
-        """
+        """Follow `loads` (k,) slowly: a contact lost for one step returns with the same
+        stand-off."""
         self._eased += _EASE * (np.maximum(loads, 0.0) - self._eased)
 
     def _is_touched(self) -> bool:
@@ -370,18 +345,15 @@ class ContactPoints:
         return 0.0
 
     def _end(self, geom: int, outward: Array) -> float:
-        """Return the radius of a pin's flat end, m, if the pin touches with it; otherwise 0.
-
-        The contact direction is the unit vector `outward` in the geom's frame.
-        """
+        """Return the radius of a pin's flat end, m, if it touches with it along `outward`;
+        otherwise 0."""
         on_end = abs(float(outward[2])) > feature_size.END
         if on_end and int(self._model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER):
             return float(self._model.geom_size[geom, 0])
         return 0.0
 
     def _is_far(self, geom: int, vertices: Array) -> bool:
-        """Return True if the box around a geom, which fills little of its ball, is two cells
-        away."""
+        """Return True if the box around a geom is two cells away."""
         data = self._data
         p_WV = data.xpos[self._body] + vertices @ data.xmat[self._body].reshape(3, 3).T
         away = feature_size.box_distances(self._model, data, geom, p_WV)
@@ -392,10 +364,7 @@ class ContactPoints:
         return (p_W - data.xpos[self._body]) @ data.xmat[self._body].reshape(3, 3)
 
     def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> Cells:
-        """Return the cells around `vertices` (k, 3) m in S, in the frame of the geom.
-
-        `sizes` is (k,) m, `axes` (3, 3) in S.
-        """
+        """Return the cells around `vertices` (k, 3) m in S, in the frame of the geom."""
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)
         R_WG = data.geom_xmat[geom].reshape(3, 3)
@@ -408,10 +377,8 @@ class ContactPoints:
         return normals_of(p_SV, self._triangles)[self._interior]
 
     def _loads(self, tensions: Callable[[], Array], gauge_pressure: float) -> Array:
-        """Return the contact forces (k,) on the vertices in excess of the gas load.
-
-        They are divided by 2 pi times tension and cell size.
-        """
+        """Return the contact forces (k,) beyond the gas load, over 2 pi times tension and cell
+        size."""
         contact = self._data.contact
         numbers = contact.geom - self._first
         mine = (numbers >= 0) & (numbers < len(self._sizes))

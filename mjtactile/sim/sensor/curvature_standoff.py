@@ -34,8 +34,7 @@ _RELEASE = 0.2
 class StandOff:
     """Contact margins of one sensor's vertex spheres, by the curvature of the touched objects.
 
-    Vertices without contact use the mean of the others. Without any contact the stand-off decays to
-    zero.
+    Vertices without contact use the mean of the others. Without contact it decays to zero.
     """
 
     def __init__(
@@ -83,10 +82,7 @@ class StandOff:
         self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 
     def _curvatures(self) -> Array:
-        """Return the curvature kx + ky, 1/m, of the object at each vertex.
-
-        Without contact it is the mean of the other vertices.
-        """
+        """Return the curvature kx + ky, 1/m, of the object at each vertex."""
         found = np.empty(len(self.margins))
         self._kernel(*listed(self._data), found)
         return found
@@ -96,8 +92,7 @@ def curvatures(model: mujoco.MjModel, geoms: NDArray[np.int64], normals: Array) 
     """Return the sums of the principal curvatures (n,) 1/m of `geoms` (n,).
 
     They apply at the surface points with the unit `normals` (n, 3), each in its geom's frame. The
-    sum is zero for faces. It is also zero for meshes and height fields, whose curvature is not
-    available.
+    sum is zero for faces, meshes and height fields.
     """
     found = np.empty(len(geoms))
     kernel("curvatures")(

@@ -1,8 +1,7 @@
-"""Switches of the effects: the additions to, and removals from, model, run time and camera. The
-choice of effects is made in sim/effects/catalog.py.
+"""Switches of the effects: additions to, and removals from, model, run time and camera.
 
-An effect that is off leaves no element in the model and no call per step. A set of effects is a
-frozenset of `Effect`.
+The choice of effects is made in sim/effects/catalog.py. An effect that is off leaves no element in
+the model and no call per step.
 """
 
 from __future__ import annotations
@@ -28,10 +27,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 
 class Effect(StrEnum):
-    """Optional effects of a simulation; sim/effects/catalog.py gives their activation rules.
-
-    An effect equals its name.
-    """
+    """Optional effects of a simulation; an effect equals its name."""
 
     SHEET = "mesh"
     GAS = "gas"
@@ -122,10 +118,7 @@ def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
 
 
 def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """Return the design without the effects that are off, for simulator *and* sensing.
-
-    It covers the membrane's material law, the chamber and the camera's geometry.
-    """
+    """Return the design, for simulator *and* sensing, without the effects that are off."""
     chamber = design.chamber
     camera = design.camera
     glass = design.glass
@@ -151,10 +144,7 @@ def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
 
 
 def set_camera_effects(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """Return the design for the renderer, without the noise, blur or shading that is switched off.
-
-    The sensing pipeline keeps its own design.
-    """
+    """Return the renderer's design without the noise, blur or shading that is switched off."""
     camera = design.camera
     leds = design.leds
     camera = replace(
@@ -167,10 +157,7 @@ def set_camera_effects(design: SensorDesign, on: frozenset[str]) -> SensorDesign
 
 
 class FixedLoad:
-    """Replacement of the gas tendon when "gas" is off.
-
-    Its pressure does not depend on the volume. It adds no element.
-    """
+    """Replacement of the gas tendon when "gas" is off: a pressure independent of the volume."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
         self._last = (math.nan, None)
@@ -207,10 +194,7 @@ class FixedGas(ChamberGas):
 
 
 class FlatGeometry:
-    """Replacement of `ChamberGeometry` when "follower pressure" is off.
-
-    Pressure acts along z, and the volume is area x height.
-    """
+    """Replacement of `ChamberGeometry` without "follower pressure": volume is area x height."""
 
     def __init__(self, mesh: MembraneMesh, volume_flat: float):
         self._interior = mesh.interior
@@ -224,10 +208,7 @@ class FlatGeometry:
 
 
 def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
-    """Return the model of the gas volume, m^3, and of its derivative by the vertices.
-
-    `volume_flat` m^3 is the volume behind the flat membrane.
-    """
+    """Return the model of the gas volume, `volume_flat` m^3 when flat, and of its derivative."""
     if Effect.FOLLOWER_PRESSURE in on:
         return ChamberGeometry(mesh, volume_flat)
     return FlatGeometry(mesh, volume_flat)

@@ -1,6 +1,4 @@
-"""Feature size of geoms relative to a membrane's mesh.
-
-It determines the suitable contact model and the expected accuracy.
+"""Feature size of geoms relative to a membrane's mesh: suitable contact model, and accuracy.
 
 Small contact spheres on the vertices suit geoms larger than the mesh spacing. Their force error is
 an eighth of that of triangles, which protrude beyond a round object. Spheres also settle on flat
@@ -25,31 +23,18 @@ END = 0.7
 SLIPS = 1.0
 """Radius in vertex spacings below which a feature can slip between unshifted vertices."""
 RESOLVED = 2.0
-"""Radius in vertex spacings from which a feature's force is good: 5 % and better
-(tests/physics/test_contact.py)."""
+"""Radius in vertex spacings from which a feature's force is within 5 %."""
 
 
 def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]:
-    """Return the geoms that the membrane on body `carrier` can touch.
-
-    Args:
-        model: The scene.
-        carrier: The sensor's MuJoCo body; 0 for a sensor that is fixed to the world.
-
-    Returns:
-        (n,) Geoms with a contype that are not fixed to the carrier. Static geoms are included if
-        the carrier moves.
-    """
+    """Return the geoms (n,) with a contype that are not fixed to body `carrier` (0: the world)."""
     welds = np.array([_weld(model, body) for body in range(model.nbody)])
     others = welds[model.geom_bodyid] != welds[carrier]
     return np.flatnonzero(others & (model.geom_contype != 0))
 
 
 def _weld(model: mujoco.MjModel, body: int) -> int:
-    """Return the MuJoCo body to which `body` is fixed, or its mocap body.
-
-    MuJoCo itself counts mocap bodies as parts of the world.
-    """
+    """Return the MuJoCo body to which `body` is fixed, or its mocap body."""
     if model.body_weldid[body]:
         return int(model.body_weldid[body])
     while body and model.body_mocapid[body] < 0:
@@ -58,11 +43,7 @@ def _weld(model: mujoco.MjModel, body: int) -> int:
 
 
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Return the smallest contact radius of a geom, m.
-
-    It is the radius of a sphere, rod or end face. For a box or mesh it is half the smallest side.
-    Edges are sharp, and are not counted.
-    """
+    """Return the smallest contact radius of a geom, m: half the smallest side of a box or mesh."""
     size = model.geom_size[geom]
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
@@ -90,11 +71,7 @@ def box_distances(
 
 
 def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, str]:
-    """Return radius, m, and name of the geom with the smallest feature for the membrane on
-    `carrier`.
-
-    The radius is infinite if no geom can touch the membrane.
-    """
+    """Return radius, m, and name of the smallest geom that can touch; infinite if there is none."""
     found = [
         (feature_radius(model, int(g)), name_of(model, int(g)))
         for g in touching_geoms(model, carrier)
@@ -103,10 +80,7 @@ def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, st
 
 
 def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Return the volume of a closed triangle surface over that of its convex hull.
-
-    MuJoCo uses the hull for contact. The result is 1 if there is no hull.
-    """
+    """Return the volume of a closed triangle surface over that of its convex hull."""
     from scipy.spatial import ConvexHull, QhullError
 
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -118,8 +92,7 @@ def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
 
 
 def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
-    """Return a flag if a touching geom is a non-convex mesh, because its convex hull makes the
-    contact."""
+    """Return a flag if a touching geom is a non-convex mesh, whose hull makes the contact."""
     number = int(model.geom_dataid[geom])
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or number < 0:
         return None
@@ -142,10 +115,8 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
 def resolution_flag(
     model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh, contact: str
 ) -> str | None:
-    """Return a flag if a geom of `feature_radius` m is too small for the mesh.
-
-    The test applies to the model `contact`. The flag names a mesh that resolves the geom.
-    """
+    """Return a flag if a geom of `feature_radius` m is too small for the mesh in this contact
+    model."""
     if radius >= RESOLVED * mesh.spacing:
         return None
     name = name_of(model, geom)
@@ -162,10 +133,9 @@ def resolution_flag(
 
 
 def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
-    """Return the half width, m, of a geom's contact face with sharp edges.
+    """Return the half width, m, of a geom's contact face with sharp edges; infinite without one.
 
-    It is infinite without such a face. `axial` is the cosine between the contact's normal and the
-    geom's z. Only the ends of a cylinder have an edge.
+    `axial` is the cosine between the contact's normal and the geom's z.
     """
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -178,10 +148,7 @@ def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
 
 
 def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
-    """Return a flag with the force error due to an edge's position between the vertices.
-
-    Return None when the edge is outside the frame.
-    """
+    """Return a flag with the force error due to an edge's position between the vertices."""
     if half_width > np.abs(mesh.p_SV).max():
         return None
     # Compared with an independent solver, squares of 6 and 12 mm (ratios 0.75 and 0.37) give 0.3 to
@@ -197,11 +164,7 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
 
 
 def _error(ratio: float, contact: str) -> float:
-    """Return the relative force error of a round or thin geom of `ratio` vertex spacings.
-
-    Values for triangles come from the tests, values for vertices from `bench thin-objects`
-    (docs/validation/benchmarks.md).
-    """
+    """Return the relative force error of a round or thin geom of `ratio` vertex spacings."""
     of_triangles = [0.8, 0.5, 0.3, 0.05]
     of_vertices = [0.3, 0.3, 0.3, 0.05]
     errors = of_vertices if contact == "vertices" else of_triangles

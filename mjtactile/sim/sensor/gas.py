@@ -1,12 +1,9 @@
-"""Gas behind the membrane, independent of MuJoCo.
+"""Gas behind the membrane, independent of MuJoCo: amount, temperature, pressure, valve, leaks.
 
-The model covers amount, temperature, pressure, valve and leaks. The chamber is one well-mixed
-volume of ideal gas. Its state is the amount n R (J/K) and the temperature T (K). The pressure
-follows from p V = n R T.
-
-Between two calls of `advance` the volume is assumed to change at a constant relative rate. The
-equations below are solved exactly for that rate. Any time step is therefore stable
-(docs/theory/gas.md, G4-G6).
+The chamber is one well-mixed volume of ideal gas. Its state is the amount n R (J/K) and the
+temperature T (K). The pressure follows from p V = n R T. Between two calls of `advance` the volume
+changes at a constant relative rate. The equations are solved exactly for that rate, so any time
+step is stable (docs/theory/gas.md, G4-G6).
 """
 
 from __future__ import annotations
@@ -25,8 +22,7 @@ class ChamberGas:
     """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
 
     With an ideal valve (infinite conductance, the default) the open chamber is at the supply's
-    pressure at once. With a finite one the gas flows at `conductance` x pressure difference, and
-    the chamber is never quite open.
+    pressure at once. With a finite one the gas flows at `conductance` x pressure difference.
     """
 
     def __init__(self, chamber: Chamber):
@@ -73,8 +69,7 @@ class ChamberGas:
 
     @property
     def is_still(self) -> bool:
-        """True if the pressure is constant at constant volume: no flow, and gas at wall
-        temperature."""
+        """True if the pressure is constant at constant volume: no flow, gas at wall temperature."""
         if self._is_ideally_open:
             return True
         if self._warming:
@@ -86,15 +81,13 @@ class ChamberGas:
 
     @property
     def is_sealed(self) -> bool:
-        """True if no gas flows and one exponent describes the gas completely: p V^gamma is
-        constant."""
+        """True if no gas flows and one exponent describes it: p V^gamma is constant."""
         if self._is_open or self._leak or self._warming:
             return False
         return math.isinf(self._chamber.heat_exchange) or self._chamber.polytropic_exponent == 1
 
     def open(self, supply_gauge: float) -> None:
-        """Connect the chamber to a supply. Raises InputError when the pressure is not a possible
-        one."""
+        """Connect the chamber to a supply. Raises InputError for an impossible pressure."""
         if not math.isfinite(supply_gauge) or supply_gauge <= -self.ambient:
             raise InputError(
                 f"{supply_gauge!r} Pa is not above vacuum (-{self.ambient:g} Pa)",
@@ -112,10 +105,7 @@ class ChamberGas:
         self._fill()
 
     def seal(self, volume: float, gauge_pressure: float) -> None:
-        """Close the valve on a chamber of `volume` m^3 that holds `gauge_pressure` Pa.
-
-        The gas has the temperature of the walls.
-        """
+        """Close the valve on `volume` m^3 of gas at `gauge_pressure` Pa and wall temperature."""
         self._is_open = False
         self._find_connections()
         self._volume = volume
@@ -124,8 +114,7 @@ class ChamberGas:
         self._amount = self._pressure * volume / self._temperature
 
     def puncture(self, conductance: float) -> None:
-        """Open a hole to ambient of `conductance` m^3/(s Pa), 0 to mend it. Raises InputError when
-        not finite or negative."""
+        """Open a hole to ambient of `conductance` m^3/(s Pa), 0 to mend it. Raises InputError."""
         if not math.isfinite(conductance) or conductance < 0:
             raise InputError(
                 f"{conductance!r} m^3/(s Pa) is not a finite conductance >= 0",
@@ -141,8 +130,7 @@ class ChamberGas:
         self._warming = rate
 
     def advance(self, volume: float, elapsed: float) -> None:
-        """Take the gas to `volume`, `elapsed` s after the last call (0: at once, without heat or
-        flow)."""
+        """Take the gas to `volume`, `elapsed` s after the last call (0: without heat or flow)."""
         if math.isnan(self._volume) or volume <= 0:
             self._volume = volume
         warmer = self._warming * max(elapsed, 0.0)
@@ -172,8 +160,7 @@ class ChamberGas:
     def stiffness(self, step: float) -> float:
         """Return -dp/dV, Pa/m^3, for a volume change spread over the next `step` s.
 
-        It is gamma p / V for an adiabatic gas. Heat loss and gas outflow within the step reduce
-        it.
+        It is gamma p / V for an adiabatic gas, less with heat loss and outflow within the step.
         """
         if self._is_ideally_open or self._volume <= 0:
             return 0.0
@@ -202,8 +189,8 @@ class ChamberGas:
             self._amount = self._pressure * self._volume / self._temperature
 
     def _compress(self, volume: float, elapsed: float) -> None:
-        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate
-        (Eq. G4)."""
+        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, at a constant relative rate (Eq.
+        G4)."""
         exchange = elapsed / self._chamber.heat_exchange
         decay = (self._chamber.polytropic_exponent - 1) * math.log(volume / self._volume) + exchange
         self._temperature = self._temperature * math.exp(
@@ -216,8 +203,7 @@ class ChamberGas:
             self._flow(conductance, far, elapsed)
 
     def _flow(self, conductance: float, far: float, elapsed: float) -> None:
-        """Move gas through an opening: amount and enthalpy, exact for a constant volume and small
-        temperature changes (Eq. G5-G6)."""
+        """Move amount and enthalpy through an opening, at constant volume (Eq. G5-G6)."""
         gamma = self._chamber.polytropic_exponent
         pressure = self._amount * self._temperature / self._volume
         source = self._wall if far > pressure else self._temperature
@@ -231,6 +217,5 @@ class ChamberGas:
 
 
 def _ramp_fraction(x: float) -> float:
-    """Return (1 - exp(-x)) / x, the remaining fraction of a ramp after a decay of x time
-    constants."""
+    """Return (1 - exp(-x)) / x, the remaining fraction of a ramp after x time constants."""
     return -math.expm1(-x) / x if abs(x) > 1e-12 else 1.0

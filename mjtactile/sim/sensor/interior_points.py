@@ -12,10 +12,8 @@ _MAX_POINTS = 300  # of a mesh
 
 
 def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
-    """Return points (n, 3) m inside a geom, in its frame.
-
-    Neighbours are at most about `apart` m from each other. A plane or height field has none.
-    """
+    """Return points (n, 3) m inside a geom, at most about `apart` m from each other, in its
+    frame."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     size = np.asarray(model.geom_size[geom], float)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -35,8 +33,7 @@ def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
 
 
 def _grid(half: Array, apart: float) -> Array:
-    """Return grid points (n, 3) m of a box of half-extents `half` m, at least nine along each
-    nonzero side."""
+    """Return grid points (n, 3) m of a box of half-extents `half` m, nine or more along a side."""
     counts = np.where(half > 0, np.maximum(np.ceil(2 * half / apart), 8), 0).astype(int) + 1
     axes = [
         np.linspace(-h, h, n) if n > 1 else np.zeros(1) for h, n in zip(half, counts, strict=True)

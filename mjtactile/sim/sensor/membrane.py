@@ -1,9 +1,8 @@
-"""The rubber membrane as a MuJoCo flex: its MuJoCo bodies in an `MjSpec`, pre-stretch and contact.
+"""The rubber membrane as a MuJoCo flex: its MuJoCo bodies, pre-stretch and contact.
 
-Every interior vertex is a small MuJoCo body on three slide joints *in the sensor's own frame S*. It
-is a child of the sensor's body. The rim vertices belong to the sensor's body itself. Joint
-positions are therefore displacements in S for any carrier of the sensor. Forces between membrane
-and frame need no bookkeeping (docs/theory/simulation_contact.md).
+Every interior vertex is a small MuJoCo body on three slide joints *in the sensor's own frame S*, a
+child of the sensor's body. The rim vertices belong to the sensor's body itself. Joint positions are
+therefore displacements in S for any carrier (docs/theory/simulation_contact.md).
 """
 
 from __future__ import annotations
@@ -42,11 +41,8 @@ SOLIMP = (0.99, 0.9995, 10e-6, 0.5, 2.0)
 # Time constant of contact in steps: at 1 the solver takes twice the iterations.
 CONTACT_TIME = 1.5
 CONTACT_DEPTH = 20e-6
-"""Contact depth, m, intended under a pressure that is typical for the membrane.
-
-At 12 um the solver fails to converge for a free plate of 20 g at a step of 4 ms. The plate then
-rattles on the membrane. A driven indenter still works at 6 um.
-"""
+"""Contact depth, m, under a typical pressure. At 12 um the solver fails to converge for a free
+plate of 20 g at a step of 4 ms."""
 # Contact depth of vertices: minimum, m, and speed, m/s, multiplied by the step. It may exceed the
 # depth of triangles because stiction.py compensates it. A larger speed change of a sliding contact
 # within one step lifts vertices out of contact.
@@ -63,14 +59,12 @@ VERTEX_IMPEDANCE = 0.98
 def add_membrane(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign, mesh: MembraneMesh
 ) -> None:
-    """Add the flex, its vertex bodies with contact spheres, and the gas tendon to `spec`.
-
-    All are placed under the sensor's `body`.
+    """Add the flex, its vertex bodies with contact spheres, and the gas tendon under the sensor's
+    `body`.
 
     Young's modulus is scaled by the square of the pre-stretch l. MuJoCo measures strain against the
     *mounted* mesh, E' = (L^2 - L0^2) / 2 L_mounted^2. This is 1/l^2 of the Green strain against the
-    free membrane. It integrates over l^2 times the free membrane's area. The product leaves l^2
-    (see `SensorDesign.membrane.pretension`).
+    free membrane. It integrates over l^2 times the free membrane's area. The product leaves l^2.
     """
     names = _add_vertices(body, design.membrane, mesh)
     _add_flex(spec, design.membrane, mesh, names)
@@ -85,10 +79,7 @@ def add_membrane(
 
 
 def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> list[str]:
-    """Add a MuJoCo body with three slides and a sphere for each moving vertex.
-
-    Returns the name of every vertex's MuJoCo body. Rim vertices have the sensor's own body.
-    """
+    """Add a MuJoCo body with three slides and a sphere for each moving vertex; return all names."""
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
     damping = mesh.areas * SURFACE_DAMPING * membrane_stiffness(sheet)
@@ -140,11 +131,7 @@ def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: l
 
 
 def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, friction: float) -> None:
-    """Let the vertex be touched by whatever touches (any contype), but not by other vertices or by
-    frames.
-
-    Friction and stiffness are the membrane's own (priority), not averaged with the object's.
-    """
+    """Let the vertex be touched by any contype, with the membrane's own friction and stiffness."""
     vertex.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -161,10 +148,7 @@ def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, fricti
 
 
 def membrane_stiffness(sheet: Membrane) -> float:
-    """Return the stiffness, N/m, that sets damping and contact stiffness.
-
-    It is the stretching stiffness or, where pretension dominates, the bulging stiffness.
-    """
+    """Return the stiffness, N/m, that sets damping and contact stiffness: stretching or bulging."""
     return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
 
 
@@ -176,16 +160,12 @@ def contact_pressure(sheet: Membrane, gauge_pressure: float) -> float:
 class ContactStiffness:
     """Contact stiffness adapted to pressure and tension.
 
-    Under `contact_pressure` a vertex penetrates to a fixed depth.
-
-    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the MuJoCo
-    bodies. The factor M / (M + h D) of their joints multiplies it. The values of the vertices are
-    set accordingly. The force on a vertex is (stiffness per area) x (its area) x (depth). This
-    holds for any step h and damping D.
-
-    The solver's effort depends on the ratio of this stiffness to the damping. That ratio is the
-    same for all rubbers. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that
-    `remembers`.
+    Under `contact_pressure` a vertex penetrates to a fixed depth. MuJoCo's contact softness is
+    proportional to the compiled `body_invweight0` of the MuJoCo bodies. The factor M / (M + h D) of
+    their joints multiplies it. The values of the vertices are set accordingly. The force on a
+    vertex is (stiffness per area) x (its area) x (depth), for any step h and damping D. The
+    solver's effort depends on the ratio of this stiffness to the damping, which is the same for all
+    rubbers. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that `remembers`.
     """
 
     def __init__(
@@ -234,8 +214,7 @@ def touch_with(model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int,
 
 
 def pre_stretch(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, stretch: float) -> None:
-    """Shorten the flex's free edge lengths so that the mounted mesh is stretched by `stretch`; can
-    be called again."""
+    """Shorten the flex's free edge lengths so that the mounted mesh is stretched by `stretch`."""
     start = int(model.flex_edgeadr[flex_id])
     count = int(model.flex_edgenum[flex_id])
     edges = np.asarray(model.flex_edge)[start : start + count]

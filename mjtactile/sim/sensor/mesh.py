@@ -1,5 +1,4 @@
-"""The membrane's triangle mesh, and the markers that ride on it. Geometry only; membrane.py makes a
-flex of it."""
+"""The membrane's triangle mesh, and the markers that ride on it."""
 
 from __future__ import annotations
 
@@ -18,20 +17,14 @@ from mjtactile.quasistatic import QuasistaticMembrane
 from mjtactile.quasistatic.interpolation import carried
 
 GRADING = 0.0
-"""Grading of the mesh: relative refinement of the vertex spacing at the center; 0 is a uniform
-mesh.
-
-0.25 brings the force of a sphere 2-5 % closer to the converged one at 13 x 11 vertices. However,
-the coarser cells at the frame bend the markers' surface there. The force estimated from the camera
-images is then 10 % low (0: 1 %).
-"""
+"""Relative refinement of the vertex spacing at the center; 0 is a uniform mesh. With 0.25 the force
+estimated from the camera images is 10 % low, because the coarser cells bend the markers'
+surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneMesh:
-    """Structured triangle mesh of the flat, mounted membrane.
-
-    Vertex (i, j) has index i * ny + j; x grows with i.
+    """Structured triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j.
 
     `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise viewed from outside
     (+z). `interior` (k,) are the indices of the moving vertices. `areas` (n,) m^2 is the membrane
@@ -64,8 +57,7 @@ class MembraneMesh:
 
     @cached_property
     def inverse_edges(self) -> Array:
-        """Inverse (m, 2, 2) 1/m of each flat triangle's two edges from its first corner (rows:
-        edges, columns: x, y)."""
+        """Inverse (m, 2, 2) 1/m of each flat triangle's two edges (rows: edges, columns: x, y)."""
         corners = self.p_SV[self.triangles]
         return np.linalg.inv(corners[:, 1:, :2] - corners[:, :1, :2])
 
@@ -76,10 +68,7 @@ class MembraneMesh:
 
     @cached_property
     def spacing(self) -> float:
-        """Radius of the disc that fits between the vertices, m.
-
-        It is the median over triangles in the central half of the membrane.
-        """
+        """Radius of the disc that fits between the vertices, m: a median in the central half."""
         corners = self.p_SV[self.triangles]
         middle = (
             np.abs(corners.mean(axis=1)[:, :2] / np.abs(self.p_SV[:, :2]).max(axis=0)).max(axis=1)
@@ -100,11 +89,8 @@ def make_mesh(
 ) -> MembraneMesh:
     """Mesh a `length` x `width` m rectangle, or the `outline` in it, with nx x ny vertices.
 
-    Diagonals alternate, so that no direction is favoured. At the corners they are chosen so that
-    triangles keep an angle where an outline is smooth.
-
-    Raises InputError when a side has fewer than 5 or more than 101 vertices. The cubic marker
-    interpolation needs 5. Beyond 101, a step would take seconds.
+    Diagonals alternate, so that no direction is favoured. Raises InputError when a side has fewer
+    than 5 vertices, for the cubic marker interpolation, or more than 101.
     """
     for name, count in (("nx", nx), ("ny", ny)):
         if not 5 <= count <= 101:
@@ -129,10 +115,7 @@ def make_mesh(
 
 
 def _graded(count: int, grading: float) -> Array:
-    """Return `count` coordinates from -1 to 1, denser at the center.
-
-    The map is smooth, which preserves the order of convergence.
-    """
+    """Return `count` coordinates from -1 to 1, denser at the center by a smooth map."""
     u = np.linspace(-1, 1, count)
     return (1 - grading) * u + grading * u**3
 
@@ -154,9 +137,8 @@ def _triangles(nx: int, ny: int) -> NDArray[np.int64]:
 class MarkerInterpolator:
     """Poses of the rigid marker circles on the deformed mesh.
 
-    Position and tangents come from a tensor-product cubic spline (not-a-knot) through the vertices,
-    over the mesh coordinates. This is a fixed linear operator. The normals are smooth, while facet
-    normals would jump between triangles.
+    A tensor-product cubic spline (not-a-knot) through the vertices, over the mesh coordinates,
+    gives position and tangents. This is a fixed linear operator with smooth normals.
     """
 
     def __init__(self, mesh: MembraneMesh, p_SM: Array):
@@ -173,18 +155,15 @@ class MarkerInterpolator:
         )
 
     def marker_poses(self, p_SV: Array) -> tuple[Array, Array]:
-        """Return centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3) for vertex positions
-        `p_SV` (n, 3)."""
+        """Return centers (N, 3) m and outward unit normals (N, 3) for vertices `p_SV` (n, 3)."""
         p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)
         normal = geometry.cross(along_x, along_y)
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
-    """Return the displacements of a mesh's vertices per node of a quasi-static membrane.
-
-    The shape is (n, nodes). None means that vertices and nodes are the same, as for a rectangle.
-    """
+    """Return the displacements (n, nodes) of a mesh's vertices per quasi-static node; None: the
+    same points."""
     if film.design.frame.outline is None:
         return None
     by_node = carried(film, mesh.p_SV[:, :2])
@@ -194,10 +173,8 @@ def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
 
 
 def normals_of(p_SV: Array, triangles: NDArray[np.int64]) -> Array:
-    """Return outward unit normals (n, 3) of a membrane at its vertices `p_SV` (n, 3).
-
-    They average the `triangles` (m, 3) around each vertex, weighted by area.
-    """
+    """Return area-weighted outward unit normals (n, 3) of a membrane at its vertices `p_SV` (n,
+    3)."""
     a, b, c = (p_SV[triangles[:, i]] for i in range(3))
     faces = np.cross(b - a, c - a)
     corners = triangles.ravel()

@@ -1,5 +1,4 @@
-"""`TactileSensor`: one attached sensor at run time. Call `update` before every `mj_step`; read
-markers and pressure."""
+"""`TactileSensor`: one attached sensor at run time, whose membrane is a mesh in the model."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ GLASS_MARGIN = 0.02
 
 
 class TactileSensor(BaseSensor):
-    """Run-time state of one sensor whose membrane is a mesh in the model."""
+    """Run-time state of one sensor with a mesh. Call `update` before every `mj_step`."""
 
     def __init__(
         self,
@@ -44,11 +43,7 @@ class TactileSensor(BaseSensor):
         contact: str = "auto",
         effects: frozenset[str] = PHYSICS,
     ):
-        """Bind the sensor to model and data.
-
-        `contact` selects the membrane elements in contact: "vertices", "elements", "both", or
-        "auto" (chosen from the scene's smallest feature).
-        """
+        """Bind the sensor; `contact` is "vertices", "elements", "both", or "auto" by the scene."""
         super().__init__(model, data, design, mesh, prefix, effects)
         self.flex_id = require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
         self.vertex_geom_ids = _vertex_geoms(model, mesh, prefix)
@@ -68,8 +63,7 @@ class TactileSensor(BaseSensor):
         self._follow()
 
     def _make_contact(self, model: mujoco.MjModel, data: mujoco.MjData, contact: str) -> None:
-        """Select the contact model (vertices or elements) and create its stiffness, margins and
-        stiction."""
+        """Select the contact model and create its stiffness, margins and stiction."""
         mesh = self.mesh
         sheet = self.design.membrane
         vertices = self.vertex_geom_ids
@@ -101,7 +95,7 @@ class TactileSensor(BaseSensor):
     def _make_sheet(
         self, model: mujoco.MjModel, data: mujoco.MjData, effects: frozenset[str]
     ) -> None:
-        """The rubber's law, the load that the gas puts on it, and the volume it encloses."""
+        """Create the rubber's law, the load of the gas, and the volume it encloses."""
         mesh = self.mesh
         design = self.design
         self._rubber: Rubber | None = None
@@ -123,11 +117,7 @@ class TactileSensor(BaseSensor):
         self._time = self.time
 
     def update(self) -> None:
-        """Update gas volume, pressure and stiffness to the present state; call before every
-        `mj_step`.
-
-        A sleeping sensor only checks for near objects.
-        """
+        """Update gas volume, pressure and stiffness to the present state, unless asleep."""
         if self._sleeper.asleep:
             if self.sleepy and not self._sleeper.wakes():
                 return
@@ -156,10 +146,7 @@ class TactileSensor(BaseSensor):
         return bool(spheres.any() or (contact.flex == self.flex_id).any())
 
     def wake(self) -> None:
-        """Resume from the state in which the sensor fell asleep.
-
-        A manual call is needed only after a change of the model's own parameters.
-        """
+        """Resume from the state in which the sensor fell asleep."""
         self._sleeper.stay_awake()
         if self._sleeper.asleep:
             self._sleeper.wake()
@@ -202,8 +189,7 @@ class TactileSensor(BaseSensor):
 
     @property
     def p_SV(self) -> Array:
-        """Vertex positions (n, 3) m in S, rim included, now (not one step old like
-        `flexvert_xpos`)."""
+        """Vertex positions (n, 3) m in S, rim included, now (not one step old)."""
         p_SV = self.mesh.p_SV.copy()
         p_SV[self.mesh.interior] = (self._flat + self._tendon.displacements).reshape(-1, 3)
         return p_SV
@@ -215,13 +201,12 @@ class TactileSensor(BaseSensor):
 
     @property
     def displacements(self) -> Array:
-        """Present displacements (3 k,) m of the interior vertices from the flat membrane, in S; a
+        """Present displacements (3 k,) m of the interior vertices from the flat membrane; a
         copy."""
         return self._tendon.displacements.copy()
 
     def penetrations(self, rows: NDArray[np.int64]) -> Array:
-        """Return penetration depths (n,) m of the contacts `rows` of MuJoCo's list, which are this
-        sensor's."""
+        """Return penetration depths (n,) m of this sensor's contacts `rows` of MuJoCo's list."""
         contact = self._data.contact
         first = int(self.vertex_geom_ids[0])
         pairs = contact.geom[rows]
@@ -239,18 +224,14 @@ class TactileSensor(BaseSensor):
         return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
-        """Return marker poses `seconds` ago, extrapolated from the present velocity; used for
-        motion blur."""
+        """Return marker poses `seconds` ago by the present velocity, for motion blur."""
         p_SV = self.p_SV
         velocity = np.asarray(self._data.qvel)[self._tendon.dofs].reshape(-1, 3)
         p_SV[self.mesh.interior] -= seconds * velocity
         return self._markers.marker_poses(p_SV)
 
     def tensions(self) -> Array:
-        """Return the tension (n,) N/m of the membrane at its vertices, not negative.
-
-        It is the geometric mean of the principal tensions.
-        """
+        """Return the tension (n,) N/m at the vertices: the geometric mean of the principal ones."""
         sheet = self.design.membrane
         triangles = self.mesh.triangles.ravel()
         stretches = np.maximum(self.stretches()[0], 0.1)
@@ -278,8 +259,7 @@ class TactileSensor(BaseSensor):
         return self.time if self.is_asleep else self._time
 
     def inflate(self, displacements: Array, gauge_pressure: float) -> None:
-        """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at
-        `gauge_pressure` Pa: the state that another run time of this sensor has settled in."""
+        """Put the vertices at `displacements` (3 k,) m at rest, and seal at `gauge_pressure` Pa."""
         self.wake()
         self._tendon.displacements[:] = displacements
         self._data.qvel[self._tendon.dofs] = 0.0

@@ -1,7 +1,7 @@
 """Periodic checks of a running scene.
 
-They detect penetration and tunneling through a membrane. They also detect geoms too small or sharp
-for its mesh, and objects too fast for the step.
+They detect penetration and tunneling through a membrane, geoms too small or sharp for its mesh, and
+objects too fast for the step.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ _RARELY = 5
 
 
 class SceneMonitor:
-    """Periodic monitor of a running world: penetration, tunneling, objects too fast for the
-    step."""
+    """Periodic monitor of a running world."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[AnySensor, ...]):
         self._model = model
@@ -89,10 +88,7 @@ class SceneMonitor:
 
     @property
     def speeds(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,).
-
-        Above its limit, a degree of freedom is too fast for the step.
-        """
+        """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,)."""
         return self._movers, self._hurry
 
     def built(self) -> Flags:
@@ -111,8 +107,7 @@ class SceneMonitor:
         return flags
 
     def look(self) -> tuple[Flags, str | None]:
-        """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or
-        so."""
+        """Return flags of the present state, and the reason to stop, or None."""
         flags: Flags = {}
         stop = None
         if all(sensor.is_asleep for sensor in self._sensors):
@@ -149,8 +144,7 @@ class SceneMonitor:
         return flags, stop
 
     def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Flags:
-        """Return flags of the geoms in the contacts `rows`: too small for the mesh, edges,
-        non-convex meshes."""
+        """Return flags of the geoms in the contacts `rows`: small features, edges, hulls."""
         flags: Flags = {}
         contact = self._data.contact
         others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
@@ -180,10 +174,7 @@ class SceneMonitor:
         return flags
 
     def _nearest_edge(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> float:
-        """Return the minimum half width, m, of the faces with edges that touch.
-
-        The contacts are `rows`, the geoms `others` in `_geoms`.
-        """
+        """Return the minimum half width, m, of the touching faces with edges, of geoms `others`."""
         axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
         axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
         return float(
@@ -191,10 +182,7 @@ class SceneMonitor:
         )
 
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
-        """Return the persistent penetration as a fraction of the indentation.
-
-        It must last for several checks, because an impact penetrates for a moment.
-        """
+        """Return the penetration over the indentation that lasts for several checks."""
         heights = self._sensors[number].heights
         if not len(rows):
             self._rest[number] = heights
@@ -209,10 +197,7 @@ class SceneMonitor:
         return float(self._deep[number].min())
 
     def _frame(self, number: int) -> Flags:
-        """Return a flag when a sensor's frame carries force over several checks.
-
-        The camera cannot measure that force.
-        """
+        """Return a flag when a sensor's frame carries force over several checks."""
         load = contact_loads.frame_load(self._data, self._sensors[number])
         self._framed[number].append(load)
         lasting = min(self._framed[number])
@@ -238,9 +223,7 @@ class SceneMonitor:
     def passed(self, every: bool = True) -> str | None:
         """Return a message for the first geom that went through a membrane, or None.
 
-        Args:
-            every: Check all geoms that can touch; else only thin geoms, which can pass within one
-                step.
+        Without `every`, only geoms thin enough to pass within one step are checked.
         """
         if not every and not self.needs_every_step:
             return None
@@ -275,10 +258,7 @@ class SceneMonitor:
         ]
 
     def _jumped(self, number: int, places: Array) -> str | None:
-        """Return a message if a geom has passed through the membrane.
-
-        It was in front of the membrane at the last check and is now behind the glass.
-        """
+        """Return a message if a geom was in front of the membrane and is now behind the glass."""
         sensor = self._sensors[number]
         frame = sensor.design.frame
         glass = -sensor.design.chamber.depth
@@ -297,19 +277,12 @@ class SceneMonitor:
         )
 
     def hurried(self) -> Flags:
-        """Return the flag of an object that is too fast.
-
-        Periodic checks could miss it. This check runs at every step; it is cheap without fast
-        objects.
-        """
+        """Return the flag of an object that is too fast, checked at every step."""
         hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
         return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
 
     def _too_fast(self, places: Sequence[Array]) -> Flags:
-        """Return a flag for objects near a membrane that move too fast.
-
-        The limit is half their size per step. Faster objects may not be detected in time.
-        """
+        """Return a flag for objects near a membrane that move by half their size per step."""
         flags: Flags = {}
         if not len(self._geoms):
             return flags

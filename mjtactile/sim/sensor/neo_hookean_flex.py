@@ -19,10 +19,7 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _ROW = 21
-"""Number of values per triangle in `flex_stiffness`.
-
-The first six are the upper triangle of its matrix, row by row.
-"""
+"""Number of values per triangle in `flex_stiffness`; six are the upper triangle of its matrix."""
 _UPPER = np.triu_indices(3)
 # lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
 _LEAST = -0.5
@@ -50,11 +47,9 @@ class EdgeMatrices:
 
 
 def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    """Return a live view (m, 6) of the flex's stiffness.
+    """Return a live view (m, 6) of the upper triangle of each element's matrix.
 
-    Each row is the upper triangle of an element's matrix. Its input is a triangle's increase of
-    squared edge lengths (m, 3) over the free ones. Its output is force over length of the edges,
-    N/m.
+    It maps the increase of squared edge lengths (3,) to force over length of the edges, N/m.
     """
     return all_rows(model, flex_id)[:, :6]
 
@@ -105,10 +100,7 @@ class Rubber:
         )
 
     def update(self, p_SV: Array) -> None:
-        """Write the stiffness for the strain of the vertices `p_SV` (n, 3) m.
-
-        Call it before every step. For each triangle, the secant moduli mu', lambda' are multiplied
-        by factors. These factors form MuJoCo's matrix (mjtactile/kernels/membrane_flex.c).
-        """
+        """Write the secant stiffness for the strain of the vertices `p_SV` (n, 3) m, before every
+        step."""
         self._p_SV[:] = p_SV
         self._write()

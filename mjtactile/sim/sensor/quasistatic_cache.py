@@ -1,7 +1,4 @@
-"""Quasi-static membranes of sensors without a mesh, and the geom that represents each.
-
-Each membrane is made once per process. The geom is in MuJoCo's model.
-"""
+"""Quasi-static membranes of sensors without a mesh, made once per process, and their geoms."""
 
 from __future__ import annotations
 
@@ -20,11 +17,7 @@ _CLOSE = 1e-9  # tolerance, m
 
 
 def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
-    """Add the single geom that represents the membrane of a sensor without a mesh.
-
-    The geom makes no contacts. It serves to measure distances between the membrane and other
-    geoms.
-    """
+    """Add the geom of a sensor without a mesh; it measures distances and makes no contacts."""
     body.add_geom(
         name=FEELER,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -38,10 +31,7 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 
 @lru_cache(maxsize=64)
 def film_of(design: SensorDesign, grid: tuple[int, int]) -> QuasistaticMembrane:
-    """Return the quasi-static membrane of a sensor.
-
-    It is made once per process and used in common, because it never changes.
-    """
+    """Return the quasi-static membrane of a sensor, made once per process."""
     return QuasistaticMembrane(design, grid)
 
 

@@ -1,12 +1,9 @@
 """Forces of quasi-static membranes in MuJoCo's `qfrc_applied`, and damping.
 
-The forces are added to those of the user. The damping acts on the MuJoCo bodies held by the
-membranes.
-
 A membrane's force is computed from the present poses and stays constant during the step. That alone
 is stable for sqrt(k / m) h < 2. Free MuJoCo bodies are therefore damped against their motion
-relative to the membranes. The damping is half of the force that the membranes' stiffness adds over
-a step. MuJoCo treats joint damping implicitly, which makes any stiffness stable (decision 32).
+relative to the membranes, by half of the force that the membranes' stiffness adds over a step.
+MuJoCo treats joint damping implicitly, which makes any stiffness stable (decision 32).
 """
 
 from __future__ import annotations
@@ -20,15 +17,11 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 
 HOLD = 43
-"""Number of values that describe a held free MuJoCo body.
-
-They are joint, stiffness (6, 6) and velocity (6,).
-"""
+"""Number of values of a held free MuJoCo body: joint, stiffness (6, 6) and velocity (6,)."""
 
 
 class QuasistaticForces:
-    """Sum of the forces and damping of all quasi-static membranes of one `data`; created by
-    `pushes_of`."""
+    """Sum of forces and damping of the quasi-static membranes of one `data`; see `pushes_of`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model = model
@@ -53,12 +46,8 @@ class QuasistaticForces:
         return number
 
     def set(self, number: int, force: Array, hold: Array) -> None:
-        """Set row `number` to `force` (nv,) and to the damping of the MuJoCo body of `hold`
-        (HOLD,).
-
-        Both replace the row's previous contribution. Other changes to `qfrc_applied` since then are
-        kept.
-        """
+        """Set row `number` to `force` (nv,) and the damping of the MuJoCo body of `hold` (HOLD,).
+        Other changes to `qfrc_applied` are kept."""
         self._forces[number] = force
         self._holds[number] = hold
         assert self._add is not None

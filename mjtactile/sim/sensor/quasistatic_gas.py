@@ -1,8 +1,7 @@
 """`QuasistaticGas`: a chamber's gas coupled to a quasi-static membrane.
 
 For sealed gas the membrane uses p V^exponent, for any volume change within a step. Gas that flows,
-leaks or warms is passed to the membrane once per time instant. The result is therefore independent
-of how often the state is read.
+leaks or warms is passed to the membrane once per time instant.
 """
 
 from __future__ import annotations
@@ -31,8 +30,7 @@ class QuasistaticGas:
         timestep: float,
         time: float,
     ):
-        """`stiffness` (1,) -dp/dV, Pa/m^3, is written here, for the kernel to read; `time` s is
-        now."""
+        """Couple the gas; `stiffness` (1,) -dp/dV, Pa/m^3, is written here for the kernel."""
         self._gas = gas
         self._live = live
         self._memory = memory
@@ -92,11 +90,7 @@ class QuasistaticGas:
             self._reported_at = time
 
     def hold(self, time: float) -> bool:
-        """Treat the gas as sealed for some steps, because leaks and heat exchange are slow.
-
-        Returns:
-            True if possible; False while the valve is open.
-        """
+        """Treat the gas as sealed for some steps; False while the valve is open."""
         if self._gas.is_sealed:
             return self._is_sealed
         if self._gas.is_open or not self._gas.stiffness(self._timestep) > 0:

@@ -25,23 +25,16 @@ _KINDS = {
 class ContactGeoms:
     """Geoms that a quasi-static membrane can touch, as rows of obstacles in its sensor's frame.
 
-    Attributes:
-        ids: Ids (k,) of the geoms.
-        bodies: MuJoCo bodies (k,) of the geoms.
-        rows: Obstacles (k, NUMBERS), whose poses the kernel writes.
-        pool: Planes of the meshes' hulls; None if there are none.
-        bounds: Bounds (k, 7): squared distance from the sensor's origin within which each geom is
-            near, m^2, then center and half-extents, m, of its bounding box in its own frame.
+    `ids` (k,) are the geoms, `bodies` (k,) their MuJoCo bodies, and `rows` (k, NUMBERS) their
+    obstacles, whose poses the kernel writes. `pool` holds the planes of the meshes' hulls, or is
+    None. `bounds` (k, 7): squared distance from the sensor's origin within which a geom is near,
+    m^2, then center and half-extents, m, of its bounding box.
     """
 
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
-        """Collect the geoms that can come within `reach` m of the origin of the sensor's `body`.
+        """Collect the movable geoms within `reach` m of the sensor's `body`.
 
-        Geoms that are fixed to the world are left out. A table would be near permanently, at a high
-        cost.
-
-        Raises InputError for kinds that a quasi-static membrane does not support. These are soft
-        objects and height fields.
+        Raises InputError for soft objects and height fields.
         """
         felt = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
@@ -74,7 +67,7 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
 
 
 def _refuse_soft(model: mujoco.MjModel) -> None:
-    """Raise InputError for a soft object: a quasi-static membrane supports only rigid obstacles."""
+    """Raise InputError for a soft object."""
     for flex in range(model.nflex):
         if model.flex_dim[flex] == 3:
             raise InputError(

@@ -1,11 +1,8 @@
 """`QuasistaticSensor`: a sensor with a quasi-static membrane outside MuJoCo's model.
 
-Its interface is that of `TactileSensor`: call `update` before every `mj_step`; read markers and
-pressure.
-
-The membrane rests on the obstacles at their present poses (`mjtactile.quasistatic`). It sticks to
-them and slides by Coulomb's law. It applies the contact forces to them and to its own frame. It has
-no mass and no damping, and is always in equilibrium. Gas and valve are those of the full sensor.
+Its interface is that of `TactileSensor`. The membrane rests on the obstacles at their present poses
+(`mjtactile.quasistatic`), sticks to them and slides by Coulomb's law. It applies the contact forces
+to them and to its own frame. It has no mass and is always in equilibrium.
 """
 
 from __future__ import annotations
@@ -55,8 +52,7 @@ class QuasistaticSensor(BaseSensor):
         prefix: str,
         effects: frozenset[str],
     ):
-        """Bind the sensor to model and data; `mesh` has the resolution of the quasi-static
-        membrane.
+        """Bind the sensor to model and data; `mesh` has the resolution of the membrane.
 
         Raises InputError for a scene that a quasi-static membrane does not support.
         """
@@ -149,7 +145,7 @@ class QuasistaticSensor(BaseSensor):
     # -- before every step
 
     def update(self) -> None:
-        """Solve for equilibrium at the present poses and apply the forces; call before every
+        """Solve for equilibrium at the present poses and apply the forces, before every
         `mj_step`."""
         self._look()
         pushes = self._find_push()
@@ -167,11 +163,7 @@ class QuasistaticSensor(BaseSensor):
         self._qs_gas.wake()
 
     def _look(self) -> None:
-        """Update membrane, gas and sticking contact to the present poses.
-
-        Only the first call per time instant has an effect. Reading the state therefore does not
-        change the simulation.
-        """
+        """Update membrane, gas and sticking contact to the present poses, once per time instant."""
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
@@ -215,16 +207,11 @@ class QuasistaticSensor(BaseSensor):
     # -- for a kernel that goes on by itself (`film_stepper`)
 
     def hold_gas(self) -> bool:
-        """Treat the gas as sealed for some steps, because leaks and heat exchange are slow.
-
-        Returns:
-            True if possible; False while the valve is open.
-        """
+        """Treat the gas as sealed for some steps; False while the valve is open."""
         return self._qs_gas.hold(self.time)
 
     def follow_message(self) -> Array:
-        """Return the arguments (34,) of `film_follow` and the address of its flag for applied
-        forces."""
+        """Return the arguments (34,) of `film_follow` and the address of its flag."""
         return np.append(words(self._follow), self._pushing.ctypes.data)
 
     def push_message(self) -> Array:
@@ -249,10 +236,7 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def wrench(self) -> Array:
-        """Wrench (6,) that the world exerts on the membrane at the last update, N and N m.
-
-        The torque is about the origin of S.
-        """
+        """Wrench (6,) on the membrane at the last update, N and N m about the origin of S."""
         return self._memory.wrench
 
     @property
@@ -287,13 +271,11 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def radius(self) -> float:
-        """Mean distance of the contact pressure from `middle` in the frame's plane, m; 0 without
-        contact."""
+        """Mean distance of the contact pressure from `middle`, m; 0 without contact."""
         return self._memory.radius
 
     def contact_forces(self) -> tuple[Array, Array]:
-        """Return forces (n, 3) N on the membrane at its touching nodes and their positions (n, 3) m
-        in S.
+        """Return forces (n, 3) N on the touching nodes and positions (n, 3) m, in S.
 
         The shear force is distributed in proportion to the normal force.
         """
@@ -309,16 +291,12 @@ class QuasistaticSensor(BaseSensor):
 
     @property
     def p_SV(self) -> Array:
-        """Present positions (n, 3) m in S of the mesh's vertices, which follow the membrane
-        solution."""
+        """Present positions (n, 3) m in S of the mesh's vertices."""
         self._look()
         return self._positions()()
 
     def positions_now(self) -> Callable[[], Array]:
-        """Return a function that computes `p_SV` of the present time later, if needed.
-
-        The computation for sticking contact takes longer than a step.
-        """
+        """Return a function that computes `p_SV` of the present time later, if needed."""
         self._look()
         return self._positions()
 
@@ -359,8 +337,7 @@ class QuasistaticSensor(BaseSensor):
         return np.empty(0, np.int64)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
-        """Return the present marker poses: a membrane in equilibrium has no velocity and no motion
-        blur."""
+        """Return the present marker poses: a membrane in equilibrium has no motion blur."""
         return self.marker_poses()
 
     # -- its limits
@@ -386,8 +363,7 @@ class QuasistaticSensor(BaseSensor):
         )
 
     def failure(self) -> str | None:
-        """Return the reason why this sensor's state is outside the membrane model's validity, or
-        None."""
+        """Return the reason why this sensor's state is outside the membrane model, or None."""
         lost = self._memory.lost
         if lost:
             pushed = self._memory.status == MembraneStatus.GLASS_CONTACT

@@ -1,6 +1,4 @@
-"""`QuasistaticState`: named access to the kernel state of a quasi-static membrane between
-updates.
-"""
+"""`QuasistaticState`: named access to the kernel state of a quasi-static membrane."""
 
 from __future__ import annotations
 
@@ -25,11 +23,8 @@ _SLID = 66
 
 
 class QuasistaticState:
-    """State of one quasi-static membrane. SI units, frame S.
-
-    Attributes:
-        numbers: Values (69,) that the kernel reads and writes.
-    """
+    """State of one quasi-static membrane in `numbers` (69,), which the kernel writes. SI units,
+    frame S."""
 
     def __init__(self) -> None:
         self.numbers = np.zeros(_COUNT)
@@ -60,14 +55,12 @@ class QuasistaticState:
 
     @property
     def radius(self) -> float:
-        """Mean distance of the contact pressure from `middle` in the frame's plane, m; 0 without
-        contact."""
+        """Mean distance of the contact pressure from `middle`, m; 0 without contact."""
         return float(self.numbers[_RADIUS])
 
     @property
     def strain(self) -> Array:
-        """Shear displacement along x and y and rotation (3,) of the membrane by sticking contact,
-        m, m, rad."""
+        """Shear displacement along x, y and rotation (3,) of the sticking membrane, m, m, rad."""
         return self.numbers[_STRAIN].copy()
 
     @property

@@ -1,8 +1,7 @@
-"""Entry points of many lines into a geom.
+"""Entry points of many lines into a geom: heights of obstacles over points of a membrane.
 
-They give the heights of obstacles over many points of a membrane. A geom is a polytope, an
-ellipsoid (a sphere), a cylinder, or a capsule. Polytopes are a box and the hull of a mesh. MuJoCo's
-own rays handle one point per call; tests compare with them.
+A geom is a polytope (box, hull of a mesh), an ellipsoid, a cylinder, or a capsule. MuJoCo's own
+rays handle one point per call; tests compare with them.
 """
 
 from __future__ import annotations
@@ -15,10 +14,7 @@ import numpy as np
 from mjtactile.core.types import Array
 
 MAX_FACES = 400
-"""Maximum face count of a mesh's hull.
-
-A hull with more faces is smooth at the membrane's vertex spacing, or too expensive.
-"""
+"""Maximum face count of a mesh's hull; more are smooth at the membrane's vertex spacing."""
 MISSED = np.inf
 _TINY = 1e-12
 _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
@@ -27,19 +23,12 @@ _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
 )
 
 Entry = Callable[[Array, Array], Array]
-"""Function of points (n, 3) m and unit directions (n, 3), in the geom's frame.
-
-It returns signed distances (n,) m along the lines to their entry into the geom, `MISSED` without
-intersection.
-"""
+"""Function of points (n, 3) m and unit directions (n, 3), in the geom's frame: signed distances
+(n,) m along the lines to their entry into the geom, `MISSED` without intersection."""
 
 
 def entry_of(model: mujoco.MjModel, geom: int, maximum: int | None = None) -> Entry | None:
-    """Return the entry function of a geom.
-
-    Return None for an unsupported kind (a plane, a height field). Also return None for a hull of
-    more than `most` faces (None: `MAX_FACES`).
-    """
+    """Return the entry function of a geom; None for a plane, a height field or too many faces."""
     kind = int(model.geom_type[geom])
     size = np.asarray(model.geom_size[geom], float).copy()
     if kind == _BOX:
@@ -83,10 +72,7 @@ def _ellipsoid(size: Array) -> Entry:
 
 
 def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
-    """Return entry and exit distances of lines through the unit sphere or the unit circle.
-
-    They are `MISSED` and -`MISSED` without intersection.
-    """
+    """Return entry and exit distances of lines through the unit sphere or circle, or +-`MISSED`."""
     a, b, c = (
         (p * q).sum(axis=1)
         for p, q in ((directions, directions), (points, directions), (points, points))

@@ -1,5 +1,4 @@
-"""Geoms that are small or sharp relative to a sensor's mesh; the contact spheres of `points` follow
-their shape."""
+"""Geoms that are small or sharp relative to a sensor's mesh; contact spheres follow their shape."""
 
 from __future__ import annotations
 
@@ -28,12 +27,9 @@ _APART = 0.15  # spacing of interior points of a thin geom, in cells
 class SharpGeoms(NamedTuple):
     """Geoms whose shape the contact spheres follow.
 
-    Args:
-        shapes: Entry function of lines for each geom.
-        round: Those of them that are cylinders much wider than the mesh spacing; only their ends
-            are sharp.
-        cores: Interior points (m, 3) m, in the geom's frame, of geoms that fit between vertices.
-            Such a geom may lie between all sample points of a cell.
+    `shapes` are their entry functions of lines, `round` the cylinders much wider than the mesh
+    spacing, of which only the ends are sharp. `cores` are interior points (m, 3) m of geoms that
+    fit between vertices.
     """
 
     shapes: dict[int, ray_intersection.Entry]
@@ -44,8 +40,7 @@ class SharpGeoms(NamedTuple):
 def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[float, str]:
     """Return radius, m, and name of the thinnest geom that could slip between vertices.
 
-    Its shape is not available here (a mesh of too many faces). The radius is infinite when there is
-    no such geom.
+    Its shape is not available here (a mesh of too many faces). Infinite if there is none.
     """
     found = []
     for geom in map(int, feature_size.touching_geoms(model, carrier)):
@@ -60,11 +55,8 @@ def missed(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> tuple[flo
 
 
 def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: float) -> SharpGeoms:
-    """Return the geoms that can touch the sensor on body `carrier` and are small or sharp for its
-    mesh.
-
-    Each vertex of the mesh represents a cell of `cell` m.
-    """
+    """Return the geoms that are small or sharp for the mesh of body `carrier`, of cells of `cell`
+    m."""
     found = SharpGeoms({}, set(), {})
     for geom in map(int, feature_size.touching_geoms(model, carrier)):
         if not _is_sharp(model, geom, mesh):

@@ -1,11 +1,9 @@
 """Sleep of an untouched sensor: its membrane is removed from the solve and restored exactly.
 
-MuJoCo's own sleep applies to whole kinematic trees. A sensor is in the same tree as the finger that
-carries it. Its gas is an external force, so it would never sleep.
-
-Here the membrane is declared rigid and the gas tendon loses its joints. A separate spring holds
-every vertex in place. These springs couple no vertices: a step takes 0.04 ms instead of 0.25. The
-membrane's own inertia and weight are left out. Their changes therefore wake the sensor.
+MuJoCo's own sleep applies to whole kinematic trees. Here the membrane is declared rigid and the gas
+tendon loses its joints. A separate spring holds every vertex in place. These springs couple no
+vertices: a step takes 0.04 ms instead of 0.25. The membrane's own inertia and weight are left out.
+Their changes therefore wake the sensor.
 """
 
 from __future__ import annotations
@@ -24,11 +22,7 @@ NEAR = 5e-3
 STILL = 1e-4
 LEAST = 1e-9
 """Limits of vertex motion between two checks: a fraction of the largest displacement, and a
-minimum, m.
-
-Shapes settle within 10 ms, so that less than a tenth of the motion remains after three such
-checks.
-"""
+minimum, m. Shapes settle within 10 ms."""
 # change of the frame's weight vector or acceleration that wakes the sensor, m/s^2; the membrane
 # responds by about 0.5 um
 SHAKEN = 0.5
@@ -42,10 +36,7 @@ _STIFFNESS = 1e5  # stiffness per vertex, N/m: its weight moves it by less than 
 
 
 class Sleeper:
-    """Sleep and wake-up of one sensor's membrane.
-
-    `load` applies the pressure (switches.make_load).
-    """
+    """Sleep and wake-up of one sensor's membrane; `load` applies the pressure."""
 
     def __init__(
         self,
@@ -89,10 +80,7 @@ class Sleeper:
         self._undo()
 
     def wakes(self) -> bool:
-        """Return True if a sleeping sensor is disturbed; call every step.
-
-        Disturbances are near geoms, motion of the frame, applied forces, and moved vertices.
-        """
+        """Return True if near geoms, motion, forces or moved vertices disturb a sleeping sensor."""
         data = self._data
         return bool(
             self._is_near()
@@ -138,8 +126,7 @@ class Sleeper:
         self.asleep = True
 
     def wake(self) -> None:
-        """Restore the state before sleep, or keep the vertex positions if they were changed
-        meanwhile."""
+        """Restore the state before sleep; vertices that were moved meanwhile stay."""
         model = self._model
         if np.abs(self._load.displacements - self._springs).max() <= 1e-6:
             self._load.displacements[:] = self._springs
@@ -158,8 +145,7 @@ class Sleeper:
         self._calm = 0
 
     def _undo(self) -> None:
-        """Undo changes of the model by another run time's sleep, so that a model can be bound
-        repeatedly."""
+        """Undo changes of the model by another run time's sleep."""
         model = self._model
         model.geom_gap[self._geoms] = model.body_margin[self._bodies] = 0.0
         # the geoms' own and the flex's: `touch_with`
@@ -170,8 +156,7 @@ class Sleeper:
         self._load.resume()
 
     def _collision(self) -> tuple[Array, ...]:
-        """Return views of the model's values that set the membrane's contacts and detection
-        distance."""
+        """Return views of the model's values that set the membrane's contacts."""
         model = self._model
         geoms = self._geoms
         bodies = self._bodies
@@ -201,11 +186,8 @@ class Sleeper:
         )
 
     def _is_moved(self) -> bool:
-        """Return True if the frame accelerates, rotates, or has changed its direction relative to
-        gravity.
-
-        The direction is compared with that at the last call, or at the start of sleep.
-        """
+        """Return True if the frame accelerates, rotates, or has tilted since the last call or
+        sleep."""
         option = self._model.opt
         velocity = self._data.cvel[self._body].tolist()
         axes = self._data.xmat[self._body].tolist()

@@ -23,10 +23,7 @@ _SLOW = 1e-4  # angular velocity, rad/s, below which no compensation is applied
 
 
 class SpinCorrection:
-    """Compensation of the braking torque on one sensor.
-
-    It is an external torque on the sensor's MuJoCo body (`xfrc_applied`).
-    """
+    """Compensation of the braking torque on one sensor, by `xfrc_applied` of its MuJoCo body."""
 
     def __init__(
         self,
@@ -50,10 +47,8 @@ class SpinCorrection:
         self._gives = False
 
     def update(self, p_SV: Array) -> None:
-        """Apply the compensating torque for the next step, with the vertices at `p_SV` (n, 3) m.
-
-        Call before every step, after the flex's stiffness for that step is set.
-        """
+        """Apply the torque for the next step with vertices at `p_SV` (n, 3) m, after the
+        stiffness."""
         data = self._data
         turning = data.cvel[self._body, :3]  # at the last step's beginning
         if turning.dot(turning) < _SLOW**2 and not self._gives:

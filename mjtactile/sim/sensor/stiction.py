@@ -39,14 +39,11 @@ _ON_CONE = 0.999  # of the cone: the solver's tolerance
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
-    A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step. Here v is the velocity
-    before the step, v' after it, and s that of the surface.
-
-    A sticking vertex should have v' = 0. Its friction also returns it to its initial sticking
-    position. A sliding vertex should nearly keep its velocity, with friction on the edge of the
-    cone. A vertex that stops sliding starts with its sliding friction. Its predicted velocity was
-    too large and its friction too small. A vertex that touches two objects at the same time
-    remembers the force of one.
+    A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocity v before
+    the step, v' after it, and s of the surface. A sticking vertex should have v' = 0. Its friction
+    also returns it to its initial sticking position. A sliding vertex should nearly keep its
+    velocity, with friction on the edge of the cone. A vertex that touches two objects at the same
+    time remembers the force of one.
     """
 
     def __init__(
@@ -98,7 +95,7 @@ class Stiction:
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Store the contact forces of the last step; `stand_off` (k,) m is the intended contact
+        """Store the contact forces of the last step; `stand_off` (k,) m is the intended
         distance."""
         time = float(self._data.time)
         before = self._time
@@ -121,11 +118,8 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _take(self) -> bool:
-        """Advance margins and surface velocities from the last contacts; return True if any exist.
-
-        Margins change by the depths of the contacts, which moves vertices to their intended contact
-        distance. Surface velocities are set so that the next step starts with the last friction.
-        """
+        """Advance margins and surface velocities from the last contacts; return True if any
+        exist."""
         data = self._data
         velocity = np.empty(data.nefc)
         travel = np.empty(data.nefc)

@@ -25,21 +25,11 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _STILL = 1e-4
-"""Tolerance for equilibrium: deviation of any term from its limit, as a fraction of the shear
-modulus.
-
-It corresponds to 0.6 um of a bulge of 3 mm.
-"""
+"""Tolerance for equilibrium: deviation of any term from its limit over the shear modulus."""
 
 
 class RelaxingMesh:
-    """Relaxation state of one membrane. It starts fully relaxed in the flat, mounted shape.
-
-    Args:
-        mesh: Triangles of the membrane.
-        sheet: Rubber parameters of the membrane.
-        relaxation: Relaxation law of the rubber.
-    """
+    """Relaxation state of one membrane. It starts fully relaxed in the flat, mounted shape."""
 
     def __init__(self, mesh: MembraneMesh, sheet: Membrane, relaxation: Relaxation):
         count = len(mesh.triangles)
@@ -85,11 +75,9 @@ class RelaxingMesh:
     def carry(self, thin: Array, rows: Array, forces: Array) -> None:
         """Set the arrays that `update` reads and changes, permanently.
 
-        Args:
-            thin: Array (m,) of the long-term rubber, which is updated first (`Rubber.thin`).
-            rows: Stiffness (m, 21) of the long-term rubber, which is replaced by the present one.
-            forces: Generalised forces (3 k,) N of the interior vertices. The forces that subtract
-                the relaxed stress are added to them.
+        `thin` (m,) is `Rubber.thin`, updated first. `rows` (m, 21) are the stiffness of the
+        long-term rubber, replaced by the present one. Relaxed forces are added to `forces` (3 k,)
+        N.
         """
         self._act = bound("rubber_remembers", *self._sheet, thin, *self._state, rows, forces)
 
@@ -99,10 +87,8 @@ class RelaxingMesh:
             self._advance(p_SV, np.inf)
 
     def update(self, p_SV: Array, elapsed: float) -> None:
-        """Advance the relaxation to membrane vertices `p_SV` (n, 3) m, `elapsed` s later.
-
-        Call it before every step, after the update of the long-term rubber.
-        """
+        """Advance the relaxation to `p_SV` (n, 3) m, `elapsed` s later, after the long-term
+        rubber."""
         self._come_to(p_SV, elapsed)
         self._act()
 

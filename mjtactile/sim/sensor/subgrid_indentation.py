@@ -1,5 +1,5 @@
-"""Additional indentation by a small contact that the membrane's mesh cannot resolve
-(docs/theory/simulation_contact.md, C6). Pure functions.
+"""Additional indentation by a contact too small for the mesh (docs/theory/simulation_contact.md,
+C6).
 
 All lengths are in cells of the mesh (the square root of a vertex's area). Loads are forces over 2
 pi times the tension and a cell.
@@ -12,10 +12,8 @@ import numpy as np
 from mjtactile.core.types import Array
 
 MESH_RADIUS = 0.198
-"""Radius at which a five-point lattice's response to a point force equals ln(1/a).
-
-It is exp(-(gamma + 1.5 ln 2)) with Euler's gamma.
-"""
+"""Radius at which a lattice's response to a point force equals ln(1/a): exp(-(gamma + 1.5 ln
+2))."""
 WIDEST = 0.5
 """Contact radius, in cells, above which adjacent vertices carry the contact jointly."""
 _LINE = 0.31  # deepening of contact on a line: 1 - ln 2
@@ -41,10 +39,8 @@ def profile(near: Array, far: Array, radii: tuple[float, float]) -> tuple[Array,
 
 
 def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
-    """Return the radius a at which a membrane leaves a shape under `load`.
-
-    The radius satisfies load = a sin(angle of the shape at a). It is at most `WIDEST`.
-    """
+    """Return the radius a at which a membrane leaves a shape: load = a sin(angle of the shape at
+    a)."""
     low = np.zeros(np.broadcast(load, slope).shape)
     high = np.full(np.broadcast(load, slope).shape, WIDEST)
     for _ in range(_HALVINGS):
@@ -61,9 +57,8 @@ def depth_beyond_mesh(
 ) -> tuple[Array, Array]:
     """Return the additional indentation (k,) under each `load` (k,), and the contact radii (k,).
 
-    `slope` and `curvature` (k, d) describe the shape in d directions around the contact. The
-    directions are spread evenly over half a turn. `width` is the half-width of a flat edge. The
-    membrane then hangs on its rim.
+    `slope` and `curvature` (k, d) describe the shape in d directions over half a turn. `width` is
+    the half-width of a flat edge, on whose rim the membrane hangs.
     """
     radii = contact_radius(load[:, None], slope, curvature)
     on_rim = radii.max(axis=1) < width
@@ -82,8 +77,8 @@ def depth_beyond_mesh(
 def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
     """Return the additional indentation (k,) under a flat round end of radius `width`.
 
-    The membrane hangs on its rim. `load` (k,) acts on each of the touching vertices (k, 2). The
-    result is negative for an end that is wider than the mesh's effective point: it indents less.
+    `load` (k,) acts on each of the touching vertices (k, 2). An end wider than the mesh's effective
+    point indents less.
     """
     apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
     np.fill_diagonal(apart, MESH_RADIUS)
@@ -91,13 +86,12 @@ def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
 
 
 def _deepening(mean: Array, steep: Array) -> Array:
-    """Return the indentation of a round contact beyond ln(mesh/a).
+    """Return the indentation of a round contact beyond ln(mesh/a): 1/2 for a shallow ball, 1 for a
+    cone.
 
-    The shape falls from the contact's rim to its tip with the mean slope `mean`. The membrane
-    leaves it with the slope `steep`. The result is 1/2 for a shallow ball, 1 for a shallow cone.
-
-    Tangents of the membrane's angle are integrated outward from the rim. There the load is tension
-    times radius times the sine of the angle. The tension is 1 + k (1/cos - 1).
+    The shape falls from the contact's rim to its tip with the mean slope `mean`, and the membrane
+    leaves it with the slope `steep`. Tangents of the membrane's angle are integrated outward from
+    the rim. The load there is tension times radius times the sine of the angle.
     """
     k = _TIGHTENING
     c = 1 / np.sqrt(1 + steep * steep)
@@ -109,10 +103,9 @@ def _deepening(mean: Array, steep: Array) -> Array:
 
 
 def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Array) -> Array:
-    """Return the additional indentation (k,) at each vertex due to the loads of the other vertices.
+    """Return the additional indentation (k,) at each vertex due to the loads of the others.
 
-    Several vertices at `vertices` (k, 2) may bear on one location. They touch at `touches` (k, 2),
-    which are closer to each other than the vertices are.
+    Several `vertices` (k, 2) may bear on one location, at `touches` (k, 2).
     """
     apart, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
     one_place = (close < _ONE_PLACE) & ~np.eye(len(load), dtype=bool)

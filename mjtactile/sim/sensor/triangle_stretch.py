@@ -10,10 +10,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 
 def stretches_of(design: SensorDesign, mesh: MembraneMesh, p_SV: Array) -> tuple[Array, Array]:
-    """Return principal stretches (m, 2), small and large, and the area (m,) m^2 of each triangle.
-
-    The vertices are at `p_SV` (n, 3) m; stretches are relative to the free membrane.
-    """
+    """Return principal stretches (m, 2), relative to the free membrane, and areas (m,) m^2."""
     now = p_SV[mesh.triangles]
     moved = now[:, 1:] - now[:, :1]
     F = mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)

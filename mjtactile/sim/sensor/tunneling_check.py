@@ -16,11 +16,7 @@ _BETWEEN = 0.6
 
 
 class CorePoints:
-    """Interior points of the geoms that a sensor can touch, about as deep as each geom is thin.
-
-    All points of a held object are above the membrane. Points of an object that went or sticks
-    through are not.
-    """
+    """Interior points of the geoms that a sensor can touch, about as deep as each geom is thin."""
 
     def __init__(
         self, model: mujoco.MjModel, geoms: NDArray[np.int64], mesh: MembraneMesh, contact: str
@@ -33,21 +29,13 @@ class CorePoints:
         self._inside: set[int] = set()
 
     def forget(self, data: mujoco.MjData, body: int, p_SV: Array, depth: float) -> None:
-        """Exclude geoms that are behind the membrane from the start: parts of the sensor's
-        carrier."""
+        """Exclude geoms that are behind the membrane from the start: parts of the carrier."""
         behind = [geom for geom in self._points if self.behind(data, body, p_SV, geom, depth)]
         self._inside.update(behind)
 
     def behind(self, data: mujoco.MjData, body: int, p_SV: Array, geom: int, depth: float) -> bool:
-        """Return True if a point inside `geom` is behind the membrane.
-
-        Args:
-            data: The scene's state.
-            body: The sensor's MuJoCo body.
-            p_SV: Vertices (n, 3) m of the membrane, in S.
-            geom: One of the geoms that the sensor can touch.
-            depth: Depth of the chamber behind the membrane, m.
-        """
+        """Return True if a point inside `geom` is in the chamber of `depth` m behind `p_SV` (n, 3)
+        m."""
         core = self._points[geom]
         if geom in self._inside or not len(core):
             return False

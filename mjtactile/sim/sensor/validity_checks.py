@@ -1,8 +1,7 @@
 """Limits of the method: InputErrors at scene construction, flags and stops at run time.
 
-An InputError or a stop (SimulationError) prevents wrong results. A flag marks results of reduced
-accuracy, with the reason and the nearest setting that works. Wrong results are never returned
-silently.
+A flag marks results of reduced accuracy, with the reason and the nearest setting that works. An
+InputError or a stop (SimulationError) prevents wrong results.
 """
 
 from __future__ import annotations
@@ -16,11 +15,7 @@ from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 
 Flags = dict[str, str]
-"""Map from the kind of flag to its reason.
-
-Kinds are "stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending". Others
-are "speed", "solver", "frame", "rim", "unsettled", and "strain" of a soft object.
-"""
+"""Map from the kind of flag to its reason."""
 
 GROWS = frozenset({"frame_contact"})
 """Kinds whose reason contains an amount: the reason is replaced when the amount grows."""
@@ -36,8 +31,7 @@ _NARROW = 0.1  # relative force error; squares and discs are below, rods as thin
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
-    """Refuse a membrane that the method cannot carry. Raises InputError naming field, value and
-    nearest good value."""
+    """Raise InputError for a membrane that the method cannot carry."""
     sheet = design.membrane
     short = min(design.frame.length, design.frame.width)
     if sheet.thickness > _THICKEST * short:
@@ -89,14 +83,9 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
 def membrane_flags(
     design: SensorDesign, gauge_pressure: float, stretches: Array, areas: Array
 ) -> Flags:
-    """Return flags for reduced accuracy of the membrane's present state: stretch, compression.
+    """Return flags for stretch and compression of a membrane's present state.
 
-    Args:
-        design: The sensor.
-        gauge_pressure: Gauge pressure of its chamber, Pa.
-        stretches: Principal stretches (m, 2), small and large, of the triangles relative to the
-            free membrane.
-        areas: Areas of the triangles (m,) m^2.
+    `stretches` (m, 2) are relative to the free membrane; `areas` (m,) m^2 are the triangles'.
     """
     flags: Flags = {}
     sheet = design.membrane
@@ -132,8 +121,8 @@ def membrane_flags(
 def quasistatic_flags(below_rim: float, doubt: float) -> Flags:
     """Return flags of a quasi-static membrane.
 
-    `below_rim` is the depth, m, below the rim at which the frame carries the contact. `doubt` is
-    the relative force error for a contact that is narrow for the grid.
+    `below_rim` is the depth, m, at which the frame carries the contact, `doubt` the relative force
+    error for a contact that is narrow for the grid.
     """
     flags: Flags = {}
     if below_rim > 0:

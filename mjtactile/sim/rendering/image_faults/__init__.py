@@ -1,11 +1,7 @@
 """Camera faults: pure functions from image to image, applied one after the other.
 
-    shown = FaultyImage(CameraFaults(gamma=1.3, jpeg=80), seed=1)
-    image = shown(image)          # images of one camera, in their order
-
-The meaning and range of each fault are given by the fields of
-`mjtactile.rig.camera_faults.CameraFaults`. Random choices (position of dust, torn images) follow
-from the seed and the image number.
+The fields of `mjtactile.rig.camera_faults.CameraFaults` give the meaning and range of each fault.
+Random choices (position of dust, torn images) follow from the seed and the image number.
 """
 
 from __future__ import annotations
@@ -22,10 +18,7 @@ from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Flo
 STEPS: tuple[Step, ...] = (*optics.STEPS, *image_sensor.STEPS, *image_processing.STEPS)
 """In the order of light, chip, processor and wire."""
 _FORGOTTEN = 0.15
-"""Time after which the last image is discarded, s.
-
-A camera that is not read keeps taking images. The last of them resembles the next.
-"""
+"""Time after which the last image is discarded, s."""
 _DEFAULTS = {field.name: field.default for field in fields(CameraFaults)}
 
 

@@ -16,11 +16,9 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FaultContext:
-    """One image at one step: the camera's `seed`, the image's `number` and `time` s, the step's
-    `name`.
+    """One image at one step: camera `seed`, image `number` and `time` s, step `name`.
 
-    `last` holds the previous image's time and its levels before and after this step (None: there
-    was none).
+    `last` holds the previous image's time and its levels before and after this step, or None.
     """
 
     seed: int
@@ -42,11 +40,7 @@ class FaultContext:
 
 @dataclass(frozen=True)
 class Step:
-    """One image fault.
-
-    It has a `name` and `switches`, the fields of `CameraFaults` that enable it. `apply` is its
-    function of levels (H, W).
-    """
+    """One image fault: `switches` are the fields of `CameraFaults` that enable it."""
 
     name: str
     switches: tuple[str, ...]

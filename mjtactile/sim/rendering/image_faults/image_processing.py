@@ -1,5 +1,4 @@
-"""Faults of the camera's processor and of the transmission: filters, curves, compression, data
-loss."""
+"""Faults of the camera's processor and of the transmission."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ def studio_range(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def compressed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Encode as JPEG and decode; a damaged one gives the decoder's result, or the previous
-    image."""
+    """Encode as JPEG and decode; a damaged one may give the previous image."""
     eight = np.clip(np.rint(pixels), 0, 255).astype(np.uint8)
     quality = round(t.jpeg) or _QUALITY
     data = cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].copy()
@@ -86,8 +84,7 @@ def torn(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def without_lines(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Remove some lines: the lines below move up, and the last lines are those of the previous
-    image."""
+    """Remove some lines: the lines below move up; the last ones are those of the last image."""
     rng = shot.own
     if shot.last is None or rng.random() >= t.lost_lines:
         return pixels

@@ -26,10 +26,8 @@ def exposed_by_itself(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Fl
 
 
 def rolling(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Make the rows above the last older, as a rolling shutter does.
-
-    They lie between this image and the previous one, to first order in the motion between them.
-    """
+    """Make the rows above the last older, as a rolling shutter does, to first order in the
+    motion."""
     if shot.last is None or shot.time <= shot.last[0]:
         return pixels
     height = pixels.shape[0]
@@ -64,10 +62,7 @@ def with_dead_rows(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Float
 
 
 def mosaic(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Simulate a color mosaic: every pixel records one color, the others are interpolated.
-
-    The white balance is correct afterwards.
-    """
+    """Record one color per pixel and interpolate the others, with correct white balance."""
     share = np.float32(1 - t.bayer)
     raw = pixels.copy()
     raw[::2, ::2] *= share

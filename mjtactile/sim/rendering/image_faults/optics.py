@@ -23,11 +23,7 @@ _BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
 
 
 def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Zoom, shift and rotate about the image center, by cubic splines.
-
-    Fast resampling rounds positions to a 32nd of a pixel. Circles would become larger or smaller
-    depending on their position.
-    """
+    """Zoom, shift and rotate about the image center, by cubic splines (no rounding to pixels)."""
     from scipy.ndimage import affine_transform  # takes a while to import
 
     height, width = pixels.shape
