@@ -37,8 +37,7 @@ from mjtactile.sim.fast_reset import Restart, movable
 RANDOM = "random"
 """Object name for a random object, different for each seed."""
 REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
-"""At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when
-time is over."""
+"""Rewards at the end of an episode, by the outcome that `mjtactile evaluate` counts."""
 PROGRESS = {
     "approach": (0.0, 0.2),
     "close": (0.2, 0.2),
@@ -51,9 +50,8 @@ PROGRESS = {
 }
 """Progress of a grasp at the start of a phase, and its increase during the phase.
 
-`reward="progress"` pays the increase over the episode's maximum so far, with contact on all
-fingers. Closing and releasing do not require contact. Releasing is not rewarded if the object was
-never held.
+`reward="progress"` pays the increase over the episode's maximum so far, with contact on all fingers
+except while closing and releasing. An object that was never held earns no release.
 """
 _TOUCHLESS = ("approach", "close", "release", "done")
 _AFTER_HOLDING = ("release", "done")
@@ -148,10 +146,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start the episode of `seed`, with both membranes inflated and without contact.
-
-        If `seed` is None, the generator supplies the next one.
-        """
+        """Start the episode of `seed` (None: the generator's next), inflated and without
+        contact."""
         super().reset(seed=seed)
         self._seed = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         if self._restart is None:
@@ -239,10 +235,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         )
 
     def _build(self, seed: int) -> None:
-        """Build a new world and take the references of its sensors.
-
-        Its state is stored for a fast reset if only the seed changes.
-        """
+        """Build a new world and take the references; keep its state for a fast reset."""
         self.close()
         rig = build_rig(self._scenario_of(seed))
         if rig.scene is None:
@@ -314,8 +307,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return ""
 
     def _info(self) -> dict[str, Any]:
-        """Return ground truth and seed, which no observation may contain; unknown values are
-        omitted."""
+        """Return ground truth and seed, which no observation may contain."""
         score = self._score
         rig = self._rig
         found = {

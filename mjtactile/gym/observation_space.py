@@ -18,8 +18,8 @@ _MARKER_REACH = 0.1  # bound of marker coordinates, m; larger than any sensor
 
 
 def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Space[Any]:
-    """The space of an observation. Raises InputError for a kind that does not exist, or fingers
-    that cannot be stacked."""
+    """Return the space of an observation. Raises InputError for an unknown kind or mixed
+    fingers."""
     if kind not in KINDS:
         raise InputError(f"{kind!r}", source="Grasp-v0", field="observation", choices=KINDS)
     maximum = policy_bounds(len(designs)).astype(np.float32)
@@ -55,10 +55,7 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
-    """Return the current observation in that space, with `count` markers per finger.
-
-    A marker that is not visible is 0, with `seen` 0.
-    """
+    """Return the observation in that space; a marker that is not visible is 0, with `seen` 0."""
     vector = policy_observation(observation)
     if kind == "wrench":
         return vector

@@ -1,9 +1,7 @@
 """Vector environment: several `GraspEnv` in one process, stepped in threads.
 
-With synthetic touch, one environment step is one kernel call for the world plus some Python code.
-The kernel releases Python's lock, so threads run kernels and Python code of different environments
-in parallel. The result of an environment depends on its own seed alone. The number of environments
-and threads has no effect.
+Kernels release Python's lock, so threads run kernels and Python code of different environments in
+parallel. The result of an environment depends on its own seed alone.
 """
 
 from __future__ import annotations
@@ -22,14 +20,9 @@ from mjtactile.gym.env import GraspEnv
 
 
 class ThreadedVectorEnv(SyncVectorEnv):
-    """`num_envs` of `GraspEnv`, which take the other arguments; seeds as `SyncVectorEnv` has them:
-    s, s + 1, ….
+    """`num_envs` of `GraspEnv` with the other arguments `how`; seeds are s, s + 1, ….
 
-    Args:
-        num_envs: How many.
-        threads: That step them (None: one for each processor).
-        autoreset_mode: When an environment whose episode is over begins the next.
-        **how: As for `GraspEnv`.
+    `threads` step them (None: one for each processor). `autoreset_mode` is that of Gymnasium.
     """
 
     def __init__(
@@ -48,8 +41,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin the episodes of `seed`, seed + 1, … (None: the next of each), or those of a
-        list."""
+        """Start the episodes of `seed`, seed + 1, … (None: the next), or of a list."""
         seeds = [seed + k for k in range(self.num_envs)] if isinstance(seed, int) else seed
         chosen = [None] * self.num_envs if seeds is None else seeds
         mask = (options or {}).get("reset_mask", [True] * self.num_envs)
@@ -61,7 +53,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
         return super().reset(seed=seed, options=options)
 
     def step(self, actions: Array) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
-        """A step of each, or the beginning of the next episode where one is over."""
+        """Step each environment, or start the next episode where one is over."""
         mine = list(gymnasium.vector.utils.iterate(self.action_space, actions))
         resets = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         self._together(

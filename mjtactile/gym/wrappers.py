@@ -62,11 +62,9 @@ class ActionRepeatScaling(gymnasium.Wrapper):
 
 
 def save_policy(path: str | Path, layers: list[tuple[NDArray, NDArray]]) -> None:
-    """Write a network that learned behind `ActionRepeatScaling`, tanh between its layers.
+    """Write a network that learned behind `ActionRepeatScaling` to `path`, .npz.
 
-    Args:
-        path: of the file, .npz.
-        layers: weights (out, in) and biases (out,) of each, the first layer's first.
+    `layers` are weights (out, in) and biases (out,) of each, first to last, with tanh between.
     """
     arrays = {}
     for k, (weights, biases) in enumerate(layers):

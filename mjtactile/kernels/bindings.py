@@ -43,19 +43,10 @@ _MACRO = re.compile(r"^#define (\w+)\((\w+)\) (.*?)(?: /\*.*)?$", re.M)
 def kernel(name: str) -> Callable[..., Any]:
     """Return the C function `name` as a Python function that runs without Python's lock.
 
-    Args:
-        name: A function declared in `kernels.h`; otherwise KeyError is raised.
-
-    Returns:
-        A function with the arguments of the declaration. Input arrays are converted if necessary.
-        Output arrays must be C-contiguous and of the declared type. It returns the result of the C
-        function.
-
-    Raises:
-        TypeError: Raised by that function for a number of the wrong type or an unusable array.
-        ValueError: Raised for an array of the wrong size, or if the kernel rejects its arguments.
-        MemoryError, numpy.linalg.LinAlgError: Raised for the corresponding return code of the
-            kernel.
+    It takes the arguments of the declaration in `kernels.h`. Input arrays are converted if
+    necessary. Output arrays must be C-contiguous and of the declared type. It raises TypeError or
+    ValueError for an unusable argument, MemoryError and numpy.linalg.LinAlgError by the kernel's
+    return code. An unknown name raises KeyError.
     """
     return _library()[name].call
 
@@ -63,31 +54,17 @@ def kernel(name: str) -> Callable[..., Any]:
 def bound(name: str, *values: Any) -> Callable[..., Any]:
     """Bind the C function `name` to given arrays and numbers, for repeated calls.
 
-    The arguments are checked now, and the arrays are kept alive.
-
-    Args:
-        name: As for `kernel`.
-        values: Arguments of the function; each `...` stands for an argument given at every call.
-
-    Returns:
-        A function of the remaining arguments.
-
-    Raises:
-        TypeError: For an array that needs conversion, or whose size depends on a later argument.
-        ValueError: As for `kernel`.
+    Each `...` in `values` stands for an argument given at every call. The others are checked now,
+    and the arrays are kept alive. Raises TypeError for an array that needs conversion, or whose
+    size depends on a later argument; ValueError as `kernel` does.
     """
     return _library()[name].bind(values)
 
 
 def words(call: Callable[..., Any]) -> np.ndarray:
-    """Return the arguments of a `bound` function, for a kernel that calls this C function itself.
+    """Return the arguments (n,) int64 of a fully `bound` function, for a kernel that calls it.
 
-    Args:
-        call: A function with all arguments bound. The caller must keep it while the arguments are
-            in use.
-
-    Returns:
-        (n,) int64, one per argument: integers, the bit patterns of floats, and addresses.
+    They are integers, bit patterns of floats, and addresses. The caller must keep `call`.
     """
     given = call.fixed  # type: ignore[attr-defined]
     return np.array([_word(value) for value in given], np.int64)
@@ -124,10 +101,7 @@ class Declaration:
     arguments: tuple[KernelArgument, ...]
 
     def sizes(self) -> Callable[..., tuple[float, ...]]:
-        """Return a function that maps argument values to array sizes.
-
-        The size is the number of elements that each array must have; it is 0 for a number.
-        """
+        """Return a function from argument values to the sizes of all arrays (0 for a number)."""
         names = [argument.name for argument in self.arguments]
         products = [
             "*".join(f"({side})" for side in argument.shape.split(", ")) if argument.shape else "0"
@@ -139,10 +113,7 @@ class Declaration:
 
 @cache
 def declarations() -> Mapping[str, Declaration]:
-    """Return all declarations of `kernels.h` by name.
-
-    Raises RuntimeError for an array without a size.
-    """
+    """Return all declarations of `kernels.h` by name. Raises RuntimeError for a missing size."""
     text = _header()
     found = {}
     for result, name, arguments in _DECLARATION.findall(text):

@@ -1,11 +1,10 @@
 """Location and build of the kernel library.
 
-The file name of a library holds a hash of its source, its platform and its instruction set. A
-library built from other sources is therefore never loaded. The build of a wheel or of an editable
-install (`hatch_build.py`) compiles it. Otherwise the first import does. The compiler is Zig's, a
-pip package (`ziglang`), or the system's C compiler. Zig cross-compiles for all platforms. It
-targets the oldest system that the wheel tag promises: glibc 2.17 on Linux, macOS 11. This module
-imports no other module of the package. The build runs it before the package is importable.
+The file name of a library holds a hash of its source, its platform and its instruction set. The
+build of a wheel or of an editable install (`hatch_build.py`) compiles it, or else the first import.
+The compiler is Zig's, a pip package (`ziglang`), or the system's. Zig cross-compiles for the oldest
+system that the wheel tag promises: glibc 2.17 on Linux, macOS 11. This module imports no other
+module of the package, because the build runs it first.
 """
 
 from __future__ import annotations
@@ -65,17 +64,12 @@ def sources() -> list[Path]:
 
 
 def this_platform() -> str:
-    """The system and the processor that this runs on; of `PLATFORMS`, or one that only its own
-    compiler knows."""
+    """Return system and processor, such as those of `PLATFORMS`."""
     return f"{sys.platform}-{platform.machine()}"
 
 
 def wheel_tag(target: str) -> str:
-    """Return the wheel tag of the platform `target`.
-
-    Without Zig, which compiles for old systems, it is the plain platform tag. Package indexes
-    reject that tag.
-    """
+    """Return the wheel tag of the platform `target`; without Zig the plain platform tag."""
     if _has_zig() and target in PLATFORMS:
         return f"py3-none-{PLATFORMS[target][1]}"
     return "py3-none-" + re.sub(r"[-.]", "_", sysconfig.get_platform())
@@ -93,14 +87,10 @@ def best_set() -> str:
 
 
 def library(instructions: str | None = None, target: str | None = None) -> Path:
-    """Return the path of the kernel library; build the library if it does not exist.
+    """Return the path of the kernel library; build it if it does not exist.
 
-    Args:
-        instructions: One of `instruction_sets`; by default the best for this processor.
-        target: One of `PLATFORMS`; by default the current one.
-
-    Raises:
-        RuntimeError: There is no compiler, or it fails. The message contains a remedy.
+    `instructions` default to the best set of this processor, `target` to this platform. Raises
+    RuntimeError with a remedy if there is no compiler, or it fails.
     """
     if sys.platform == "win32":
         raise RuntimeError("mjtactile runs on Linux and macOS; on Windows, inside WSL")

@@ -1,9 +1,8 @@
 """Reference state of a sensor, measured on the sensor alone.
 
-A real sensor measures its references without contact. In a user's scene, contact may exist from the
-first step on. The references are therefore taken in a separate world that contains only this
-sensor. They use rendered images and the same sensing pipeline as every rig. The resulting inflated
-membrane is then copied into the user's scene, which needs no special motion.
+In a user's scene, contact may exist from the first step on. The references are therefore taken in a
+separate world, with rendered images and the pipeline of every rig. The resulting inflated membrane
+is then copied into the user's scene.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from mjtactile.sim.scenes.world import World
 class Rest:
     """Reference state of a sensor with a sealed chamber and no contact.
 
-    `displacements` (3 k,), m, frame S, are those of the interior mesh vertices. `gauge_pressure` is
-    in Pa. The `chain` has measured both references, which its `state` holds.
+    `displacements` (3 k,), m, frame S, are those of the interior mesh vertices. The pipeline's
+    `state` holds both references.
     """
 
     displacements: Array
@@ -44,11 +43,7 @@ class Rest:
 def at_rest(
     design: SensorDesign, mesh: tuple[int, int], effects: frozenset[str], seed: int
 ) -> Rest:
-    """Inflate one sensor alone and take its references; `seed` fixes its camera's noise.
-
-    Raises DeviceError when the sensor cannot measure itself: an image that shows too few markers,
-    for example.
-    """
+    """Inflate one sensor alone and take its references. Raises DeviceError if that fails."""
     spec = mujoco.MjSpec()
     configure_options(spec)
     spec.option.gravity = [0.0, 0.0, 0.0]

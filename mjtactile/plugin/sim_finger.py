@@ -30,11 +30,9 @@ OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 
 @dataclass(frozen=True, eq=False)
 class SensorReading:
-    """Result of one camera image: `touch` with its age at that time, and the membrane reference
-    `rest`.
+    """Result of one camera image: `touch` with its age, and the membrane reference `rest`.
 
-    `gauge_pressure`, Pa, and `temperature`, K, are those of the chamber at the time of the
-    image.
+    `gauge_pressure`, Pa, and `temperature`, K, are those of the chamber at that time.
     """
 
     image: Image
@@ -110,8 +108,7 @@ class SimFinger:
 
     @property
     def gauge_pressure(self) -> float:
-        """Chamber pressure at the last step, Pa above ambient, as a pressure sensor would measure
-        it."""
+        """Chamber pressure at the last step, Pa above ambient, as a pressure sensor measures it."""
         return self.sensor.gauge_pressure
 
     @property
@@ -268,10 +265,7 @@ def step(
 
 
 def _address(model: mujoco.MjModel, name: str, size: int) -> slice:
-    """Return the slice of a sensor's values in `sensordata`.
-
-    Raises InputError if the model has no such sensor.
-    """
+    """Return the slice of a sensor's values in `sensordata`. Raises InputError without it."""
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if found < 0:
         raise InputError(

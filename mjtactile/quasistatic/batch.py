@@ -13,12 +13,7 @@ from mjtactile.quasistatic.solution import FOUND, MembraneSolutionBatch
 
 
 def at_once(threads: int, work: Callable[[int], object]) -> None:
-    """Call `work(k)` in `threads` threads, including this one, with k from 0 on.
-
-    Args:
-        threads: Number of threads.
-        work: Function that processes the remaining items, mostly without Python's lock.
-    """
+    """Call `work(k)` in `threads` threads, including this one, with k from 0 on."""
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     orders = _orders(os.getpid(), threads - 1)
     for number in range(1, threads):
@@ -43,10 +38,7 @@ _kept: dict[int, tuple[SimpleQueue[_Order], list[Thread]]] = {}
 
 
 def _orders(process: int, count: int) -> SimpleQueue[_Order]:
-    """Return the work queue of a process, with at least `count` waiting threads.
-
-    The threads stay alive for the next batch. A forked process gets its own queue and threads.
-    """
+    """Return the work queue of a process, with at least `count` waiting threads that stay alive."""
     if process not in _kept:
         _kept[process] = SimpleQueue(), []
     orders, threads = _kept[process]

@@ -25,15 +25,10 @@ _NEWTON = 60
 
 
 def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
-    """Return the parameters and the polynomial of a membrane's constitutive law.
+    """Return the parameters and the polynomial (DEGREE + 1,) of a membrane's constitutive law.
 
-    Args:
-        sheet: The sensor file's membrane.
-
-    Returns:
-        1.0 if it is neo-Hookean (else 0.0), its modulus times thickness, N/m (mu h, or E h / (1 -
-        nu^2)), Poisson's ratio, and the center and scale of the polynomial's argument; the
-        polynomial (DEGREE + 1,), lowest power first.
+    The parameters are 1.0 if it is neo-Hookean (else 0.0), modulus times thickness, N/m (mu h, or E
+    h / (1 - nu^2)), Poisson's ratio, and center and scale of the polynomial's argument.
     """
     middle, per_unit, powers = _polynomial(sheet)
     neo_hookean = sheet.law is not Law.STVK
@@ -45,10 +40,9 @@ def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
 
 
 def tension(sheet: Membrane, area_ratio: float) -> float:
-    """Return the tension, N/m, of the uniformly deformed membrane.
+    """Return the tension, N/m, of the membrane stretched uniformly to an `area_ratio`.
 
-    `area_ratio` is its area relative to the mounted area. The force per mounted length is h S l
-    with l = sqrt(J). Over the deformed length it is h S.
+    The force per mounted length is h S l with l = sqrt(J). Over the deformed length it is h S.
     """
     stretch = sheet.pre_stretch * np.sqrt(area_ratio)
     return sheet.thickness * equibiaxial_stress(
@@ -64,10 +58,7 @@ def tension_slope(sheet: Membrane, area_ratio: float) -> float:
 
 @lru_cache(maxsize=64)
 def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
-    """Fit q as a polynomial in 1 / sqrt(det C), to 1e-6 of q or better.
-
-    Returns the center and scale of the argument, and the coefficients.
-    """
+    """Return center, scale and coefficients of q in 1 / sqrt(det C), within 1e-6 of q."""
     nu = max(sheet.poisson, _MIN_POISSON)
     half = nu / (1 - 2 * nu)  # lambda / 2 mu
     ends = sheet.pre_stretch**-2 * np.array([_MAX_STRETCH**-2, _MIN_STRETCH**-2])

@@ -35,15 +35,9 @@ _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, counter-clockwise
 
 
 def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
-    """Cut a grid with the outline of a frame.
+    """Cut a grid with lines `x` (nx,), `y` (ny,), m, with the outline of a frame.
 
-    Args:
-        frame: Frame with any outline.
-        x: (nx,) Grid lines, m, from edge to edge of the rectangle about the outline.
-        y: (ny,) The same along y, m.
-
-    Returns:
-        The input of kernels/qs_cut_cells.h, empty for a rectangle; the area inside, m^2.
+    Return the input of kernels/qs_cut_cells.h, empty for a rectangle, and the area inside, m^2.
     """
     if frame.outline is None:
         return np.empty(0), frame.length * frame.width
@@ -74,10 +68,10 @@ def moving(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class _Crossings:
-    """Crossings of a grid and an outline.
+    """Crossings of a grid and an outline; `inside` (nx, ny) is True for free nodes.
 
-    `inside` (nx, ny) is True for free nodes. Grid line k along y, at x[k], crosses the outline at
-    `across_y` (2, nx), lower and upper. Line k along x crosses it at `across_x` (2, ny).
+    Grid line k along y, at x[k], crosses the outline at `across_y` (2, nx), lower and upper. Line k
+    along x crosses it at `across_x` (2, ny).
     """
 
     x: Array
@@ -121,10 +115,8 @@ class _Crossings:
 
 
 def _chains(points: Array, at: Array) -> Array:
-    """Intersect a convex polygon with lines at the first coordinate `at` (n,).
-
-    Returns the lower and upper second coordinate (2, n), NaN without an intersection.
-    """
+    """Return lower and upper crossing (2, n) of a convex polygon with lines at x = `at` (n,), or
+    NaN."""
     turned = np.roll(points, -int(points[:, 0].argmin()), axis=0)
     far = int(turned[:, 0].argmax())
     there = turned[: far + 1]
@@ -143,8 +135,7 @@ class _Corner:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Triangle of a cut cell with weight `share`; `towards` maps a free node to its fixed
-    neighbor."""
+    """Triangle of a cut cell with weight `share`; `towards` maps free nodes to fixed ones."""
 
     corners: tuple[_Corner, _Corner, _Corner]
     share: float

@@ -1,11 +1,9 @@
-"""Discretization error of the quasi-static membrane for narrow obstacles.
+"""Discretization error of the quasi-static membrane for narrow obstacles, and sufficient grids.
 
-The module also selects a sufficient grid. The force of a contact narrower than a few cells depends
-on its position between the nodes. Edged obstacles are slightly too soft. A table gives the error.
-It comes from balls, rods, pins and blades of 0.4 to 16 mm at random positions and angles. They are
-compared with membranes of 81 x 61 and 121 x 91 nodes. The table also includes loads of the
-independent membrane model. For its accuracy on other obstacles see docs/validation/benchmarks.md,
-"Quasi-static membrane".
+The force of a contact narrower than a few cells depends on its position between the nodes. Edged
+obstacles are slightly too soft. The table comes from balls, rods, pins and blades of 0.4 to 16 mm
+at random poses, compared with membranes of 81 x 61 and 121 x 91 nodes and with the independent
+membrane model. For its accuracy see docs/validation/benchmarks.md, "Quasi-static membrane".
 """
 
 from __future__ import annotations
@@ -38,12 +36,7 @@ _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
 def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
     """Return the relative force error not exceeded in 9 of 10 cases, from the narrowest obstacle.
 
-    Args:
-        obstacles: Obstacles in contact; tips and edges of a mesh or of triangles are not detected.
-        spacing: Spacing of the grid, m.
-
-    Returns:
-        The relative error; 0 without obstacles.
+    Tips and edges of a mesh or of triangles are not detected.
     """
     return row_error([one.numbers for one in obstacles], spacing)
 
@@ -59,34 +52,19 @@ def error_of_few_nodes(nodes: int) -> float:
 
 
 def gap_error(gap: float, force: float, tension: float) -> float:
-    """Return the relative force error due to a gap.
+    """Return the relative force error of a lowest point `gap` m behind the membrane, at most 1.
 
-    The gap exists if the lowest point of an obstacle is behind the membrane. This happens for a tip
-    between nodes, which a real membrane under `tension` would stop.
-
-    Args:
-        gap: Distance behind the membrane, m.
-        force: Force of the solution, N.
-        tension: Tension, N/m.
-
-    Returns:
-        The relative error, at most 1.
+    This happens for a tip between nodes, which a real membrane under `tension` N/m would stop.
     """
     return min(max(gap, 0.0) * tension / force, 1.0)
 
 
 def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> float:
-    """Return the relative area error not exceeded in 9 of 10 cases, from the contact width.
+    """Return the relative area error not exceeded in 9 of 10 cases.
 
-    Args:
-        obstacles: Obstacles in contact.
-        width: Number of nodes in contact, divided by the number along the contact's longer side.
-        spacing: Spacing of the grid, m.
-
-    Returns:
-        The relative error. It is infinite if the contact is a point or a line on this grid: for
-        edges and tips, for round obstacles below two nodes of width, and for faces thinner than
-        half a spacing.
+    `width` is the number of nodes in contact over that along the contact's longer side. The error
+    is infinite if the contact is a point or a line on this grid: for edges and tips, for round
+    obstacles below two nodes of width, and for faces thinner than half a spacing.
     """
     if all(_is_face(one) for one in obstacles):
         thin = min((one.numbers[18] for one in obstacles), default=np.inf) < spacing / 2
@@ -107,10 +85,7 @@ def _is_face(body: Obstacle) -> bool:
 
 
 def lowest_place(body: Obstacle) -> Array | None:
-    """Return the lowest point of an obstacle, (3,) m, frame S.
-
-    It is None for planes and height fields, which have no such point.
-    """
+    """Return the lowest point (3,) m of an obstacle; None for planes and height fields."""
     row = body.numbers
     R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
     up = R[2]  # z of S in the obstacle's frame
@@ -143,10 +118,7 @@ def _ends(body: Obstacle) -> Array:
 
 
 def _lowest_of(corners: Array, R: Array) -> Array:
-    """Return the mean of the lowest corners, in S, relative to the obstacle's origin.
-
-    The `corners` (n, 3) are in the obstacle's frame.
-    """
+    """Return the mean of the lowest `corners` (n, 3), in S, relative to the obstacle's origin."""
     at = corners @ R.T
     return at[at[:, 2] < at[:, 2].min() + _FLAT].mean(axis=0)
 

@@ -1,10 +1,8 @@
-"""`IncrementalMembrane`: quasi-static membrane that is updated in place at every step of a
-simulation.
+"""`IncrementalMembrane`: quasi-static membrane updated in place at every step of a simulation.
 
-`QuasistaticMembrane` creates a new state for every solution. This class keeps one state and its own
-workspace, so the membranes of many environments can run in threads. Sticking contact is held by the
-membrane's in-plane stiffness (docs/theory/quasistatic_membrane.md, X7). It uses the stiffness of
-the untouched membrane, which is inverted once.
+It keeps one state and its own workspace, so the membranes of many environments can run in threads.
+The in-plane stiffness of the untouched membrane, inverted once, holds sticking contact
+(docs/theory/quasistatic_membrane.md, X7).
 """
 
 from __future__ import annotations
@@ -42,18 +40,15 @@ _RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 class IncrementalMembrane:
     """Present state of one membrane. SI units, frame S.
 
-    Attributes:
-        film: The membrane model; shared and never modified.
-        x: Displacements (3, nx, ny), m.
-        force: Contact force at each node (nx, ny), N, along -z.
+    `film` is the shared model. `x` (3, nx, ny) m are displacements, `force` (nx, ny) N contact
+    forces along -z.
     """
 
     def __init__(
         self, film: QuasistaticMembrane, rows: Array, pool: Array | None, below_rim: float = 0.0
     ):
-        """Bind the solver to a membrane and its obstacles.
+        """Bind the solver to obstacles `rows` (k, NUMBERS), read at every solution, and `pool`.
 
-        The obstacles are `rows` (k, NUMBERS), read at every solution, with their planes in `pool`.
         They may be up to `below_rim` m below the rim of the frame, which supports them there.
         """
         self.film = film
@@ -76,15 +71,9 @@ class IncrementalMembrane:
         self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
 
     def rest_on(self, gas: float, sealed: bool, exponent: float) -> MembraneStatus:
-        """Solve for the equilibrium on the obstacles.
+        """Solve for the equilibrium on the obstacles; without convergence `x` is invalid.
 
-        Args:
-            gas: p V^exponent of the absolute pressure if `sealed`, else the gauge pressure, Pa.
-            sealed: True if the gas is sealed in.
-            exponent: Exponent of the gas for changes within a step.
-
-        Returns:
-            The solver status. Without convergence the displacements are invalid.
+        `gas` is p V^exponent of the absolute pressure if `sealed`, else the gauge pressure, Pa.
         """
         self.numbers[HEAT_RATIO] = exponent
         self.settings[:2] = gas, sealed
@@ -118,11 +107,7 @@ class IncrementalMembrane:
         self.trend[:] = 0.0
 
     def below_rim(self) -> float:
-        """Return the maximum depth of the obstacles below the membrane's mid-surface on the frame,
-        m.
-
-        It is 0 if no obstacle is below it.
-        """
+        """Return the depth of the obstacles below the membrane's mid-surface on the frame, m."""
         film = self.film
         x, y = np.meshgrid(film.x, film.y, indexing="ij")
         inner = np.zeros(film.grid, bool)
@@ -135,12 +120,7 @@ class IncrementalMembrane:
         return max(-float(heights.min()), 0.0)
 
     def doubt(self) -> float:
-        """Return the relative force error not exceeded in 9 of 10 cases.
-
-        It is that of the narrowest reachable obstacle
-        (`mjtactile.quasistatic.discretization_error`). Such an obstacle can reach over the frame's
-        opening and below the membrane's top.
-        """
+        """Return the relative force error not exceeded in 9 of 10 cases, of reachable obstacles."""
         film, rows = self.film, self.rows
         place, reach = rows[:, 13:16], rows[:, 19]
         over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
@@ -175,14 +155,10 @@ class IncrementalMembrane:
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """In-plane stiffness of a set of sticking nodes.
+    """In-plane stiffness (3, 3) of sticking nodes about `middle` (2,) m, in x, y and rotation.
 
-    Attributes:
-        middle: Center of rotation (2,), m.
-        stiffness: (3, 3) Derivatives of force along x and y, N, and torque about z, N m, by
-            displacements along x and y, m, and rotation about z, rad.
-        spread: (2, inner, 3) Displacements of all inner nodes by the three rigid motions.
-        nodes: (m,) Indices of the nodes among the free nodes.
+    `spread` (2, inner, 3) are displacements of all inner nodes by the three rigid motions. `nodes`
+    (m,) are indices among the free nodes.
     """
 
     middle: Array
@@ -192,10 +168,7 @@ class Grip:
 
 
 class Sticking:
-    """In-plane compliance of one membrane with free heights, shared by all contacts.
-
-    Memory: 8 (inner nodes)^2 x 4 bytes, 2.3 MB at 21 x 16.
-    """
+    """In-plane compliance of one membrane with free heights, shared by all contacts."""
 
     def __init__(self, film: QuasistaticMembrane):
         self.film = film
@@ -206,15 +179,7 @@ class Sticking:
         return compliance_of(self.film, self.film.rest)
 
     def grip(self, x: Array, force: Array) -> Grip:
-        """Compute the stiffness of the nodes in contact when they move as one rigid set.
-
-        Args:
-            x: Displacements of the membrane (3, nx, ny), m.
-            force: Contact force (nx, ny), N.
-
-        Returns:
-            The stiffness; `force` must be positive somewhere.
-        """
+        """Compute the stiffness of the nodes in contact when they move as one rigid set."""
         from scipy.linalg import cho_factor, cho_solve  # takes a while to import
 
         film = self.film

@@ -46,21 +46,11 @@ class Uninflated(Protocol):
 
 
 def inflate(film: Uninflated) -> MembraneSolution:
-    """Find the inflated equilibrium of a membrane.
+    """Find the inflated equilibrium of a membrane. Raises InputError if there is none.
 
     The start is a low bulge of about the right height. The stiffness matrices are factored again at
-    each pressure step. The last factors, of the membrane in equilibrium, are kept for all
-    solutions. A membrane without pre-stretch does not converge, so it is first inflated with
-    additional stretch.
-
-    Args:
-        film: A membrane with its parameters and workspace.
-
-    Returns:
-        The state.
-
-    Raises:
-        InputError: No equilibrium was found.
+    each pressure step. The last factors are kept for all solutions. A membrane without pre-stretch
+    does not converge, so it is first inflated with additional stretch.
     """
     x = _low_bulge(film)
     force = np.zeros(film.grid)

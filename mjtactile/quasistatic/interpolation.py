@@ -1,9 +1,8 @@
 """Interpolation between the nodes of a quasi-static membrane: cubic splines through all nodes.
 
 Nodes outside a non-rectangular outline are fixed at zero, so a spline would have a kink there.
-Displacements are therefore extrapolated beyond the outline, where they vanish. The value at an
-outside node comes from a quadratic polynomial. It is fitted to the free nodes and outline points
-near the closest point of the outline.
+Displacements are therefore extrapolated beyond the outline by a quadratic polynomial. It is fitted
+to the free nodes and outline points near the closest point of the outline.
 """
 
 from __future__ import annotations
@@ -22,15 +21,9 @@ _APART = 0.7  # spacings, of those that are fitted
 
 
 def carried(film: QuasistaticMembrane, places: Array) -> Array:
-    """Return the interpolation matrix from node displacements to points of the membrane.
+    """Return the matrix (n, nx * ny) from node displacements to points `places` (n, 2) m.
 
-    Args:
-        film: A membrane with any outline.
-        places: Points (n, 2) of the flat membrane, m.
-
-    Returns:
-        (n, nx * ny) Derivatives of the displacements there by those of the nodes; zero on the
-        frame.
+    It is zero on the frame.
     """
     by_node = interpolation_matrix_with_gradient(film, places)[0]
     outline = film.design.frame.outline
@@ -40,16 +33,8 @@ def carried(film: QuasistaticMembrane, places: Array) -> Array:
 
 
 def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array) -> Array:
-    """Return the interpolation matrices of displacements and their slopes.
-
-    Args:
-        film: A membrane with any outline.
-        places: Points (n, 2) of the flat membrane, inside its outline, m.
-
-    Returns:
-        (3, n, nx * ny) Matrices of the displacements there and of their derivatives by x and y,
-        1/m.
-    """
+    """Return matrices (3, n, nx * ny) of displacements at `places` (n, 2) m and their slopes,
+    1/m."""
     (across, across_by), (along, along_by) = (
         interpolating(line, np.clip(at, line[0], line[-1]))
         for line, at in zip((film.x, film.y), np.asarray(places, dtype=float).T, strict=True)
@@ -63,10 +48,7 @@ def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array)
 
 
 def _continued(film: QuasistaticMembrane) -> tuple[Array, Array]:
-    """Return the indices (m,) of nodes just outside an outline, and their extrapolation matrix.
-
-    The matrix (m, nx * ny) maps the displacements of all nodes to theirs.
-    """
+    """Return nodes (m,) just outside an outline, and their extrapolation matrix (m, nx * ny)."""
     outline = film.design.frame.outline
     assert outline is not None
     spacing = np.array([film.x[1] - film.x[0], film.y[1] - film.y[0]])

@@ -40,7 +40,7 @@ from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of
 TOLERANCE = 5e-7  # tolerance of the displacements, m
 _MAX_STEPS = 40
 _MIXED_AREA = 1.05
-"""Area ratio at which the tension's slope is taken; steps depend on it, results do not."""
+"""Area ratio of the tension's slope; steps depend on it, results do not."""
 
 
 class QuasistaticMembrane:

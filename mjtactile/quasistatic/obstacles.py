@@ -20,10 +20,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 NUMBERS = 20
-"""Entries of an obstacle: kind, sizes (3), R_SO (9) and p_SO (3).
-
-Then follow its first entry in the pool, the number of entries, its minimum width and its reach.
-"""
+"""Entries of an obstacle: kind, sizes (3), R_SO (9), p_SO (3), pool start and count, width,
+reach."""
 
 # Name: the kernel's code, and the meaning of `sizes`.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -149,20 +147,9 @@ def ready(
     R_SO: Array | None = None,
     heights: Array | None = None,
 ) -> Obstacle:
-    """Create an obstacle from valid parameters without checks, at a fifth of the cost.
+    """Create a "sphere", "ellipsoid", "cylinder" or "heights" without checks, for fits.
 
-    This is for fits, which create hundreds of obstacles. Kinds with planes or triangles are not
-    supported.
-
-    Args:
-        kind: "sphere", "ellipsoid", "cylinder", or "heights".
-        sizes: As in `obstacle`; empty for heights.
-        p_SO: Position of its center (3,), m.
-        R_SO: Rotation (3, 3); None: identity.
-        heights: Finite heights (nx, ny), m, for that kind.
-
-    Returns:
-        The obstacle.
+    `sizes` are as in `obstacle`, empty for `heights` (nx, ny) m, which must be finite.
     """
     turned = _NOT_TURNED.tolist() if R_SO is None else R_SO.ravel().tolist()
     sides = [0.0, 0.0, 0.0]
@@ -178,10 +165,7 @@ def ready(
 
 
 def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
-    """Return a list of obstacles from one obstacle or several.
-
-    Raises InputError that names `field` for any other object.
-    """
+    """Return a list of one or several obstacles. Raises InputError that names `field`."""
     if isinstance(obstacles, Obstacle):
         return [obstacles]
     found: list[Obstacle] = list(obstacles) if isinstance(obstacles, Iterable) else [obstacles]
@@ -195,10 +179,9 @@ def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacl
 
 
 def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
-    """Return the parameters (k, NUMBERS) of all obstacles and their concatenated pools.
+    """Return the parameters (k, NUMBERS) of all obstacles and their pools, None if empty.
 
-    The pool is None if it is empty. Raises InputError if heights do not match the nodes of
-    `grid`.
+    Raises InputError if heights do not match the nodes of `grid`.
     """
     if len(bodies) == 1 and not bodies[0].pool.size:
         return bodies[0].numbers[None], None
@@ -309,10 +292,7 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Return `values` as a finite array of `shape`, where -1 allows any length.
-
-    Raises InputError that names `field`.
-    """
+    """Return `values` as a finite array of `shape` (-1: any). Raises InputError naming `field`."""
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:

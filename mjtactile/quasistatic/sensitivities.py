@@ -1,7 +1,5 @@
-"""Sensitivities of a membrane equilibrium to small changes of the obstacles.
-
-See docs/theory/quasistatic_membrane.md, X6.
-"""
+"""Sensitivities of a membrane equilibrium to obstacles (docs/theory/quasistatic_membrane.md,
+X6)."""
 
 from __future__ import annotations
 
@@ -86,19 +84,10 @@ class SolutionSensitivities:
 def changed_bodies(
     shape: Shape, numbers: ArrayLike, steps: ArrayLike | None
 ) -> tuple[list[list[Obstacle]], Array]:
-    """Create the obstacles at the given parameters and after a step of each parameter.
+    """Create the obstacles at parameters (n,) and after a step of each; return 1 + n lists and
+    steps.
 
-    Args:
-        shape: Function that creates obstacles from parameters.
-        numbers: Parameters (n,).
-        steps: Steps (n,); None: 1e-8 of each parameter, at least 1e-8.
-
-    Returns:
-        1 + n lists of obstacles; the steps (n,).
-
-    Raises:
-        InputError: Parameters that are not finite, steps that are zero or not finite, or a
-            different number of obstacles after a step.
+    Raises InputError for invalid parameters or steps, or a changed number of obstacles.
     """
     at = obstacles.finite("numbers", numbers, (-1,))
     by = _STEP * np.maximum(1, np.abs(at))
@@ -114,15 +103,8 @@ def changed_bodies(
 
 
 def moved_rows(rows: Array) -> Array:
-    """Compute the obstacles at their pose and after a step of each common rigid motion.
-
-    Args:
-        rows: Parameters of the obstacles (k, NUMBERS).
-
-    Returns:
-        (1 + 6, k, NUMBERS): unchanged, translated by POSE_STEP along x, y and z of S, and rotated
-        by it about these axes through the origin of S.
-    """
+    """Return (1 + 6, k, NUMBERS): obstacles at their pose and after each rigid step of
+    POSE_STEP."""
     moved = np.repeat(rows[None], 1 + 6, axis=0)
     for axis in range(3):
         moved[1 + axis, :, 13 + axis] += POSE_STEP
@@ -136,20 +118,10 @@ def moved_rows(rows: Array) -> Array:
 def derived(
     film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> SolutionSensitivities:
-    """Compute the derivatives of a state with the kernel.
+    """Compute the derivatives of a state by the kernel.
 
-    Args:
-        film: The membrane of the state.
-        state: Equilibrium.
-        rows: (1 + n, k, NUMBERS) Obstacles, unchanged and after each of n steps.
-        pool: Their planes, triangles and heights.
-        by: Steps (n,).
-
-    Returns:
-        The derivatives.
-
-    Raises:
-        InputError: The state is close to instability, or belongs to other obstacles.
+    `rows` (1 + n, k, NUMBERS) are the obstacles, unchanged and after each of the steps `by` (n,).
+    Raises InputError if the state is close to instability, or belongs to other obstacles.
     """
     if not film._derive_room.size:
         film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
@@ -168,26 +140,11 @@ def derived(
 def answered(
     film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> tuple[Array, Array]:
-    """Approximate the derivatives of heights and contact forces, at a fifth of the cost of
-    `derived`.
+    """Approximate derivatives (n, nx, ny) of heights, m, and forces, N, at a fifth of the cost.
 
-    They are those of one solver step without the in-plane displacements.
-
-    Args:
-        film: The membrane of the state.
-        state: Equilibrium.
-        rows: (1 + n, k, NUMBERS) Obstacles, unchanged and after each of n steps.
-        pool: Their planes, triangles and heights.
-        by: Steps (n,).
-
-    Returns:
-        (n, nx, ny) Derivatives of the heights, m, and of the forces, N, per unit of each step.
-        Heights are within 5 to 10 % of the exact derivatives, forces are 10 to 20 % too large. Both
-        are within 40 % for light contact on few nodes and for sharp rims. The motion of an
-        obstacle's end between nodes has no effect.
-
-    Raises:
-        InputError: The state is close to instability.
+    They are those of one solver step without the in-plane displacements. Heights are within 5 to 10
+    % of the exact derivatives, forces are 10 to 20 % too large. Both are within 40 % for light
+    contact on few nodes and for sharp rims. Raises InputError close to instability.
     """
     by_z, by_force = (np.empty((len(by), *film.grid)) for _ in range(2))
     settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
@@ -204,8 +161,7 @@ def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) 
 
 
 def _ask(name: str, *arguments: Any) -> Any:
-    """Return the result of a kernel. Raises InputError if the stiffness is not positive
-    definite."""
+    """Return the result of a kernel. Raises InputError for an indefinite stiffness."""
     try:
         return kernel(name)(*arguments)
     except np.linalg.LinAlgError as error:

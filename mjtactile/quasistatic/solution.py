@@ -52,13 +52,9 @@ _TOUCHES = 5e-5  # maximum distance behind an untouched membrane without an erro
 
 @dataclass(frozen=True, eq=False)
 class ContactSetup:
-    """Obstacles of a solution, and the membrane's nodes.
+    """Obstacles of a solution, and node positions `x` (nx,), `y` (ny,) m of the flat membrane.
 
-    Attributes:
-        bodies: All obstacles.
-        x: Node positions on the flat membrane (nx,), m.
-        y: The same along y (ny,), m.
-        half_thickness: Distance of the membrane's mid-surface from its outer face, m.
+    `half_thickness` m is that of the membrane.
     """
 
     bodies: Sequence[Obstacle] = ()
@@ -154,10 +150,8 @@ class MembraneSolution:
         return area_error(on.bodies, np.count_nonzero(touching) / longer, on.spacing)
 
     def _gap(self, body: Obstacle) -> float:
-        """Return the distance of an obstacle's lowest point behind the membrane, m.
-
-        It is 0 if the point is outside the grid.
-        """
+        """Return the distance of an obstacle's lowest point behind the membrane, m; 0 off the
+        grid."""
         low, on = lowest_place(body), self.pressed_by
         if low is None:
             return 0.0
@@ -171,10 +165,7 @@ class MembraneSolution:
 
     @property
     def wrench(self) -> Array:
-        """Frictionless wrench (6,) of the obstacles on the membrane.
-
-        Force, N, and torque about the origin of S, N m.
-        """
+        """Frictionless wrench (6,) on the membrane about the origin of S, N and N m."""
         return self.found[WRENCH].copy() if self.converged else np.full(6, np.nan)
 
     @property
@@ -218,11 +209,7 @@ def judged(state: MembraneSolution) -> MembraneSolution:
 
 @dataclass(frozen=True, eq=False)
 class MembraneSolutionBatch:
-    """Membranes of n environments in equilibrium.
-
-    Shapes: `x` (n, 3, nx, ny), `force` (n, nx, ny), `found` (n, FOUND) and `trend` (n, 4, nx, ny).
-    Their meaning is that of `MembraneSolution`.
-    """
+    """Membranes of n environments in equilibrium, with the fields of `MembraneSolution`."""
 
     x: Array
     force: Array
@@ -248,10 +235,8 @@ class MembraneSolutionBatch:
 
 
 def _between(x: Array, y: Array, fields: Array, at: Array) -> Array | None:
-    """Interpolate fields (k, nx, ny) bilinearly at a point of the flat membrane.
-
-    Returns (k,), or None outside the grid.
-    """
+    """Interpolate fields (k, nx, ny) bilinearly at a point of the flat membrane; None off the
+    grid."""
     i = (at[0] - x[0]) / (x[1] - x[0])
     j = (at[1] - y[0]) / (y[1] - y[0])
     if not (0 <= i < len(x) - 1 and 0 <= j < len(y) - 1):

@@ -1,8 +1,7 @@
 """Sticking contact of a quasi-static membrane: stiffness of a patch in drag and rotation.
 
-The membrane solution itself is frictionless. Nodes in contact move with their obstacle. The
-membrane's stiffness gives the reaction to that motion. All other nodes go to equilibrium in height
-and in the plane. No parameter is fitted (docs/theory/quasistatic_membrane.md, X7).
+The membrane solution itself is frictionless. Nodes in contact move with their obstacle. All other
+nodes go to equilibrium. No parameter is fitted (docs/theory/quasistatic_membrane.md, X7).
 """
 
 from __future__ import annotations
@@ -21,13 +20,9 @@ from mjtactile.quasistatic.solution import MembraneSolution
 class StuckPatch:
     """Contact patch of one obstacle that sticks completely. SI units, frame S.
 
-    Attributes:
-        place: Force-weighted center (2,), m, the center of rotation.
-        stiffness: (3, 3) Derivatives of force along x and y, N, and torque about z, N m, by
-            displacements along x and y, m, and rotation about z, rad.
-        force_normal: Normal force, N.
-        radius: Force-weighted mean distance from the center, m, the lever arm of the friction
-            torque.
+    `place` (2,) m is the force-weighted center. `stiffness` (3, 3) are derivatives of force along x
+    and y, N, and torque about z, N m, by drag along x and y, m, and rotation, rad. `radius` m, the
+    force-weighted mean distance from the center, is the lever arm of friction.
     """
 
     place: Array
@@ -50,24 +45,12 @@ class StickState:
 def drag(
     patch: StuckPatch, held: StickState, moved: ArrayLike, friction: float
 ) -> tuple[Array, StickState]:
-    """Move a sticking obstacle within the limit of friction.
+    """Move a sticking obstacle by `moved` (3,), m, m, rad, within the limit of friction.
 
     Coulomb's limit couples force and torque as an ellipse (Howe & Cutkosky, Int. J. Robotics Res.
     15(6), 1996): |f|^2 + (t / r)^2 <= (mu N)^2. Beyond it, the stored drag is scaled back to the
-    limit. The remainder is slip.
-
-    Args:
-        patch: The present patch; its normal force may have changed.
-        held: The previous drag.
-        moved: Motion of the obstacle since then (3,), m, m, rad.
-        friction: Coulomb friction coefficient.
-
-    Returns:
-        Force along x and y, N, and torque about z, N m, (3,), of the membrane on the obstacle; the
-        new drag.
-
-    Raises:
-        InputError: A motion that is not finite, or a negative friction coefficient.
+    limit. Return force along x and y, N, and torque about z, N m, (3,), on the obstacle, and the
+    new drag. Raises InputError for an invalid motion or friction coefficient.
     """
     step = np.asarray(moved, dtype=float)
     if step.shape != (3,) or not np.isfinite(step).all():
@@ -87,14 +70,7 @@ def drag(
 def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> list[StuckPatch]:
     """Return every connected set of nodes in contact, largest force first.
 
-    Args:
-        x: Node positions on the flat membrane (nx,), m.
-        y: The same along y (ny,), m.
-        state: Equilibrium.
-        factor: Factor from `QuasistaticMembrane.stiffness_factor` for this state.
-
-    Returns:
-        The patches.
+    `factor` is that of `QuasistaticMembrane.stiffness_factor` for this state.
     """
     from scipy.ndimage import label  # takes a while to import
 
@@ -110,17 +86,7 @@ def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> li
 
 
 def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> StuckPatch:
-    """Compute the patch of a set of nodes.
-
-    Args:
-        places: Positions of the nodes (m, 2), m.
-        inner: Their indices among the free nodes (m,).
-        force: Contact force of each (m,), N.
-        factor: Factor from `QuasistaticMembrane.stiffness_factor`.
-
-    Returns:
-        The patch, whose nodes move as one rigid set.
-    """
+    """Compute the patch of nodes at `places` (m, 2) m with indices `inner` (m,), moved as one."""
     from scipy.linalg import cho_solve_banded  # takes a while to import
 
     total = float(force.sum())

@@ -21,30 +21,13 @@ class Sheet(Protocol):
 
 
 def factor_of(film: Sheet, state: MembraneSolution) -> Array:
-    """Factor the stiffness of a membrane.
-
-    Args:
-        film: The membrane of the state.
-        state: Equilibrium.
-
-    Returns:
-        The Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format. Each node has
-        x, y and height in order.
-    """
+    """Return the Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format."""
     width = 3 * film.grid[1] - 1
     return np.ascontiguousarray(_band(film, state)[:, : width + 1].T)
 
 
 def compliance_of(film: Sheet, state: MembraneSolution) -> Array:
-    """Compute the in-plane compliance of a membrane with free heights.
-
-    Args:
-        film: The membrane of the state.
-        state: Equilibrium.
-
-    Returns:
-        (2 inner, 2 inner), m/N, displacements by forces; each inner node has x and y in order.
-    """
+    """Return the in-plane compliance (2 inner, 2 inner), m/N, of a membrane with free heights."""
     band = _band(film, state)
     count = 2 * len(band) // 3
     room = np.empty(8 * len(band))

@@ -63,8 +63,7 @@ def lie_on(
     """Solve for the membrane that carries `force` N on `obstacle` (nx, ny) m, defined up to a
     shift.
 
-    The obstacle is inf where there is none. `inside` (nx, ny) are free nodes. `pressure` is Pa
-    gauge, `tension` N/m.
+    The obstacle is inf where there is none. `inside` (nx, ny) are the free nodes.
     """
     psi = obstacle[inside]
     load = np.full(int(inside.sum()), pressure * spacing**2 / tension)
