@@ -287,31 +287,32 @@ _AXES = {
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown: outcomes by axis, then every case that is not plainly ok with its reason."""
+    """Markdown: outcomes and flags by axis, then every refused or failed case with its reason."""
     rows = result["cases"]
     lines = [
         f"{len(rows)} cases: " + ", ".join(f"{n} {o}" for o, n in result["counts"].items()) + ".",
         "",
-        "| axis | " + " | ".join(OUTCOMES) + " |",
-        "|---" * (len(OUTCOMES) + 1) + "|",
+        "| axis | " + " | ".join(OUTCOMES) + " | flags and stops: cases |",
+        "|---" * (len(OUTCOMES) + 2) + "|",
     ]
     for axis in dict.fromkeys(row["axis"] for row in rows):
-        counts = Counter(row["outcome"] for row in rows if row["axis"] == axis)
+        group = [row for row in rows if row["axis"] == axis]
+        counts = Counter(row["outcome"] for row in group)
         cells = " | ".join(str(counts[o] or "") for o in OUTCOMES)
-        lines.append(f"| {_AXES.get(axis, axis)} | {cells} |")
-    lines += [
-        "",
-        "<details><summary>All cases with another outcome than ok</summary>",
-        "",
-        "| case | outcome | flags | failed checks, or reason of the stop |",
-        "|---|---|---|---|",
-    ]
-    lines += [
-        f"| {_case(r)} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
-        for r in rows
-        if r["outcome"] != "ok"
-    ]
-    return "\n".join(lines) + "\n\n</details>\n"
+        lines.append(f"| {_AXES.get(axis, axis)} | {cells} | {_flag_counts(group)} |")
+    bad = [row for row in rows if row["outcome"] in ("refused", "FAILED")]
+    if bad:
+        lines += ["", "| case | outcome | failed checks, or reason |", "|---|---|---|"]
+        lines += [f"| {_case(row)} | {row['outcome']} | {_reason(row)} |" for row in bad]
+    return "\n".join(lines) + "\n"
+
+
+def _flag_counts(rows: Sequence[dict[str, Any]]) -> str:
+    """Return how many of the flagged cases have each flag, the most frequent first; a stop has no
+    flag."""
+    flagged = [row for row in rows if row["outcome"] == "flagged"]
+    counts = Counter(flag for row in flagged for flag in row["flags"] or ("stop",))
+    return ", ".join(f"`{flag}` {count}" for flag, count in counts.most_common())
 
 
 def _case(row: dict[str, Any]) -> str:
@@ -320,10 +321,9 @@ def _case(row: dict[str, Any]) -> str:
     return f"{_AXES.get(row['axis'], row['axis'])}: {label}"
 
 
-def _found(row: dict[str, Any]) -> str:
-    """Describe failed checks that a flag explains; without flags, the reason for refusal or
-    stop."""
-    return "; ".join(row.get("problems", ())) if row["flags"] else row["reason"]
+def _reason(row: dict[str, Any]) -> str:
+    """Return the failed checks; without any, the reason of the refusal."""
+    return "; ".join(row.get("problems", ())) or row["reason"]
 
 
 def _save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
