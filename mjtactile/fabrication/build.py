@@ -12,13 +12,13 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
-from mjtactile.fabrication import bill_of_materials, manual, mesh, part_renderings, print_templates
+from mjtactile.fabrication import manual, mesh, part_renderings, print_templates
 from mjtactile.fabrication.camera_check import Optics, plan_camera
 from mjtactile.fabrication.drawing_pages import write_pdf, write_png, write_svg
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, Part, circle, crossing, plate
 from mjtactile.fabrication.marker_positions import MembraneState, press_depth, simulate
-from mjtactile.fabrication.parts import PEG, make_parts, pegs
+from mjtactile.fabrication.parts import PEG, RUBBER, make_parts, pegs
 from mjtactile.fabrication.purchased_parts import Hardware
 from mjtactile.fabrication.step_file import write_step
 from mjtactile.report.figures import new_figure
@@ -44,10 +44,7 @@ def build(
     say: Callable[[str], None] = lambda _: None,
     states_of: Callable[..., list[MembraneState]] = simulate,
 ) -> Build:
-    """Write all files for `design`, read from `source` with the given `text`.
-
-    Raises InputError for a design that cannot be built.
-    """
+    """Make the files for `design`, read from `source` with `text`. Raises InputError."""
     mesh.require_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
@@ -60,9 +57,9 @@ def build(
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap)
     drawn = _pictures(layout, optics, parts)
     files = {
-        "README.md": manual.readme(layout, optics, parts, checked, source).encode(),
+        "README.md": manual.readme(layout, parts, checked, source).encode(),
         "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
-        "bill.md": _bill(layout, optics).encode(),
+        "bill.md": manual.bill(layout, optics).encode(),
         "sensor.toml": text.encode(),
     }
     files |= _papers(layout) | {f"pictures/{name}.png": png for name, png in drawn.items()}
@@ -87,12 +84,7 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
     """Every solid is closed and has its closed-form volume, none intersects another."""
     for name, part in parts.items():
         if crossing(part):
-            raise InputError(
-                f"holes and edges of the {name} would meet; use other camera or lens "
-                "dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)",
-                source="fabricate",
-                field="parts",
-            )
+            raise _collision(f"holes and edges of the {name} would meet")
         volume = solids[name].volume()
         if solids[name].is_empty() or abs(volume - part.volume) > _VOLUME * part.volume + 0.05:
             raise MjtactileError(
@@ -100,12 +92,12 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
                 "its holes meet its edges"
             )
     for one, other, volume in mesh.overlaps(solids):
-        raise InputError(
-            f"the {one} and the {other} would intersect by {volume:.3g} mm3; use other camera "
-            "or lens dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)",
-            source="fabricate",
-            field="parts",
-        )
+        raise _collision(f"the {one} and the {other} would intersect by {volume:.3g} mm3")
+
+
+def _collision(what: str) -> InputError:
+    action = "use other camera or lens dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)"
+    return InputError(f"{what}; {action}", source="fabricate", field="parts")
 
 
 def _papers(layout: Layout) -> dict[str, bytes]:
@@ -127,39 +119,21 @@ def _papers(layout: Layout) -> dict[str, bytes]:
     return drawn | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
 
-def _bill(layout: Layout, optics: Optics) -> str:
-    items = bill_of_materials.bill(layout, optics)
-    return (
-        f"# Bill of materials for {layout.design.name!r}\n"
-        "\n"
-        "For one finger, computed from the sensor file. Typical products are kinds of parts, "
-        "without a vendor.\n"
-        "\n"
-        f"{bill_of_materials.table(items)}\n"
-    )
-
-
 def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
     """Render the images of the steps, by name; none without matplotlib."""
-    sheet = plate(
-        0.0,
-        0.6,
-        Contour(layout.outer_x + 12, layout.outer_y + 12),
-        [circle(PEG, x, y) for x, y in pegs(layout)],
-    )
-    parts = {**parts, manual.SHEET: Part(manual.SHEET, (sheet,), (0.95, 0.94, 0.9), make=False)}
+    edge = Contour(layout.outer_x + 12, layout.outer_y + 12)
+    sheet = plate(0.0, 0.6, edge, [circle(PEG, x, y) for x, y in pegs(layout)])
+    parts = {**parts, manual.SHEET: Part(manual.SHEET, (sheet,), RUBBER, make=False)}
     solids = {name: mesh.solid_of(part, mesh.COARSE) for name, part in parts.items()}
     found: dict[str, bytes | None] = {}
     for step in manual.steps_of(layout):
         if step.parts:
-            if step.cut:
-                shifts = dict.fromkeys(step.parts, 0.0)
-            else:
+            shifts = dict.fromkeys(step.parts, 0.0)
+            if not step.cut:
                 shifts = part_renderings.pulled_apart(parts, step.parts)
             bodies = part_renderings.bodies_of(parts, solids, shifts)
-            found[step.picture] = part_renderings.save_png(
-                bodies, f"{step.picture}.png", **step.view
-            )
+            name = f"{step.picture}.png"
+            found[step.picture] = part_renderings.save_png(bodies, name, **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)
     half = print_templates.page_size(layout)
     found["print"] = write_png(print_templates.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
@@ -174,19 +148,13 @@ def _camera_view(design: SensorDesign, optics: Optics) -> bytes | None:
     figure = new_figure("camera_view.png", (6.4, 4.8), dpi=100)
     if figure is None:
         return None
-    markers = design.markers
-    image = Renderer(design, seed=0).render(
-        markers.p_SM, np.tile([0.0, 0.0, 1.0], (markers.count, 1)), 0.0
-    )
+    normals = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
+    image = Renderer(design, seed=0).render(design.markers.p_SM, normals, 0.0)
     axes = figure.subplots()
     axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255)
     axes.plot(*optics.mirrors.T, "o", mfc="none", mec="#d1571b", ms=16)
-    axes.set(
-        xlim=(-0.5, design.camera.width - 0.5),
-        ylim=(design.camera.height - 0.5, -0.5),
-        xlabel="u, px",
-        ylabel="v, px",
-    )
+    width, height = design.camera.width, design.camera.height
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="u, px", ylabel="v, px")
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
     return out.getvalue()

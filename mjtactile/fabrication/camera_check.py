@@ -1,6 +1,4 @@
-"""Check of the camera's image of the markers, and the required lens.
-
-All markers must be in the image, sharp, unsmeared and lit.
+"""Check that all markers are in the image, sharp, unsmeared and lit; the required lens.
 
 Blur, px, has three parts: a pixel's own square (sd 1/sqrt 12), diffraction and defocus. A Gaussian
 of sd 0.42 lambda N fits the Airy disc (Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 2007). A
@@ -44,36 +42,27 @@ _SHORTEST = 1e-5  # shortest exposure of small cameras, s
 
 @dataclass(frozen=True)
 class Optics:
-    """Requirements of the camera module, and the margins.
+    """Requirements of the camera module, and the margins."""
 
-    `margin`: distance from the markers' edges to the image border, px; `worst`: state with the
-    smallest margin. `fov`: field of view in x, y and diagonal, deg. `focal`: focal length, mm;
-    `stop`: f-number. `near`, `far`, `focus`: distances from the pupil, mm; `blur`: sd at the ends
-    of that range, px. `exposure` in s; `flux`: light from each LED during the exposure, W. `noise`:
-    photon noise at the membrane's gray level, in gray levels. `mirrors`: reflections of the LEDs in
-    the glass, px.
-    """
-
-    margin: float
-    worst: str
-    fov: tuple[float, float, float]
-    focal: float
-    stop: float
-    near: float
+    margin: float  # from the markers' edges to the image border, px
+    worst: str  # state with the smallest margin
+    fov: tuple[float, float, float]  # field of view in x, y and diagonal, deg
+    focal: float  # focal length, mm
+    stop: float  # f-number
+    near: float  # nearest and farthest marker and focus, from the pupil, mm
     far: float
     focus: float
-    blur: float
-    exposure: float
-    flux: float
-    noise: float
-    mirrors: Array
+    blur: float  # sd at the ends of that range, px
+    exposure: float  # s
+    flux: float  # light from each LED during the exposure, W
+    noise: float  # photon noise at the membrane's gray level, in gray levels
+    mirrors: Array  # reflections of the LEDs in the glass, px
 
 
 def plan_camera(
     design: SensorDesign, hardware: Hardware, states: Sequence[MembraneState], source: str
 ) -> Optics:
-    """Compute the camera's requirements. Raises InputError naming the invalid value and its
-    limit."""
+    """Compute the camera's requirements. Raises InputError naming the invalid value."""
     margin, worst = _margins(design, states, source)
     near, far = _range(design, states)
     focal = design.camera.fx * hardware.pixel
@@ -108,9 +97,8 @@ def plan_camera(
 def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
     """Return points (N, k, 2) on the marker edges in the image, px, through glass and lens."""
     camera = optics.Camera.from_design(design.camera, design.glass)
-    across = np.cross(
-        state.n_S, np.where(np.abs(state.n_S[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    )
+    axis = np.where(np.abs(state.n_S[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    across = np.cross(state.n_S, axis)
     across /= np.linalg.norm(across, axis=1)[:, None]
     along = np.cross(state.n_S, across)
     turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)[:, None]
@@ -123,28 +111,21 @@ def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
 def _margins(
     design: SensorDesign, states: Sequence[MembraneState], source: str
 ) -> tuple[float, str]:
-    """Return the minimum distance, px, of a marker's edge band from the image border, and its
-    state."""
-    # the edge profiles that the fit needs
+    """Return the minimum distance of a marker's edge band from the image border, px; its state."""
     camera = design.camera
-    band = 2 + 3 * design.camera.blur_px
+    band = 2 + 3 * camera.blur_px  # the edge profiles that the fit needs
     minimum = math.inf
     worst = ""
     limits = {"fx": math.inf, "fy": math.inf}
+    axes = (("fx", camera.fx, camera.cx, camera.width), ("fy", camera.fy, camera.cy, camera.height))
     for state in states:
         uv = marker_edges(design, state)
-        for k, (name, f, c, size) in enumerate(
-            (
-                ("fx", camera.fx, camera.cx, camera.width),
-                ("fy", camera.fy, camera.cy, camera.height),
-            )
-        ):
+        for k, (name, f, c, size) in enumerate(axes):
             away = uv[..., k] - c
             room = np.where(away > 0, size - 0.5 - band - c, c + 0.5 - band)
             slack = float(np.nan_to_num(room - np.abs(away), nan=-np.inf).min())
-            limits[name] = min(
-                limits[name], float((f * room / np.maximum(np.abs(away), 1e-9)).min())
-            )
+            limit = float((f * room / np.maximum(np.abs(away), 1e-9)).min())
+            limits[name] = min(limits[name], limit)
             if slack < minimum:
                 minimum = slack
                 worst = state.name
@@ -159,13 +140,10 @@ def _margins(
 
 
 def _range(design: SensorDesign, states: Sequence[MembraneState]) -> tuple[float, float]:
-    """Return the apparent distances of the nearest and farthest marker through the glass, mm from
-    the pupil."""
+    """Return the apparent distances from pupil to nearest and farthest marker, mm."""
     z = np.concatenate([state.p_SM[:, 2] for state in states])
-    shown = 1e3 * (
-        design.camera.distance - design.apparent_glass_thickness + np.array([z.min(), z.max()])
-    )
-    return float(shown[0]), float(shown[1])
+    flat = design.camera.distance - design.apparent_glass_thickness
+    return float(1e3 * (flat + z.min())), float(1e3 * (flat + z.max()))
 
 
 def blur(design: SensorDesign, hardware: Hardware, stop: float, near: float, far: float) -> float:
@@ -173,11 +151,8 @@ def blur(design: SensorDesign, hardware: Hardware, stop: float, near: float, far
     focal = design.camera.fx * hardware.pixel
     focus = 2 * near * far / (near + far)
     disc = focal**2 / (stop * (focus - focal)) * (far - focus) / far
-    return math.sqrt(
-        1 / 12
-        + (0.42 * _WAVELENGTH * stop / hardware.pixel) ** 2
-        + (disc / (4 * hardware.pixel)) ** 2
-    )
+    diffraction = 0.42 * _WAVELENGTH * stop / hardware.pixel
+    return math.sqrt(1 / 12 + diffraction**2 + (disc / (4 * hardware.pixel)) ** 2)
 
 
 def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, source: str) -> float:
@@ -218,12 +193,8 @@ def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
 
 
 def _flux(design: SensorDesign, hardware: Hardware, stop: float, exposure: float) -> float:
-    """Return the required light power of each LED during the exposure, W.
-
-    The center of the membrane then has its specified gray level.
-    """
+    """Return the light power of each LED, W, for the specified gray level of the center."""
     electrons = design.leds.membrane_dn / 255 * hw.FULL_WELL
-    # W/m^2
     on_sensor = electrons * _PHOTON / (hw.QUANTUM * exposure * (1e-3 * hardware.pixel) ** 2)
     on_membrane = 4 * stop**2 * on_sensor
     distance = design.camera.distance
@@ -239,23 +210,14 @@ def _fov(design: SensorDesign) -> tuple[float, float, float]:
 
 
 def led_mirrors(design: SensorDesign) -> Array:
-    """Return the image positions of the LED reflections in the near face of the glass, (count, 2)
-    px.
-
-    The virtual LEDs are as far behind the face as the LEDs are in front of it.
-    """
+    """Return the images of the LEDs in the near face of the glass, a mirror, (count, 2) px."""
     count = design.leds.count
-    camera = design.camera
+    radius = design.leds.ring_radius
     turn = 2 * np.pi * (np.arange(count) + 0.5) / count
-    p = np.column_stack(
-        [
-            design.leds.ring_radius * np.cos(turn),
-            design.leds.ring_radius * np.sin(turn),
-            np.full(count, 2 * design.glass.distance),
-        ]
-    )
-    bare = replace(optics.Camera.from_design(camera), glass_thickness=0.0)
-    return optics.project(bare, p)
+    depth = np.full(count, 2 * design.glass.distance)
+    virtual = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), depth])
+    bare = replace(optics.Camera.from_design(design.camera), glass_thickness=0.0)
+    return optics.project(bare, virtual)
 
 
 def mirrored_in_image(design: SensorDesign, mirrors: Array) -> int:

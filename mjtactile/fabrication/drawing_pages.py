@@ -1,7 +1,6 @@
 """Drawings on paper at 1:1, written as SVG (units mm) or as pages of a PDF.
 
-Shapes are in mm, relative to the page's center. x points right and y down. This is the camera's
-view of the inside of the membrane.
+Shapes are in mm from the page's center, x right, y down: the camera's view of the membrane.
 """
 
 from __future__ import annotations
@@ -14,13 +13,11 @@ from typing import Any
 
 from mjtactile.fabrication.layered_solid import Contour, Traced
 
-# A4, A3, upright and across
 _PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))
 _BORDER = 12.0  # mm that printers leave white, and the text needs
 BAR = 100.0  # mm, of the scale bar where there is room for it
-# mm of the page for text and scale bar
-HEAD = 24.0
-FOOT = 26.0
+HEAD = 24.0  # mm of the page for the title
+FOOT = 26.0  # mm of the page for the scale bar
 _STYLES = {
     "black": ("#000000", None, 0.0),
     "cut": (None, "#d00000", 0.1),
@@ -32,10 +29,7 @@ _STYLES = {
 
 @dataclass(frozen=True)
 class DrawingShape:
-    """Shape of a drawing, with a `style` and the name of its `group`.
-
-    It is a `contour`, a polyline through `points`, or a `text` at the first of them.
-    """
+    """A `contour`, a polyline through `points`, or a `text` at the first of them."""
 
     style: str
     group: str
@@ -59,6 +53,10 @@ def line(group: str, *points: tuple[float, float], style: str = "mark") -> Drawi
     return DrawingShape(style, group, points=points)
 
 
+def label(group: str, at: tuple[float, float], text: str, size: float) -> DrawingShape:
+    return DrawingShape("black", group, points=(at,), text=text, size=size)
+
+
 def cross(group: str, x: float, y: float, half: float = 2.0) -> list[DrawingShape]:
     """A register mark."""
     return [line(group, (x - half, y), (x + half, y)), line(group, (x, y - half), (x, y + half))]
@@ -71,23 +69,15 @@ def page(
     half_y: float,
     notes: Sequence[str] = (),
 ) -> PrintedPage:
-    """Return the smallest paper that holds `shapes` (within the half sizes).
-
-    The shapes are centered. Title, notes and scale bars are added.
-    """
+    """Return the smallest paper that holds `shapes` (within the half sizes), with a title."""
     need = 2 * (half_x + _BORDER), 2 * (half_y + max(HEAD, FOOT))
-    width, height = next(
-        (paper for paper in _PAPERS if paper[0] >= need[0] and paper[1] >= need[1]), need
-    )
-    width = max(width, 90.0)
-    height = max(height, 90.0)
+    large = (paper for paper in _PAPERS if paper[0] >= need[0] and paper[1] >= need[1])
+    width, height = (max(side, 90.0) for side in next(large, need))
     left = _BORDER - width / 2
     top = 8 - height / 2
     head = [
-        DrawingShape(
-            "black", "text", points=((left, top + 5.0 * k),), text=text, size=4.5 if k == 0 else 3.2
-        )
-        for k, text in enumerate((title, *notes), 0)
+        label("text", (left, top + 5.0 * k), text, 3.2 if k else 4.5)
+        for k, text in enumerate((title, *notes))
     ]
     return PrintedPage(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
 
@@ -110,29 +100,16 @@ def _scale_bars(width: float, height: float) -> list[DrawingShape]:
             long = 2.5 if k in (0, round(length / 10)) else 1.2
             found.append(line("scale", place(along, -long), place(along, 0)))
         if axis == 0:
-            text = f'{length:g} mm: print at 100 %, never "fit to page", and measure it'
+            note = ': print at 100 %, never "fit to page", and measure it'
+            found.append(label("scale", place(-length / 2, 5.0), f"{length:g} mm{note}", 3.2))
         else:
-            text = f"{length:g} mm"
-        found.append(
-            DrawingShape(
-                "black",
-                "scale",
-                points=(
-                    place(-length / 2, 5.0) if axis == 0 else (width / 2 - 24, length / 2 + 5),
-                ),
-                text=text,
-                size=3.2,
-            )
-        )
+            corner = (width / 2 - 24, length / 2 + 5)
+            found.append(label("scale", corner, f"{length:g} mm", 3.2))
     return found
 
 
 def write_svg(sheet: PrintedPage) -> str:
-    """Write the page as SVG.
-
-    One user unit is a millimeter. The origin is the page's center. Each round contour is a
-    `<circle>`.
-    """
+    """Write the page as SVG: one user unit is a millimeter, the origin the page's center."""
     groups: dict[str, list[str]] = {}
     for shape in sheet.shapes:
         groups.setdefault(shape.group, []).append(_svg(shape))
@@ -149,29 +126,24 @@ def write_svg(sheet: PrintedPage) -> str:
 
 def _svg(shape: DrawingShape) -> str:
     fill, stroke, width = _STYLES[shape.style]
-    paint = f'fill="{fill or "none"}"' + (
-        f' stroke="{stroke}" stroke-width="{width}"' if stroke else ""
-    )
+    line = f' stroke="{stroke}" stroke-width="{width}"' if stroke else ""
+    paint = f'fill="{fill or "none"}"{line}'
     if shape.text:
         ((x, y),) = shape.points
         return (
             f'<text x="{_n(x)}" y="{_n(y)}" font-family="sans-serif" font-size="{shape.size}" '
             f"{paint}>{escape(shape.text)}</text>"
         )
-    if shape.contour is None:
-        return (
-            f'<polyline points="{" ".join(f"{_n(x)},{_n(y)}" for x, y in shape.points)}" {paint}/>'
-        )
     c = shape.contour
-    if isinstance(c, Traced):
-        corners = " ".join(f"{_n(x)},{_n(y)}" for x, y in c.points)
-        return f'<polygon points="{corners}" {paint}/>'
+    if c is None or isinstance(c, Traced):
+        name, points = ("polyline", shape.points) if c is None else ("polygon", c.points)
+        corners = " ".join(f"{_n(x)},{_n(y)}" for x, y in points)
+        return f'<{name} points="{corners}" {paint}/>'
     if c.is_circle:
         return f'<circle cx="{_n(c.x)}" cy="{_n(c.y)}" r="{_n(c.r)}" {paint}/>'
     return (
         f'<rect x="{_n(c.x - c.hx)}" y="{_n(c.y - c.hy)}" width="{_n(2 * c.hx)}" '
-        f'height="{_n(2 * c.hy)}" rx="{_n(c.r)}" '
-        f"{paint}/>"
+        f'height="{_n(2 * c.hy)}" rx="{_n(c.r)}" {paint}/>'
     )
 
 
@@ -219,31 +191,21 @@ def _draw(axes: Any, shape: DrawingShape) -> None:
     from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 
     fill, stroke, width = _STYLES[shape.style]
-    paint = {
-        "facecolor": fill or "none",
-        "edgecolor": stroke or "none",
-        "linewidth": width * 72 / 25.4,
-    }
+    points = 72 / 25.4  # in a mm
+    paint = {"fc": fill or "none", "ec": stroke or "none", "lw": width * points}
     c = shape.contour
     if shape.text:
         ((x, y),) = shape.points
-        axes.text(x, y, shape.text, fontsize=shape.size * 72 / 25.4, parse_math=False, clip_on=True)
+        axes.text(x, y, shape.text, fontsize=shape.size * points, parse_math=False, clip_on=True)
     elif c is None:
-        axes.add_artist(
-            Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4)
-        )
+        x, y = zip(*shape.points, strict=True)
+        axes.add_artist(Line2D(x, y, color=stroke, linewidth=width * points))
     elif isinstance(c, Traced):
         axes.add_artist(Polygon(c.points, **paint))
     elif c.is_circle:
         axes.add_artist(Circle((c.x, c.y), c.r, **paint))
     elif c.r:
-        box = FancyBboxPatch(
-            (c.x - c.hx, c.y - c.hy),
-            2 * c.hx,
-            2 * c.hy,
-            boxstyle=f"round,pad=0,rounding_size={c.r}",
-            **paint,
-        )
-        axes.add_artist(box)
+        style = f"round,pad=0,rounding_size={c.r}"
+        axes.add_artist(FancyBboxPatch(c.corner, 2 * c.hx, 2 * c.hy, boxstyle=style, **paint))
     else:
-        axes.add_artist(Rectangle((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, **paint))
+        axes.add_artist(Rectangle(c.corner, 2 * c.hx, 2 * c.hy, **paint))

@@ -1,6 +1,4 @@
-"""`Layout`: all dimensions of the housing from the sensor file and the hardware.
-
-Dimensions are in mm, frame S. Designs that cannot be built are rejected.
+"""`Layout`: all dimensions of the housing from the sensor file and the hardware, mm, frame S.
 
 From the front, the membrane at z = 0 over the rim comes first. The clamping ring, frame and gasket
 follow. Behind them are the glass in its seat, and the mount with LED ring and camera. One set of
@@ -25,16 +23,14 @@ _SMALL = 25.0  # mm: openings below it get the smaller bolts
 
 @dataclass(frozen=True)
 class Layout:
-    """Half sizes `*_x`, `*_y` and heights `z_*` mm; see the module. Make one with `of`, which
-    checks it."""
+    """Half sizes `*_x`, `*_y` and heights `z_*`, mm. `of` also checks that it can be built."""
 
     design: SensorDesign
     hardware: Hardware
 
     @classmethod
     def of(cls, design: SensorDesign, hardware: Hardware, source: str) -> Layout:
-        """Compute the layout. Raises InputError naming the value that cannot be built and its
-        limit."""
+        """Compute the layout. Raises InputError for a value that cannot be built."""
         check_all(limits_of(design, hardware), source)
         layout = cls(design, hardware)
         check_all(layout.limits(), source)
@@ -93,9 +89,7 @@ class Layout:
 
     @property
     def bolt(self) -> Bolt:
-        if 2 * min(self.open_x, self.open_y) >= _SMALL:
-            return BOLTS[0]
-        return BOLTS[1]
+        return BOLTS[0] if 2 * min(self.open_x, self.open_y) >= _SMALL else BOLTS[1]
 
     @property
     def wall(self) -> float:
@@ -105,9 +99,8 @@ class Layout:
     @property
     def port(self) -> AirPort:
         """The largest that fits into the wall."""
-        return next(
-            (port for port in PORTS if self.wall >= 2 * (port.radius + port.wall)), PORTS[-1]
-        )
+        fitting = (port for port in PORTS if self.wall >= 2 * (port.radius + port.wall))
+        return next(fitting, PORTS[-1])
 
     @property
     def ring(self) -> float:
@@ -116,10 +109,7 @@ class Layout:
 
     @property
     def groove(self) -> tuple[float, float, float] | None:
-        """Groove behind the lip that carries the fiducials; None without one.
-
-        The values are its lowest and highest height, and the setback of its walls.
-        """
+        """Lowest and highest height of the fiducials' groove, and the setback of its walls."""
         fiducials = self.design.fiducials
         if fiducials is None or fiducials.surface != "rim":
             return None
@@ -130,14 +120,6 @@ class Layout:
     def hold(self) -> float:
         """Width of the glass support on the frame."""
         return min(max(self.rim, hw.GLASS_HOLD), 2 * hw.GLASS_HOLD)
-
-    @property
-    def ring_x(self) -> float:
-        return self.open_x + self.ring
-
-    @property
-    def ring_y(self) -> float:
-        return self.open_y + self.ring
 
     @property
     def glass_x(self) -> float:
@@ -172,7 +154,7 @@ class Layout:
 
     @property
     def line_x(self) -> float:
-        """Position of the bolts: outside of the ring's inner edge, the glass seat and the tube."""
+        """Position of the bolts: outside of the clamping ring, the glass seat and the tube."""
         return self._line(self.open_x, self.tube_x)
 
     @property
@@ -276,8 +258,7 @@ class Layout:
 
     @property
     def plate_x(self) -> float:
-        """Half width of the mount's back plate, which the camera and a gripper's jaw are screwed
-        to."""
+        """Half width of the mount's back plate, which carries the camera and a gripper's jaw."""
         return max(self.tube_x + hw.TUBE_WALL, self.hardware.holes / 2 + 3) + 8
 
     @property

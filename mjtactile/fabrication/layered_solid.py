@@ -1,9 +1,8 @@
-"""Solids as stacks of plates.
+"""Solids as stacks of plates, mm, in frame S: z outward, flat membrane at z = 0.
 
 Each layer is bounded by rounded rectangles, circles and convex polygons. They may be nested but
 never cross. This is sufficient for a milled, printed or laser-cut housing, and it keeps the exact
-shape. `step` writes its planes and cylinders, `mesh` its triangles. Its volume has a closed form.
-Units are mm, in frame S of the sensor: z outward, flat membrane at z = 0.
+shape: `step_file` writes its planes and cylinders, `mesh` its triangles.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -26,9 +25,9 @@ _CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
 @dataclass(frozen=True)
 class Contour:
-    """Rectangle about (x, y) with half sizes `hx`, `hy`.
+    """Rectangle about (x, y) with half sizes `hx`, `hy` and corner radius `r`.
 
-    Its corners are rounded with radius `r`. It is a circle if r = hx = hy.
+    It is a circle if r = hx = hy.
     """
 
     hx: float
@@ -42,6 +41,11 @@ class Contour:
         return 4 * self.hx * self.hy - (4 - math.pi) * self.r**2
 
     @property
+    def corner(self) -> tuple[float, float]:
+        """The corner of its box with the lowest x and y."""
+        return self.x - self.hx, self.y - self.hy
+
+    @property
     def east(self) -> tuple[float, float]:
         """Its farthest point along x."""
         return self.x + self.hx, self.y
@@ -50,10 +54,6 @@ class Contour:
     def is_circle(self) -> bool:
         return self.r == self.hx == self.hy
 
-    def grown(self, by: float) -> Contour:
-        """The contour `by` mm farther out; a sharp corner stays sharp."""
-        return Contour(self.hx + by, self.hy + by, self.r + by if self.r else 0.0, self.x, self.y)
-
     def distance(self, x: float, y: float) -> float:
         """Signed distance of a point: negative inside."""
         qx = abs(x - self.x) - self.hx + self.r
@@ -61,32 +61,25 @@ class Contour:
         return math.hypot(max(qx, 0.0), max(qy, 0.0)) + min(max(qx, qy), 0.0) - self.r
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
-        """Return start (2,), end (2,) and center (2,) of each edge, counter-clockwise.
-
-        The center of a straight edge is None.
-        """
+        """Return start (2,), end (2,) and center (2,; None if straight), counter-clockwise."""
         middle = np.array([self.x, self.y])
         if self.is_circle:
             east = middle + (self.r, 0.0)
             west = middle - (self.r, 0.0)
             return [(east, west, middle), (west, east, middle)]
-        found: list[tuple[Array, Array, Array | None]] = []
+        edges: list[tuple[Array, Array, Array | None]] = []
         signs = [(1, -1), (1, 1), (-1, 1), (-1, -1)]  # corners, from below right
-        turns = [
-            np.array(p) for p in ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-        ]
+        radii = self.r * np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
         centres = [middle + (sx * (self.hx - self.r), sy * (self.hy - self.r)) for sx, sy in signs]
         for k, centre in enumerate(centres):
+            end = centre + radii[k + 1]
             if self.r:
-                found.append((centre + self.r * turns[k], centre + self.r * turns[k + 1], centre))
-            found.append(
-                (centre + self.r * turns[k + 1], centres[(k + 1) % 4] + self.r * turns[k + 1], None)
-            )
-        return found
+                edges.append((centre + radii[k], end, centre))
+            edges.append((end, centres[(k + 1) % 4] + radii[k + 1], None))
+        return edges
 
     def polygon(self, per_quarter: int) -> Array:
-        """Points (n, 2) on the contour, counter-clockwise; arcs by `per_quarter` chords a quarter
-        turn."""
+        """Points (n, 2), counter-clockwise; `per_quarter` chords replace a quarter circle."""
         points = []
         for start, _end, centre in self.edges():
             points.append(start)
@@ -101,13 +94,7 @@ class Contour:
 
 @dataclass(frozen=True)
 class Traced(Contour):
-    """Convex polygon around the origin, counter-clockwise, for an outline that is not a rectangle.
-
-    `x`, `y`, `hx`, `hy` describe its bounding box.
-
-    Attributes:
-        points: Corners (x, y), mm.
-    """
+    """Convex polygon with corners `points`, counter-clockwise; `x`, `y`, `hx`, `hy`: its box."""
 
     points: tuple[tuple[float, float], ...] = ()
 
@@ -115,8 +102,7 @@ class Traced(Contour):
     def around(cls, outline: Outline, by: float = 0.0, flat: float = 0.0) -> Traced:
         """Return the polygon `by` mm outside of an outline (m).
 
-        With `flat`, mm, its +x side has a straight part for a bore. That part extends over `flat`
-        on both sides of the axis.
+        Its +x side is straight for a bore, over `flat` mm on both sides of the axis.
         """
         at = 1e3 * outline.points(_CORNERS)
         along = np.roll(at, -1, axis=0) - np.roll(at, 1, axis=0)
@@ -131,13 +117,8 @@ class Traced(Contour):
         low, high = at.min(axis=0), at.max(axis=0)
         middle = (low + high) / 2
         half = (high - low) / 2
-        return cls(
-            hx=float(half[0]),
-            hy=float(half[1]),
-            x=float(middle[0]),
-            y=float(middle[1]),
-            points=tuple((float(x), float(y)) for x, y in at),
-        )
+        points = tuple((float(x), float(y)) for x, y in at)
+        return cls(*map(float, half), x=float(middle[0]), y=float(middle[1]), points=points)
 
     @property
     def area(self) -> float:
@@ -154,10 +135,6 @@ class Traced(Contour):
     @property
     def is_circle(self) -> bool:
         return False
-
-    def grown(self, by: float) -> Contour:
-        """Raise NotImplementedError; use `around` of the outline for its offset curves."""
-        raise NotImplementedError
 
     def distance(self, x: float, y: float) -> float:
         """Signed distance of a point: negative inside; outside, beyond a corner, less than it."""
@@ -215,10 +192,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Bore:
-    """Hole of `radius` along x at (y, z).
-
-    It runs from the +x side of the contour `inner` to that of `outer`.
-    """
+    """Hole of `radius` along x at (y, z), from the +x side of `inner` to that of `outer`."""
 
     inner: Contour
     outer: Contour
@@ -238,10 +212,7 @@ class Bore:
 
 @dataclass(frozen=True)
 class Part:
-    """Solid: contiguous `layers` from behind to the front, and at most one `bore`.
-
-    `make` is True if the part is to be manufactured and has files.
-    """
+    """Solid: contiguous `layers` from back to front, and a `bore`; `make`: it has CAD files."""
 
     name: str
     layers: tuple[Layer, ...]
@@ -273,15 +244,12 @@ class Part:
 
 
 def crossing(part: Part) -> tuple[Contour, Contour] | None:
-    """Return two contours of the same or neighboring layers that cross or touch.
-
-    None if all are nested or apart.
-    """
-    found = [
+    """Return two contours of the same or neighboring layers that cross or touch."""
+    contours = [
         [c for region in layer.regions for c in (region.outer, *region.holes)]
         for layer in part.layers
     ]
-    for here, there in zip(found, [*found[1:], []], strict=True):
+    for here, there in pairwise([*contours, []]):
         for one, other in combinations(dict.fromkeys([*here, *there]), 2):
             if not _near(one, other):
                 continue

@@ -1,14 +1,18 @@
-"""`README.md` and `assembly.md` of an output folder: file list, checked values, and illustrated
-steps."""
+"""Texts of an output folder: file list, checked values, bill of materials, and illustrated steps.
+
+The files of `templates/` contain the text, with `{}` for values computed from the sensor file.
+"""
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mjtactile.fabrication import purchased_parts as hw
-from mjtactile.fabrication.bill_of_materials import hose_volume
 from mjtactile.fabrication.camera_check import Optics, mirrored_in_image
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Part
@@ -18,19 +22,20 @@ from mjtactile.fabrication.part_renderings import FRONT, SIDE
 from mjtactile.fabrication.print_templates import board_of, page_size
 from mjtactile.sim.sensor.validity_checks import STRETCHED
 
+# force resolution required of the pressure sensor, N: a tenth of the paper's error
+_FORCE_STEP = 0.004
+_USB2 = 35e6  # byte/s that USB 2 really carries
+_HOSE = 0.5  # hose length, m
+
 
 @dataclass(frozen=True)
 class ManualStep:
-    """Step of the manual and its figure.
-
-    `parts` lists the names from front to back. The figure is an exploded view, unless it is a
-    `cut`. `{}` in the text are `facts`.
-    """
+    """Step of the manual and its figure: an exploded view of `parts`, front to back, or a `cut`."""
 
     title: str
-    picture: str
-    parts: tuple[str, ...]
     text: str
+    picture: str = ""
+    parts: Sequence[str] = ()
     cut: bool = False
 
     @property
@@ -38,156 +43,13 @@ class ManualStep:
         return {"cut": True, "view": SIDE} if self.cut else {"view": FRONT}
 
 
-STEPS = (
-    ManualStep(
-        "All parts",
-        "exploded",
-        (
-            "bolts",
-            "clamp_ring",
-            "membrane",
-            "frame",
-            "gasket",
-            "glass",
-            "glass_seat",
-            "led_ring",
-            "camera_mount",
-            "nuts",
-            "camera",
-        ),
-        "From the front (left) to the back. Make the frame, clamping ring, glass seat, "
-        "camera mount and stretching jig from `cad/`; buy the other parts "
-        "([bill.md](bill.md)). Print the parts in PETG, ABS or resin with at least four "
-        "perimeters, so that they are airtight, or have them milled. Break the outer edges "
-        "of the frame's rim by 0.5 mm and polish them: the rubber lies on them.",
-    ),
-    ManualStep(
-        "Camera and light",
-        "camera",
-        ("led_ring", "camera_mount", "camera"),
-        "Solder the LED ring after [led_ring.svg](led_ring.svg). Glue it into the mount with "
-        "the LEDs to the front and the wires through the small hole on the +x side. Screw "
-        "the camera on from behind with {spacer:g} mm spacers, the lens through the large "
-        "hole, the right side of the image to +x (the side of the air port). The LED faces "
-        "must be in the plane of the lens pupil, {pupil:g} mm in front of the camera board. "
-        "Focus on {focus:.1f} mm from the pupil and lock the lens. Set the exposure to "
-        "{exposure:.0f} us and fix gain and white balance. Print [board.pdf](board.pdf), "
-        "glue it to a flat plate, and calibrate before the glass is mounted:\n"
-        "\n"
-        "    mjtactile calibrate camera --rig my_gripper.toml --finger left --square-mm "
-        "{square:g}",
-    ),
-    ManualStep(
-        "Markers on the rubber",
-        "print",
-        (),
-        "Measure the scale bars of [markers.pdf](markers.pdf) in both directions: {bar}. Cut "
-        "the rubber to {sheet}. Lay it flat, **not stretched**. {ink} Punch the holes for "
-        "the pegs (crosses along the edge, 2.5 mm).",
-    ),
-    ManualStep(
-        "Stretch",
-        "stretch",
-        ("sheet", "stretch_jig"),
-        "Hang the rubber on the pegs of the jig, markers down. The jig stretches it by "
-        "{stretch:g} in both directions; the center stays in place, and circles stay "
-        "circles. Print page 3 of [markers.pdf](markers.pdf) on transparency film and lay it "
-        "on the rubber: markers must match within 0.3 mm. Where one side is off, move the "
-        "holes of its pegs.",
-    ),
-    ManualStep(
-        "Glue it to the rim",
-        "glue",
-        ("sheet", "stretch_jig", "frame"),
-        "Put a thin, even bead of adhesive on the front of the rim only. Push the frame from "
-        "below into the jig, which guides it, until the rim lifts the rubber by half a "
-        "millimetre. Put a weight on it and let it cure. The pre-stretch is fixed from now "
-        "on.",
-    ),
-    ManualStep(
-        "Clamp",
-        "clamp",
-        ("bolts", "clamp_ring", "membrane", "frame"),
-        "Cut the rubber off around the flange, fold it down around the rim, and lay the "
-        "clamping ring over it. Punch the {bolts} holes through the ring and insert the "
-        "bolts ({bolt}). The bolt heads stay {recess:g} mm behind the membrane, so only "
-        "rubber is in front.",
-    ),
-    ManualStep(
-        "Glass and mount",
-        "glass",
-        ("frame", "gasket", "glass", "glass_seat", "camera_mount", "nuts"),
-        "Clean glass and lens first; they cannot be reached later. Put the gasket (cut along "
-        "[gasket.svg](gasket.svg)) on the back of the frame, the glass in its seat, the "
-        "mount behind it, and the nuts on. Tighten crosswise, a quarter turn beyond "
-        "finger-tight.",
-    ),
-    ManualStep(
-        "Closed",
-        "section",
-        (
-            "clamp_ring",
-            "membrane",
-            "frame",
-            "gasket",
-            "glass",
-            "glass_seat",
-            "camera_mount",
-            "led_ring",
-            "camera",
-            "bolts",
-            "nuts",
-        ),
-        "A section through the center. Membrane to glass: {depth:g} mm; pupil to glass: "
-        "{distance:g} mm. Screw or glue the air port into the hole on the +x side ({port}). "
-        "Inflate to {supply:g} kPa under water or with soap: no bubbles may appear.",
-        cut=True,
-    ),
-    ManualStep(
-        "Expected camera image",
-        "camera_view",
-        (),
-        "The simulated image of the flat membrane. {mirrors}",
-    ),
-    ManualStep(
-        "Measure",
-        "",
-        (),
-        "Name a calibration file in the rig file, then run\n"
-        "\n"
-        "    mjtactile doctor --rig my_gripper.toml\n"
-        "    mjtactile calibrate valve --rig my_gripper.toml --finger left\n"
-        "    mjtactile calibrate frame --rig my_gripper.toml --finger left\n"
-        "    mjtactile calibrate force --rig my_gripper.toml --finger left\n"
-        "    mjtactile record --rig my_gripper.toml --out runs/manually\n"
-        "\n"
-        "`calibrate frame` measures the as-built values: camera pose, marker radii, and "
-        "stiffness of the rubber. `mjtactile fit` writes the sensor file of the as-built "
-        "sensor. The hose and the port hold {hose:.2f} mL: write that into "
-        "`chamber.extra_volume_mL`.",
-    ),
-)
-FIDUCIALS = {
-    "rim": ManualStep(
-        "Fixed reference circles",
-        "fiducials",
-        (),
-        "Print [fiducials.pdf](fiducials.pdf) in matte black on white matte film of 0.1 mm "
-        "and check its scale bars. Cut it in strips along the red lines. Glue them "
-        "permanently through the back of the frame to the inner face of its rim, behind the "
-        "lip of {lip:g} mm, circles to the camera, within 0.2 mm of their positions. Every "
-        "rest reference measures their actual positions; only a strip that comes loose later "
-        "causes errors.",
-    ),
-    "pane": ManualStep(
-        "Fixed reference circles",
-        "fiducials",
-        (),
-        "Transfer [fiducials.pdf](fiducials.pdf) onto the inner face of the glass, white "
-        "under black, within 0.2 mm of the edges of the glass, before the glass goes into "
-        "its seat. Every rest reference measures their actual positions.",
-    ),
-}
+def _template(name: str) -> str:
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
+
+
+_ASSEMBLY = tomllib.loads(_template("assembly.toml"))
+STEPS = tuple(ManualStep(**step) for step in _ASSEMBLY["step"])
+FIDUCIALS = {surface: ManualStep(**step) for surface, step in _ASSEMBLY["fiducials"].items()}
 """Assembly step of a sensor with fiducials, by their surface; before the membrane is glued."""
 SHEET = "sheet"
 """Stretched membrane on the jig; it appears only in the images."""
@@ -202,50 +64,43 @@ def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
     return (*STEPS[:at], FIDUCIALS[fiducials.surface], *STEPS[at:])
 
 
+def hose_volume(layout: Layout) -> float:
+    """Return the volume of the hose and the port, mL."""
+    return 1e6 * _HOSE * math.pi * (5e-4 * layout.port.bore) ** 2 + layout.volume_extra
+
+
+def shore_a(young: float) -> float:
+    """Return the Shore A hardness of rubber with Young's modulus `young`, Pa.
+
+    Source: Gent, Rubber Chemistry and Technology 31, 1958.
+    """
+    k = 0.137505e-6 * young
+    return (254 * k - 0.0981 * 56) / (0.0981 * 7.62336 + 2.54 * k)
+
+
 def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     """Return the values used in the texts of the steps."""
     design = layout.design
     half = page_size(layout)
     seen = mirrored_in_image(design, optics.mirrors)
     first = optics.mirrors[0]
-    if layout.hardware.markers == "ink":
-        ink = (
-            "Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex "
-            "ink on latex), or transfer the print. The ink must be thin and elastic: stiff "
-            "ink holds the rubber and ends up smaller than the mounted size. For stiff ink "
-            "or glued discs, make the folder again with `--markers discs`."
-        )
-    else:
-        ink = (
-            "Glue the discs through the stencil. They are stiffer than the rubber and keep "
-            "their size; their positions are those before stretching."
-        )
-    mirrors = "The image contains no reflection of an LED in the glass."
-    if seen:
-        mirrors = (
-            f"The glass reflects {seen} of {len(optics.mirrors)} LEDs into the image, the "
-            f"first at {first[0]:.0f}, {first[1]:.0f} px (circles); the simulator does not "
-            "render that. Remove the reflections with crossed polarizing films on LEDs and "
-            "lens, or with anti-reflection coated glass; otherwise the markers there are "
-            "lost."
-        )
+    ink = _ASSEMBLY["markers"][layout.hardware.markers]
+    mirrors = _ASSEMBLY["mirrors"]["some" if seen else "none"].format(
+        seen=seen, count=len(optics.mirrors), u=first[0], v=first[1]
+    )
     return {
+        "layout": layout,
         "lip": 0.0 if layout.groove is None else -layout.groove[1],
         "spacer": hw.SPACER,
-        "pupil": layout.hardware.pupil,
         "focus": optics.focus,
         "exposure": 1e6 * optics.exposure,
         "square": MM * board_of(design).square,
-        "bar": "both must have the stated length, within 0.2 %",
         "sheet": f"{2 * half[0]:.1f} x {2 * half[1]:.1f} mm",
         "ink": ink,
-        "stretch": design.membrane.pre_stretch,
         "bolts": len(layout.bolts),
-        "bolt": f"{layout.bolt.name} x {layout.bolt_length}",
         "recess": hw.RECESS,
         "depth": MM * design.chamber.depth,
         "distance": MM * design.glass.distance,
-        "port": layout.port.what,
         "supply": 1e-3 * design.chamber.supply_gauge,
         "hose": hose_volume(layout),
         "mirrors": mirrors,
@@ -260,60 +115,91 @@ def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
         "Lengths in mm. +x is the side of the air port, the right side of the camera image.",
     ]
     for number, step in enumerate(steps_of(layout)):
+        blocks.append(f"## {number}. {step.title}")
         if step.picture in pictures:
-            picture = f"![{step.title}](pictures/{step.picture}.png)"
-        else:
-            picture = ""
-        blocks += [f"## {number}. {step.title}", picture, step.text.format(**known)]
-    return "\n\n".join(block for block in blocks if block) + "\n"
+            blocks.append(f"![{step.title}](pictures/{step.picture}.png)")
+        blocks.append(step.text.format(**known))
+    return "\n\n".join(blocks) + "\n"
+
+
+def bill(layout: Layout, optics: Optics) -> str:
+    """Return the text of `bill.md`: the parts of one finger, and those needed once per gripper."""
+    design = layout.design
+    membrane = design.membrane
+    half_x, half_y = page_size(layout)
+    supply = 1e-3 * design.chamber.supply_gauge
+    volume = 1e6 * design.chamber_volume_flat
+    rate = design.camera.width * design.camera.height * design.camera.rate
+    conductance = design.chamber.valve_conductance
+    if math.isinf(conductance):
+        flow = "flow as high as possible"
+    else:
+        flow = f"{1e9 * conductance:g} mL/s at 1 kPa"
+    if layout.hardware.markers == "ink":
+        marker = "marker colour"
+        marker_kind = "thin against the sheet, elastic"
+        marker_product = "silicone or latex ink through the stencil"
+    else:
+        marker = "black discs"
+        marker_kind = "stiff against the sheet"
+        marker_product = "discs cut from 0.025-0.05 mm polyester film, glued"
+    return _template("bill.md").format(
+        layout=layout,
+        design=design,
+        optics=optics,
+        sheet_x=2 * half_x,
+        sheet_y=2 * half_y,
+        thickness=MM * membrane.thickness,
+        young=1e-6 * membrane.young,
+        shore_a=shore_a(membrane.young),
+        marker=marker,
+        marker_kind=marker_kind,
+        marker_product=marker_product,
+        radius=MM * design.markers.radius,
+        glass_x=2 * layout.glass_x,
+        glass_y=2 * layout.glass_y,
+        glass_z=MM * design.glass.thickness,
+        outer_x=2 * layout.outer_x,
+        outer_y=2 * layout.outer_y,
+        bolts=len(layout.bolts),
+        pixel=1e3 * layout.hardware.pixel,
+        data_rate=1e-6 * rate,
+        usb=2 if rate < _USB2 else 3,
+        exposure=1e6 * optics.exposure,
+        duty=100 * optics.exposure * design.camera.rate,
+        hose_length=_HOSE,
+        hose=hose_volume(layout),
+        hose_percent=100 * hose_volume(layout) / volume,
+        volume=volume,
+        pump="pump" if supply >= 0 else "vacuum pump",
+        pump_pressure=abs(supply),
+        pump_flow=max(volume / 1e3, 0.05),
+        supply=supply,
+        valve_flow=flow,
+        sensor_range=max(2 * abs(supply), 2),
+        sensor_resolution=_FORCE_STEP / design.frame.area,
+        force_step=1e3 * _FORCE_STEP,
+    )
 
 
 def readme(
-    layout: Layout,
-    optics: Optics,
-    parts: Mapping[str, Part],
-    checks: Mapping[str, str],
-    source: str,
+    layout: Layout, parts: Mapping[str, Part], checks: Mapping[str, str], source: str
 ) -> str:
     """The text of `README.md`."""
     made = [part for part in parts.values() if part.make]
     sizes = {part.name: " x ".join(f"{s:.1f}" for s in part.size) for part in made}
-    rows = "\n".join(
-        f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made
+    return _template("readme.md").format(
+        layout=layout,
+        source=source,
+        parts="\n".join(
+            f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made
+        ),
+        checks="\n".join(f"| {what} | {value} |" for what, value in checks.items()),
+        fiducials=""
+        if layout.design.fiducials is None
+        else "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg) | fixed reference "
+        "circles at 1:1 |\n",
     )
-    checked = "\n".join(f"| {what} | {value} |" for what, value in checks.items())
-    fixed = ""
-    if layout.design.fiducials is not None:
-        fixed = (
-            "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg) | fixed "
-            "reference circles at 1:1 |\n"
-        )
-    return f"""# Sensor {layout.design.name!r}: files for manufacturing
-
-Made by `mjtactile fabricate` from `{source}`; `sensor.toml` is a copy of it. Start with
-[assembly.md](assembly.md); the parts to buy are in [bill.md](bill.md).
-
-| file | content |
-|---|---|
-| [assembly.md](assembly.md) | assembly steps with images |
-| [bill.md](bill.md) | parts to buy, with their requirements |
-| [markers.pdf](markers.pdf) | 1:1: transfer print, stencil, mounted pattern; scale bars |
-| [markers.svg](markers.svg), [stencil.svg](stencil.svg) | the first two for cutters, mm |
-| [board.pdf](board.pdf), [board.svg](board.svg) | ChArUco board for `mjtactile calibrate camera` |
-| [led_ring.svg](led_ring.svg), [gasket.svg](gasket.svg) | outlines to cut or for a circuit board |
-{fixed}| `cad/*.step`, `cad/*.stl` | the parts below, exact and as triangles; mm, sensor frame |
-| `checks.json` | the numbers below and more, for programs |
-
-| part | size, mm | volume, cm3 | |
-|---|---|---|---|
-{rows}
-
-## Checks
-
-| quantity | |
-|---|---|
-{checked}
-"""
 
 
 def checks(

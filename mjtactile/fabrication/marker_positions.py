@@ -17,18 +17,14 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter side
 # indentation depth, m, and its limit as a fraction of the chamber's depth and of the shorter side
-_PRESS = 0.004
-_SHARE = 0.25
-# maximum offset of the ball's center plus its radius, as a fraction of the frame's side
-_REACH = 0.45
+_DEPTH = 0.004
+_DEPTH_FRACTION = 0.25
+_REACH = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneState:
-    """Marker centers (N, 3), m, and outward normals (N, 3) in S.
-
-    `name` describes the state; `stretch` is the largest stretch of the membrane.
-    """
+    """Marker centers (N, 3), m, and outward normals (N, 3) in S; the membrane's largest stretch."""
 
     name: str
     p_SM: Array
@@ -38,10 +34,7 @@ class MembraneState:
 
 
 def growth(design: SensorDesign, states: Sequence[MembraneState]) -> float:
-    """Return the largest mean growth of the distances between neighboring markers over the states.
-
-    Elastic markers grow by this ratio.
-    """
+    """Return the largest mean growth of marker distances, by which elastic markers grow, too."""
     markers = design.markers
     flat = markers.p_SM[:, :2]
     pairs = [
@@ -61,11 +54,11 @@ def press_depth(design: SensorDesign, hardware: Hardware) -> float:
     """Return the largest indentation depth, m."""
     if hardware.press is not None:
         return 1e-3 * hardware.press
-    return min(
-        _PRESS, _SHARE * design.chamber.depth, _SHARE * min(design.frame.length, design.frame.width)
-    )
+    shortest = min(design.chamber.depth, design.frame.length, design.frame.width)
+    return min(_DEPTH, _DEPTH_FRACTION * shortest)
 
 
+_SUPPLY = "chamber.supply_pressure_kPa"
 PLACES = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a corner": (1, 1)}
 """Indentation positions, as fractions of the distance from the center to close to the frame."""
 
@@ -77,59 +70,37 @@ def simulate(
     say: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
 ) -> list[MembraneState]:
-    """Compute all states.
-
-    Raises InputError if the membrane does not withstand the supply's pressure, or touches the
-    glass.
-    """
+    """Compute all states. Raises InputError if the membrane fails or touches the glass."""
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
-    frame = design.frame
-    flat = MembraneState(
-        "flat",
-        design.markers.p_SM,
-        np.tile([0.0, 0, 1], (design.markers.count, 1)),
-        design.membrane.pre_stretch,
-        0.0,
-    )
-    if (
-        supply > 0
-        and np.isnan(analytical_solutions.bulge_height(design, supply))
-        and not np.isnan(analytical_solutions.bulge_height(design, 1.0))
-    ):
-        Limit(
-            "chamber.supply_pressure_kPa",
-            1e-3 * supply,
-            "exceeds the stability limit of this membrane",
-            high=1e-3 * _pressure_limit(design),
-        ).check(source)
-    ball = min(_BALL, 0.25 * min(frame.length, frame.width))
-    far = [max(_REACH * side - ball, 0.0) for side in (frame.length, frame.width)]
-    states = [flat]
+    sides = np.array([design.frame.length, design.frame.width])
+    markers = design.markers
+    normals = np.tile([0.0, 0, 1], (markers.count, 1))
+    states = [MembraneState("flat", markers.p_SM, normals, design.membrane.pre_stretch, 0.0)]
+    if supply > 0 and _is_unstable(design, supply) and not _is_unstable(design, 1.0):
+        why = "exceeds the stability limit of this membrane"
+        Limit(_SUPPLY, 1e-3 * supply, why, high=1e-3 * _pressure_limit(design)).check(source)
+    ball = float(min(_BALL, 0.25 * sides.min()))
+    far = np.maximum(_REACH * sides - ball, 0.0)
     try:
-        for name, (along_x, along_y) in places.items():
-            world = PressWorld(
-                design, Indenter("sphere", ball), at=(along_x * far[0], along_y * far[1])
-            )
+        for name, direction in places.items():
+            x, y = (far * direction).tolist()
+            world = PressWorld(design, Indenter("sphere", ball), at=(x, y))
             for pressure in dict.fromkeys((0.0, supply)):
+                kpa = f"{1e-3 * pressure:g} kPa"
                 world.inflate(pressure, seal=True)
                 if name == "the middle" and pressure:
-                    states.append(_state(world, f"inflated to {1e-3 * pressure:g} kPa"))
+                    states.append(_state(world, f"inflated to {kpa}"))
                 world.press(depth)
-                states.append(
-                    _state(
-                        world,
-                        f"indented by {1e3 * depth:.2g} mm at {name}, filled at "
-                        f"{1e-3 * pressure:g} kPa",
-                    )
-                )
+                load = f"indented by {1e3 * depth:.2g} mm at {name}, filled at {kpa}"
+                states.append(_state(world, load))
             say(f"pressed at {name}")
     except SimulationError as error:
         raise InputError(
             f"the membrane fails at {1e-3 * supply:g} kPa and an indentation of "
             f"{1e3 * depth:.2g} mm: {error.reason}",
             source=source,
-            field="chamber.supply_pressure_kPa",
+            field=_SUPPLY,
         ) from error
     return states
 
@@ -141,13 +112,17 @@ def _state(world: PressWorld, name: str) -> MembraneState:
     )
 
 
+def _is_unstable(design: SensorDesign, pressure: float) -> bool:
+    return bool(np.isnan(analytical_solutions.bulge_height(design, pressure)))
+
+
 def _pressure_limit(design: SensorDesign) -> float:
     """The largest gauge pressure, Pa, that the closed form has a height for."""
     low = 1.0
     high = design.chamber.supply_gauge
     for _ in range(40):
         middle = (low + high) / 2
-        if np.isnan(analytical_solutions.bulge_height(design, middle)):
+        if _is_unstable(design, middle):
             high = middle
         else:
             low = middle

@@ -1,7 +1,4 @@
-"""Triangles of a `Part` and STL files of them.
-
-manifold3d creates them; its results are closed and consistent by construction.
-"""
+"""Triangles of a `Part` by manifold3d, which are closed and consistent, and STL files of them."""
 
 from __future__ import annotations
 
@@ -16,21 +13,17 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fabrication.layered_solid import Layer, Part
 
-# chords of a quarter circle: for files (0.12 % radius error) and for images
-PER_QUARTER = 16
-COARSE = 6
+PER_QUARTER = 16  # chords of a quarter circle in files (0.12 % radius error)
+COARSE = 6  # chords of a quarter circle in images
 _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch
 
 
 def require_libraries() -> None:
-    """Raise InputError with installation instructions if the libraries for solids and pages are
-    missing."""
+    """Raise InputError with installation instructions if libraries are missing."""
     missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]
     if missing:
-        raise InputError(
-            f"needs {' and '.join(missing)}: pip install 'mjtactile[fabrication]'",
-            source="fabricate",
-        )
+        need = f"needs {' and '.join(missing)}: pip install 'mjtactile[fabrication]'"
+        raise InputError(need, source="fabricate")
 
 
 def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
@@ -40,12 +33,11 @@ def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
     solid = m3.Manifold.batch_boolean(
         [_extrude(layer, per_quarter) for layer in part.layers], m3.OpType.Add
     )
-    if part.bore:
-        start, end = part.bore.ends
-        tool = m3.Manifold.cylinder(
-            end - start + 2, part.bore.radius, circular_segments=4 * per_quarter
-        )
-        solid = solid - tool.rotate((0, 90, 0)).translate((start - 1, part.bore.y, part.bore.z))
+    if bore := part.bore:
+        start, end = bore.ends
+        length = end - start + 2
+        tool = m3.Manifold.cylinder(length, bore.radius, circular_segments=4 * per_quarter)
+        solid = solid - tool.rotate((0, 90, 0)).translate((start - 1, bore.y, bore.z))
     return solid
 
 

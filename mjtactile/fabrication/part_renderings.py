@@ -1,5 +1,4 @@
-"""Images of the parts, exploded along the sensor's axis or cut open: triangles rendered without
-OpenGL, labels by matplotlib."""
+"""Images of the parts, exploded or cut open: triangles without OpenGL, labels by matplotlib."""
 
 from __future__ import annotations
 
@@ -23,14 +22,12 @@ _AMBIENT = 0.5
 _SAMPLES = 2
 _LINE = 0.15  # grey of a line
 _BORDER = 1.06
-# between parts, of their width; of a bolt's length that stays in its hole
-_GAP = 0.16
-_BOLT = 0.35
+_GAP = 0.16  # between parts, as a fraction of their width
+_BOLT = 0.35  # fraction of a bolt's length that stays in its hole
 _OUTLINE = 0.012  # depth jump rendered as a line, as a fraction of the image's half width
 FRONT = (0.62, 0.42, 0.66), (0.0, 1.0, 0.0)
 SIDE = (0.22, -0.93, 0.30), (1.0, 0.0, 0.0)
-"""Directions in S towards the viewer, and up. Two views: front and +x side, where the air enters;
-and a section through the center."""
+"""Directions in S towards the viewer, and up: front with +x side; and a section's view."""
 View = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -55,19 +52,15 @@ def view_axes(view: View) -> Array:
 def draw(
     bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
 ) -> tuple[Array, list[Array | None]]:
-    """Render an image (h, w, 3) with values from 0 to 1.
+    """Render an image (h, w, 3) with values from 0 to 1; `cut` removes the half y < 0.
 
-    Also return an image point inside each solid, px (right, down), None for a hidden one. `cut`
-    removes the half y < 0.
+    Also return an image point inside each solid, px (right, down), None for a hidden one.
     """
     axes = view_axes(view)
-    solids = [
-        body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid for body in bodies
-    ]
-    corners = [
-        (triangles_of(solid) + (0, 0, body.shift)) @ axes.T
-        for body, solid in zip(bodies, solids, strict=True)
-    ]
+    corners = []
+    for body in bodies:
+        solid = body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid
+        corners.append((triangles_of(solid) + (0, 0, body.shift)) @ axes.T)
     every = np.concatenate(corners)
     low = every.reshape(-1, 3).min(axis=0)
     high = every.reshape(-1, 3).max(axis=0)
@@ -87,20 +80,17 @@ def draw(
 def _shaded(corners: Array, rgb: Array) -> Array:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return np.clip(
-        rgb * (_AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1))[:, None], 0, 1
-    )
+    brightness = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1)
+    return np.clip(rgb * brightness[:, None], 0, 1)
 
 
 def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
-    """Return the index of the nearest triangle at each pixel (-1: none) and its depth (-inf:
-    none)."""
+    """Return the index (-1: none) and depth (-inf) of the nearest triangle at each pixel."""
     numbers = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
     seen = np.full((*size, 3), -1.0)
     depth = np.full(size, -np.inf)
-    kernel("paint_triangles")(
-        len(corners), np.ascontiguousarray(corners), numbers, *size, depth, seen
-    )
+    corners = np.ascontiguousarray(corners)
+    kernel("paint_triangles")(len(corners), corners, numbers, *size, depth, seen)
     return seen[..., 0].astype(np.int64), depth
 
 
@@ -114,8 +104,7 @@ def _depth_edges(depth: Array) -> Array:
 
 
 def _anchor(seen: Array) -> Array | None:
-    """Return a pixel (right, down) well inside the visible area of a solid; None if it is
-    hidden."""
+    """Return a pixel (right, down) well inside a solid's visible area; None if it is hidden."""
     if not seen.any():
         return None
     distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -135,11 +124,8 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     axes.imshow(image, interpolation="nearest")
     axes.set(xlim=(0, columns), ylim=(rows + margin, -margin))
     axes.set_axis_off()
-    labels = [
-        (place, body.label)
-        for body, place in zip(bodies, places, strict=True)
-        if place is not None and body.label
-    ]
+    pairs = zip(bodies, places, strict=True)
+    labels = [(place, body.label) for body, place in pairs if place is not None and body.label]
     _label(axes, labels, rows, columns, margin)
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
@@ -149,38 +135,23 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
 def _label(
     axes: Any, labels: list[tuple[Array, str]], rows: int, columns: int, margin: int
 ) -> None:
-    """Write the names of the upper half above the image and the others below it.
-
-    Each row is spread from left to right.
-    """
+    """Write the names of the upper half above the image, the others below, from left to right."""
     order = sorted(labels, key=lambda label: label[0][1])
     half = (len(order) + 1) // 2
+    gray = "#444444"
+    text = {"fontsize": 10, "ha": "center", "va": "center"}
+    arrow = {"arrowstyle": "-", "color": gray, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
     for group, y in ((order[:half], 18 - margin), (order[half:], rows + margin - 18)):
-        for k, (place, text) in enumerate(sorted(group, key=lambda label: label[0][0])):
+        for k, (place, name) in enumerate(sorted(group, key=lambda label: label[0][0])):
             x = columns * (k + 0.5) / len(group)
-            axes.annotate(
-                text,
-                place,
-                (x, y),
-                fontsize=10,
-                ha="center",
-                va="center",
-                arrowprops={
-                    "arrowstyle": "-",
-                    "color": "#444444",
-                    "lw": 0.8,
-                    "shrinkA": 1,
-                    "shrinkB": 0,
-                },
-            )
-            axes.plot(*place, "o", ms=3.5, color="#444444")
+            axes.annotate(name, place, (x, y), arrowprops=arrow, **text)
+            axes.plot(*place, "o", ms=3.5, color=gray)
 
 
 def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:
-    """Return the shifts along z, mm, that separate the parts of `order`.
+    """Return the shifts along z, mm, that place the parts of `order` one behind the other.
 
-    Parts are placed one behind the other. Bolts stay in the following ring by a third. Nuts are
-    behind the flange of the mount that precedes them.
+    Bolts stay in the following ring by a third. Nuts are behind the flange of the mount.
     """
     gap = _GAP * max(parts[name].size[0] for name in order)
     shifts: dict[str, float] = {}

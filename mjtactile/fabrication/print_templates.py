@@ -10,10 +10,11 @@ rubber. It is the printed one for a marker disc that is stiffer than the rubber.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import SensorDesign
-from mjtactile.fabrication.drawing_pages import DrawingShape, PrintedPage, cross, line, page
+from mjtactile.fabrication.drawing_pages import DrawingShape, PrintedPage, cross, label, line, page
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, circle
 from mjtactile.fabrication.manufacturability import MM, marker_shrink
@@ -21,15 +22,15 @@ from mjtactile.fabrication.parts import (
     PEG,
     bolt_holes,
     flange,
-    groove_outline,
     led_places,
     mouth,
     opening,
+    outline_offset,
     pegs,
 )
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
-_QS_PLAY = 0.1  # clearance between the fiducials' printed film and the groove's walls, mm
+_FILM_PLAY = 0.1  # clearance between the fiducials' printed film and the groove's walls, mm
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
 _COLUMNS = 9
 _ROWS = 7
@@ -38,12 +39,8 @@ _ROWS = 7
 def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
     """Return the markers as printed on the unstretched membrane, or on the mounted one."""
     design = layout.design
-    if mounted:
-        scale = 1.0
-        shrink = 1.0
-    else:
-        scale = 1 / design.membrane.pre_stretch
-        shrink = marker_shrink(design, layout.hardware)
+    scale = 1.0 if mounted else 1 / design.membrane.pre_stretch
+    shrink = 1.0 if mounted else marker_shrink(design, layout.hardware)
     return [
         circle(MM * design.markers.radius * shrink, MM * x * scale, MM * y * scale)
         for x, y, _ in design.markers.p_SM
@@ -53,78 +50,59 @@ def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
 def page_size(layout: Layout) -> tuple[float, float]:
     """Half sizes, mm, of the rubber to cut, unstretched."""
     stretch = layout.design.membrane.pre_stretch
-    return (layout.outer_x + 6 + _SHEET_EDGE) / stretch, (
-        layout.outer_y + 6 + _SHEET_EDGE
-    ) / stretch
+    edge = 6 + _SHEET_EDGE
+    return (layout.outer_x + edge) / stretch, (layout.outer_y + edge) / stretch
 
 
 def marker_pages(layout: Layout) -> list[PrintedPage]:
-    """Return transfer print and stencil for the unstretched membrane, and the mounted pattern as a
-    reference."""
+    """Return transfer print and stencil for the unstretched membrane, and the mounted pattern."""
     design = layout.design
-    stretch = layout.design.membrane.pre_stretch
-    half_x, half_y = page_size(layout)
+    stretch = design.membrane.pre_stretch
+    half = page_size(layout)
+    radius = MM * design.markers.radius
+    scaled = "no pre-stretch"
     if stretch != 1:
         scaled = f"scale 1/{stretch:g} of the mounted size: print on unstretched rubber"
-    else:
-        scaled = "no pre-stretch"
     tags = (
         f"{design.markers.count} markers, {scaled}",
-        f"radius {MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "
-        f"here, {MM * design.markers.radius:g} mm mounted; view from inside, as from the "
-        "camera",
+        f"radius {radius * marker_shrink(design, layout.hardware):.4g} mm here, {radius:g} mm "
+        "mounted; view from inside, as from the camera",
     )
     around = [
         *_register(layout, 1 / stretch),
-        DrawingShape("mark", "sheet", contour=Contour(half_x, half_y)),
+        DrawingShape("mark", "sheet", Contour(*half)),
+        *(mark for x, y in pegs(layout) for mark in cross("pegs", x / stretch, y / stretch, PEG)),
     ]
-    holes = [mark for x, y in pegs(layout) for mark in cross("pegs", x / stretch, y / stretch, PEG)]
-    black = [DrawingShape("black", "markers", contour=disc) for disc in markers(layout)]
-    cut = [DrawingShape("cut", "markers", contour=disc) for disc in markers(layout)]
     check = [
-        *(DrawingShape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
+        *_outlines("mark", "markers", markers(layout, mounted=True)),
         *_register(layout, 1.0),
-        DrawingShape("mark", "frame", contour=mouth(layout)),
-        DrawingShape("faint", "flange", contour=flange(layout)),
+        DrawingShape("mark", "frame", mouth(layout)),
+        DrawingShape("faint", "flange", flange(layout)),
     ]
-    name = design.name
+    printing = (
+        "the pattern is mirror-symmetric: print it unmirrored; crosses on the edge: peg holes"
+    )
+    cutting = "cut along red lines; punch the peg holes"
+    checking = (
+        "print on transparent film, lay on the mounted membrane:",
+        "markers and opening must coincide within 0.3 mm",
+    )
+    black = [*_outlines("black", "markers", markers(layout)), *around]
+    cut = [*_outlines("cut", "markers", markers(layout)), *around]
+    outer = layout.outer_x + 6, layout.outer_y + 6
     return [
-        page(
-            f"{name}: transfer print",
-            [*black, *around, *holes],
-            half_x,
-            half_y,
-            (
-                *tags,
-                "the pattern is mirror-symmetric: print it unmirrored; crosses on the edge: "
-                "peg holes",
-            ),
-        ),
-        page(
-            f"{name}: stencil",
-            [*cut, *around, *holes],
-            half_x,
-            half_y,
-            (*tags, "cut along red lines; punch the peg holes"),
-        ),
-        page(
-            f"{name}: as mounted",
-            check,
-            layout.outer_x + 6,
-            layout.outer_y + 6,
-            (
-                "print on transparent film, lay on the mounted membrane:",
-                "markers and opening must coincide within 0.3 mm",
-            ),
-        ),
+        page(f"{design.name}: transfer print", black, *half, (*tags, printing)),
+        page(f"{design.name}: stencil", cut, *half, (*tags, cutting)),
+        page(f"{design.name}: as mounted", check, *outer, checking),
     ]
+
+
+def _outlines(style: str, group: str, contours: Iterable[Contour]) -> list[DrawingShape]:
+    return [DrawingShape(style, group, contour) for contour in contours]
 
 
 def _register(layout: Layout, scale: float) -> list[DrawingShape]:
-    """Return registration marks on the axes and the corners of the flange.
-
-    They are for a jig or a second print. An arrow points to +x, the side of the air inlet.
-    """
+    """Return registration marks on the flange, and an arrow to +x, the side of the air inlet."""
     x = layout.outer_x * scale
     y = layout.outer_y * scale
     marks = [
@@ -136,107 +114,73 @@ def _register(layout: Layout, scale: float) -> list[DrawingShape]:
     return [
         *marks,
         line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
-        DrawingShape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
+        label("text", (tip - 3, 4.0), "+x", 2.5),
     ]
 
 
 def fiducial_page(layout: Layout) -> PrintedPage | None:
-    """Return the page of the fixed fiducial circles, as the camera sees them.
+    """Return the page of the fiducial circles, as the camera sees them; None without fiducials.
 
-    They are cut out and glued to the lip's inner face, or transfer-printed on the glass. None
-    without fiducials.
+    They are cut out and glued to the lip's inner face, or transfer-printed on the glass.
     """
     fiducials = layout.design.fiducials
     if fiducials is None:
         return None
     radius = MM * fiducials.radius
-    black = [
-        DrawingShape("black", "fiducials", contour=circle(radius, MM * x, MM * y))
-        for x, y in fiducials.places
-    ]
+    centres = [(MM * x, MM * y) for x, y in fiducials.places]
     groove = layout.groove
     if groove is None:
         note = "white under the black; align the marks with the glass edges"
         ground = MM * (fiducials.radius + fiducials.ground)
-        outlines = [
-            DrawingShape("faint", "ground", contour=circle(ground, MM * x, MM * y))
-            for x, y in fiducials.places
-        ]
-        outlines.append(
-            DrawingShape("mark", "pane", contour=Contour(layout.glass_x, layout.glass_y))
-        )
+        shapes = _outlines("faint", "ground", (circle(ground, *centre) for centre in centres))
+        shapes.append(DrawingShape("mark", "pane", Contour(layout.glass_x, layout.glass_y)))
     else:
         note = (
             "white matte film: cut along red lines into strips, glue to the inner face of the rim"
         )
-        outlines = [
-            DrawingShape("cut", "lip", contour=groove_outline(layout, groove[2] - _QS_PLAY)),
-            DrawingShape("cut", "lip", contour=mouth(layout)),
-        ]
-    return page(
-        f"{layout.design.name}: fiducials",
-        [*outlines, *black],
-        layout.outer_x,
-        layout.outer_y,
-        (f"{fiducials.count} circles of radius {radius:g} mm, view from the camera", note),
-    )
+        walls = outline_offset(layout, groove[2] - _FILM_PLAY)
+        shapes = _outlines("cut", "lip", (walls, mouth(layout)))
+    shapes += _outlines("black", "fiducials", (circle(radius, *centre) for centre in centres))
+    title = f"{layout.design.name}: fiducials"
+    content = f"{fiducials.count} circles of radius {radius:g} mm, view from the camera"
+    return page(title, shapes, layout.outer_x, layout.outer_y, (content, note))
 
 
 def cut_page(layout: Layout) -> PrintedPage:
     """The gasket."""
-    shapes = [
-        DrawingShape("cut", "gasket", contour=contour)
-        for contour in (flange(layout), opening(layout), *bolt_holes(layout))
-    ]
-    return page(
-        f"{layout.design.name}: gasket",
-        shapes,
-        layout.outer_x,
-        layout.outer_y,
-        ("silicone sheet 0.5 mm, one piece",),
-    )
+    contours = (flange(layout), opening(layout), *bolt_holes(layout))
+    shapes = _outlines("cut", "gasket", contours)
+    title = f"{layout.design.name}: gasket"
+    notes = ("silicone sheet 0.5 mm, one piece",)
+    return page(title, shapes, layout.outer_x, layout.outer_y, notes)
 
 
 def led_page(layout: Layout) -> PrintedPage:
     """Return the page of the LED ring: outline, numbered LEDs, and position of the wires."""
-    shapes = [
-        DrawingShape("cut", "board", contour=circle(layout.led_outer)),
-        DrawingShape("cut", "board", contour=circle(layout.led_inner)),
-    ]
+    shapes = _outlines("cut", "board", map(circle, (layout.led_outer, layout.led_inner)))
     notes = [
         "circuit board 1.6 mm; LEDs (2835) on the membrane side,",
         "emission in the plane of the lens pupil; view from the camera, through the board",
     ]
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
+        at = out * x - (15 if x < 0 else 0), out * y + 1
         shapes += [
-            DrawingShape("mark", "leds", contour=circle(1.4, x, y)),
+            DrawingShape("mark", "leds", circle(1.4, x, y)),
             *cross("leds", x, y, 2.2),
-            DrawingShape(
-                "black",
-                "text",
-                points=((out * x - (15 if x < 0 else 0), out * y + 1),),
-                text=f"{number}: {x:.2f}, {y:.2f}",
-                size=2.2,
-            ),
+            label("text", at, f"{number}: {x:.2f}, {y:.2f}", 2.2),
         ]
     wires = layout.led_outer - 1.5
     shapes += [
         line("leds", (wires, -1), (wires, 1)),
-        DrawingShape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
+        label("text", (wires + 3, 1), "wires, +x", 2.5),
     ]
-    return page(
-        f"{layout.design.name}: LED ring",
-        shapes,
-        layout.led_outer + 24,
-        layout.led_outer + 8,
-        notes,
-    )
+    title = f"{layout.design.name}: LED ring"
+    return page(title, shapes, layout.led_outer + 24, layout.led_outer + 8, notes)
 
 
 def board_of(design: SensorDesign) -> Board:
-    """A board that nearly fills the camera's view where the membrane is, squares a multiple of 0.5
-    mm."""
+    """A board that nearly fills the camera's view of the membrane; squares in steps of 0.5 mm."""
     camera = design.camera
     width = camera.distance * camera.width / camera.fx
     height = camera.distance * camera.height / camera.fy
@@ -245,8 +189,7 @@ def board_of(design: SensorDesign) -> Board:
 
 
 def board_page(design: SensorDesign) -> PrintedPage:
-    """The board as vectors: its bitmap with a pixel a cell, each run of black pixels a
-    rectangle."""
+    """The board as vectors: its bitmap, with a rectangle for each run of black pixels in a row."""
     board = board_of(design)
     cell = MM * board.square / _BOARD_CELLS
     pixels = board.draw(_BOARD_CELLS)
@@ -258,20 +201,13 @@ def board_page(design: SensorDesign) -> PrintedPage:
         for start, end in zip(edges[::2], edges[1::2], strict=True):
             x = (start + end - columns) / 2 * cell
             y = (v + 0.5 - rows / 2) * cell
-            shapes.append(
-                DrawingShape(
-                    "black", "board", contour=Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)
-                )
-            )
+            run = Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)
+            shapes.append(DrawingShape("black", "board", run))
     square = MM * board.square
-    return page(
-        f"{design.name}: board for `mjtactile calibrate camera`",
-        shapes,
-        columns * cell / 2,
-        rows * cell / 2,
-        (
-            f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers "
-            f"{MM * board.marker:g} mm, {board.dictionary}",
-            f"glue it to a flat plate, measure a square: --square-mm {square:g}",
-        ),
+    notes = (
+        f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers "
+        f"{MM * board.marker:g} mm, {board.dictionary}",
+        f"glue it to a flat plate, measure a square: --square-mm {square:g}",
     )
+    title = f"{design.name}: board for `mjtactile calibrate camera`"
+    return page(title, shapes, columns * cell / 2, rows * cell / 2, notes)

@@ -1,7 +1,4 @@
-"""Purchased parts that the sensor file does not define: camera module, screws, fittings.
-
-Typical parts; lengths in mm.
-"""
+"""Typical purchased parts that the sensor file does not define; lengths in mm."""
 
 from __future__ import annotations
 
@@ -10,10 +7,9 @@ from dataclasses import dataclass
 PRINT_WALL = 1.2  # three lines of a 0.4 mm nozzle: the thinnest wall that is airtight and stiff
 CLEARANCE = 0.3  # between printed parts that slide into each other
 GASKET = 0.4  # silicone sheet of 0.5 mm, compressed by a fifth
-# thickness of clamping ring, of the glass seat and of the mount's flange
-RING = 3.0
-SEAT = 3.0
-FLANGE = 4.0
+RING = 3.0  # thickness of the clamping ring
+SEAT = 3.0  # thickness of the glass seat
+FLANGE = 4.0  # thickness of the mount's flange
 TUBE_WALL = 2.0  # of the camera mount
 RECESS = 0.5  # depth of the bolts' heads behind the membrane, so that only rubber is in front
 GLASS_HOLD = 2.0  # minimum width of the glass support
@@ -26,8 +22,7 @@ BOLT_LOAD = 100.0  # load of one M2 or M3 bolt in a printed part, N
 
 @dataclass(frozen=True)
 class Bolt:
-    """A screw: clearance hole (ISO 273, medium), head (ISO 4762), nut (ISO 4032: across flats and
-    height), radii and heights."""
+    """Radii and heights of a screw's clearance hole (ISO 273), head (ISO 4762), nut (ISO 4032)."""
 
     name: str
     radius: float
@@ -36,28 +31,7 @@ class Bolt:
     head_height: float
     nut: float
     nut_height: float
-    lengths: tuple[int, ...] = (
-        8,
-        10,
-        12,
-        16,
-        20,
-        25,
-        30,
-        35,
-        40,
-        45,
-        50,
-        55,
-        60,
-        65,
-        70,
-        80,
-        90,
-        100,
-        110,
-        120,
-    )
+    lengths: tuple[int, ...] = (8, 10, 12, 16, *range(20, 70, 5), *range(70, 130, 10))
 
 
 BOLTS = (Bolt("M3", 1.5, 1.7, 2.75, 3.0, 3.2, 2.4), Bolt("M2", 1.0, 1.2, 1.9, 2.0, 2.3, 1.6))
@@ -73,17 +47,13 @@ class AirPort:
     bore: float  # of the hose that fits
 
 
+_FITTING = "barbed fitting M5 for a hose of 4 x 2.5 mm, M5 thread cut into the hole of 4.2 mm"
+_TUBE = "tube of 3 mm outer diameter, glued in, for a hose of 4 x 2.5 mm"
+_STEEL_TUBE = "steel tube of 2 mm outer diameter, glued in, for a hose of 3 x 1.5 mm"
 PORTS = (
-    AirPort(
-        2.1,
-        1.5,
-        "barbed fitting M5 for a hose of 4 x 2.5 mm, M5 thread cut into the hole of 4.2 mm",
-        2.5,
-    ),
-    AirPort(1.55, 1.3, "tube of 3 mm outer diameter, glued in, for a hose of 4 x 2.5 mm", 2.5),
-    AirPort(
-        1.05, 1.2, "steel tube of 2 mm outer diameter, glued in, for a hose of 3 x 1.5 mm", 1.5
-    ),
+    AirPort(2.1, 1.5, _FITTING, 2.5),
+    AirPort(1.55, 1.3, _TUBE, 2.5),
+    AirPort(1.05, 1.2, _STEEL_TUBE, 1.5),
 )
 
 
@@ -111,13 +81,10 @@ class Hardware:
 
 
 LED_BODY = (3.5, 2.8, 0.8)  # mm, the common 2835 package: length, width, height
-# thickness of the ring's circuit board, and its overhang beyond the LEDs, mm
-LED_BOARD = 1.6
-LED_EDGE = 1.25
+LED_BOARD = 1.6  # thickness of the ring's circuit board
+LED_EDGE = 1.25  # its overhang beyond the LEDs
 LED_FLUX = 1.0  # maximum light of one LED in a short pulse, W
 SPACER = 2.0  # under the camera board, mm
 SMEAR = 0.05  # px of motion blur
 FULL_WELL = 10_000  # electrons, of a pixel of 3 um
-QUANTUM = 0.6  # electrons a photon, green light
-"""Typical of small global-shutter sensors; the light that is asked for goes with 1 / (FULL_WELL
-QUANTUM) only."""
+QUANTUM = 0.6  # electrons per photon, green light; typical of small global-shutter sensors

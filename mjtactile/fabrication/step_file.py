@@ -1,5 +1,4 @@
-"""STEP files (ISO 10303-21, AP214) of a `Part`: exact planes and cylinders as one closed boundary
-representation.
+"""STEP files (ISO 10303-21, AP214) of a `Part`: a closed boundary of exact planes and cylinders.
 
 A side face spans the layers with the same contour. A horizontal face closes the area in which two
 neighboring layers differ. Each edge belongs to two faces, once in each direction. Each loop is
@@ -9,6 +8,7 @@ counter-clockwise seen from outside (ISO 10303-42).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from mjtactile.fabrication.layered_solid import Bore, Contour, Layer, Part
 _NUDGE = 1e-4  # offset from a contour to test either side of it, mm
 _X, _Y, _Z = np.eye(3)
 Loop = list[tuple[int, bool]]
-"""Edges and whether each is gone along from its start to its end."""
+"""Edges, and for each whether its direction is the loop's."""
 
 
 class _File:
@@ -42,47 +42,43 @@ class _File:
         return self.add(f"DIRECTION('',({_numbers(d)}))")
 
     def placement(self, origin: Array, axis: Array, along: Array) -> int:
-        return self.add(
-            f"AXIS2_PLACEMENT_3D('',#{self.point(origin)},#{self.direction(axis)},#{self.direction(along)})"
-        )
+        entities = [self.point(origin), self.direction(axis), self.direction(along)]
+        return self.add(f"AXIS2_PLACEMENT_3D('',{_references(entities)})")
 
-    def vertex(self, p: Array) -> int:
-        return self.add(f"VERTEX_POINT('',#{self.point(p)})")
+    def _edge(self, start: Array, end: Array, curve: int) -> int:
+        first, second = (self.add(f"VERTEX_POINT('',#{self.point(p)})") for p in (start, end))
+        return self.add(f"EDGE_CURVE('',#{first},#{second},#{curve},.T.)")
 
     def line(self, start: Array, end: Array) -> int:
         """A straight edge."""
         length = float(np.linalg.norm(end - start))
         vector = self.add(f"VECTOR('',#{self.direction((end - start) / length)},1.)")
-        curve = self.add(f"LINE('',#{self.point(start)},#{vector})")
-        return self.add(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{curve},.T.)")
+        return self._edge(start, end, self.add(f"LINE('',#{self.point(start)},#{vector})"))
 
     def arc(self, start: Array, end: Array, centre: Array, axis: Array, along: Array) -> int:
         """An edge along a circle, counter-clockwise about `axis`."""
         radius = _number(float(np.linalg.norm(start - centre)))
         curve = self.add(f"CIRCLE('',#{self.placement(centre, axis, along)},{radius})")
-        return self.add(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{curve},.T.)")
+        return self._edge(start, end, curve)
 
     def face(self, surface: int, loops: Sequence[Loop], *, same_sense: bool = True) -> int:
         """A face; the first of `loops` is its outer bound."""
         bounds = []
         for number, loop in enumerate(loops):
             edges = [
-                self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forward)})")
-                for edge, forward in loop
+                self.add(f"ORIENTED_EDGE('',*,*,#{e},{_flag(forward)})") for e, forward in loop
             ]
             closed = self.add(f"EDGE_LOOP('',({_references(edges)}))")
-            bounds.append(
-                self.add(f"FACE_{'OUTER_' if number == 0 else ''}BOUND('',#{closed},.T.)")
-            )
+            kind = "FACE_BOUND" if number else "FACE_OUTER_BOUND"
+            bounds.append(self.add(f"{kind}('',#{closed},.T.)"))
         return self.add(f"ADVANCED_FACE('',({_references(bounds)}),#{surface},{_flag(same_sense)})")
 
     def plane(self, origin: Array, normal: Array, along: Array) -> int:
         return self.add(f"PLANE('',#{self.placement(origin, normal, along)})")
 
     def cylinder(self, centre: Array, axis: Array, along: Array, radius: float) -> int:
-        return self.add(
-            f"CYLINDRICAL_SURFACE('',#{self.placement(centre, axis, along)},{_number(radius)})"
-        )
+        axes = self.placement(centre, axis, along)
+        return self.add(f"CYLINDRICAL_SURFACE('',#{axes},{_number(radius)})")
 
 
 def write_step(part: Part) -> str:
@@ -104,7 +100,7 @@ def write_step(part: Part) -> str:
 
 
 def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
-    """Each side wall: contour, whether material is inside of it, from which height to which."""
+    """Each side wall: contour, whether material is inside of it, lower and upper height."""
     open_walls: dict[tuple[Contour, bool], float] = {}
     spans = []
     for layer in part.layers:
@@ -118,26 +114,22 @@ def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
 
 def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
     """The contours of a layer, in order, with True for outer ones."""
-    if layer is None:
-        return {}
-    roles: dict[tuple[Contour, bool], None] = {}
-    for region in layer.regions:
-        roles[region.outer, True] = None
-        roles |= {(hole, False): None for hole in region.holes}
-    return roles
+    regions = layer.regions if layer is not None else ()
+    return dict.fromkeys(
+        (contour, contour is region.outer)
+        for region in regions
+        for contour in (region.outer, *region.holes)
+    )
 
 
 def _ring(file: _File, contour: Contour, z: float) -> list[int]:
     """The edges of a contour at a height, counter-clockwise."""
-    edges = []
-    for start, end, centre in contour.edges():
-        a = np.append(start, z)
-        b = np.append(end, z)
-        if centre is None:
-            edges.append(file.line(a, b))
-        else:
-            edges.append(file.arc(a, b, np.append(centre, z), _Z, _X))
-    return edges
+    return [
+        file.line(np.append(start, z), np.append(end, z))
+        if centre is None
+        else file.arc(np.append(start, z), np.append(end, z), np.append(centre, z), _Z, _X)
+        for start, end, centre in contour.edges()
+    ]
 
 
 def _sides(file: _File, part: Part) -> Iterable[int]:
@@ -157,25 +149,22 @@ def _sides(file: _File, part: Part) -> Iterable[int]:
                 continue
             along = np.append(q - p, 0) / np.linalg.norm(q - p)
             normal = np.cross(along, _Z) * (1 if outer else -1)
-            bore = part.bore if _spans_bore(part.bore, p, q) else None
-            mouths = _mouths(file, bore, contour, normal, low, high, outer=outer)
+            bore = part.bore
+            if bore is not None and not (low < bore.z < high and _spans_bore(bore, p, q)):
+                bore = None
+            mouths = _mouths(file, bore, contour, normal, outer=outer)
             yield file.face(file.plane(np.append(p, low), normal, along), [loop, *mouths])
 
 
-def _spans_bore(bore: Bore | None, p: Array, q: Array) -> bool:
+def _spans_bore(bore: Bore, p: Array, q: Array) -> bool:
     """Return True if a wall from `p` to `q` contains the full width of the bore."""
-    if bore is None:
-        return False
     low, high = sorted((p[1], q[1]))
     return low < bore.y - bore.radius and bore.y + bore.radius < high
 
 
 def _levels(file: _File, part: Part) -> Iterable[int]:
-    """Yield the horizontal faces between neighboring layers, where only one of them has
-    material."""
-    below = [None, *part.layers]
-    above = [*part.layers, None]
-    for under, over in zip(below, above, strict=True):
+    """Yield the horizontal faces where only one of two neighboring layers has material."""
+    for under, over in pairwise([None, *part.layers, None]):
         z = over.low if over is not None else part.high
         for solid, free, up in ((under, over, True), (over, under, False)):
             for outer, holes in _differences(solid, free):
@@ -218,22 +207,10 @@ def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour,
 
 
 def _mouths(
-    file: _File,
-    bore: Bore | None,
-    contour: Contour,
-    normal: Array,
-    low: float,
-    high: float,
-    *,
-    outer: bool,
+    file: _File, bore: Bore | None, contour: Contour, normal: Array, *, outer: bool
 ) -> list[Loop]:
-    """Return the bounds of a bore in a face on the +x side of a contour.
-
-    The list is empty if the bore does not end in that face.
-    """
-    if bore is None or not low < bore.z < high:
-        return []
-    if contour != (bore.outer if outer else bore.inner):
+    """Return the bounds of a bore in a face on the +x side of a contour, if it ends there."""
+    if bore is None or contour != (bore.outer if outer else bore.inner):
         return []
     towards_x = normal[0] if outer else -normal[0]
     if towards_x < 0.5:
@@ -265,11 +242,10 @@ def _bore_faces(file: _File, bore: Bore) -> list[int]:
     _, *ends = _bore_points(bore, end)
     seams = [file.line(a, b) for a, b in zip(begins, ends, strict=True)]
     surface = file.cylinder(np.array([start, bore.y, bore.z]), _X, _Y, bore.radius)
-    faces = []
-    for k in (0, 1):  # each half
-        loop = [(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]
-        faces.append(file.face(surface, [loop], same_sense=False))
-    return faces
+    halves = [
+        [(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)] for k in (0, 1)
+    ]
+    return [file.face(surface, [loop], same_sense=False) for loop in halves]
 
 
 def _product(file: _File, name: str, solid: int) -> None:
@@ -278,19 +254,18 @@ def _product(file: _File, name: str, solid: int) -> None:
     length = add("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
     angle = add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
     solid_angle = add("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
-    close = add(
-        f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-6),#{length},'distance_accuracy_value','')"
-    )
+    accuracy = f"LENGTH_MEASURE(1.E-6),#{length},'distance_accuracy_value',''"
+    close = add(f"UNCERTAINTY_MEASURE_WITH_UNIT({accuracy})")
+    units = f"GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid_angle}))"
     context = add(
-        f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{close}))GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid_angle}))REPRESENTATION_CONTEXT('',''))"
+        "(GEOMETRIC_REPRESENTATION_CONTEXT(3)"
+        f"GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{close})){units}REPRESENTATION_CONTEXT('',''))"
     )
     axes = file.placement(np.zeros(3), _Z, _X)
     shape = add(f"ADVANCED_BREP_SHAPE_REPRESENTATION('',(#{axes},#{solid}),#{context})")
     application = add("APPLICATION_CONTEXT('automotive design')")
-    add(
-        "APPLICATION_PROTOCOL_DEFINITION('international "
-        f"standard','automotive_design',2000,#{application})"
-    )
+    standard = f"'international standard','automotive_design',2000,#{application}"
+    add(f"APPLICATION_PROTOCOL_DEFINITION({standard})")
     mechanical = add(f"PRODUCT_CONTEXT('',#{application},'mechanical')")
     product = add(f"PRODUCT('{name}','{name}','',(#{mechanical}))")
     add(f"PRODUCT_RELATED_PRODUCT_CATEGORY('part',$,(#{product}))")
