@@ -24,10 +24,11 @@ grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp,
 	$(BIN)/mjtactile grasp --out $(if $(wildcard $(OUT)/recording),$(OUT)-$(shell date +%Y%m%d-%H%M%S),$(OUT)) $(ARGS)
 
 bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/, README.md
-	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench perception --out bench-results --readme docs/validation/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench summary-page --out bench-results --readme docs/validation/results.md
-	$(BIN)/mjtactile bench readme-table --out bench-results --readme README.md
+	$(BIN)/mjtactile bench grasp --out bench-results --readme $(ARGS)
+	$(BIN)/mjtactile bench perception --out bench-results --readme $(ARGS)
+	$(BIN)/mjtactile bench benchmark-index --out bench-results --readme
+	$(BIN)/mjtactile bench summary-page --out bench-results --readme
+	$(BIN)/mjtactile bench readme-table --out bench-results --readme
 
 film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp
 	rm -rf runs/film && $(BIN)/mjtactile grasp --out runs/film --video docs/images/grasp.webp $(ARGS)

@@ -144,9 +144,8 @@ def _price() -> float:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = [
-        "| rubber | relaxation per decade | true force, N | force error (estimate minus ground "
-        "truth), worst, mN | the same without `[relaxation]`, mN | force error 10 s after release "
-        "(without `[relaxation]`), mN |",
+        "| rubber | relaxation per decade | true force, N | worst force error with `[relaxation]`, "
+        "mN | without | 10 s after release (without), mN |",
         "|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:

@@ -47,7 +47,7 @@ def _largest_force(name: str, label: str) -> Number:
 NUMBERS = (
     Number(
         what="normal force: mean absolute error (worst), N",
-        page="validation/benchmarks",
+        page="validation/benchmarks/touch",
         row="normal force, mean absolute",
         column="dense",
         command="bench touch",
@@ -55,21 +55,21 @@ NUMBERS = (
     ),
     Number(
         what="shear force: mean absolute error, N",
-        page="validation/benchmarks",
+        page="validation/benchmarks/touch",
         row="shear force, mean absolute error",
         column="dense",
         command="bench touch",
     ),
     Number(
         what="contact centroid: mean error, mm",
-        page="validation/benchmarks",
+        page="validation/benchmarks/touch",
         row="contact centroid",
         column="dense",
         command="bench touch",
     ),
     Number(
         what="contacts of 0.03-0.06 N detected",
-        page="validation/benchmarks",
+        page="validation/benchmarks/touch",
         row="contacts of 0.03-0.06 N",
         column="dense",
         command="bench touch",
@@ -83,7 +83,7 @@ NUMBERS = (
     ),
     Number(
         what="eggs held, ten seeds",
-        page="validation/benchmarks",
+        page="validation/benchmarks/grasp",
         row="egg",
         column="held",
         command="bench grasp",
@@ -108,21 +108,21 @@ NUMBERS = (
     _largest_force("random", "random objects"),
     Number(
         what="force error while an egg is held: mean / worst, N",
-        page="validation/benchmarks",
+        page="validation/benchmarks/grasp",
         row="egg",
         column="force error (estimate minus ground truth), N: mean / worst",
         command="bench grasp",
     ),
     Number(
         what="circle centers in space: mean error, nearer of two poses, mm",
-        page="validation/benchmarks",
+        page="validation/benchmarks/perception",
         row="mean center error, nearer",
         column="measured",
         command="bench perception",
     ),
     Number(
         what="circle centers in space: mean error, returned pose, mm",
-        page="validation/benchmarks",
+        page="validation/benchmarks/perception",
         row="mean center error, returned",
         column="measured",
         command="bench perception",
@@ -151,14 +151,14 @@ NUMBERS = (
     ),
     Number(
         what="slips detected before 0.5 mm and within 100 ms",
-        page="validation/benchmarks",
+        page="validation/benchmarks/slip",
         row="slips detected before",
         column="measured",
         command="bench slip",
     ),
     Number(
         what="holds with a false slip alarm",
-        page="validation/benchmarks",
+        page="validation/benchmarks/slip",
         row="holds with a false alarm",
         column="measured",
         command="bench slip",
@@ -207,14 +207,14 @@ NUMBERS = (
     ),
     Number(
         what="material class correct",
-        page="validation/benchmarks",
+        page="validation/benchmarks/material",
         row="correct material class",
         column="measured",
         command="bench material",
     ),
     Number(
         what="faults of the emulated rig that end in a safe state",
-        page="validation/benchmarks",
+        page="validation/benchmarks/rig",
         row="safe state after a fault",
         column="measured",
         command="bench rig",
@@ -307,7 +307,7 @@ def _tables(page: str) -> list[list[list[str]]]:
     tables: list[list[list[str]]] = [[]]
     for line in page.splitlines():
         if line.startswith("|"):
-            tables[-1].append([text.strip() for text in line.strip().strip("|").split(" | ")])
+            tables[-1].append([text.strip() for text in line.strip()[1:-1].split("|")])
         elif tables[-1]:
             tables.append([])
     return [table for table in tables if table]

@@ -20,6 +20,8 @@ from mjtactile.sim.scenes.world import World
 # allowed error of an estimated force, N, and in its own standard deviations
 FELT = 0.04
 FORCE_SD = 3.0
+ESTIMATE = "estimated normal force"
+"""Kind of the numbers whose reference is the simulated force."""
 _LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
 # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
 _REST = 20
@@ -91,7 +93,7 @@ def _press(case: Case) -> list[Number]:
             touch = [view.touch() for _ in range(_LOOKS)][-1]
             numbers.append(
                 Number(
-                    "estimated normal force, relative to simulation",
+                    ESTIMATE,
                     at,
                     "N",
                     force,

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.reference_cases import plots
 from benchmarks.reference_cases.cases import Case, load_cases
-from benchmarks.reference_cases.measure import Number, measure
+from benchmarks.reference_cases.measure import ESTIMATE, Number, measure
 from mjtactile.core.errors import SimulationError
 from mjtactile.runtime.progress import Progress
 
@@ -73,38 +73,55 @@ def _verdict(row: dict[str, Any]) -> str:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return a Markdown table and the sources of the references.
+    """Return a Markdown table.
 
-    Each row is the number of a case and kind with the largest error relative to its requirement.
+    Each row is the value of a case and kind with the largest error relative to its requirement. The
+    estimate stands next to the first value of its case.
     """
     lines = [
-        f"{result['met']} of {result['numbers']} values meet the requirement. Each row shows the "
-        "value with the largest error relative to the allowed one.",
+        "Each row: the value with the largest error relative to the allowed one.",
         "",
-        "| case | quantity | at | reference | measured | error | allowed error | met |",
-        "|---|---|---|---|---|---|---|---|",
+        "| case | quantity | at | reference | simulated | error | allowed | met | estimate minus "
+        "simulation | at | allowed | met |",
+        "|---" * 12 + "|",
     ]
     for row in result["cases"]:
         if "failed" in row:
-            lines.append(f"| {row['about']} | failed: {row['failed']} | | | | | | 0 |")
-        for what in dict.fromkeys(n["what"] for n in row["numbers"]):
-            lines.append(_line(row["about"], [n for n in row["numbers"] if n["what"] == what]))
-    sources = dict.fromkeys(row["source"] for row in result["cases"])
-    return "\n".join([*lines, "", "References:", "", *(f"- {one}" for one in sources), ""])
+            lines.append(f"| {row['about']} | failed: {row['failed']} |{' |' * 10}")
+        about = row["about"]
+        kinds = dict.fromkeys(n["what"] for n in row["numbers"] if n["what"] != ESTIMATE)
+        estimates = [n for n in row["numbers"] if n["what"] == ESTIMATE]
+        for what in kinds:
+            values = [n for n in row["numbers"] if n["what"] == what]
+            lines.append(f"| {about} | {_simulated(what, values)} | {_estimated(estimates)} |")
+            estimates = []
+    lines.append(f"| all |{' |' * 6} {result['met']} of {result['numbers']} |{' |' * 4}")
+    return "\n".join(lines) + "\n"
 
 
-def _line(about: str, numbers: Sequence[dict[str, Any]]) -> str:
-    worst = max(numbers, key=lambda n: abs(n["error"]) / (n["allowed"] or 1e-300))
+def _simulated(what: str, numbers: Sequence[dict[str, Any]]) -> str:
+    worst = _worst(numbers)
     unit = f" {worst['unit']}" if worst["unit"] else ""
-    sd = f", {abs(worst['error']) / worst['sd']:.1f} sd" if worst["sd"] else ""
-    share = (
-        (f" ({100 * worst['error'] / worst['reference']:+.1f} %)")
-        if worst["reference"] and not sd
-        else ""
+    fraction = (
+        f" ({100 * worst['error'] / worst['reference']:+.1f} %)" if worst["reference"] else ""
     )
-    met = sum(n["is_met"] for n in numbers)
     return (
-        f"| {about} | {worst['what']} | {worst['at']} | {worst['reference']:.4g}{unit} | "
-        f"{worst['measured']:.4g} | {worst['error']:+.2g}{share}{sd} | {worst['allowed']:.2g} | "
-        f"{met} of {len(numbers)} |"
+        f"{what} | {worst['at']} | {worst['reference']:.4g}{unit} | {worst['measured']:.4g} | "
+        f"{worst['error']:+.2g}{fraction} | {worst['allowed']:.2g} | {_met(numbers)}"
     )
+
+
+def _estimated(numbers: Sequence[dict[str, Any]]) -> str:
+    if not numbers:
+        return " | | | "
+    worst = _worst(numbers)
+    sd = f", {abs(worst['error']) / worst['sd']:.1f} sd" if worst["sd"] else ""
+    return f"{worst['error']:+.2g} N{sd} | {worst['at']} | {worst['allowed']:.2g} | {_met(numbers)}"
+
+
+def _worst(numbers: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    return max(numbers, key=lambda n: abs(n["error"]) / (n["allowed"] or 1e-300))
+
+
+def _met(numbers: Sequence[dict[str, Any]]) -> str:
+    return f"{sum(n['is_met'] for n in numbers)} of {len(numbers)}"

@@ -127,7 +127,7 @@ def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
 
 
 def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
-    """Return rows of the table.
+    """Return the table.
 
     Args:
         sensors: Result of `summary` for each sensor.
@@ -135,7 +135,10 @@ def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
     Returns:
         Markdown.
     """
-    rows = []
+    rows = [
+        f"| normal force error (worst), N; chi-square of the wrench | {' | '.join(sensors)} |",
+        "|---" * (1 + len(sensors)) + "|",
+    ]
     for body, name in BODIES.items():
         for suffix, label in (("", ""), ("_shape", ", with contact shape")):
             shown = [
@@ -143,6 +146,5 @@ def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
                 f"{s[body][f'chi2{suffix}']:.2f}"
                 for s in sensors.values()
             ]
-            what = f"{name}{label}: normal force error (worst), N; chi-square of the wrench"
-            rows.append(f"| {what} | chi-square .6-1.6 | .8-1.2 | " + " | ".join(shown) + " |")
+            rows.append(f"| {name}{label} | " + " | ".join(shown) + " |")
     return rows

@@ -118,13 +118,13 @@ def table(result: Mapping[str, Any]) -> str:
         ".8-1.2",
         lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]),
     )
-    lines += sharp_indenters.lines(result["sharp_sensors"])
     line(
         "time per image after the surface fit, median (95 %), ms",
         "3",
         "1.5",
         lambda s: f"{s['milliseconds']:.1f} ({s['milliseconds_p95']:.1f})",
     )
+    lines += ["", *sharp_indenters.lines(result["sharp_sensors"])]
     return "\n".join([*lines, "", *_quiet(result), "", *_off_nominal(result)]) + "\n"
 
 
@@ -142,18 +142,25 @@ def _quiet(result: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _off_nominal(result: Mapping[str, Any]) -> Sequence[str]:
+    rows = result["off_nominal"]
+    sensors = list(dict.fromkeys(row["sensor"] for row in rows))
     lines = [
-        "| deviation from the sensor file, sphere pressed 3 mm | sensor | ground truth, N | "
-        "estimate, N | error, N | standard deviation, N | status |",
-        "|---" * 7 + "|",
+        "| deviation from the sensor file, sphere pressed 3 mm | ground truth, N | error / sd, N: "
+        + " | ".join(sensors)
+        + " |",
+        "|---" * (2 + len(sensors)) + "|",
     ]
-    for row in result["off_nominal"]:
-        error = row["force_N"] - row["force_true_N"]
-        lines.append(
-            f"| {row['case']} | {row['sensor']} | {row['force_true_N']:.3f} | {row['force_N']:.3f} "
-            f"| {error:+.3f} | {row['sd_N']:.3f} | {row['status']} |"
-        )
+    for case in dict.fromkeys(row["case"] for row in rows):
+        by_sensor = {row["sensor"]: row for row in rows if row["case"] == case}
+        true = next(iter(by_sensor.values()))["force_true_N"]
+        shown = [_deviation(by_sensor[sensor]) for sensor in sensors]
+        lines.append(f"| {case} | {true:.3f} | " + " | ".join(shown) + " |")
     return lines
+
+
+def _deviation(row: Mapping[str, Any]) -> str:
+    status = "" if row["status"] == "ok" else f" ({row['status']})"
+    return f"{row['force_N'] - row['force_true_N']:+.3f} / {row['sd_N']:.3f}{status}"
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:

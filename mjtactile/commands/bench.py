@@ -8,7 +8,13 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import insert_table, output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import (
+    insert_table,
+    output_folder,
+    page_of_table,
+    print_json,
+    stdout_to_stderr,
+)
 from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
 
@@ -129,6 +135,10 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     ),
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
+    "benchmark-index": (
+        "benchmark_index",
+        "no measurement: collect questions and headline results",
+    ),
     "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
@@ -148,11 +158,9 @@ EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
-  mjtactile bench grasp --readme docs/validation/benchmarks.md
-      insert the table between the bench markers of that page
+  mjtactile bench grasp --readme           insert the table into the benchmark's page
   mjtactile bench references --cases my_cases   one TOML file each; shipped: models/reference_cases
-  mjtactile bench summary-page --readme docs/validation/results.md     collect all results
-  mjtactile bench readme-table --readme README.md                 the README's rows
+  mjtactile bench summary-page --readme    collect all results
 """
 OPTIONS = {
     "resume": (
@@ -180,6 +188,8 @@ OPTIONS = {
 }
 """Options that apply to some benchmarks only."""
 
+_ITS_PAGE = Path()
+"""Value of `--readme` without a file."""
 ARGUMENTS = (
     arg.positional("name", "NAME", "benchmark from the list above", choices=list(BENCHMARKS)),
     arg.flag("--quick", "run a small part, to check that the benchmark works"),
@@ -228,8 +238,11 @@ ARGUMENTS = (
     arg.option(
         "--readme",
         "FILE.md",
-        "also insert the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
+        "also insert the table into this file, between <!-- bench:NAME --> and <!-- /bench -->; "
+        "without a file: into the page of the documentation that has these markers",
         type=Path,
+        nargs="?",
+        const=_ITS_PAGE,
     ),
 )
 
@@ -253,7 +266,9 @@ def run(options: argparse.Namespace) -> int:
         write_json(out / f"{options.name}.json", result)
         (out / f"{options.name}.md").write_text(table, encoding="utf-8")
         if options.readme is not None:
-            insert_table(options.readme, result.get("block", options.name), table)
+            block = result.get("block", options.name)
+            page = page_of_table(block) if options.readme == _ITS_PAGE else options.readme
+            insert_table(page, block, table)
     if options.json:
         print_json(result)
     else:

@@ -15,6 +15,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands.nonblocking_output import Background
+from mjtactile.core import resources
 from mjtactile.recording.files import to_json
 
 
@@ -131,10 +132,25 @@ def print_flags(flags: Mapping[str, str]) -> None:
         print(f"  warning ({kind}): {reason}")
 
 
+def page_of_table(name: str) -> Path:
+    """Return the page of the documentation, or the README, that has the markers of `name`."""
+    folder = resources.folder("docs")
+    for page in (folder.parent / "README.md", *sorted(folder.rglob("*.md"))):
+        if page.is_file() and _begin(name) in page.read_text(encoding="utf-8"):
+            return page
+    raise InputError(
+        f"no page of the documentation has {_begin(name)}; give a file", field="--readme"
+    )
+
+
+def _begin(name: str) -> str:
+    return f"<!-- bench:{name} -->"
+
+
 def insert_table(path: Path, name: str, table: str) -> None:
     """Replace the text between the markers of `name` in a Markdown file. Raises InputError when
     they are missing."""
-    begin = f"<!-- bench:{name} -->"
+    begin = _begin(name)
     end = "<!-- /bench -->"
     try:
         text = path.read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ the full membrane model. The matrices therefore affect convergence but not the r
 extrapolates the last change of the state (`MembraneSolution.trend`). Obstacles in steady motion
 therefore need one step.
 
-Limits and their cost (docs/validation/benchmarks.md, `bench quasistatic`):
+Limits and their cost (docs/validation/benchmarks/quasistatic.md):
 - Bending is neglected. For a membrane of 0.3 mm this matters only for features narrower than about
   five thicknesses.
 - Contact is frictionless, an error of 1 to 8 % of the force. Shear and torsion of sticking contact

@@ -3,7 +3,7 @@
 The force of a contact narrower than a few cells depends on its position between the nodes. Edged
 obstacles are slightly too soft. The table comes from balls, rods, pins and blades of 0.4 to 16 mm
 at random poses, compared with membranes of 81 x 61 and 121 x 91 nodes and with the independent
-membrane model. For its accuracy see docs/validation/benchmarks.md, "Quasi-static membrane".
+membrane model. For its accuracy see docs/validation/benchmarks/quasistatic.md.
 """
 
 from __future__ import annotations

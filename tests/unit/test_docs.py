@@ -11,8 +11,10 @@ import pytest
 
 import mjtactile
 import mkdocs_hooks
-from benchmarks import results_tables
+from benchmarks import benchmark_index, results_tables
 from mjtactile.commands import COMMANDS
+from mjtactile.commands.bench import BENCHMARKS
+from mjtactile.commands.output import page_of_table
 from mjtactile.core.config_fields import SectionEntry, default_of, entries
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
@@ -291,17 +293,36 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 
 
 @pytest.mark.parametrize(
-    ("page", "block", "table"),
+    ("page", "block", "benchmark", "table"),
     [
-        ("docs/validation/results.md", "summary-page", results_tables.table),
-        ("README.md", "readme-table", results_tables.headline_table),
+        ("docs/validation/results.md", "summary-page", results_tables, results_tables.table),
+        ("README.md", "readme-table", results_tables, results_tables.headline_table),
+        (
+            "docs/validation/benchmarks.md",
+            "benchmark-index",
+            benchmark_index,
+            benchmark_index.table,
+        ),
     ],
 )
-def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, table):
+def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, benchmark, table):
     text = (CHECKOUT / page).read_text()
     written = found(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text)
-    # else: mjtactile bench BLOCK --readme PAGE
-    assert written.strip() == table(results_tables.run(Path())).strip()
+    # else: mjtactile bench BLOCK --readme
+    assert written.strip() == table(benchmark.run(Path())).strip()
+    assert page_of_table(block) == CHECKOUT / page
+
+
+def test_the_index_of_benchmarks_has_every_page_and_each_page_its_sections():
+    pages = {page.stem: page for page in (CHECKOUT / "docs/validation/benchmarks").glob("*.md")}
+    assert {entry.page for entry in benchmark_index.ENTRIES} == set(pages) <= set(BENCHMARKS)
+    for name, page in pages.items():
+        text = page.read_text()
+        assert page_of_table(name) == page
+        order = ["**Question.**", "**Setup.**", f"<!-- bench:{name} -->", "**Reproduce:**"]
+        places = [text.index(part) for part in order]
+        assert places == sorted(places)
+        assert f"`mjtactile bench {name} --readme`" in text
 
 
 def test_the_readme_shows_five_numbers_and_fits_150_lines():

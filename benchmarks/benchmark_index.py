@@ -1,0 +1,110 @@
+"""`mjtactile bench benchmark-index`: table of docs/validation/benchmarks.md.
+
+Title and question of each benchmark come from its page in docs/validation/benchmarks, and the
+headline result from a cell of its tables. Nothing is measured here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.results_tables import cell
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Row of the index."""
+
+    page: str
+    """Name of the page in docs/validation/benchmarks."""
+    headline: str
+    """Description of the result; "{}" stands for the value."""
+    row: str
+    """Row of the value, as in `benchmarks.results_tables.cell`."""
+    column: str
+
+
+ENTRIES = (
+    Entry("grasp", "eggs held: {}", "egg", "held"),
+    Entry("touch", "normal force error, mean (worst): {} N", "normal force, mean", "dense"),
+    Entry("uncertainty", "chi-square of the normal force: {}", "contacts |", "Fz"),
+    Entry(
+        "shape",
+        "area error, median / 90 % within (count): {}",
+        "area from 0.2 N, smooth",
+        "load, tracked",
+    ),
+    Entry("slip", "detected in time: {}", "slips detected before", "measured"),
+    Entry("material", "correct class: {}", "correct material class", "measured"),
+    Entry("explore", "surface error, median: {} mm", "**shipped", "surface error, rms (95 %), mm"),
+    Entry("wide-faces", "plates within 3 %: {}", "with", "plates within"),
+    Entry("outline", "worst error: {} mN", "round30 | 21", "error of any component, worst, mN"),
+    Entry(
+        "relaxation", "latex, 600 s: {} mN", "latex", "worst force error with `[relaxation]`, mN"
+    ),
+    Entry("perception", "mean center error: {} mm", "mean center error, returned", "measured"),
+    Entry("tracking", "wrong markers: {}", "all", "wrong"),
+    Entry("rig", "safe states: {}", "safe state after a fault", "measured"),
+    Entry("studio", "speed ratio: {}", "speed with Studio", "measured"),
+    Entry("references", "requirement met: {} values", "all", "met"),
+    Entry("quasistatic", "force, rms (worst): {} %", "balls of 4-30 mm", "41 x 31"),
+    Entry("thin-objects", "blade, force ratio: {}", "blade 0.4", "90 % within"),
+    Entry(
+        "learning",
+        "sampled touch: {} steps per second",
+        "without mesh, sampled",
+        "steps per second of one core",
+    ),
+)
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Read the pages of the benchmarks.
+
+    Args:
+        out: Not used, no plot is written.
+        quick: Not used.
+
+    Returns:
+        `benchmarks`: `page`, `title`, `question`, `headline` (texts) for each of `ENTRIES`.
+
+    Raises:
+        InputError: A page has no title, question or value.
+    """
+    folder = resources.folder("docs") / "validation" / "benchmarks"
+    rows = []
+    for entry in ENTRIES:
+        text = (folder / f"{entry.page}.md").read_text(encoding="utf-8")
+        source = f"validation/benchmarks/{entry.page}"
+        value = cell(text, entry.row, entry.column, source=source)
+        rows.append(
+            {
+                "page": entry.page,
+                "title": _found(r"(?m)^# (.+)$", text, source),
+                "question": _found(r"(?m)^\*\*Question\.\*\* ([^?(]+\?)", text, source),
+                "headline": entry.headline.format(value),
+            }
+        )
+    return {"benchmarks": rows}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Return the index as a table in Markdown."""
+    rows = [
+        f"| [{row['title']}](benchmarks/{row['page']}.md) | {row['question']} | {row['headline']} |"
+        for row in result["benchmarks"]
+    ]
+    return "\n".join(["| benchmark | question | headline result |", "|---|---|---|", *rows]) + "\n"
+
+
+def _found(pattern: str, text: str, source: str) -> str:
+    found = re.search(pattern, text)
+    if found is None:
+        raise InputError(f"has no text {pattern!r}", source=f"docs/{source}.md")
+    return found[1]
