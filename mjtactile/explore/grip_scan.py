@@ -124,16 +124,8 @@ def require_two(fingers: int) -> None:
 
 
 def grips_of(moments: Sequence[GripCycle]) -> list[list[GripCycle]]:
-    """Split a run into its grips.
-
-    A grip lasts from the first contact to the last, while the gripper stays at its contact height.
-
-    Args:
-        moments: Cycles of the run.
-
-    Returns:
-        The cycles of each grip with contact on both fingers.
-    """
+    """Split a run into its grips with contact on both fingers. A grip lasts from the first contact
+    to the last, while the gripper stays at its contact height."""
     grips: list[list[GripCycle]] = []
     now: list[GripCycle] = []
     for moment in moments:

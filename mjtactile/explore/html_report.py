@@ -54,13 +54,7 @@ _FACTS = (
 
 
 def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any]) -> None:
-    """Write the page of an exploration.
-
-    Args:
-        path: Path of the page.
-        found: Result of the exploration.
-        summary: JSON summary of the result.
-    """
+    """Write the page of an exploration, with the facts of its JSON summary."""
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex
     data = {

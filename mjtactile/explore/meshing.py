@@ -17,18 +17,8 @@ _SLOPE_STEP = 5e-5  # step of the numerical gradient, m
 
 
 def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
-    """Triangulate a surface.
-
-    Args:
-        surface: Surface to triangulate.
-        edge: Edge of a triangle, m; longer if the object spans more than ninety edges.
-
-    Returns:
-        The closed mesh.
-
-    Raises:
-        InputError: manifold3d is not installed.
-    """
+    """Triangulate a surface. The `edge` of a triangle, m, is longer if the object spans more than
+    ninety edges. Raises InputError if manifold3d is not installed."""
     try:
         from manifold3d import Manifold
     except ImportError as error:

@@ -72,18 +72,9 @@ def next_aim(
     reaches: Callable[[Aim], bool],
     news: Array | None = None,
 ) -> Aim | None:
-    """Choose the next point to touch.
-
-    Args:
-        mesh: Estimated surface.
-        patches: Patches from earlier touches.
-        tried: Earlier targets, including touches without contact.
-        reaches: Function that returns True if the rig can reach the target.
-        news: (V,) Additional information from a touch at each vertex, on the sizes, m.
-
-    Returns:
-        The target; None if none is left.
-    """
+    """Choose the next point to touch; None if none is left. `tried` are the earlier targets,
+    including touches without contact. `news` (V,), m, is the information from a touch at each
+    vertex about the sizes."""
     past = [patch.middle for patch in patches] + [aim.p_H for aim in tried]
     worth = _around(mesh, mesh.sd if news is None else mesh.sd + news)
     if past:

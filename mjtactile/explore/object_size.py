@@ -47,16 +47,8 @@ def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
 def sizes(
     meshes: Sequence[Mesh], surfaces: Sequence[SurfacePosterior], patches: Sequence[Patch]
 ) -> Sizes:
-    """Estimate the sizes of the object.
-
-    Args:
-        meshes: Meshes of the most likely surface and of its relevant rivals.
-        surfaces: Surfaces, the most likely first.
-        patches: Patches from the touches.
-
-    Returns:
-        The sizes.
-    """
+    """Estimate the sizes of the object from the meshes of the most likely surface and of its
+    relevant rivals, and from all surfaces, the most likely first."""
     mean, axes = principal_sizes(meshes[0])
     share = shares(surfaces)[: len(meshes)]
     share = share / share.sum()

@@ -50,15 +50,7 @@ class Pressed:
 
 
 def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
-    """Compute the surface patch of one contact.
-
-    Args:
-        pressed: Contact of the sensor.
-        design: Sensor.
-
-    Returns:
-        The patch; None without contact.
-    """
+    """Compute the surface patch of one contact; None without contact."""
     touch = pressed.touches[-1]
     if touch.surface is None or touch.contact is None or not touch.touching:
         return None
@@ -87,15 +79,8 @@ def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
 
 
 def give(pressed: Pressed) -> tuple[float, float]:
-    """Estimate the compliance of the object from one contact.
-
-    Args:
-        pressed: Contact of the sensor.
-
-    Returns:
-        Compliance and its sd, m/N: the motion of the holder minus that of the membrane at the first
-        contact point, over the force. NaN with fewer than three images.
-    """
+    """Estimate the compliance of the object and its sd, m/N: the motion of the holder minus that of
+    the membrane at the first contact point, over the force. NaN with fewer than three images."""
     first = pressed.touches[0].traction
     if first is None or len(pressed.touches) < 3:
         return math.nan, math.nan

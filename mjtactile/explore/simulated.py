@@ -145,18 +145,8 @@ def explore_in_gripper(
 
 
 def next_grip(mesh: Mesh, tried: Sequence[tuple[float, float]], begun: bool) -> tuple[float, float]:
-    """Choose rotation (rad) and height (m) of a grip.
-
-    The fingers should meet the most uncertain part of the surface.
-
-    Args:
-        mesh: Estimated surface.
-        tried: Earlier grips.
-        begun: True if there was any contact before.
-
-    Returns:
-        Rotation and height.
-    """
+    """Choose rotation, rad, and height, m, of a grip, so that the fingers meet the most uncertain
+    part of the surface. Before the first contact the rotations are tried in order."""
     if not begun:
         return TURNS[len(tried) % len(TURNS)], HEIGHTS[0]
     worth = {}

@@ -74,15 +74,8 @@ class SimulatedStage:
         return True
 
     def touch(self, aim: Aim, force: float) -> tuple[Pressed, ...]:
-        """Touch one point.
-
-        Args:
-            aim: Target of the touch.
-            force: Contact force at which the stage stops, N.
-
-        Returns:
-            The contact; empty without contact.
-        """
+        """Touch one point until the contact force reaches `force`, N. The result is empty without
+        contact."""
         R_SH = aim.R_SH()
         is_over = aim.n_H[2] < -math.cos(_HOLDER)
         seat = R_SH @ self._seat if is_over else np.zeros(3)

@@ -44,15 +44,9 @@ _TINY = 1e-9
 
 
 def distance(theta: Array, p: Array) -> Array:
-    """Return the first-order distance of points outside the shape.
-
-    Args:
-        theta: (14,) Parameters of the shape, or (K, 14) for several shapes.
-        p: (N, 3) Points, mm.
-
-    Returns:
-        (N,) or (K, N) Distances, mm, negative inside; exact next to a flat face (Eq. E2).
-    """
+    """Return the first-order distance (N,), mm, of points (N, 3), mm, outside a shape (14,), or (K,
+    N) outside several shapes (K, 14). It is negative inside, and exact next to a flat face (Eq.
+    E2)."""
     many = np.atleast_2d(theta)
     level, slope = _level(many, p)
     out = (level - 1) / np.maximum(np.linalg.norm(slope, axis=-1), _TINY)
@@ -61,15 +55,8 @@ def distance(theta: Array, p: Array) -> Array:
 
 
 def beyond_cut(theta: Array, p: Array) -> Array:
-    """Return the distance of points below a shape's flat end.
-
-    Args:
-        theta: (K, 14) Parameters of several shapes.
-        p: (N, 3) Points, mm.
-
-    Returns:
-        (K, N) Distances, mm, negative above it.
-    """
+    """Return the distance (K, N), mm, of points (N, 3), mm, below the flat ends of shapes (K, 14);
+    negative above."""
     axes = Rotation.from_rotvec(theta[:, 3:6]).as_matrix()[:, :, 2]
     up = np.einsum("kni,ki->kn", p[None] - theta[:, None, :3], axes)
     return -up - (theta[:, 13] * np.exp(theta[:, 8]))[:, None]

@@ -50,15 +50,9 @@ _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 def fuse(
     patches: Sequence[Patch], before: Sequence[SurfacePosterior] = ()
 ) -> list[SurfacePosterior]:
-    """Estimate the surface hypotheses of an object.
-
-    Args:
-        patches: Patches of one object.
-        before: Earlier estimates without the newest patches, used as start values.
-
-    Returns:
-        The most likely surface of each family, the most likely family first.
-    """
+    """Estimate the most likely surface of each family from the patches of one object, the most
+    likely family first. `before` are earlier estimates without the newest patches, used as start
+    values."""
     if not patches:
         return [unknown()]
     data = _Data.of(patches)

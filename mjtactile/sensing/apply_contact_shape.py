@@ -19,17 +19,9 @@ _GAUGE_STEP = 1.02  # ratio of the rest pressure above which the shapes need a n
 
 
 def finder_gauge(reference: Reference) -> float:
-    """Return the gauge pressure at rest for which a shape estimator is made, Pa.
-
-    Compression of sealed gas by a touch is not included. The membrane model computes it.
-
-    Args:
-        reference: Rest reference.
-
-    Returns:
-        The pressure as first measured. It changes in steps of 2 % if gas was let in or out, leaked
-        or became warmer.
-    """
+    """Return the gauge pressure at rest for which a shape estimator is made, Pa: the pressure as
+    first measured, in steps of 2 % if gas was let in or out, leaked or became warmer. Compression
+    of sealed gas by a touch is not included, because the membrane model computes it."""
     first = reference.first.gas.gauge
     rest = reference.rest
     now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge
@@ -42,18 +34,9 @@ def attach_shape(
     load: ContactLoad | None = None,
     sharpness: Array | None = None,
 ) -> Touch:
-    """Return the touch with its contact shape.
-
-    Args:
-        touch: Touch from the nodal estimate.
-        shape: Contact shape estimate.
-        load: Load on that shape; None: the force of the nodal estimate is kept.
-        sharpness: Variance (6,), see `with_load`; None: zero.
-
-    Returns:
-        The touch with `shape`. If the shape is known, area and outline come from the shape model,
-        `contact.area_source` names it, and the wrench is fused with `load`.
-    """
+    """Return the touch with its contact shape. If the shape is known, area and outline come from
+    the shape model, `contact.area_source` names it, and the wrench is fused with `load` (None: the
+    force of the nodal estimate is kept). For `sharpness` (6,) see `with_load`; None: zero."""
     contact = touch.contact
     if contact is None or shape.kind == "unknown":
         return replace(touch, shape=shape)
@@ -67,18 +50,8 @@ def attach_shape(
 def apply_shape_and_motion(
     touch: Touch, found: Found, after: PipelineState, sharpness: Array, settings: SlipSettings
 ) -> tuple[Touch, PipelineState]:
-    """Return the touch with the shape `found`, and its slip updated by the shape's motion.
-
-    Args:
-        touch: Touch from the nodal estimate.
-        found: Contact shape and the history of the contact episode.
-        after: State after the image.
-        sharpness: Variance (6,), see `with_load`.
-        settings: Slip settings.
-
-    Returns:
-        The touch, and the state with the history of the contact episode.
-    """
+    """Return the touch with the shape `found`, its slip updated by the shape's motion, and the
+    state with the history of the contact episode. For `sharpness` (6,) see `with_load`."""
     felt = attach_shape(touch, found.shape, found.load, sharpness)
     after = replace(after, press=found.press)
     if felt.slip is None:

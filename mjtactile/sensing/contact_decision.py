@@ -23,13 +23,8 @@ _OVERLOADS_SURE = 2  # images in a row: a single torn image is not an overload
 
 
 class ContactDecision:
-    """Evaluation of the estimates of one sensor. Stateless.
-
-    Args:
-        inverse: Traction estimator of the sensor.
-        force: Measured force scale; None: not measured.
-        settings: Settings of the stages.
-    """
+    """Evaluation of the estimates of one sensor. Stateless. `force` is the measured force scale;
+    None: not measured."""
 
     def __init__(self, inverse: InverseMembrane, force: ForceScale | None, settings: Settings):
         self._inverse = inverse

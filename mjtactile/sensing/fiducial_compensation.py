@@ -22,13 +22,7 @@ from mjtactile.sensing.settings import Settings
 
 
 class FiducialCompensation:
-    """Compensation of one sensor's camera drift by its fiducials. Stateless.
-
-    Args:
-        design: The sensor's values, with fiducials.
-        camera: Its camera.
-        settings: Settings of the stages.
-    """
+    """Compensation of one sensor's camera drift by its fiducials. Stateless."""
 
     def __init__(self, design: SensorDesign, camera: Camera, settings: Settings):
         fiducials = design.fiducials
@@ -42,15 +36,8 @@ class FiducialCompensation:
         )
 
     def stand(self, seen: FiducialDetections) -> tuple[Array, float]:
-        """Estimate the image shift and scale from the fiducials.
-
-        Args:
-            seen: At least two detected fiducials.
-
-        Returns:
-            Shift of the image center to the right and down relative to the sensor file (2,), px,
-            and the scale factor.
-        """
+        """Estimate the image shift (2,), px, to the right and down relative to the sensor file, and
+        the scale factor, from at least two detected fiducials."""
         places = self._circles.places_px[seen.ids]
         away = places - self._middle
         # motion = shift + more * away, by least squares
@@ -62,17 +49,9 @@ class FiducialCompensation:
         return np.array([right, down]), 1 + float(more)
 
     def look(self, state: PipelineState, ellipses: Ellipses) -> tuple[Ellipses, PipelineState]:
-        """Separate fiducials from markers, and estimate the camera drift from them.
-
-        Args:
-            state: State from the previous image.
-            ellipses: All circles of an image.
-
-        Returns:
-            The ellipses of the markers and the state with fiducials and camera drift. With a rest
-            reference, the ellipses are transformed back to its image. If too few fiducials are
-            detected, the camera drift is assumed near its last estimate.
-        """
+        """Separate fiducials from markers, and estimate the camera drift from them. With a rest
+        reference, the markers' ellipses are transformed back to its image. If too few fiducials are
+        detected, the camera drift is assumed near its last estimate."""
         reference = state.reference
         before = None if reference is None else reference.fiducials
         markers, seen = self._circles.split(ellipses, before)
@@ -84,16 +63,8 @@ class FiducialCompensation:
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
     def undone(self, state: PipelineState, markers: Markers) -> tuple[Markers, PipelineState]:
-        """Correct the markers to the camera of the rest reference.
-
-        Args:
-            state: State with the current camera drift.
-            markers: Markers from the transformed image.
-
-        Returns:
-            The markers with the fiducials attached, and the state with the remaining camera
-            uncertainty.
-        """
+        """Correct markers from the transformed image to the camera of the rest reference. Return
+        them with the fiducials attached, and the state with the remaining camera uncertainty."""
         p_SM = markers.p_SM
         reference = state.reference
         if reference is not None and state.camera is not None:

@@ -26,14 +26,8 @@ from mjtactile.sensing.settings import Settings
 
 
 class MarkerDetector:
-    """Marker detector of one sensor. Stateless.
-
-    Args:
-        design: Sensor design, with its measured lens.
-        camera: Camera of the sensor.
-        estimator: Membrane estimator; it defines the minimum number of markers.
-        settings: Settings of the stages.
-    """
+    """Marker detector of one sensor. Stateless. The estimator defines the minimum number of
+    markers."""
 
     def __init__(
         self, design: SensorDesign, camera: Camera, estimator: MembraneEstimator, settings: Settings
@@ -109,20 +103,8 @@ class MarkerDetector:
         return Status(StatusCode.TOO_FEW_MARKERS, text)
 
     def locate(self, state: PipelineState, image: Image, expected: Array, what: str) -> Markers:
-        """Find the markers of one image for a reference.
-
-        Args:
-            state: State with the flat reference.
-            image: Image to search.
-            expected: Approximate marker positions (N, 3), m, frame S.
-            what: Name of the reference, for messages.
-
-        Returns:
-            The markers.
-
-        Raises:
-            DeviceError: The image is overexposed, or too few markers are detected.
-        """
+        """Find the markers of one image near the `expected` positions (N, 3), m, for the reference
+        `what`. Raises DeviceError if the image is overexposed, or too few markers are detected."""
         ellipses, tracks = self._ellipses(None, image)  # searched, not followed
         self._require_levels(image, ellipses, what)
         afresh = replace(state, expected=expected, reference=None)

@@ -46,13 +46,7 @@ class Estimate:
 
 
 class MembraneEstimator:
-    """Membrane shape estimator of one sensor. Stateless.
-
-    Args:
-        design: Sensor design.
-        inverse: Traction estimator of the sensor's membrane.
-        settings: Settings of the stages.
-    """
+    """Membrane shape estimator of one sensor. Stateless."""
 
     def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
         self._design = design
@@ -68,20 +62,10 @@ class MembraneEstimator:
         time: float,
         reading: PressureReading | None,
     ) -> Estimate:
-        """Estimate the shape that explains these markers, or all but one.
-
-        Dirt on a marker makes it appear larger, and nearer. Such a marker is excluded from then on.
-
-        Args:
-            state: State from the previous image.
-            reference: Sensor at rest.
-            markers: Detected markers.
-            time: Capture time of the image, s.
-            reading: Newest reading of the chamber's pressure sensor; None: no reading.
-
-        Returns:
-            The estimate; `fits_markers` checks if its shape fits.
-        """
+        """Estimate the shape that explains these markers at `time`, s, or all but one;
+        `fits_markers` checks the result. Dirt on a marker makes it appear larger, and nearer. Such
+        a marker is excluded from then on. `reading` is the newest one of the chamber's pressure
+        sensor, if any."""
         known = without(markers, state.set_aside)
         found = self._with_gas(state, reference, known, time, reading)
         is_seen = state.camera is not None

@@ -27,16 +27,7 @@ _FACE_MIN = 0.5  # minimum fraction of an estimated face area that remains after
 
 
 def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[float]:
-    """Return the contact area of each part of the shape, m^2.
-
-    Args:
-        forward: Membrane model.
-        found: Fitted shape, with one or several parts.
-        s: Settings.
-
-    Returns:
-        One area per part.
-    """
+    """Return the contact area of each part of the shape, m^2."""
     family = found.family
     if not family.parts:
         return [_area(forward, found, family, found.theta, found.hint, 1.0, s)]
@@ -109,19 +100,9 @@ def rim_length(family: ShapeModel, theta: Array) -> float:
 
 
 def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution) -> float:
-    """Compute the slope of the membrane at the rim of a face from the force balance.
-
-    The membrane tension at the rim carries the force that gas pressure on the face does not.
-
-    Args:
-        force: Force on the face, N.
-        area: Area of the face, m^2.
-        rim: Length of the rim, m.
-        state: Solution of the membrane model.
-
-    Returns:
-        Mean sine of the slope angle, clipped to the range that a membrane can have.
-    """
+    """Compute the mean sine of the membrane's slope angle at the rim (length `rim`, m) of a face
+    from the force balance: the membrane tension there carries the force that gas pressure on the
+    face does not. It is clipped to the range that a membrane can have."""
     drawn = force - state.gauge_pressure * area
     slope = drawn / max(float(state.found[TENSION]) * rim, 1e-9)
     return min(max(slope, _SLOPES[0]), _SLOPES[1])
@@ -135,19 +116,8 @@ def _rim_out(slope: float, stuck: float, s: ContactShapeSettings) -> float:
 
 
 def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> float:
-    """Return the standard deviation of an area, m^2.
-
-    It combines the covariance of the parameters with the error of membrane and shape model.
-
-    Args:
-        found: Fitted shape.
-        area: Contact area, m^2.
-        noise: Factor on the marker variances.
-        s: Settings.
-
-    Returns:
-        The standard deviation.
-    """
+    """Return the standard deviation of an area, m^2, from the covariance of the parameters and the
+    error of membrane and shape model. Marker variances are multiplied by `noise`."""
     if found.family.name in FACES:
         half = found.theta[5:] if found.family.name == "disc" else found.theta[6:8]
         places = np.arange(len(found.theta) - len(half), len(found.theta))
@@ -162,14 +132,8 @@ def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> f
 
 
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
-    """Return the 68 % interval of an area, m^2, over all candidate shapes.
-
-    Args:
-        bodies: Probability, area and its standard deviation of each shape.
-
-    Returns:
-        The ends of the interval.
-    """
+    """Return the 68 % interval of an area, m^2, over all candidate shapes, each with probability,
+    area and its standard deviation."""
     from scipy.special import ndtr  # takes a while to import
 
     likely = [body for body in bodies if body[0] > _LIKELY]

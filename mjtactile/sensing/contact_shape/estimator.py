@@ -45,14 +45,8 @@ class Found:
 
 
 class ContactShapeEstimator:
-    """Contact shape estimator of one sensor, made once per rest reference.
-
-    Args:
-        design: Sensor design.
-        rest: Rest state that the sensor measured without contact.
-        gauge: Approximate gauge pressure at rest, Pa; None: taken from `rest`.
-        settings: Settings of the stages.
-    """
+    """Contact shape estimator of one sensor, made once per rest reference. `gauge` is the
+    approximate gauge pressure at rest, Pa; None: taken from `rest`."""
 
     def __init__(
         self,
@@ -68,15 +62,9 @@ class ContactShapeEstimator:
         self.films = Films(fine, fine.by_gas())
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
-        """Estimate the contact shape from the images of one contact episode.
-
-        Args:
-            touches: Touches of one contact episode, oldest first; the result is for the newest.
-            p_rest: Marker positions at rest (N, 3), m, frame S.
-
-        Returns:
-            The shape; "unknown", with a status, if it cannot be estimated.
-        """
+        """Estimate the contact shape in the newest of the touches of one contact episode, oldest
+        first. `p_rest` (N, 3), m, are the marker positions at rest. The shape is "unknown", with a
+        status, if it cannot be estimated."""
         found = Found(_unknown(Status(StatusCode.INCOMPLETE_DATA, "no image")), None, None)
         for touch in touches:
             found = self.follow(touch, found.press, p_rest)
@@ -89,17 +77,9 @@ class ContactShapeEstimator:
         p_rest: Array,
         rubber: MembraneMotion | None = None,
     ) -> Found:
-        """Estimate the contact shape in the next image.
-
-        Args:
-            touch: Touch of the image.
-            press: History from the previous images; None: no history.
-            p_rest: Marker positions at rest (N, 3), m, frame S.
-            rubber: Motion of the rubber since the previous image; None: unknown.
-
-        Returns:
-            The result.
-        """
+        """Estimate the contact shape in the next image. `press` is the history of the contact
+        episode, `p_rest` (N, 3), m, are the marker positions at rest, and `rubber` is the motion of
+        the rubber since the previous image (None: unknown)."""
         s = self.settings.body
         lacking = uninformative_status(touch, s)
         if lacking is not None:
@@ -178,27 +158,12 @@ class ContactShapeEstimator:
 
 
 def slips(touch: Touch) -> bool:
-    """Return True if the touch is classified as slipping.
-
-    Args:
-        touch: Estimated touch.
-
-    Returns:
-        True if it slips.
-    """
+    """Return True if the touch is classified as slipping."""
     return touch.slip is not None and touch.slip.state == "slipping"
 
 
 def uninformative_status(touch: Touch, s: ContactShapeSettings) -> ContactShape | None:
-    """Return an unknown shape if the image cannot determine one, else None.
-
-    Args:
-        touch: Touch of the image.
-        s: Settings.
-
-    Returns:
-        The shape, or None.
-    """
+    """Return an unknown shape if the image cannot determine one, else None."""
     if touch.status != OK or touch.contact is None or touch.markers is None:
         return _unknown(Status(StatusCode.INCOMPLETE_DATA, f"no touch: {touch.status}"))
     if not touch.touching or touch.force_normal < s.force_min:

@@ -43,16 +43,10 @@ class Data:
         s: ContactShapeSettings,
         drift: tuple[float, float],
     ) -> Data:
-        """Build the data of a touch with markers.
-
-        Args:
-            touch: Estimated touch.
-            raised: Height of the markers at rest above the model's (N,), m.
-            by_gas: Derivative of the marker heights by the relative gas amount (N,), m.
-            s: Settings.
-            drift: Standard deviations of the drift since the rest reference: relative gas amount,
-                and camera displacement, m.
-        """
+        """Build the data of a touch. `raised` (N,), m, is the height of the markers at rest above
+        the model's, `by_gas` (N,), m, the derivative of the marker heights by the relative gas
+        amount. `drift` holds the standard deviations of that amount and of the camera displacement,
+        m, since the rest reference."""
         from scipy.linalg import solve_triangular  # takes a while to import
 
         markers = touch.markers
@@ -111,20 +105,8 @@ def begin(
     prior: Prior,
     state: MembraneSolution | None,
 ) -> FitState | None:
-    """Solve the membrane on a shape with parameters `theta`, starting from `state`.
-
-    Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
-        theta: Shape parameters.
-        data: Image data.
-        prior: Prior of the parameters.
-        state: Previous membrane solution; None: start from rest.
-
-    Returns:
-        Start state of a fit; None: the solver did not converge.
-    """
+    """Solve the membrane on a shape with parameters `theta`, starting from `state` (None: from
+    rest). Return the start state of a fit; None: the solver did not converge."""
     theta = np.clip(theta, family.low, family.high)
     batch = forward.solve([family.build(theta, hint)], state)
     if not converged(batch):

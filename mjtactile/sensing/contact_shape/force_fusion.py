@@ -40,20 +40,9 @@ class ContactLoad:
 def borne(
     forward: ForwardModel, press: PressHistory, wrench: Array, noise: float, s: ContactShapeSettings
 ) -> ContactLoad:
-    """Compute the load on the most likely shape.
-
-    Args:
-        forward: Membrane model.
-        press: History of the contact episode.
-        wrench: Wrench (6,) of the nodal estimate.
-        noise: Factor on the marker variances.
-        s: Settings.
-
-    Returns:
-        Force and torques with covariance. The covariance covers the parameter uncertainty and the
-        errors of membrane and friction model. It also covers the distance to the nodal estimate,
-        weighted by the probability of another shape.
-    """
+    """Compute force and torques on the most likely shape, with covariance. It covers the parameter
+    uncertainty, the errors of membrane and friction model, and the distance to the nodal estimate,
+    weighted by the probability of another shape. Marker variances are multiplied by `noise`."""
     found = press.now
     state = found.state
     kinds = press.kinds(SHAPES)
@@ -104,19 +93,10 @@ def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
 
 
 def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
-    """Return the contact force close to the frame where the membrane is below it, N.
-
-    The model membrane is fixed at the frame, and long shapes end before it. So the model does not
-    represent the membrane slope there, nor the load on the last millimeters.
-
-    Args:
-        forward: Membrane model.
-        state: Membrane solution on the shape.
-
-    Returns:
-        Force of the nodes within two spacings. Nodes less than `_BELOW` below the frame are
-        weighted in proportion.
-    """
+    """Return the contact force within two spacings of the frame where the membrane is below it, N.
+    Nodes less than `_BELOW` below are weighted in proportion. The model membrane is fixed at the
+    frame, and long shapes end before it. So the model represents neither the membrane slope there
+    nor the load on the last millimeters."""
     frame = forward.film.design.frame
     x, y = forward.nodes
     beside = np.minimum(frame.length / 2 - np.abs(x), frame.width / 2 - np.abs(y))
@@ -142,17 +122,9 @@ def _model(
 
 
 def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> Touch:
-    """Return the touch with its wrench fused with the load on the shape.
-
-    Args:
-        touch: Touch from the nodal estimate.
-        known: Load on the shape.
-        sharpness: Part of the wrench variance (6,) due to sharp features that the nodal estimate
-            cannot follow. The fraction explained by the shape is removed.
-
-    Returns:
-        The touch with the fused wrench and covariance.
-    """
+    """Return the touch with its wrench fused with the load on the shape. `sharpness` is the part of
+    the wrench variance (6,) due to sharp features that the nodal estimate cannot follow. The
+    fraction explained by the shape is removed."""
     traction = touch.traction
     if traction is None:
         return touch

@@ -27,14 +27,9 @@ SUM_AREA = 7
 
 
 class ForwardModel:
-    """Quasi-static membrane model of one sensor, with the heights of its markers.
-
-    Args:
-        design: Sensor design.
-        rest: Rest state that the sensor measured.
-        spacing: Approximate node spacing of the membrane model, m.
-        gauge: Gauge pressure at rest, Pa; None: taken from `rest`.
-    """
+    """Quasi-static membrane model of one sensor, with the heights of its markers. `spacing` is the
+    approximate node spacing, m, and `gauge` the gauge pressure at rest, Pa (None: taken from
+    `rest`)."""
 
     def __init__(
         self, design: SensorDesign, rest: InverseRest, spacing: float, gauge: float | None = None

@@ -209,20 +209,8 @@ def refine(
 def exactly(
     forward: ForwardModel, fit: Fit, data: Data, noise: float, times: int = _POLISHED
 ) -> Fit:
-    """Return the fit with an exact Jacobian, as needed for reporting.
-
-    The exact Jacobian also refines the fit where the approximate one stopped early.
-
-    Args:
-        forward: Membrane model.
-        fit: Fit of an image.
-        data: Image data.
-        noise: Factor on the marker variances, as for `refine`.
-        times: Maximum number of refinements.
-
-    Returns:
-        The fit with an exact Jacobian.
-    """
+    """Return the fit with an exact Jacobian, as needed for reporting. It also refines the fit, at
+    most `times` times, where the approximate one stopped early."""
     for _ in range(times):
         if fit.slopes.exact:
             return fit

@@ -48,21 +48,11 @@ def search(
     near: MembraneSolution | None = None,
     known: float = math.inf,
 ) -> list[Fit]:
-    """Fit each model without a prior from earlier images.
-
-    Args:
-        films: Membrane model of the sensor.
-        families: Shape models to fit.
-        hint: Initial guess from the touch.
-        data: Image data.
-        noise: Factor on the marker variances that even the best fit leaves.
-        near: Membrane solution on another shape, from the previous image. A model that does not
-            converge from there is not tried from farther away; None: no such solution.
-        known: Sum of squares of a model that is not among these.
-
-    Returns:
-        The fits, without models that fit much worse than others or did not converge.
-    """
+    """Fit each model without a prior from earlier images. Models that fit much worse than others or
+    did not converge are left out. `near` is the membrane solution on another shape, from the
+    previous image; a model that does not converge from there is not tried from farther away.
+    `known` is the sum of squares of a model that is not among these. Marker variances are
+    multiplied by `noise`."""
     found: list[Fit] = []
     for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
         one = _best_start(films.fine, family, hint, data, found, noise, near, known)
@@ -207,23 +197,9 @@ def beside(
     prior: Prior,
     state: MembraneSolution | None,
 ) -> FitState | None:
-    """Replace a shape by another one at the same position.
-
-    First choose its height so that the contact forces do no work on the change. Then adjust it to
-    the force.
-
-    Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
-        start: Parameters, except for the height.
-        data: Image data.
-        prior: Prior of the parameters.
-        state: Membrane solution on the other shape; None: no such solution.
-
-    Returns:
-        Start state of a fit; None: the solver did not converge.
-    """
+    """Replace a shape, with membrane solution `state`, by another one at the same position. First
+    choose its height so that the contact forces do no work on the change. Then adjust it to the
+    force. Return the start state of a fit; None: the solver did not converge."""
     if state is None or family.parts or not (state.force > 0).any():
         return None
     force, x, y = _pressing(forward, state)
@@ -250,19 +226,9 @@ def approach(
     data: Data,
     prior: Prior,
 ) -> FitState | None:
-    """Lower a shape into the membrane until its force matches the estimated force.
-
-    Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
-        start: Parameters, at about the height of first contact.
-        data: Image data.
-        prior: Prior of the parameters.
-
-    Returns:
-        Start state of a fit; None: the solver did not converge.
-    """
+    """Lower a shape from about the height of first contact into the membrane until its force
+    matches the estimated force. Return the start state of a fit; None: the solver did not
+    converge."""
     theta = np.clip(start, family.low, family.high)
     heights = family.heights
     state = None

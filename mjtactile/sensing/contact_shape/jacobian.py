@@ -64,19 +64,8 @@ def learnt(slopes: Jacobian, sd: Array, at: FitState, new: FitState) -> Jacobian
 def approximate_jacobian(
     forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
 ) -> Jacobian:
-    """Compute an approximate Jacobian, accurate to 5 to 20 %, for fit steps.
-
-    It takes a fifth of the time of the exact one.
-
-    Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
-        at: Fit state.
-
-    Returns:
-        The Jacobian; of the sums only the normal force.
-    """
+    """Compute an approximate Jacobian, accurate to 5 to 20 %, for fit steps; of the sums only the
+    normal force. It takes a fifth of the time of the exact one."""
     steps = _LITTLE * family.steps
     try:
         heights, force = forward.answers(at.state, _beside(family, hint, at.theta, steps), steps)
@@ -98,20 +87,9 @@ def _beside(
 def exact_jacobian(
     forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
 ) -> Jacobian:
-    """Compute the exact Jacobian from the analytic derivatives of the membrane model.
-
-    These do not exist for a face about to slide off its rim. Then finite differences of membrane
-    solutions are used.
-
-    Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
-        at: Fit state.
-
-    Returns:
-        The Jacobian; zero for parameters whose changed solution did not converge.
-    """
+    """Compute the exact Jacobian from the analytic derivatives of the membrane model. These do not
+    exist for a face about to slide off its rim. Then finite differences of membrane solutions are
+    used. It is zero for parameters whose changed solution did not converge."""
     sides = np.where(at.theta + family.steps > family.high, -1.0, 1.0)
     steps = sides * family.steps
     little = _SMALL * steps

@@ -31,18 +31,9 @@ class Step:
 
 
 def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, damping: float) -> Step:
-    """Compute one damped Gauss-Newton step.
-
-    Args:
-        J: Jacobian (n, k) of the whitened markers by the scaled parameters.
-        at: Fit state at the start of the step.
-        family: Shape model.
-        prior: Prior of the parameters.
-        damping: Levenberg damping, relative to the diagonal of the normal matrix.
-
-    Returns:
-        The step, limited per parameter to the range where the membrane responds about linearly.
-    """
+    """Compute one damped Gauss-Newton step with the Jacobian (n, k) of the whitened markers by the
+    scaled parameters. It is limited per parameter to the range where the membrane responds about
+    linearly."""
     gradient = J.T @ at.residual + prior.precision @ (at.theta / family.sd - prior.mean)
     normal = J.T @ J
     H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)

@@ -34,18 +34,7 @@ def follow(
     data: Data,
     s: ContactShapeSettings,
 ) -> PressHistory | None:
-    """Update the shape history with the next image.
-
-    Args:
-        films: Membrane model of the sensor.
-        press: History from the previous images; None: no history.
-        hint: Initial guess from the touch.
-        data: Image data.
-        s: Settings.
-
-    Returns:
-        The updated history; None: no model converged.
-    """
+    """Update the shape history with the next image; None: no model converged."""
     if press is None:
         return _first(films, hint, data, s)
     grown = data.force > s.check_force * press.force

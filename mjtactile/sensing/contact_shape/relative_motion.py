@@ -28,15 +28,8 @@ class MembraneMotion:
 
 
 def rubber_step(weights: tuple[Array, Array], positions: tuple[Array, Array]) -> MembraneMotion:
-    """Compute the rubber motion between two images.
-
-    Args:
-        weights: Fraction of the contact force at each node (J,), in both images.
-        positions: Node positions (J, 3), m, in both images.
-
-    Returns:
-        The motion.
-    """
+    """Compute the rubber motion between two images, from the fraction of the contact force at each
+    node (J,) and the node positions (J, 3), m, in both."""
     weight = (weights[0] + weights[1]) / 2
     moved = positions[1] - positions[0]
     step = weight @ moved
@@ -78,19 +71,8 @@ def tracked(
     scale: float,
     s: ContactShapeSettings,
 ) -> Track:
-    """Return the track extended by one image.
-
-    Args:
-        track: Track so far.
-        found: Fitted shape.
-        time: Capture time of the image, s.
-        rubber: Motion of the rubber since the last image; None: unknown, and the track restarts.
-        scale: Factor on the fit's covariance.
-        s: Settings.
-
-    Returns:
-        The track over the last images.
-    """
+    """Return the track extended by one image at `time`, s. Without a known motion of the rubber
+    since the last image it restarts. `scale` is the factor on the fit's covariance."""
     if found.family.parts:
         return ()
     name = found.family.name
@@ -121,17 +103,9 @@ def tracked(
 
 
 def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
-    """Compute the motion rates of a shape relative to the rubber.
-
-    Args:
-        track: Track over the last images.
-        found: Fitted shape.
-        slips: True if the contact is classified as slipping. The shape alone does not separate
-            rolling from sliding for a round object.
-
-    Returns:
-        The rates; None: too few images.
-    """
+    """Compute the motion rates of a shape relative to the rubber; None: too few images. `slips`
+    tells if the contact is classified as slipping: the shape alone does not separate rolling from
+    sliding for a round object."""
     if len(track) < _LEAST:
         return None
     time = np.array([one.time for one in track])

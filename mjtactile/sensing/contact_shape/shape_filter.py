@@ -38,14 +38,7 @@ class ShapeFilter:
         return cls(np.zeros((count, count)), np.zeros(count))
 
     def with_observation(self, fit: Fit) -> ShapeFilter:
-        """Return the filter updated by one evaluation.
-
-        Args:
-            fit: Fit of the evaluation.
-
-        Returns:
-            The updated filter.
-        """
+        """Return the filter updated by one evaluation."""
         seen, told = _alone(fit)
         own = np.eye(len(told)) + seen @ _own_wrong(fit)
         seen = np.linalg.solve(own, seen)
@@ -65,17 +58,9 @@ class ShapeFilter:
         return float(off @ np.linalg.solve(seen + seen @ known @ seen + tiny, off))
 
     def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
-        """Return the prior of all parameters for the next evaluation.
-
-        Args:
-            fit: Fit of the last evaluation.
-            noise: Factor on the marker variances from that evaluation.
-            hint: Initial guess that the parameters are relative to in the next image.
-
-        Returns:
-            The prior. The pose is near that of `fit`. The constant parameters come from all
-            evaluations, with the membrane model error added.
-        """
+        """Return the prior of all parameters for the next evaluation. The pose is near that of
+        `fit`, relative to the guess `hint`. The constant parameters come from all evaluations, with
+        the membrane model error added. `noise` is the factor on the marker variances."""
         family = fit.family
         kept = family.kept
         free = ~kept

@@ -33,20 +33,8 @@ def words(
     interval: tuple[float, float],
     s: ContactShapeSettings,
 ) -> ContactShape:
-    """Build the reported contact shape from a fit.
-
-    Args:
-        forward: Membrane model.
-        found: Fitted shape.
-        kind: Reported kind.
-        probabilities: Probabilities of the kinds.
-        scale: Factor on the fit's covariance, from its misfit.
-        interval: Interval of the area, m^2.
-        s: Settings.
-
-    Returns:
-        The shape.
-    """
+    """Build the reported contact shape from a fit. `scale` is the factor on the fit's covariance,
+    from its misfit, and `interval` that of the area, m^2."""
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)

@@ -11,20 +11,10 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 
 def sticks(forward: ForwardModel, state: MembraneSolution, s: ContactShapeSettings) -> float:
-    """Return the ratio of the force with a sticking membrane to that of the model.
-
-    The membrane is stretched more between the object and the nearer side of the frame. A sticking
-    membrane cannot equalize this by sliding, unlike the model.
-
-    Args:
-        forward: Membrane model.
-        state: Membrane solution on the shape.
-        s: Settings.
-
-    Returns:
-        The ratio: `friction` at the center. It grows with the square of the pressure center's
-        distance from there, relative to the frame's half-extents.
-    """
+    """Return the ratio of the force with a sticking membrane to that of the model. The membrane is
+    stretched more between the object and the nearer side of the frame. A sticking membrane cannot
+    equalize this by sliding. The ratio is `friction` at the center and grows with the square of the
+    pressure center's distance from there, in the frame's half-extents."""
     force = state.contact_forces
     total = float(force.sum())
     if total <= 0:

@@ -70,15 +70,7 @@ def observed_modes(
 
 
 class CameraDriftEstimator:
-    """Finds how a camera has changed, for one sensor with fiducials.
-
-    Args:
-        design: The sensor's values.
-        camera: Its camera.
-        fiducials: Those of the sensor.
-        s: Has the modes' sds.
-        own: The fiducials' own settings.
-    """
+    """Estimator of the camera drift of one sensor with fiducials; `s` has the sds of the modes."""
 
     def __init__(
         self,
@@ -106,15 +98,8 @@ class CameraDriftEstimator:
         self._far = float(np.hypot(away[:, 0], away[:, 1]).mean())
 
     def find(self, now: FiducialDetections, rest: FiducialDetections) -> CameraDriftEstimate | None:
-        """Estimate the camera drift since `rest`.
-
-        Args:
-            now: Fiducials in the image.
-            rest: Fiducials at the rest reference.
-
-        Returns:
-            The drift; None if too few fiducials are detected.
-        """
+        """Estimate the camera drift since the rest reference; None if too few fiducials are
+        detected."""
         if np.array_equal(now.ids, rest.ids):  # nearly always, and it costs a tenth
             ids = now.ids
             here: Array | slice = slice(None)

@@ -26,17 +26,10 @@ _STEADY = 1e-6  # of a mode's sd: none
 
 def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings) -> Array:
     """Compute the apparent marker motion for one standard deviation of each mode of a knocked
-    camera.
-
-    Args:
-        design: Sensor design; marker positions are relative to its camera.
-        p_SM: Marker positions (m, 3), m.
-        darker: Change of each marker's darkness since the reference (m,).
-        s: Settings with the standard deviations.
-
-    Returns:
-        Apparent motion of each marker (m, 3, MODES), m.
-    """
+    camera. `design`: sensor design; marker positions are relative to its camera. `p_SM`: marker
+    positions (m, 3), m. `darker`: change of each marker's darkness since the reference (m,). `s`:
+    settings with the standard deviations. Returns apparent motion of each marker (m, 3, MODES),
+    m."""
     away = p_SM - design.camera.p_SC
     depth = away[:, 2:]
     modes = np.zeros((len(p_SM), 3, MODES))

@@ -52,15 +52,9 @@ SETTLED = 1e-4  # step size that ends the iteration, m
 
 
 class InverseMembrane(LoadedMembrane):
-    """Traction estimator of one sensor.
-
-    Args:
-        design: Sensor design.
-        settings: Settings of the fit.
-        prior: Settings of the traction prior.
-        doubt: Settings of the model error added to the wrench covariance.
-        fiducials: Settings for a camera observed by fiducials.
-    """
+    """Traction estimator of one sensor. `prior` are the settings of the traction prior, `doubt`
+    those of the model error added to the wrench covariance, `fiducials` those of a camera observed
+    by fiducials."""
 
     def __init__(
         self,

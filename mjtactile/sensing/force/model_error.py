@@ -88,18 +88,9 @@ class ModelErrorVariance:
         return self._unit**2 * variance
 
     def of_sharpness(self, force: Array, excess: float) -> Array:
-        """Return the part of `variance` due to sharp features that the splines cannot follow.
-
-        For shear and spin it includes the part due to lateral forces toward each contact, which may
-        not cancel.
-
-        Args:
-            force: Nodal forces (3, J), N.
-            excess: Marker noise, as in `FitDiagnostics`.
-
-        Returns:
-            Variance of force, N^2, and torque, (N m)^2, about the origin of S (6,).
-        """
+        """Return the part of `variance` (6,) due to sharp features that the splines cannot follow,
+        for nodal forces (3, J), N. For shear and spin it includes the part due to lateral forces
+        toward each contact, which may not cancel. For `excess` see `FitDiagnostics`."""
         loads = np.array(self._sharp_loads(force, excess))
         variance = np.square(self._shares[_SHARP] * loads).sum(axis=0)
         drawn = np.square(self._shares[_LATERAL] * float(np.abs(force[:2]).sum()))

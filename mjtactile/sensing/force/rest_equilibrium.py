@@ -52,12 +52,7 @@ class InverseRest:
 
 
 class MarkedMembrane:
-    """Membrane of one sensor with its markers.
-
-    Args:
-        design: The sensor's values.
-        settings: Settings of the stage.
-    """
+    """Membrane of one sensor with its markers."""
 
     def __init__(self, design: SensorDesign, settings: InverseSettings):
         self.design = design

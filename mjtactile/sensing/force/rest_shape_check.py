@@ -53,20 +53,9 @@ def require_bulge(
     lens_measured: bool,
     settings: Settings = DEFAULTS,
 ) -> None:
-    """Raise an error if the rest state is not the bulge of the sensor file, in height or shape.
-
-    Args:
-        design: Sensor design.
-        markers: Markers at rest.
-        z: Marker heights of the best-fitting bulge (n,), m.
-        rest: Rest state estimated from them.
-        flat_px: Rms residual of the flat reference, px.
-        lens_measured: True if the lens was calibrated.
-        settings: Settings of the stages.
-
-    Raises:
-        DeviceError: The rest state is not that bulge.
-    """
+    """Raise DeviceError if the rest state is not the bulge of the sensor file, in height or shape.
+    `z` (n,), m, are the marker heights of the best-fitting bulge, and `flat_px` is the rms residual
+    of the flat reference."""
     gauge_pressure = rest.gas.gauge
     maximum = settings.reference.stiffness_off_max
     if not 1 / maximum < rest.stiffness_scale < maximum:

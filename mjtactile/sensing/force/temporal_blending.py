@@ -57,11 +57,8 @@ class Blend:
 
 
 class BlendEstimator:
-    """Blending estimator for the images of one sensor. Stateless.
-
-    Args:
-        p_SM: Positions of all markers on the flat membrane (N, 3), m.
-    """
+    """Blending estimator for the images of one sensor with N markers at `p_SM` (N, 3), m.
+    Stateless."""
 
     def __init__(self, p_SM: Array):
         degree = _degree(len(p_SM))
@@ -71,16 +68,8 @@ class BlendEstimator:
         self._smooth = np.linalg.qr(self._terms)[0]
 
     def after(self, before: Blend | None, markers: Markers) -> Blend:
-        """Return the blending information after an image with these markers.
-
-        Args:
-            before: Information after the previous image; None: no previous image.
-            markers: Markers detected in this image.
-
-        Returns:
-            The updated information. It gains nothing from an image with other markers than the
-            last.
-        """
+        """Return the blending information after an image with these markers. It gains nothing from
+        an image with other markers than the last."""
         seen = Blend(markers.ids, markers.p_SM)
         if before is None:
             return seen

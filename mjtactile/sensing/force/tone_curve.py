@@ -32,20 +32,10 @@ _UNKNOWN = Tone(math.nan, math.nan, math.nan)
 
 
 def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Array) -> Tone:
-    """Fit the curve from reference levels to current levels by least squares.
-
-    Black and white determine two of its three parameters. Light that falls off toward the corners
-    spreads either level over a range, whose slope gives the third.
-
-    Args:
-        inside: Levels inside the circles now (n,).
-        outside: Levels of the background around them now (n,).
-        inside_then: Levels inside at the reference (n,).
-        outside_then: Levels of the background at the reference (n,).
-
-    Returns:
-        The curve.
-    """
+    """Fit the curve from the reference levels `_then` (n,) to the current levels inside circles and
+    of the background around them, by least squares. Black and white determine two of its three
+    parameters. Light that falls off toward the corners spreads either level over a range, whose
+    slope gives the third."""
     then = np.concatenate([inside_then, outside_then])
     now = np.concatenate([inside, outside])
     known = np.isfinite(then + now) & (then > 0)

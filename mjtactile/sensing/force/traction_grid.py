@@ -18,14 +18,8 @@ REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction gr
 
 
 class LoadedMembrane(MarkedMembrane):
-    """Membrane of one sensor, with its markers and J nodes.
-
-    The nodes lie on its inner grid lines `x` (nx,), `y` (ny,), m.
-
-    Args:
-        design: The sensor's values.
-        settings: Settings of the stage.
-    """
+    """Membrane of one sensor, with its markers and J nodes. The nodes lie on its inner grid lines
+    `x` (nx,), `y` (ny,), m."""
 
     def __init__(self, design: SensorDesign, settings: InverseSettings):
         super().__init__(design, settings)

@@ -14,16 +14,8 @@ from mjtactile.core.types import Array, Ellipses, FiducialDetections
 
 
 class FiducialFinder:
-    """Fiducial finder of one sensor.
-
-    Each fiducial is the good circle nearest to its last position. The limit is half the distance to
-    the next fiducial, or to the nearest marker.
-
-    Args:
-        design: Sensor design.
-        camera: Camera of the sensor.
-        fiducials: Fiducials of the sensor.
-    """
+    """Fiducial finder of one sensor. Each fiducial is the good circle nearest to its last position.
+    The limit is half the distance to the next fiducial, or to the nearest marker."""
 
     def __init__(self, design: SensorDesign, camera: Camera, fiducials: Fiducials):
         self.count = fiducials.count
@@ -38,15 +30,8 @@ class FiducialFinder:
     def split(
         self, ellipses: Ellipses, before: FiducialDetections | None
     ) -> tuple[Array, FiducialDetections]:
-        """Separate fiducials from markers.
-
-        Args:
-            ellipses: All circles of an image.
-            before: Previous positions of the fiducials; None: those of the sensor file.
-
-        Returns:
-            Indices of the circles that are not fiducials, and the well detected fiducials.
-        """
+        """Return the indices of the circles that are not fiducials, and the well detected
+        fiducials. `before` are their previous positions; None: those of the sensor file."""
         places = self.places_px
         if before is not None and len(before) == self.count:
             places = before.center_px
@@ -66,16 +51,8 @@ class FiducialFinder:
 
 
 def average(seen: Sequence[FiducialDetections]) -> FiducialDetections:
-    """Return the mean of repeated measurements.
-
-    A fiducial counts if it is detected in at least half of them.
-
-    Args:
-        seen: Detections in successive images of a camera that does not move.
-
-    Returns:
-        The mean.
-    """
+    """Return the mean of repeated measurements by a camera that does not move. A fiducial counts if
+    it is detected in at least half of them."""
     count = np.bincount(np.concatenate([one.ids for one in seen]), minlength=1)
     ids = np.flatnonzero(count >= len(seen) / 2)
 

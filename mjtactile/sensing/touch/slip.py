@@ -127,18 +127,9 @@ def judge(
 def shear_nonuniformity(
     estimator: InverseMembrane, shape: Shape, shear: Array
 ) -> tuple[float, bool]:
-    """Return the nonuniformity of the shear over the contact.
-
-    Args:
-        estimator: Membrane model that defines the nodes.
-        shape: With the tractions.
-        shear: Shear force (3,) N; it defines the direction.
-
-    Returns:
-        Ratio of spread to mean of shear over pressure, weighted by the normal force: 0 under full
-        sliding. Only nodes with at least a tenth of the peak pressure count. And True if enough
-        nodes are loaded: a single node is always uniform.
-    """
+    """Return the ratio of spread to mean of shear over pressure along the shear force (3,), N,
+    weighted by the normal force: 0 under full sliding. Only nodes with at least a tenth of the peak
+    pressure count. Also return True if enough nodes are loaded: a single node is always uniform."""
     press = np.maximum(-shape.traction[2], 0.0)
     inside = press > _PRESSED * press.max()
     weight = (press * estimator.node_area)[inside]

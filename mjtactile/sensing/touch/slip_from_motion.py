@@ -23,18 +23,9 @@ def with_motion(
     motion: RelativeMotion | None,
     s: SlipSettings = DEFAULTS.slip,
 ) -> tuple[Slip, SlipHistory | None]:
-    """Update the slip state with the motion of the object.
-
-    Args:
-        slip: Result from the center of pressure.
-        history: Its history, of this image.
-        motion: Motion of the object relative to the rubber; None: unknown.
-        s: Settings.
-
-    Returns:
-        The slip with the object's own velocity, and its history. The state is also "slipping" where
-        the object slides along the shear, or spins, significantly faster than the limit.
-    """
+    """Return the slip with the object's own velocity, and its history. The state is also "slipping"
+    where the object slides along the shear, or spins, significantly faster than the limit. Nothing
+    changes if the motion is unknown (None)."""
     if motion is None or history is None or slip.state not in ("sticking", "incipient", "slipping"):
         return slip, history
     moved = replace(slip, velocity=motion.velocity)
@@ -48,16 +39,8 @@ def with_motion(
 
 
 def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.slip) -> bool:
-    """Return True if the object slides along the shear over the rubber, beyond partial slip.
-
-    Args:
-        motion: Motion of the object.
-        history: History of the touch; its newest shear is used.
-        s: Settings.
-
-    Returns:
-        True if it slides. An object with too little shear rolls.
-    """
+    """Return True if the object slides along the newest shear over the rubber, beyond partial slip.
+    An object with too little shear rolls."""
     samples = history.samples
     ratio = samples[-1].ratio
     load = float(np.linalg.norm(ratio))
@@ -73,13 +56,5 @@ def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAU
 
 
 def spins(motion: RelativeMotion, s: SlipSettings = DEFAULTS.slip) -> bool:
-    """Return True if the object rotates about its normal over the rubber.
-
-    Args:
-        motion: Motion of the object.
-        s: Settings.
-
-    Returns:
-        True if it rotates; False for a rotationally symmetric shape.
-    """
+    """Return True if the object rotates about its normal over the rubber."""
     return abs(motion.spinning) > max(s.body_spin, s.body_sure * motion.spinning_sd)
