@@ -15,7 +15,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
 from mjtactile.design_study.virtual_bench import Coming, VirtualBench
 from mjtactile.quasistatic import obstacle
-from mjtactile.sensing.contact_shape.fit_state import Data, Prior, begin
+from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.jacobian import exact_jacobian
@@ -69,7 +69,6 @@ class ResolutionPredictor:
         self._settings = stand.chain.settings
         rest = stand.reference.first
         self._forward = ForwardModel(stand.design, rest, self._settings.body.spacing)
-        self._by_gas = self._forward.by_gas()
         self._frame = stand.design.frame
         self._sides = feasible_half_extents(self._frame, _FRAME)
 
@@ -156,23 +155,23 @@ class ResolutionPredictor:
         data = self._data(
             Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.detect_markers(pressed.state))
         )
-        believed = Prior(theta / family.sd, np.eye(len(theta)))
+        prior = Prior(theta / family.sd, np.eye(len(theta)))
+        problem = Problem(self._forward, family, hint, data, prior)
         try:
-            at = begin(self._forward, family, hint, theta, data, believed, pressed.state)
+            at = problem.begin(theta, pressed.state)
             if at is None:
                 return None
-            slopes = exact_jacobian(self._forward, family, hint, at)
+            slopes = exact_jacobian(problem, at)
         except InputError:  # a parameter step reaches the frame
             return None
-        J = slopes.seen(data)
-        found = Fit(family, hint, at, believed, J.T @ J, slopes, force)
-        return reported_covariance(found, self._settings.body.noise_min, self._settings.body)
+        s = self._settings.body
+        return reported_covariance(Fit.of(problem, at, slopes), s.noise_min, s)
 
     def _data(self, touch: Touch) -> Data:
         inverse = self._settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
         raised = np.zeros(self.stand.design.markers.count)
-        return Data.of(touch, raised, self._by_gas, self._settings.body, drift)
+        return Data.of(touch, raised, self._forward.by_gas, self._settings.body, drift)
 
     def _hint(self, place: Array, force: float) -> InitialGuess:
         """Return the reference of the shape's parameters, except for its height."""

@@ -16,7 +16,6 @@ from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_filter import touching
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, face_of
-from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _INTERVAL = (0.16, 0.84)
@@ -85,7 +84,7 @@ def _area(
         area = whole * lies / max(float(within.sum()), 1e-9)
         rim = rim_length(family, theta)
         steep = slope_at_rim(share * state.force_normal, area, rim, state)
-        out = _rim_out(steep, sticks(forward, state, s) - s.friction, s) * hint.rounding
+        out = _rim_out(steep, forward.stiction_ratio(state, s) - s.friction, s) * hint.rounding
         return area * max(1 + out * rim / area, _FACE_MIN) if area > 0 else 0.0
     stretched = state.found[TENSION] / forward.film.rest.found[TENSION] - 1
     ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_max)

@@ -20,7 +20,6 @@ from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, borne
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.hypotheses import PressHistory
-from mjtactile.sensing.contact_shape.initial_search import Films
 from mjtactile.sensing.contact_shape.press_tracker import follow
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, feasible_half_extents
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
@@ -57,9 +56,7 @@ class ContactShapeEstimator:
     ):
         self.settings = settings
         self._frame = feasible_half_extents(design.frame, _EDGE)
-        s = settings.body
-        fine = ForwardModel(design, rest, s.spacing, gauge)
-        self.films = Films(fine, fine.by_gas())
+        self.forward = ForwardModel(design, rest, settings.body.spacing, gauge)
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
         """Estimate the contact shape in the newest of the touches of one contact episode, oldest
@@ -87,11 +84,10 @@ class ContactShapeEstimator:
             return Found(lacking, None, press if goes_on else None)
         inverse = self.settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
-        films = self.films
-        raised = p_rest[:, 2] - films.fine.rest_heights
-        data = Data.of(touch, raised, films.by_gas, s, drift)
+        raised = p_rest[:, 2] - self.forward.rest_heights
+        data = Data.of(touch, raised, self.forward.by_gas, s, drift)
         track = () if press is None else press.track
-        press = follow(films, press, self._hint(touch), data, s)
+        press = follow(self.forward, press, self._hint(touch), data, s)
         if press is None:
             text = "no shape model fits"
             return Found(_unknown(Status(StatusCode.FIT_FAILED, text)), None, None)
@@ -101,7 +97,7 @@ class ContactShapeEstimator:
         shape = self._said(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
-        return Found(shape, borne(self.films.fine, press, touch.traction.wrench, scale, s), press)
+        return Found(shape, borne(self.forward, press, touch.traction.wrench, scale, s), press)
 
     def _said(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.body
@@ -116,9 +112,9 @@ class ContactShapeEstimator:
         kind = max(probabilities, key=lambda name: probabilities[name])
         weighed = []
         for probability, found in press.bodies():
-            whole = sum(areas(self.films.fine, found, s))
+            whole = sum(areas(self.forward, found, s))
             weighed.append((probability, whole, area_sd(found, whole, scale, s)))
-        shape = words(self.films.fine, press.now, kind, probabilities, scale, interval(weighed), s)
+        shape = words(self.forward, press.now, kind, probabilities, scale, interval(weighed), s)
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 
     def _hint(self, touch: Touch) -> InitialGuess:
@@ -141,7 +137,7 @@ class ContactShapeEstimator:
             column = int(np.abs(surface.x - contact.centroid[0]).argmin())
             row = int(np.abs(surface.y - contact.centroid[1]).argmin())
             height = float(surface.z[row, column])
-        film = self.films.fine
+        film = self.forward
         sheet = film.film.design.membrane.thickness
         angle = contact.angle if math.isfinite(contact.angle) else 0.0
         return InitialGuess(

@@ -1,11 +1,9 @@
-"""Image data, prior of the shape parameters, and fit state.
-
-See docs/theory/contact_shape.md, Eq. F18.
-"""
+"""Image data, prior of the shape parameters, and state of a fit (docs/theory/contact_shape.md, Eq.
+F18)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +26,6 @@ class Data:
     heights: Array
     root: Array
     force: float
-
-    def raised(self, by: Array) -> Data:
-        """Return the data for another membrane model, whose markers at rest are `by` (N,) m
-        higher."""
-        return replace(self, heights=self.heights + by[self.ids])
 
     @classmethod
     def of(
@@ -96,34 +89,36 @@ class FitState:
     cost: float
 
 
-def begin(
-    forward: ForwardModel,
-    family: ShapeModel,
-    hint: InitialGuess,
-    theta: Array,
-    data: Data,
-    prior: Prior,
-    state: MembraneSolution | None,
-) -> FitState | None:
-    """Solve the membrane on a shape with parameters `theta`, starting from `state` (None: from
-    rest). Return the start state of a fit; None: the solver did not converge."""
-    theta = np.clip(theta, family.low, family.high)
-    batch = forward.solve([family.build(theta, hint)], state)
-    if not converged(batch):
-        return None
-    return standing(forward, family, theta, data, prior, batch[0])
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Fit of one shape model to one image: membrane model `forward`, initial guess `hint` that the
+    parameters of `family` are relative to, image `data`, and `prior` of the parameters."""
 
+    forward: ForwardModel
+    family: ShapeModel
+    hint: InitialGuess
+    data: Data
+    prior: Prior
 
-def standing(
-    forward: ForwardModel,
-    family: ShapeModel,
-    theta: Array,
-    data: Data,
-    prior: Prior,
-    state: MembraneSolution,
-) -> FitState:
-    """Return the fit state of a converged membrane solution; arguments as for `begin`."""
-    heights = forward.heights(state.x[None])[0]
-    residual = data.residual(heights)
-    cost = float(residual @ residual) + prior.cost(theta / family.sd)
-    return FitState(theta, state, heights, residual, cost)
+    def solve(self, theta: Array, start: MembraneSolution | None) -> MembraneSolution | None:
+        """Solve the membrane on the shape with parameters `theta`, starting from `start` (None:
+        from rest); None: the solver did not converge."""
+        batch = self.forward.solve([self.family.build(theta, self.hint)], start)
+        return batch[0] if converged(batch) else None
+
+    def clip(self, theta: Array) -> Array:
+        """Return the parameters within their bounds."""
+        return np.clip(theta, self.family.low, self.family.high)
+
+    def begin(self, theta: Array, start: MembraneSolution | None) -> FitState | None:
+        """Return the fit state with parameters `theta`, solved from `start` as in `solve`."""
+        theta = self.clip(theta)
+        state = self.solve(theta, start)
+        return None if state is None else self.state(theta, state)
+
+    def state(self, theta: Array, solution: MembraneSolution) -> FitState:
+        """Return the fit state of a converged membrane solution."""
+        heights = self.forward.heights(solution.x[None])[0]
+        residual = self.data.residual(heights)
+        cost = float(residual @ residual) + self.prior.cost(theta / self.family.sd)
+        return FitState(theta, solution, heights, residual, cost)

@@ -14,7 +14,6 @@ from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.hypotheses import PressHistory
 from mjtactile.sensing.contact_shape.primitives import principal
-from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _NORMAL = 2
@@ -55,7 +54,7 @@ def borne(
     # remove the torque of the shear force at that height
     rows[1, 1] = height + above
     rows[2, 0] = -(height + above)
-    more = sticks(forward, state, s)
+    more = forward.stiction_ratio(state, s)
     load = more * rows @ state.wrench
     pointed = _pointed(found, noise, s)
     untold = max(blunt, pointed)

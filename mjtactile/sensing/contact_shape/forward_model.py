@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from mjtactile.quasistatic.obstacles import NUMBERS, pooled
 from mjtactile.quasistatic.sensitivities import answered, derived
 from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, MembraneSolutionBatch
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.settings import ContactShapeSettings
 
 _STEPS = 20  # enough for 49 of 50 converging solutions; those that never converge use all
 _MORE = 0.02  # of the pressure, for its derivative
@@ -62,6 +64,7 @@ class ForwardModel:
         )
         self.rest_heights = self.heights(self.film.rest.x[None])[0]
 
+    @cached_property
     def by_gas(self) -> Array:
         """Return the derivative (N,), m, of the marker heights by the relative excess of gas."""
         film = self.film
@@ -82,6 +85,28 @@ class ForwardModel:
             return x[:, -1].reshape(len(x), -1) @ self._by_node.T
         rows = self._across @ x[:, -1]
         return np.einsum("nmj,mj->nm", rows, self._along)
+
+    def stiction_ratio(self, state: MembraneSolution, s: ContactShapeSettings) -> float:
+        """Return the ratio of the force with a sticking membrane to that of this sliding model
+        (docs/theory/contact_shape.md, Eq. F21).
+
+        The membrane is stretched more between the object and the nearer side of the frame. A
+        sticking membrane cannot equalize this by sliding. The ratio is `friction` at the center and
+        grows with the square of the pressure center's distance from there, in half-extents of the
+        frame.
+        """
+        force = state.contact_forces
+        total = float(force.sum())
+        if total <= 0:
+            return s.friction
+        frame = self.film.design.frame
+        sides = (frame.length, frame.width)
+        more = 0.0
+        for axis, share in enumerate(s.friction_aside):
+            place = self.nodes[axis] + state.displacements[axis]
+            off = float((force * place).sum()) / total / (sides[axis] / 2)
+            more += share * off**2
+        return s.friction + more
 
     def answers(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array

@@ -6,21 +6,16 @@ The membrane is the forward model. The result includes the model evidence
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
-from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, begin
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
-from mjtactile.sensing.contact_shape.jacobian import (
-    Jacobian,
-    approximate_jacobian,
-    exact_jacobian,
-    learnt,
-)
-from mjtactile.sensing.contact_shape.levenberg_step import Step, damped_step
+from mjtactile.sensing.contact_shape.jacobian import Jacobian, approximate_jacobian, exact_jacobian
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
@@ -36,6 +31,13 @@ _FAR = 4.0
 _BEHIND = 30.0
 _PROMISED = 1.5  # ratio of the total gain of all following steps to the promised gain of one
 _ALIKE = 0.1  # of how much more is left than of the best: less does not matter
+# Maximum steps: mm and rad, and fractions of a curvature (at least `_FLAT`, 1/m) and of a size
+_STRAIGHT = {
+    "x": 1.5, "y": 1.5, "z": 0.5, "tilt": 0.1, "lean": 0.1, "direction": 0.35, "angle": 0.35,
+}  # fmt: skip
+_BEND_STEP = 0.6
+_FLAT = 40.0
+_SIZE_STEP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,7 @@ class Fit:
         curvature: Hessian (k, k) of half the sum of squares of the whitened residual, by the scaled
             parameters.
         slopes: Derivatives of heights and sums.
-        felt: Normal force of the nodal estimate in this image, N.
+        force: Normal force of the nodal estimate in this image, N.
     """
 
     family: ShapeModel
@@ -59,7 +61,14 @@ class Fit:
     prior: Prior
     curvature: Array
     slopes: Jacobian
-    felt: float
+    force: float
+
+    @classmethod
+    def of(cls, problem: Problem, at: FitState, slopes: Jacobian) -> Fit:
+        """Return the fit that ends at `at`."""
+        J = slopes.seen(problem.data)
+        force = problem.data.force
+        return cls(problem.family, problem.hint, at, problem.prior, J.T @ J, slopes, force)
 
     @property
     def theta(self) -> Array:
@@ -105,6 +114,65 @@ class Fit:
         return -0.5 * (cost + float(spread - known))
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Step `by` (k,) of the scaled parameters, with the predicted decrease of the cost. `cut` is
+    True if the step was limited."""
+
+    by: Array
+    promised: float
+    cut: bool
+
+
+def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, damping: float) -> Step:
+    """Compute one damped Gauss-Newton step with the Jacobian (n, k) of the whitened markers by the
+    scaled parameters. It is limited per parameter to the range where the membrane responds about
+    linearly."""
+    gradient = J.T @ at.residual + prior.precision @ (at.theta / family.sd - prior.mean)
+    normal = J.T @ J
+    H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
+    step = -np.linalg.solve(H, gradient)
+    maximum = _straight(family, at.theta) / family.sd
+    far = np.abs(step) > maximum
+    cut = bool(far.any())
+    if cut:
+        step = _within(H, gradient, step, maximum, far)
+    return Step(step, float(-(2 * gradient + H @ step) @ step), cut)
+
+
+def _within(
+    H: Array, gradient: Array, step: Array, maximum: Array, far: NDArray[np.bool_]
+) -> Array:
+    """Return a step within its limits. Parameters that would go too `far` are held at their limit,
+    and the others are solved again. If these then exceed their limits, the whole step is
+    shortened."""
+    held = step.copy()
+    held[far] = np.clip(step, -maximum, maximum)[far]
+    near = ~far
+    asked = gradient[near] + H[np.ix_(near, far)] @ held[far]
+    held[near] = -np.linalg.solve(H[np.ix_(near, near)], asked)
+    falls = (2 * gradient + H @ held) @ held < 0
+    if falls and (np.abs(held) <= maximum).all():
+        return held
+    return step * float((maximum / np.maximum(np.abs(step), 1e-12)).min())
+
+
+def _straight(family: ShapeModel, theta: Array) -> Array:
+    """Return the maximum step (k,) of each parameter."""
+    bent = [abs(value) for value, name in zip(theta, family.names, strict=True) if name[0] == "k"]
+    curved = _BEND_STEP * max([_FLAT, *bent])
+    maximum = []
+    for value, name in zip(theta, family.names, strict=True):
+        kind = name.split("_")[0]
+        if kind == "k":
+            maximum.append(curved)
+        elif kind in ("half", "radius"):
+            maximum.append(_SIZE_STEP * value)
+        else:
+            maximum.append(_STRAIGHT[kind])
+    return np.array(maximum)
+
+
 @dataclass(frozen=True)
 class _Enough:
     """Cost thresholds of a fit. A smaller promised gain than `settled` ends the fit. A larger one
@@ -132,12 +200,8 @@ class _Enough:
 
 
 def refine(
-    forward: ForwardModel,
-    family: ShapeModel,
-    hint: InitialGuess,
+    problem: Problem,
     at: FitState,
-    data: Data,
-    prior: Prior,
     *,
     slopes: Jacobian | None = None,
     rounds: int = 14,
@@ -145,45 +209,38 @@ def refine(
     noise: float,
     settled: float = _SETTLED,
 ) -> Fit:
-    """Fit the parameters of `family` to the markers, starting from `at`.
+    """Fit the parameters to the markers, starting from `at`; the fit's Jacobian may be approximate.
 
     Args:
-        forward: Membrane model.
-        family: Shape model.
-        hint: Initial guess that the parameters are relative to.
+        problem: Shape model, image and prior.
         at: Start state.
-        data: Image data.
-        prior: Prior of the parameters.
         slopes: Jacobian computed nearby for an earlier image (None: computed here). It is
             recomputed where it does not help any more, or is too far away.
         rounds: Maximum number of membrane solutions.
         known: Sum of squares that another model reached; a fit far above it is stopped.
         noise: Factor on the marker variances that even the best fit leaves.
         settled: Cost relative to the noise below which a step is not worthwhile.
-
-    Returns:
-        The fit; its Jacobian may be approximate.
     """
-    sd = family.sd
+    family = problem.family
     enough = _Enough.of(settled, known, noise, len(at.residual))
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
     fresh = slopes is not None and slopes.theta is at.theta
     if slopes is None or slopes.worn(family, at.theta):
         fresh = True
-        slopes = approximate_jacobian(forward, family, hint, at)
+        slopes = approximate_jacobian(problem, at)
     while rounds > 0:
-        step = damped_step(slopes.seen(data), at, family, prior, damping)
+        step = damped_step(slopes.seen(problem.data), at, family, problem.prior, damping)
         if step.promised > enough.far and not fresh:
-            slopes = approximate_jacobian(forward, family, hint, at)
+            slopes = approximate_jacobian(problem, at)
             fresh = True
             continue
         if enough.is_reached(at.cost, step, damping):
             break
-        new = begin(forward, family, hint, at.theta + step.by * sd, data, prior, at.state)
+        new = problem.begin(at.theta + step.by * family.sd, at.state)
         rounds -= 1
         if new is None or new.cost > at.cost:
             if not fresh:
-                slopes = approximate_jacobian(forward, family, hint, at)
+                slopes = approximate_jacobian(problem, at)
                 fresh = True
             elif damping > _DAMPING[2]:
                 break
@@ -194,16 +251,12 @@ def refine(
         good = gained > _GOOD * step.promised
         damping = max(damping / 10, _DAMPING[1]) if good else 3 * damping
         fresh = slopes.worn(family, new.theta)
-        slopes = (
-            approximate_jacobian(forward, family, hint, new)
-            if fresh
-            else learnt(slopes, sd, at, new)
-        )
+        updated = slopes.updated(family.sd, at, new)
+        slopes = approximate_jacobian(problem, new) if fresh else updated
         at = new
         if gained < enough.settled:
             break
-    J = slopes.seen(data)
-    return Fit(family, hint, at, prior, J.T @ J, slopes, data.force)
+    return Fit.of(problem, at, slopes)
 
 
 def exactly(
@@ -211,24 +264,14 @@ def exactly(
 ) -> Fit:
     """Return the fit with an exact Jacobian, as needed for reporting. It also refines the fit, at
     most `times` times, where the approximate one stopped early."""
+    problem = Problem(forward, fit.family, fit.hint, data, fit.prior)
     for _ in range(times):
         if fit.slopes.exact:
             return fit
-        slopes = exact_jacobian(forward, fit.family, fit.hint, fit.at)
+        slopes = exact_jacobian(problem, fit.at)
         fit = refine(
-            forward,
-            fit.family,
-            fit.hint,
-            fit.at,
-            data,
-            fit.prior,
-            slopes=slopes,
-            rounds=_POLISHING,
-            noise=noise,
-            settled=_POLISH,
+            problem, fit.at, slopes=slopes, rounds=_POLISHING, noise=noise, settled=_POLISH
         )
     if fit.slopes.exact:
         return fit
-    slopes = exact_jacobian(forward, fit.family, fit.hint, fit.at)
-    J = slopes.seen(data)
-    return replace(fit, curvature=J.T @ J, slopes=slopes)
+    return Fit.of(problem, fit.at, exact_jacobian(problem, fit.at))

@@ -13,7 +13,6 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
-from mjtactile.sensing.contact_shape.initial_search import Films
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.relative_motion import Track
 from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
@@ -76,9 +75,9 @@ class PressHistory:
         force: Estimated force at the last evaluation, N.
         images: Number of images since the last evaluation.
         parts: Number of contact patches then.
-        doubted: Mean square misfit at the last search over all models.
+        search_misfit: Mean square misfit at the last search over all models.
         track: Poses of the shape in the last images.
-        left: Models that were dropped, in their last state.
+        dropped: Models that were dropped, in their last state.
     """
 
     candidates: tuple[Candidate, ...]
@@ -87,9 +86,9 @@ class PressHistory:
     force: float
     images: int
     parts: int
-    doubted: float
+    search_misfit: float
     track: Track = ()
-    left: tuple[Candidate, ...] = ()
+    dropped: tuple[Candidate, ...] = ()
 
     @property
     def probabilities(self) -> Array:
@@ -108,7 +107,7 @@ class PressHistory:
 
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Return those of `families` whose evidence is not far behind in this contact episode."""
-        known = (*self.candidates, *self.left)
+        known = (*self.candidates, *self.dropped)
         close = {one.family.name for one in known if one.behind < _BEHIND}
         return [family for family in families if family.name in close]
 
@@ -119,21 +118,18 @@ class PressHistory:
         return list(zip(self.probabilities.tolist(), fits, strict=True))
 
 
-def weighed(
-    films: Films,
+def weigh(
+    forward: ForwardModel,
     found: list[Evaluation],
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
     past: PressHistory | None = None,
 ) -> PressHistory | None:
-    """Weight the fits of an image by evidence. Dropped models are kept together with those in
-    `past`.
-
-    The residual of the best fit comes from errors of the membrane model and the simulator. It is
-    treated as noise, the same for all models. So no model wins by a chi-square of hundreds over
-    another that is equally wrong.
-    """
+    """Weight the fits of an image by evidence; dropped models are kept together with those in
+    `past`. The residual of the best fit, an error of membrane model and simulator, is treated as
+    noise of all models. So no model wins by a chi-square of hundreds over another equally wrong
+    one."""
     if not found:
         return None
     noise = max(s.noise_min, min(one.fit.misfit for one in found))
@@ -141,33 +137,37 @@ def weighed(
     maximum = max(one.log for one in roughly)
     minimum = maximum - s.log_lost
     likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > minimum]
-    kept = [one.exactly(films.fine, data, noise).with_noise(noise) for one in likely]
+    kept = [one.exactly(forward, data, noise).with_noise(noise) for one in likely]
     kept.sort(key=lambda one: -one.log)
-    spoken = _spoken(kept, noise)
-    lost = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
+    best = _most_likely(kept, noise)
+    dropped = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
     if past is not None:
         seen = {one.family.name for one in roughly}
-        before = (*past.left, *past.candidates)
-        lost += [one for one in before if one.family.name not in seen]
-    kept.remove(spoken)
+        before = (*past.dropped, *past.candidates)
+        dropped += [one for one in before if one.family.name not in seen]
+    kept.remove(best)
     return PressHistory(
-        (spoken, *kept), spoken.fit, noise, data.force, 0, len(hint.parts), 0.0, left=tuple(lost)
+        (best, *kept),
+        best.fit,
+        noise,
+        data.force,
+        0,
+        len(hint.parts),
+        best.fit.misfit,
+        dropped=tuple(dropped),
     )
 
 
-def _spoken(candidates: list[Candidate], noise: float) -> Candidate:
-    """The likeliest of the likeliest kind."""
+def _most_likely(candidates: list[Candidate], noise: float) -> Candidate:
+    """Return the most likely candidate of the most likely kind."""
     maximum = candidates[0].log
-    shares = [
-        {
-            kind: share * math.exp(one.log - maximum)
-            for kind, share in kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise)).items()
-        }
-        for one in candidates
-    ]
     sums: dict[str, float] = {}
-    for own in shares:
-        for kind, share in own.items():
-            sums[kind] = sums.get(kind, 0.0) + share
+    weights = []
+    for one in candidates:
+        kinds = kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise))
+        own = {kind: share * math.exp(one.log - maximum) for kind, share in kinds.items()}
+        weights.append(own)
+        for kind, weight in own.items():
+            sums[kind] = sums.get(kind, 0.0) + weight
     kind = max(sums, key=lambda name: sums[name])
-    return candidates[max(range(len(shares)), key=lambda n: shares[n].get(kind, 0.0))]
+    return candidates[max(range(len(weights)), key=lambda n: weights[n].get(kind, 0.0))]

@@ -14,8 +14,8 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import AREA
-from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, begin, standing
-from mjtactile.sensing.contact_shape.forward_model import ForwardModel, converged
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, principal
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
@@ -30,17 +30,8 @@ _FIRST_CURVATURE = 80.0  # 1/m
 _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
 
-@dataclass(frozen=True, eq=False)
-class Films:
-    """Membrane model of one sensor, and the response of its markers to gas. `by_gas` (N,), m, is
-    the rise of the marker heights for a relative increase of the gas."""
-
-    fine: ForwardModel
-    by_gas: Array
-
-
 def search(
-    films: Films,
+    forward: ForwardModel,
     families: Sequence[ShapeModel],
     hint: InitialGuess,
     data: Data,
@@ -55,12 +46,12 @@ def search(
     multiplied by `noise`."""
     found: list[Fit] = []
     for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
-        one = _best_start(films.fine, family, hint, data, found, noise, near, known)
+        one = _best_start(forward, family, hint, data, found, noise, near, known)
         if one is not None:
             found.append(one)
     if not found:
         return []
-    found = _reuse_curvature(films.fine, hint, data, found, noise)
+    found = _reuse_curvature(forward, hint, data, found, noise)
     minimum = min(one.chi2 for one in found)
     noise = max(noise, minimum / len(data.heights))
     return [one for one in found if one.chi2 <= minimum + _HOPELESS * noise]
@@ -78,11 +69,11 @@ def _reuse_curvature(
     across = np.array([math.sin(direction), -math.cos(direction)])
     bent = maximum * np.outer(across, across)
     theta = np.array([*line.theta[:3], bent[0, 0], bent[0, 1], bent[1, 1]])
-    at = begin(forward, smooth.family, hint, theta, data, smooth.prior, line.state)
+    problem = Problem(forward, smooth.family, hint, data, smooth.prior)
+    at = problem.begin(theta, line.state)
     if at is None or at.cost > smooth.at.cost:
         return found
-    minimum = min(one.chi2 for one in found)
-    other = refine(forward, smooth.family, hint, at, data, smooth.prior, known=minimum, noise=noise)
+    other = refine(problem, at, known=min(one.chi2 for one in found), noise=noise)
     return [other if one is smooth else one for one in found]
 
 
@@ -99,28 +90,25 @@ def _best_start(
     """Fit a model from the start that explains the markers best after matching the force."""
     reached = []
     state = min(known, key=lambda one: one.chi2).state if known else near
-    for start in _starts(family, hint, known, _Pressed.of(forward, state)):
-        prior = Prior.of(family, start)
-        at = beside(forward, family, hint, start, data, prior, state)
+    for start in _starts(family, hint, known, _ContactRegion.of(forward, state)):
+        problem = Problem(forward, family, hint, data, Prior.of(family, start))
+        at = replace_shape(problem, start, state)
         if at is None and (near is None or family.parts):
-            at = approach(forward, family, hint, start, data, prior)
+            at = approach(problem, start)
         if at is not None:
-            reached.append((at, prior))
+            reached.append((problem, at))
     if not reached:
         return None
-    reached.sort(key=lambda one: one[0].cost)
+    reached.sort(key=lambda one: one[1].cost)
     if not family.parts:
         del reached[1:]  # with several parts, different starts may converge to different fits
     minimum = min([minimum, *(one.chi2 for one in known)])
-    fits = [
-        refine(forward, family, hint, at, data, prior, known=minimum, noise=noise)
-        for at, prior in reached
-    ]
-    return min(fits, key=lambda one: one.at.cost)
+    fits = [refine(problem, at, known=minimum, noise=noise) for problem, at in reached]
+    return min(fits, key=lambda fit: fit.at.cost)
 
 
 def _starts(
-    family: ShapeModel, hint: InitialGuess, known: Sequence[Fit], pressed: _Pressed | None
+    family: ShapeModel, hint: InitialGuess, known: Sequence[Fit], region: _ContactRegion | None
 ) -> Sequence[Array]:
     """Return start parameters of a model. Usually they are the model's own, moved to the contact of
     the other shape and scaled to its size. A model related to another (ball, smooth, cylinder)
@@ -137,48 +125,47 @@ def _starts(
         theta = by_name["smooth"]
         maximum, _, direction = principal(theta)
         return (np.array([*theta[:3], maximum, direction, 0.0]),)
-    if pressed is None:
+    if region is None:
         return family.starts(hint)
-    x, y = 1e3 * (pressed.middle - hint.place)
-    radius = 1e3 * math.sqrt(pressed.area / math.pi)
+    x, y = 1e3 * (region.center - hint.place)
+    radius = 1e3 * math.sqrt(region.area / math.pi)
     if family.name == "disc":
         return tuple(np.array([x, y, 0, 0, 0, share * radius]) for share in _WIDE)
     if family.name == "block":
         half = math.sqrt(math.pi) / 2 * radius
         turned = hint.angle + math.pi / 4
         return (
-            np.array([x, y, 0, 0, 0, pressed.angle, *1e3 * pressed.halves]),
+            np.array([x, y, 0, 0, 0, region.angle, *1e3 * region.half_extents]),
             np.array([x, y, 0, 0, 0, turned, half, half]),
         )
     return tuple(np.array([x, y, *start[2:]]) for start in family.starts(hint))
 
 
 @dataclass(frozen=True, eq=False)
-class _Pressed:
-    """Contact region of a membrane solution. It holds the center `middle` (2,), m, and `area`, m^2.
-    `angle` is that of the longer axis, rad. The half-extents (2,), m, are those of a rectangle with
-    the same force spread."""
+class _ContactRegion:
+    """Contact region of a membrane solution: `center` (2,), m, `area`, m^2, `angle` of the longer
+    axis, rad, and `half_extents` (2,), m, of a rectangle with the same force spread."""
 
-    middle: Array
+    center: Array
     area: float
     angle: float
-    halves: Array
+    half_extents: Array
 
     @classmethod
-    def of(cls, forward: ForwardModel, state: MembraneSolution | None) -> _Pressed | None:
+    def of(cls, forward: ForwardModel, state: MembraneSolution | None) -> _ContactRegion | None:
         """Compute the contact region of a membrane solution; None without contact."""
         if state is None or not (state.force > 0).any():
             return None
-        force, x, y = _pressing(forward, state)
+        force, x, y = _contact_nodes(forward, state)
         share = force / force.sum()
-        middle = np.array([share @ x, share @ y])
-        off = np.array([x - middle[0], y - middle[1]])
+        center = np.array([share @ x, share @ y])
+        off = np.array([x - center[0], y - center[1]])
         spread, axes = np.linalg.eigh((off * share) @ off.T)
         wide = np.sqrt(3 * np.maximum(spread[::-1], forward.spacing**2 / 3))
-        return cls(middle, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
+        return cls(center, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
 
 
-def _pressing(forward: ForwardModel, state: MembraneSolution) -> tuple[Array, Array, Array]:
+def _contact_nodes(forward: ForwardModel, state: MembraneSolution) -> tuple[Array, Array, Array]:
     """Return force (n,), N, and positions x and y (n,), m, of the touching nodes."""
     touching = state.force > 0
     x, y = (
@@ -188,93 +175,68 @@ def _pressing(forward: ForwardModel, state: MembraneSolution) -> tuple[Array, Ar
     return state.force[touching], x, y
 
 
-def beside(
-    forward: ForwardModel,
-    family: ShapeModel,
-    hint: InitialGuess,
-    start: Array,
-    data: Data,
-    prior: Prior,
-    state: MembraneSolution | None,
+def replace_shape(
+    problem: Problem, start: Array, state: MembraneSolution | None
 ) -> FitState | None:
     """Replace a shape, with membrane solution `state`, by another one at the same position. First
     choose its height so that the contact forces do no work on the change. Then adjust it to the
     force. Return the start state of a fit; None: the solver did not converge."""
+    family = problem.family
     if state is None or family.parts or not (state.force > 0).any():
         return None
-    force, x, y = _pressing(forward, state)
-    theta = np.clip(start, family.low, family.high)
-    heights = forward.film.obstacle_heights(family.build(theta, hint), np.column_stack([x, y]))
+    force, x, y = _contact_nodes(problem.forward, state)
+    theta = problem.clip(start)
+    film = problem.forward.film
+    heights = film.obstacle_heights(family.build(theta, problem.hint), np.column_stack([x, y]))
     there = np.isfinite(heights)
     if not there.any():
         return None
     off = (force * (state.x[2][state.force > 0] - heights))[there].sum() / force[there].sum()
     theta[2] += 1e3 * off
-    theta = np.clip(theta, family.low, family.high)
-    batch = forward.solve([family.build(theta, hint)], state)
-    if not converged(batch):
-        return None
-    reached = (theta, batch[0], batch[0].force_normal)
-    return _to_force(forward, family, hint, reached, data, prior)
+    theta = problem.clip(theta)
+    solution = problem.solve(theta, state)
+    return None if solution is None else _to_force(problem, theta, solution)
 
 
-def approach(
-    forward: ForwardModel,
-    family: ShapeModel,
-    hint: InitialGuess,
-    start: Array,
-    data: Data,
-    prior: Prior,
-) -> FitState | None:
+def approach(problem: Problem, start: Array) -> FitState | None:
     """Lower a shape from about the height of first contact into the membrane until its force
     matches the estimated force. Return the start state of a fit; None: the solver did not
     converge."""
-    theta = np.clip(start, family.low, family.high)
-    heights = family.heights
+    theta = problem.clip(start)
     state = None
-    force = 0.0
     reached = theta
     for above in _APPROACH:
         trial = theta.copy()
-        trial[heights] += above
-        batch = forward.solve([family.build(trial, hint)], state)
-        if not converged(batch):
+        trial[problem.family.heights] += above
+        solution = problem.solve(trial, state)
+        if solution is None:
             break
-        state = batch[0]
+        state = solution
         reached = trial
-        force = state.force_normal
-        if force > data.force:
+        if state.force_normal > problem.data.force:
             break
-    if state is None:
-        return None
-    return _to_force(forward, family, hint, (reached, state, force), data, prior)
+    return None if state is None else _to_force(problem, reached, state)
 
 
-def _to_force(
-    forward: ForwardModel,
-    family: ShapeModel,
-    hint: InitialGuess,
-    reached: tuple[Array, MembraneSolution, float],
-    data: Data,
-    prior: Prior,
-) -> FitState | None:
-    theta, state, force = reached
-    heights = family.heights
+def _to_force(problem: Problem, theta: Array, state: MembraneSolution) -> FitState:
+    """Move a shape up or down until its force is close to the estimated force."""
+    heights = problem.family.heights
     stiffness = _STIFFNESS[1] * len(heights)
+    goal = problem.data.force
     for _ in range(_FORCE_STEPS):
-        if abs(force - data.force) < _FORCE_NEAR * data.force:
+        force = state.force_normal
+        if abs(force - goal) < _FORCE_NEAR * goal:
             break
-        down = float(np.clip((data.force - force) / stiffness, -0.5, 0.5))
+        down = float(np.clip((goal - force) / stiffness, -0.5, 0.5))
         trial = theta.copy()
         trial[heights] -= down
-        trial = np.clip(trial, family.low, family.high)
-        batch = forward.solve([family.build(trial, hint)], state)
-        if not converged(batch):
+        trial = problem.clip(trial)
+        solution = problem.solve(trial, state)
+        if solution is None:
             break
         theta = trial
-        state = batch[0]
-        before = force
-        force = state.force_normal
+        state = solution
         if abs(down) > 1e-6:
-            stiffness = float(np.clip((force - before) / down, _STIFFNESS[0], _STIFFNESS[2]))
-    return standing(forward, family, theta, data, prior, state)
+            change = (state.force_normal - force) / down
+            stiffness = float(np.clip(change, _STIFFNESS[0], _STIFFNESS[2]))
+    return problem.state(theta, state)

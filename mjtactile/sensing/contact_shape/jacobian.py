@@ -1,7 +1,5 @@
-"""Derivatives of the marker heights by the shape parameters.
-
-They are exact, approximate, or updated from a step (docs/theory/contact_shape.md, Eq. F18).
-"""
+"""Derivatives of the marker heights by the shape parameters: exact, approximate, or updated from a
+step (docs/theory/contact_shape.md, Eq. F18)."""
 
 from __future__ import annotations
 
@@ -12,9 +10,8 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
-from mjtactile.sensing.contact_shape.fit_state import Data, FitState
-from mjtactile.sensing.contact_shape.forward_model import SUMS, ForwardModel
-from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Problem
+from mjtactile.sensing.contact_shape.forward_model import SUMS
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _WORN = 8.0  # parameter change, in derivative steps, after which the Jacobian is recomputed
@@ -38,15 +35,17 @@ class Jacobian:
         """Return the Jacobian of the whitened markers of an image (n, k)."""
         return data.root @ self.heights[data.ids]
 
-    def learnt(self, moved: Array, heights: Array, sums: Array) -> Jacobian:
-        """Return the Jacobian after Broyden's update. It is the nearest one that explains the
-        observed change of `heights` and `sums` by the parameter change `moved` (k,), in standard
-        deviations."""
+    def updated(self, sd: Array, at: FitState, new: FitState) -> Jacobian:
+        """Return the Jacobian after Broyden's update: the nearest one that explains the result of
+        the step from `at` to `new`."""
+        moved = (new.theta - at.theta) / sd
         along = moved / max(float(moved @ moved), 1e-12)
+        heights = new.heights - at.heights - self.heights @ moved
+        sums = new.state.found[SUMS] - at.state.found[SUMS] - self.sums @ moved
         return replace(
             self,
-            heights=self.heights + np.outer(heights - self.heights @ moved, along),
-            sums=self.sums + np.outer(sums - self.sums @ moved, along),
+            heights=self.heights + np.outer(heights, along),
+            sums=self.sums + np.outer(sums, along),
         )
 
     def worn(self, family: ShapeModel, theta: Array) -> bool:
@@ -54,61 +53,49 @@ class Jacobian:
         return bool((np.abs(theta - self.theta) > _WORN * family.steps).any())
 
 
-def learnt(slopes: Jacobian, sd: Array, at: FitState, new: FitState) -> Jacobian:
-    """Return the Jacobian updated by the result of the step from `at` to `new`."""
-    moved = (new.theta - at.theta) / sd
-    sums = new.state.found[SUMS] - at.state.found[SUMS]
-    return slopes.learnt(moved, new.heights - at.heights, sums)
-
-
-def approximate_jacobian(
-    forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
-) -> Jacobian:
+def approximate_jacobian(problem: Problem, at: FitState) -> Jacobian:
     """Compute an approximate Jacobian, accurate to 5 to 20 %, for fit steps; of the sums only the
     normal force. It takes a fifth of the time of the exact one."""
+    family = problem.family
     steps = _LITTLE * family.steps
+    shapes = _changed_shapes(problem, at.theta, steps)
     try:
-        heights, force = forward.answers(at.state, _beside(family, hint, at.theta, steps), steps)
+        heights, force = problem.forward.answers(at.state, shapes, steps)
     except InputError:
-        return exact_jacobian(forward, family, hint, at)
+        return exact_jacobian(problem, at)
     sums = np.zeros((len(SUMS), len(force)))
     sums[2] = -force * family.sd
     return Jacobian(heights.T * family.sd, sums, at.theta, False)
 
 
-def _beside(
-    family: ShapeModel, hint: InitialGuess, theta: Array, steps: Array
-) -> list[tuple[Obstacle, ...]]:
+def _changed_shapes(problem: Problem, theta: Array, steps: Array) -> list[tuple[Obstacle, ...]]:
     """Build the shape with parameters `theta` (k,), and one shape per parameter changed by `steps`
     (k,)."""
-    return family.build_each(np.vstack([theta, theta + np.diag(steps)]), hint)
+    return problem.family.build_each(np.vstack([theta, theta + np.diag(steps)]), problem.hint)
 
 
-def exact_jacobian(
-    forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState
-) -> Jacobian:
+def exact_jacobian(problem: Problem, at: FitState) -> Jacobian:
     """Compute the exact Jacobian from the analytic derivatives of the membrane model. These do not
     exist for a face about to slide off its rim. Then finite differences of membrane solutions are
     used. It is zero for parameters whose changed solution did not converge."""
+    family = problem.family
     sides = np.where(at.theta + family.steps > family.high, -1.0, 1.0)
     steps = sides * family.steps
     little = _SMALL * steps
+    shapes = _changed_shapes(problem, at.theta, little)
     try:
-        heights, sums = forward.derivatives(
-            at.state, _beside(family, hint, at.theta, little), little
-        )
+        heights, sums = problem.forward.derivatives(at.state, shapes, little)
     except InputError:
-        return _by_differences(forward, family, hint, at, steps)
+        return _by_differences(problem, at, steps)
     return Jacobian(heights.T * family.sd, sums.T * family.sd, at.theta, True)
 
 
-def _by_differences(
-    forward: ForwardModel, family: ShapeModel, hint: InitialGuess, at: FitState, steps: Array
-) -> Jacobian:
+def _by_differences(problem: Problem, at: FitState, steps: Array) -> Jacobian:
     """Compute the Jacobian by differences of membrane solutions, for parameter changes `steps`
     (k,)."""
-    batch = forward.solve(_beside(family, hint, at.theta, steps)[1:], at.state)
-    over = (batch.converged / (steps / family.sd))[:, None]
-    heights = (forward.heights(batch.x) - at.heights) * over
+    shapes = _changed_shapes(problem, at.theta, steps)[1:]
+    batch = problem.forward.solve(shapes, at.state)
+    over = (batch.converged / (steps / problem.family.sd))[:, None]
+    heights = (problem.forward.heights(batch.x) - at.heights) * over
     sums = (batch.found[:, SUMS] - at.state.found[SUMS]) * over
     return Jacobian(heights.T, np.where(over == 0, 0.0, sums).T, at.theta, True)

@@ -10,12 +10,18 @@ import math
 from dataclasses import replace
 
 from mjtactile.sensing.contact_shape.fit_state import Data
-from mjtactile.sensing.contact_shape.gauss_newton import exactly
-from mjtactile.sensing.contact_shape.hypotheses import Evaluation, PressHistory, weighed
-from mjtactile.sensing.contact_shape.initial_search import Films, search
-from mjtactile.sensing.contact_shape.multi_contact import other_parts
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
+from mjtactile.sensing.contact_shape.hypotheses import Evaluation, PressHistory, weigh
+from mjtactile.sensing.contact_shape.initial_search import search
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
-from mjtactile.sensing.contact_shape.refit import FOLLOWED, LOOKED, restart_fit, warm_start
+from mjtactile.sensing.contact_shape.refit import (
+    FOLLOWED,
+    LOOKED,
+    other_parts,
+    restart_fit,
+    warm_start,
+)
 from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
 from mjtactile.sensing.settings import ContactShapeSettings
@@ -24,11 +30,11 @@ _WORSE = 1.5  # misfit ratio to the last search over all models above which they
 _BAD = 0.25  # fraction of misfit_max above which every evaluation with grown force searches all
 _BETTER = 0.8  # misfit ratio below which a newly fitted shape replaces the tracked one
 _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
-_ONE = tuple(FAMILIES.values())
+_SINGLE = tuple(FAMILIES.values())
 
 
 def follow(
-    films: Films,
+    forward: ForwardModel,
     press: PressHistory | None,
     hint: InitialGuess,
     data: Data,
@@ -36,118 +42,117 @@ def follow(
 ) -> PressHistory | None:
     """Update the shape history with the next image; None: no model converged."""
     if press is None:
-        return _first(films, hint, data, s)
+        return _search_all(forward, hint, data, s)
     grown = data.force > s.check_force * press.force
-    told = grown or data.force < press.force / s.check_force
-    looked = None
-    if not told and press.images + 1 < s.check_images:
-        looked = _follow(films, press, hint, data)
+    changed = grown or data.force < press.force / s.check_force
+    new = None
+    if not changed and press.images + 1 < s.check_images:
+        new = _refit_best(forward, press, hint, data)
     # the tracked fit may be stuck
-    if looked is None or _is_worse(looked, press, s):
-        looked = _look(films, press, hint, data, s)
-    if looked is None:
-        return _first(films, hint, data, s)
-    worse = _is_worse(looked, press, s)
+    if new is None or _is_worse(new, press, s):
+        new = _evaluate_candidates(forward, press, hint, data, s)
+    if new is None:
+        return _search_all(forward, hint, data, s)
+    worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
-    if grown and (worse or looked.now.misfit > _BAD * s.misfit_max):
-        other = _first(films, hint, data, s, looked)
-        if other is not None and other.now.misfit < _BETTER * looked.now.misfit:
-            return _with_past(films, press, looked, other, hint, data, s)
+    if grown and (worse or new.now.misfit > _BAD * s.misfit_max):
+        other = _search_all(forward, hint, data, s, new)
+        if other is not None and other.now.misfit < _BETTER * new.now.misfit:
+            return _with_past(forward, press, new, other, hint, data, s)
         worse = True
-    return replace(looked, doubted=looked.now.misfit) if worse else looked
+    return replace(new, search_misfit=new.now.misfit) if worse else new
 
 
-def _is_worse(looked: PressHistory, press: PressHistory, s: ContactShapeSettings) -> bool:
+def _is_worse(new: PressHistory, press: PressHistory, s: ContactShapeSettings) -> bool:
     """Return True if the fit is worse than at the last search over all models."""
-    return looked.now.misfit > max(_WORSE * press.doubted, s.misfit_asks)
+    return new.now.misfit > max(_WORSE * press.search_misfit, s.misfit_asks)
 
 
-def _first(
-    films: Films,
+def _search_all(
+    forward: ForwardModel,
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
-    but: PressHistory | None = None,
+    rejected: PressHistory | None = None,
 ) -> PressHistory | None:
-    """Fit all models without a prior, or from the membrane solution on the rejected shape `but`.
-    With `but`, models far behind in this contact episode are skipped. Fits that explain no more
-    than `but` are stopped."""
-    if but is None:
-        found = search(films, _ONE, hint, data, s.noise_min)
+    """Fit all models without a prior, or from the membrane solution on the `rejected` shape. Then
+    models far behind in this contact episode are skipped, and fits that explain no more than the
+    rejected one are stopped."""
+    if rejected is None:
+        fits = search(forward, _SINGLE, hint, data, s.noise_min)
     else:
-        now = but.now
-        found = search(films, but.near(_ONE), hint, data, s.noise_min, now.state, now.chi2)
-    minimum = min((one.misfit for one in found), default=math.inf)
+        now = rejected.now
+        near = rejected.near(_SINGLE)
+        fits = search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
+    minimum = min((fit.misfit for fit in fits), default=math.inf)
     if len(hint.parts) > 1 and minimum > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
-        both = search(films, (balls,), hint, data, s.noise_min)
-        found += both
+        both = search(forward, (balls,), hint, data, s.noise_min)
+        fits += both
         if both and s.misfit_one < both[0].misfit < minimum:
-            found += other_parts(films, both[0], data, s)
-    given = [
-        Evaluation(
-            one, -s.log_body * max(len(one.family.parts) - 1, 0), ShapeFilter.of(one.family), 1.0
-        )
-        for one in found
-    ]
-    looked = weighed(films, given, hint, data, s)
-    return None if looked is None else replace(looked, doubted=looked.now.misfit)
+            fits += other_parts(forward, both[0], data, s)
+    new = [Evaluation(fit, -_penalty(fit, s), ShapeFilter.of(fit.family), 1.0) for fit in fits]
+    return weigh(forward, new, hint, data, s)
+
+
+def _penalty(fit: Fit, s: ContactShapeSettings) -> float:
+    """Return the log evidence that additional parts must gain."""
+    return s.log_body * max(len(fit.family.parts) - 1, 0)
 
 
 def _with_past(
-    films: Films,
+    forward: ForwardModel,
     past: PressHistory,
-    looked: PressHistory,
+    new: PressHistory,
     other: PressHistory,
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
-) -> PressHistory:
-    """Merge the evaluation `looked` and the new search `other`, with the history of their models.
-    The history is that before this image. A model without history is assumed to have explained the
-    images equally well."""
-    known = {one.family.name: one for one in (*past.left, *past.candidates)}
-    best = past.candidates[0]
-    bodies = {one.family.name: one.fit for one in looked.candidates}
-    bodies |= {one.family.name: one.fit for one in other.candidates}
-    found = []
-    for name, fit in bodies.items():
-        one = known.get(name)
-        if one is None:
-            before = best.log - s.log_body * max(len(fit.family.parts) - 1, 0)
-            found.append(Evaluation(fit, before, ShapeFilter.of(fit.family), s.log_again))
-        else:
-            found.append(Evaluation(fit, one.image_log, one.common, s.log_again))
-    both = weighed(films, found, hint, data, s, past)
-    assert both is not None
-    return replace(both, doubted=both.now.misfit)
-
-
-def _look(
-    films: Films, press: PressHistory, hint: InitialGuess, data: Data, s: ContactShapeSettings
 ) -> PressHistory | None:
-    """All that may still be it, each from where it was."""
+    """Merge the evaluation `new` and the search `other`, with the history of their models before
+    this image. A model without history is assumed to have explained the images equally well."""
+    known = {one.family.name: one for one in (*past.dropped, *past.candidates)}
+    best = past.candidates[0]
+    fits = {one.family.name: one.fit for one in (*new.candidates, *other.candidates)}
+    merged = []
+    for name, fit in fits.items():
+        if name in known:
+            log, common = known[name].image_log, known[name].common
+        else:
+            log, common = best.log - _penalty(fit, s), ShapeFilter.of(fit.family)
+        merged.append(Evaluation(fit, log, common, s.log_again))
+    return weigh(forward, merged, hint, data, s, past)
+
+
+def _evaluate_candidates(
+    forward: ForwardModel,
+    press: PressHistory,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+) -> PressHistory | None:
+    """Refit all candidates, each from its last fit."""
     found: list[Evaluation] = []
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
-        body = warm_start(films, one, start, press.noise, hint, data, LOOKED, known)
+        fit = warm_start(forward, one, start, press.noise, hint, data, LOOKED, known)
         minimum = press.noise if best is None else best.misfit
-        if body is None or body.misfit > _STUCK * minimum:
+        if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state
-            body = restart_fit(films, one, body, press.noise, hint, data, known, near)
-        if body is not None:
-            found.append(Evaluation(body, one.image_log, one.common, s.log_again))
-    looked = weighed(films, found, hint, data, s, press)
-    return None if looked is None else replace(looked, doubted=press.doubted)
+            fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
+        if fit is not None:
+            found.append(Evaluation(fit, one.image_log, one.common, s.log_again))
+    new = weigh(forward, found, hint, data, s, press)
+    return None if new is None else replace(new, search_misfit=press.search_misfit)
 
 
-def _follow(
-    films: Films, press: PressHistory, hint: InitialGuess, data: Data
+def _refit_best(
+    forward: ForwardModel, press: PressHistory, hint: InitialGuess, data: Data
 ) -> PressHistory | None:
-    body = warm_start(films, press.candidates[0], press.now, press.noise, hint, data, FOLLOWED)
-    if body is None:
+    fit = warm_start(forward, press.candidates[0], press.now, press.noise, hint, data, FOLLOWED)
+    if fit is None:
         return None
-    body = exactly(films.fine, body, data, press.noise, times=0)
-    return replace(press, now=body, images=press.images + 1)
+    fit = exactly(forward, fit, data, press.noise, times=0)
+    return replace(press, now=fit, images=press.images + 1)

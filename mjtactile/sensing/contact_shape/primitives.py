@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,11 +45,6 @@ class InitialGuess:
     force: float
     parts: tuple[InitialGuess, ...] = ()
     round: bool = False
-
-    def on(self, nodes: tuple[Array, Array], rounding: float) -> InitialGuess:
-        """Return the same guess for the nodes of another membrane model."""
-        parts = tuple(part.on(nodes, rounding) for part in self.parts)
-        return replace(self, nodes=nodes, rounding=rounding, parts=parts)
 
 
 def feasible_half_extents(frame: Frame, edge: float) -> Array:

@@ -1,7 +1,5 @@
-"""Refit of one shape model to the next image: from its last pose, or restarted.
-
-See docs/theory/contact_shape.md, Eq. F19.
-"""
+"""Refit of one shape model to the next image from its last pose, restarted, or with another model
+for one of several contacts (docs/theory/contact_shape.md, Eq. F19)."""
 
 from __future__ import annotations
 
@@ -12,20 +10,24 @@ import numpy as np
 
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.contact_area import FACES
-from mjtactile.sensing.contact_shape.fit_state import Data, begin, standing
+from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.hypotheses import Candidate
-from mjtactile.sensing.contact_shape.initial_search import Films, approach, beside, search
+from mjtactile.sensing.contact_shape.initial_search import approach, replace_shape, search
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.shape_models import ShapeModel, several
+from mjtactile.sensing.settings import ContactShapeSettings
 
 FOLLOWED = 3  # rounds of a fit that is followed
 LOOKED = 5  # the same, at an evaluation of all candidates
-_LEVEL = ("tilt_x", "tilt_y", "lean")
+_CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
+_PARTS = ("ball", "cylinder", "disc", "block")
 
 
 def warm_start(
-    films: Films,
-    one: Candidate,
+    forward: ForwardModel,
+    candidate: Candidate,
     newest: Fit,
     noise: float,
     hint: InitialGuess,
@@ -36,39 +38,31 @@ def warm_start(
     """Refit one shape model to a new image. The prior comes from earlier images. The start is the
     last pose, shifted in depth by the force change divided by the contact stiffness. The fit stops
     early when its cost stays far above `known`, the cost of a competing model."""
-    family = one.family
+    family = candidate.family
     hint = _matched(newest.hint, hint)
-    prior = one.common.prior(one.fit, noise, hint)
-    stays = family.rebased(newest.theta, newest.hint, hint)
-    theta = stays.copy()
+    prior = candidate.common.prior(candidate.fit, noise, hint)
+    problem = Problem(forward, family, hint, data, prior)
+    same = family.rebased(newest.theta, newest.hint, hint)
+    theta = same.copy()
     heights = family.heights
     # total contact stiffness, N/mm
-    by = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
-    if by < 0:
-        theta[heights] += np.clip((data.force - newest.felt) / by, -1.0, 1.0)
-    at = begin(films.fine, family, hint, theta, data, prior, newest.state)
+    stiffness = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
+    if stiffness < 0:
+        theta[heights] += np.clip((data.force - newest.force) / stiffness, -1.0, 1.0)
     # on flat faces the solver may oscillate from one start and converge from another
-    at = at or begin(films.fine, family, hint, stays, data, prior, newest.state)
-    at = at or begin(films.fine, family, hint, theta, data, prior, None)
+    at = (
+        problem.begin(theta, newest.state)
+        or problem.begin(same, newest.state)
+        or problem.begin(theta, None)
+    )
     if at is None:
         return None
-    return refine(
-        films.fine,
-        family,
-        hint,
-        at,
-        data,
-        prior,
-        slopes=newest.slopes,
-        rounds=rounds,
-        known=known,
-        noise=noise,
-    )
+    return refine(problem, at, slopes=newest.slopes, rounds=rounds, known=known, noise=noise)
 
 
 def restart_fit(
-    films: Films,
-    one: Candidate,
+    forward: ForwardModel,
+    candidate: Candidate,
     stuck: Fit | None,
     noise: float,
     hint: InitialGuess,
@@ -79,18 +73,18 @@ def restart_fit(
     """Return the fit `stuck`, or a restarted fit next to the membrane solution `near` if it is
     better. Fits on flat faces can stop early. A round shape can look sharp while few nodes touch
     it."""
-    if one.family.name in FACES or one.family.parts:
-        other = _restart_from_centroid(films, one, noise, hint, data, known, near)
+    if candidate.family.name in FACES or candidate.family.parts:
+        other = _restart_from_centroid(forward, candidate, noise, hint, data, known, near)
     else:
-        other = _from_nothing(films, one, noise, hint, data, known, near)
+        other = _restart_from_search(forward, candidate, noise, hint, data, known, near)
     if other is None or (stuck is not None and stuck.chi2 < other.chi2):
         return stuck
     return other
 
 
-def _from_nothing(
-    films: Films,
-    one: Candidate,
+def _restart_from_search(
+    forward: ForwardModel,
+    candidate: Candidate,
     noise: float,
     hint: InitialGuess,
     data: Data,
@@ -98,49 +92,68 @@ def _from_nothing(
     near: MembraneSolution,
 ) -> Fit | None:
     """Search from all starts, then refine with the prior from earlier evaluations."""
-    found = search(films, (one.family,), hint, data, noise, near, known)
-    if not found:
+    fits = search(forward, (candidate.family,), hint, data, noise, near, known)
+    if not fits:
         return None
-    prior = one.common.prior(replace(one.fit, at=found[0].at, hint=hint), noise, hint)
-    at = standing(films.fine, one.family, found[0].theta, data, prior, found[0].state)
-    return refine(
-        films.fine,
-        one.family,
-        hint,
-        at,
-        data,
-        prior,
-        slopes=found[0].slopes,
-        rounds=FOLLOWED,
-        known=known,
-        noise=noise,
-    )
+    fit = fits[0]
+    prior = candidate.common.prior(replace(candidate.fit, at=fit.at, hint=hint), noise, hint)
+    problem = Problem(forward, candidate.family, hint, data, prior)
+    at = problem.state(fit.theta, fit.state)
+    return refine(problem, at, slopes=fit.slopes, rounds=FOLLOWED, known=known, noise=noise)
 
 
 def _restart_from_centroid(
-    films: Films,
-    one: Candidate,
+    forward: ForwardModel,
+    candidate: Candidate,
     noise: float,
     hint: InitialGuess,
     data: Data,
     known: float,
     near: MembraneSolution,
 ) -> Fit | None:
-    """Restart a fit from the center of the touch, and return it; None: the solver did not
-    converge."""
-    family = one.family
-    hint = _matched(one.fit.hint, hint)
-    prior = one.common.prior(one.fit, noise, hint)
+    """Restart a fit from the center of the touch; None: the solver did not converge."""
+    family = candidate.family
+    hint = _matched(candidate.fit.hint, hint)
+    prior = candidate.common.prior(candidate.fit, noise, hint)
     theta = prior.mean * family.sd
-    middle = [n for n, name in enumerate(family.names) if name in ("x", "y", "z", *_LEVEL)]
-    theta[middle] = 0.0
-    at = beside(films.fine, family, hint, theta, data, prior, near)
-    at = at or approach(films.fine, family, hint, theta, data, prior)
+    theta[[n for n, name in enumerate(family.names) if name in _CENTERED]] = 0.0
+    problem = Problem(forward, family, hint, data, prior)
+    at = replace_shape(problem, theta, near) or approach(problem, theta)
     if at is None:
         return None
-    return refine(
-        films.fine, family, hint, at, data, prior, rounds=LOOKED, known=known, noise=noise
-    )
+    return refine(problem, at, rounds=LOOKED, known=known, noise=noise)
+
+
+def other_parts(forward: ForwardModel, best: Fit, data: Data, s: ContactShapeSettings) -> list[Fit]:
+    """Fit several contacts with each part replaced in turn by another shape model. A replacement is
+    kept where it has more evidence. All fits are returned."""
+    fits: list[Fit] = []
+    noise = max(s.noise_min, best.misfit)
+    for place in range(len(best.family.parts)):
+        names = [part.name for part in best.family.parts]
+        for name in _PARTS:
+            if names[place] != name:
+                family = several([*names[:place], name, *names[place + 1 :]])
+                fits += _with_part(forward, best, family, place, data, noise)
+        best = max([best, *fits], key=lambda fit: fit.log_evidence_with(noise))
+    return fits
+
+
+def _with_part(
+    forward: ForwardModel, fit: Fit, family: ShapeModel, place: int, data: Data, noise: float
+) -> list[Fit]:
+    """Fit several contacts with one part replaced by another model, and return the best start's
+    fit; empty: the solver did not converge."""
+    fits: list[Fit] = []
+    kept = fit.family.split(fit.theta)
+    for start in family.parts[place].starts(fit.hint.parts[place]):
+        part = np.concatenate([kept[place][:3], start[3:]])
+        theta = np.concatenate([*kept[:place], part, *kept[place + 1 :]])
+        problem = Problem(forward, family, fit.hint, data, Prior.of(family, theta))
+        at = problem.begin(theta, fit.state)
+        if at is not None:
+            fits.append(refine(problem, at, rounds=LOOKED, noise=noise))
+    return sorted(fits, key=lambda fit: fit.chi2)[:1]
 
 
 def _matched(old: InitialGuess, new: InitialGuess) -> InitialGuess:

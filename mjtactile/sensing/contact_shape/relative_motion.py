@@ -90,7 +90,9 @@ def tracked(
     cov = np.linalg.inv(precision) * np.outer(found.family.sd, found.family.sd)
     turns = np.full(3, np.nan)
     rotation_var = np.full(3, np.nan)
-    for axis, number in enumerate(TURNS[name]):
+    family = found.family
+    indices = family.index("tilt_x"), family.index("tilt_y"), family.index("direction", "angle")
+    for axis, number in enumerate(indices):  # rotation about x, y and z of S
         if number is not None:
             turns[axis] = found.theta[number]
             rotation_var[axis] = cov[number, number]
@@ -149,14 +151,3 @@ def _rolling(found: Fit, velocity: Array, cov: Array) -> tuple[Array, Array]:
         K = found.theta[3] * np.outer(across, across)
     rows = np.array([[0.0, -1.0], [1.0, 0.0]]) @ K
     return rows @ velocity, rows @ cov @ rows.T
-
-
-TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
-    "ball": (None, None, None),
-    "cylinder": (None, None, 4),
-    "smooth": (None, None, None),
-    "disc": (3, 4, None),
-    "block": (3, 4, 5),
-}
-"""Index of the rotation parameters about x, y and z of S for each model; None: no such
-parameter."""

@@ -95,6 +95,10 @@ class ShapeModel:
         """Mask (k,) of the parameters that stay constant: curvatures and sizes."""
         return self.share > 0
 
+    def index(self, *names: str) -> int | None:
+        """Return the index of the first parameter with one of these names; None: there is none."""
+        return next((k for k, name in enumerate(self.names) if name in names), None)
+
     def split(self, numbers: Array) -> list[Array]:
         """`numbers` (k, ...) of each of the parts."""
         return np.split(numbers, np.cumsum([len(part.names) for part in self.parts])[:-1])

@@ -17,11 +17,11 @@ from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, about, place_of, principal
 from mjtactile.sensing.contact_shape.shape_filter import touching
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
-from mjtactile.sensing.contact_shape.stiction_factor import sticks
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _FINER = 4  # subdivision of the membrane's node spacing for an outline
-_UNTOLD = math.pi / math.sqrt(12)  # standard deviation of an unknown direction, rad
+_UNKNOWN_DIRECTION_SD = math.pi / math.sqrt(12)  # rad
+_Rotations = tuple[int | None, int | None, int | None]
 
 
 def words(
@@ -38,7 +38,7 @@ def words(
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
-    force = sticks(forward, found.state, s) * found.state.force_normal
+    force = forward.stiction_ratio(found.state, s) * found.state.force_normal
     whole = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
     return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
@@ -109,7 +109,7 @@ def _several(
     nearest = nearest_part(forward, found)
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
-    borne = sticks(forward, found.state, s) * found.state.force_normal
+    borne = forward.stiction_ratio(found.state, s) * found.state.force_normal
     maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
@@ -163,7 +163,7 @@ def _smooth(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]
     ).T
     sd = np.sqrt(np.maximum(np.diag(rows @ cov @ rows.T), 0))
     bent = maximum - minimum
-    direction_sd = min(math.sqrt(cov[4, 4]) / max(bent / 2, 1e-9) / 2, _UNTOLD)
+    direction_sd = min(math.sqrt(cov[4, 4]) / max(bent / 2, 1e-9) / 2, _UNKNOWN_DIRECTION_SD)
     measures: dict[str, Any] = {
         "curvatures": (maximum, minimum),
         "curvatures_sd": sd,
@@ -193,7 +193,8 @@ def _cylinder(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, An
 
 
 def _direction(angle: float, variance: float) -> dict[str, Any]:
-    return {"direction": angle % math.pi, "direction_sd": min(math.sqrt(variance), _UNTOLD)}
+    sd = min(math.sqrt(variance), _UNKNOWN_DIRECTION_SD)
+    return {"direction": angle % math.pi, "direction_sd": sd}
 
 
 def _disc(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
@@ -208,31 +209,21 @@ def _face(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]:
 
 _MEASURES = {"ball": _ball, "cylinder": _cylinder, "smooth": _smooth, "disc": _disc, "block": _face}
 
-# Index of the rotation parameters of each model about x, y and z of S (for an edge and a cylinder,
-# about their own axes), if any.
-_TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
-    "ball": (None, None, None),
-    "cylinder": (None, 5, 4),
-    "smooth": (None, None, None),
-    "disc": (3, 4, None),
-    "block": (3, 4, 5),
-}
 
-
-def _axes(
-    family: ShapeModel, theta: Array, direction: float
-) -> tuple[Array, tuple[int | None, int | None, int | None]]:
+def _axes(family: ShapeModel, theta: Array, direction: float) -> tuple[Array, _Rotations]:
     """Return the shape's axes in S, and the indices of the parameters that rotate it about x, y,
-    z."""
-    turns = _TURNS[family.name]
-    x, y, _ = (0.0 if number is None else float(theta[number]) for number in turns)
-    angle = direction
-    if turns[2] is not None:
-        angle = float(theta[turns[2]])
-    return about(2, angle) @ about(1, y) @ about(0, x), turns
+    z of S, for an edge and a cylinder about their own axes."""
+    indices = (
+        family.index("tilt_x"),
+        family.index("tilt_y", "lean"),
+        family.index("direction", "angle"),
+    )
+    x, y, z = (None if index is None else float(theta[index]) for index in indices)
+    angle = direction if z is None else z
+    return about(2, angle) @ about(1, y or 0.0) @ about(0, x or 0.0), indices
 
 
-def _pose_cov(cov: Array, turns: tuple[int | None, int | None, int | None]) -> Array:
+def _pose_cov(cov: Array, turns: _Rotations) -> Array:
     """Return the covariance (6, 6) of position, m, and rotations, rad. Rotations that are not
     parameters of the model have NaN on the diagonal (unknown)."""
     numbers = [0, 1, 2, *turns]

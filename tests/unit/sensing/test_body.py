@@ -138,7 +138,7 @@ def test_gas_that_came_since_raises_the_markers(sensor):
     more = chain.inverse.sheet.equilibrium(gas, rest.stiffness_scale, start=rest.c)
     rise = (chain.inverse.positions(more) - chain.inverse.positions(rest.c))[:, 2]
     # the sheet's splines are 3 mm wide, and the response is linear to a per cent of it
-    assert finder.films.by_gas * share == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
+    assert finder.forward.by_gas * share == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
 
 
 def follow(sensor, touches, rubber=None):
@@ -272,7 +272,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     By statics, shear at a height adds a torque of that height times it, more on sharp shapes.
     """
     touch = touch_of(sensor, layout_places(cases[2]))
-    films = sensor[2].films.fine
+    films = sensor[2].forward
     press = follow(sensor, [touch])[0].press
     state = press.now.state
     weights = state.contact_forces / state.contact_forces.sum()
@@ -295,7 +295,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
 
 def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
-    films = sensor[2].films.fine
+    films = sensor[2].forward
     frame = films.film.design.frame
     half = frame.length / 2 - 1.5e-3
     radius = 12e-3
@@ -398,7 +398,7 @@ def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
     best = press.candidates[0]
     lost = [replace(best, family=FAMILIES[name]) for name in ("disc", "block")]
     left = tuple(replace(one, behind=by) for one, by in zip(lost, (5.0, 25.0), strict=True))
-    near = replace(press, candidates=(best,), left=left).near(tuple(FAMILIES.values()))
+    near = replace(press, candidates=(best,), dropped=left).near(tuple(FAMILIES.values()))
     assert {family.name for family in near} == {best.family.name, "disc"}
 
 
@@ -406,7 +406,7 @@ def test_a_followed_fit_that_is_stuck_is_looked_at_before_all_families(sensor, c
     """A fit that ends far off the markers, from where a look finds the ball again."""
     touch = touch_of(sensor, layout_places(cases[2]))
     alone = follow(sensor, [touch, touch])[1]
-    goes_on, asked = following._follow, []
+    goes_on, asked = following._refit_best, []
 
     def stuck(films, press, hint, data):
         found = goes_on(films, press, hint, data)
@@ -417,9 +417,9 @@ def test_a_followed_fit_that_is_stuck_is_looked_at_before_all_families(sensor, c
         asked.append(given)
         return searched(*given)
 
-    searched = following._first
-    monkeypatch.setattr(following, "_follow", stuck)
-    monkeypatch.setattr(following, "_first", counted)
+    searched = following._search_all
+    monkeypatch.setattr(following, "_refit_best", stuck)
+    monkeypatch.setattr(following, "_search_all", counted)
     found = follow(sensor, [touch, touch])[1]
     assert len(asked) == 1  # of the first image
     # the same image: as well explained, within the look's own last step

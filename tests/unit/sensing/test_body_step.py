@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.fit_state import FitState, Prior
-from mjtactile.sensing.contact_shape.levenberg_step import damped_step
+from mjtactile.sensing.contact_shape.gauss_newton import damped_step
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 BALL = FAMILIES["ball"]
