@@ -51,8 +51,8 @@ TESTED = {
     ): "../examples/test_learn_to_grasp.py::test_the_ten_lines_of_the_page_learn",
 }
 PARSED = {
-    ("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0),
-    ("docs/upstream/tendon-exactly-at-rest.md", 0),
+    ("docs/decisions/upstream/first-solve-has-no-tolerance-of-its-own.md", 0),
+    ("docs/decisions/upstream/tendon-exactly-at-rest.md", 0),
 }
 SHELL = {
     ("docs/tutorials/sensor.md", 0),
