@@ -29,7 +29,7 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensing_error_model import load_errors
 from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
-from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
+from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
 STEP = 1 / 480  # time step of a rig with quasi-static membranes, s

@@ -191,7 +191,7 @@ _CONDENSE = """
 import time
 from mjtactile import QuasistaticMembrane, load_sensor
 from mjtactile.quasistatic.incremental import Sticking
-from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
+from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 design = load_sensor("dense")
 begin = time.process_time()
 membrane = QuasistaticMembrane(design, QS_GRID)

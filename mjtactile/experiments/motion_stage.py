@@ -21,7 +21,7 @@ from mjtactile.recording.stage_protocol import Move, Stage, describe
 from mjtactile.recording.writer import Recorder
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.stage_drive import StageDrive, current
+from mjtactile.sim.scenes.stage import StageDrive, current
 
 PRESSURE_NOISE = 5.0  # standard deviation, Pa; same value as in the emulated valve board
 LOAD_CELL_NOISE = 2e-3  # standard deviation of a reading, N

@@ -16,8 +16,8 @@ from mjtactile.core.types import Array, ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.explore.next_best_touch import Aim
 from mjtactile.explore.patch_from_touch import Pressed
-from mjtactile.sim.scenes.object_on_stage import ObjectOnStage, ObjectOnStageWorld
 from mjtactile.sim.scenes.objects import ObjectModel
+from mjtactile.sim.scenes.stage import ObjectOnStage, ObjectOnStageWorld
 
 MESH = (25, 21)
 """Mesh on which the simulated membrane has the shape of rubber; `mjtactile press` warns for a

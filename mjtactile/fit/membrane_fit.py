@@ -20,7 +20,7 @@ from mjtactile.fit.measurements import Evidence, Hold
 from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.stage_drive import LIFTED, StageDrive
+from mjtactile.sim.scenes.stage import LIFTED, StageDrive
 
 # systematic marker error in addition to noise, m; similar in all holds, so that averaging does not
 # reduce it

@@ -217,14 +217,14 @@ void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *
 int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout /* 9 */, int64_t rows,
                        const double *force /* rows */, int64_t n, const int64_t *membranes /* n, 3 */, double *loads /* n, 3 */);
 /* Write MuJoCo's stiffness `rows`, six entries each, from the strain of m triangles
-   (sim/sensor/neo_hookean_flex.py). Each triangle has three `edges` between `ends` of n vertices
+   (sim/sensor/rubber_flex.py). Each triangle has three `edges` between `ends` of n vertices
    `p`. `law`: mu, Poisson's ratio, lambda' without strain, and the minimum and maximum factor of
    lambda'. Out also: `thin`, the square of the thickness stretch over that of the area stretch. */
 int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, const int64_t *ends /* e, 2 */, int64_t n,
                          const double *p /* n, 3 */, const double *metric /* m, 3, 3 */, const double *law /* 5 */,
                          const double *by_mu /* m, 6 */, const double *by_lambda /* m, 6 */, double *thin /* m */,
                          double *rows /* m, 21 */);
-/* Update the relaxed stress of m triangles of n vertices `p` (sim/sensor/stress_relaxation.py).
+/* Update the relaxed stress of m triangles of n vertices `p` (sim/sensor/rubber_flex.py).
    `inverse`, of the edges, and `section`, area times thickness, are those of the flat membrane.
    `law`: mu, Poisson's ratio, squared pre-stretch, softening and its energy. `thin`: from
    rubber_stiffness at the same `p`. Each term has a fraction in `shares` and a decay factor in

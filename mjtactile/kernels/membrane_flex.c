@@ -1,5 +1,5 @@
 /* Membrane computations before every MuJoCo step: gas volume, rubber, and contact with memory.
-   Equations: docstrings of chamber.py, neo_hookean_flex.py, stress_relaxation.py,
+   Equations: docstrings of chamber.py, rubber_flex.py,
    curvature_standoff.py and stiction.py in sim/sensor. */
 #include <math.h>
 #include <stdlib.h>

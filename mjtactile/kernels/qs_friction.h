@@ -2,7 +2,7 @@
 #ifndef MJTACTILE_FILM_HOLD_H
 #define MJTACTILE_FILM_HOLD_H
 
-/* State between updates, all doubles. sim/sensor/quasistatic_state.py has the indices. */
+/* State between updates, all doubles. sim/sensor/quasistatic_gas.py has the indices. */
 typedef struct {
     double body;                    /* MuJoCo body in contact, plus one; 0: none */
     double wrench[6];               /* wrench on the membrane about the origin of S */

@@ -28,7 +28,7 @@ from mjtactile.quasistatic.solution import (
     WRENCH,
     MembraneStatus,
 )
-from mjtactile.quasistatic.stiffness import compliance_of
+from mjtactile.quasistatic.stick_contact import compliance_of
 
 _TOLERANCE = 1e-6  # tolerance of the displacements, m
 _MAX_STEPS = 40

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
-from mjtactile.quasistatic import argument_checks, stiffness
+from mjtactile.quasistatic import argument_checks
 from mjtactile.quasistatic import obstacles as obstacle_rows
 from mjtactile.quasistatic.batch import at_once, new_batch
 from mjtactile.quasistatic.constitutive_law import law_numbers, tension_slope
@@ -35,7 +35,7 @@ from mjtactile.quasistatic.solution import (
     MembraneSolutionBatch,
     judged,
 )
-from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of
+from mjtactile.quasistatic.stick_contact import StuckPatch, factor_of, patches_of
 
 TOLERANCE = 5e-7  # tolerance of the displacements, m
 _MAX_STEPS = 40
@@ -362,7 +362,7 @@ class QuasistaticMembrane:
             The Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format. Each node
             has x, y and height in order.
         """
-        return stiffness.factor_of(self, state)
+        return factor_of(self, state)
 
     def obstacle_heights(
         self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike

@@ -44,7 +44,7 @@ from mjtactile.sim.sensor.effect_switches import (
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.mesh_sensor import TactileSensor
-from mjtactile.sim.sensor.quasistatic_cache import QS_GRID, add_feeler
+from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID, add_feeler
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 TIMESTEP_RANGE = (1e-4, 8e-3)

@@ -16,9 +16,9 @@ from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import configure_options
 from mjtactile.sim.scenes.grasp_world import finger_designs
 from mjtactile.sim.scenes.gripper_world import GripperWorld
-from mjtactile.sim.scenes.initial_contact_check import touched_by_sensors
 from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missing_names
 from mjtactile.sim.scenes.mjcf import read_mjcf
+from mjtactile.sim.scenes.world import touched_by_sensors
 
 _ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test, m
 # limit between a site's z and the direction to the center of the fingertips

@@ -13,7 +13,7 @@ from mjtactile.core.neo_hookean import shear_modulus, thickness_over_area
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.neo_hookean_flex import EdgeMatrices
+from mjtactile.sim.sensor.rubber_flex import EdgeMatrices
 
 _UPPER = np.triu_indices(3)
 _FLATTEST = 1e-2  # least det C: a triangle that collapses keeps a finite stress

@@ -12,7 +12,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.runtime.discretization_error import GraspEstimate, coarser, richardson
 from mjtactile.sim import ground_truth
-from mjtactile.sim.effects import membrane_slope
+from mjtactile.sim.effects import activation_rules
 from mjtactile.sim.effects.catalog import EFFECTS, choose, parse
 from mjtactile.sim.rendering.led_illumination import Light
 from mjtactile.sim.rendering.shadows import ShadowedLight
@@ -203,7 +203,7 @@ def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
 def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured):
     """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed
     to that force."""
-    slope = np.degrees(membrane_slope.deepest(DENSE, (radius, radius), force))
+    slope = np.degrees(activation_rules.deepest(DENSE, (radius, radius), force))
     # a gate's estimate: 5 degrees move the force error by a third
     assert slope == pytest.approx(measured, abs=5)
 
@@ -213,13 +213,13 @@ def test_slopes_in_the_limit_of_little_force():
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
     # stretch: of order t^2 x 6
-    assert membrane_slope.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)
+    assert activation_rules.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)
 
 
 def test_half_extents_are_those_across_the_fingers():
     model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><freejoint/>
         <geom type="box" size="0.01 0.02 0.005"/><geom type="sphere" size="0.004" pos="0 0.03 0"/></body></worldbody></mujoco>""")
-    half = membrane_slope.half_extents(model, np.arange(2))
+    half = activation_rules.half_extents(model, np.arange(2))
     assert half == pytest.approx((0.027, 0.005))  # y from -20 to 34 mm
 
 

@@ -18,7 +18,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
 from mjtactile.sim.sensor.mesh import make_mesh
-from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
+from mjtactile.sim.sensor.rubber_flex import RelaxingMesh
 
 DENSE = load_sensor("dense")
 TWO = Relaxation(((0.3, 0.1), (0.2, 1.0)))

@@ -20,7 +20,7 @@ from mjtactile.sensing.force.spline_fem import Gas, Sheet
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.effect_switches import PHYSICS
-from mjtactile.sim.sensor.neo_hookean_flex import stiffness_rows
+from mjtactile.sim.sensor.rubber_flex import stiffness_rows
 
 CASES = json.loads((Path(__file__).parent / "rubber_reference.json").read_text(encoding="utf-8"))[
     "cases"

@@ -24,7 +24,7 @@ from mjtactile.core import renamed, resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import hint
-from mjtactile.sim.effects import activation_rules, membrane_slope
+from mjtactile.sim.effects import activation_rules
 from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
@@ -252,7 +252,7 @@ def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, flo
     return (
         feature_size.smallest_feature(model)[0],
         bool(sharp),
-        membrane_slope.half_extents(model, geoms),
+        activation_rules.half_extents(model, geoms),
     )
 
 

@@ -13,10 +13,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, GripperWorld
-from mjtactile.sim.scenes.initial_contact_check import require_clear
 from mjtactile.sim.scenes.initial_state import Start
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
+from mjtactile.sim.scenes.world import require_clear
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.validity_checks import Flags
 

@@ -15,10 +15,9 @@ from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_there
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.gripper_drives import Jaws, make_lift
 from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.inverse_kinematics import solve
-from mjtactile.sim.scenes.jaws import Jaws
-from mjtactile.sim.scenes.lifts import make_lift
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS, set_servo
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor

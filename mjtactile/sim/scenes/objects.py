@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.rig.domain_randomization import UNCHANGED, ObjectChange
-from mjtactile.sim.scenes.mjcf import read_mjcf
-from mjtactile.sim.scenes.modify_object import change
+from mjtactile.sim.scenes.mjcf import change, read_mjcf
 from mjtactile.sim.scenes.random_objects import object_text
 
 MATERIALS = ("solid", "soft", "amorphous")

@@ -13,8 +13,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor.effect_switches import make_gas
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import BODY
-from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
-from mjtactile.sim.sensor.triangle_stretch import stretches_of
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh, stretches_of
 
 
 class BaseSensor(ABC):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.bspline import interpolating
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
@@ -182,3 +183,16 @@ def normals_of(p_SV: Array, triangles: NDArray[np.int64]) -> Array:
         [np.bincount(corners, np.repeat(faces[:, i], 3), len(p_SV)) for i in range(3)], axis=1
     )
     return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+
+
+def stretches_of(design: SensorDesign, mesh: MembraneMesh, p_SV: Array) -> tuple[Array, Array]:
+    """Return principal stretches (m, 2), relative to the free membrane, and areas (m,) m^2."""
+    now = p_SV[mesh.triangles]
+    moved = now[:, 1:] - now[:, :1]
+    F = mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
+    xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+    mean = (xx + yy) / 2
+    spread = np.hypot((xx - yy) / 2, xy)
+    squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
+    area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * mesh.triangle_areas
+    return design.membrane.pre_stretch * np.sqrt(squares), area

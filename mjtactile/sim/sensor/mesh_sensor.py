@@ -18,12 +18,11 @@ from mjtactile.sim.sensor.curvature_standoff import StandOff
 from mjtactile.sim.sensor.effect_switches import PHYSICS, make_geometry, make_load
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.neo_hookean_flex import Rubber, all_rows
+from mjtactile.sim.sensor.rubber_flex import RelaxingMesh, Rubber, all_rows
 from mjtactile.sim.sensor.sharp_geoms import missed
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.spin_damping_correction import SpinCorrection
 from mjtactile.sim.sensor.stiction import Stiction
-from mjtactile.sim.sensor.stress_relaxation import RelaxingMesh
 from mjtactile.sim.sensor.thin_object_margin import ThinObjectMargin, refuse_thin
 
 GLASS_MARGIN = 0.02

@@ -24,11 +24,15 @@ from mjtactile.sim.sensor.base_sensor import BaseSensor
 from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
-from mjtactile.sim.sensor.quasistatic_cache import FEELER, bulge_stiffness, film_of, sticking_of
 from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of
-from mjtactile.sim.sensor.quasistatic_gas import QuasistaticGas
-from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
-from mjtactile.sim.sensor.quasistatic_state import QuasistaticState
+from mjtactile.sim.sensor.quasistatic_gas import QuasistaticGas, QuasistaticState
+from mjtactile.sim.sensor.quasistatic_geoms import (
+    FEELER,
+    ContactGeoms,
+    bulge_stiffness,
+    film_of,
+    sticking_of,
+)
 
 _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import feature_size, interior_points, ray_intersection
+from mjtactile.sim.sensor import feature_size, ray_intersection
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 KINDS = tuple(
@@ -67,7 +67,7 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
             continue
         found.shapes[geom] = entry
         if is_thin:
-            found.cores[geom] = interior_points.core(model, geom, _APART * cell)
+            found.cores[geom] = feature_size.core(model, geom, _APART * cell)
         is_cylinder = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
         if is_cylinder and model.geom_size[geom, 0] >= feature_size.RESOLVED * mesh.spacing:
             found.round.add(geom)

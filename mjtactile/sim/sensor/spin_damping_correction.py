@@ -17,7 +17,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
-from mjtactile.sim.sensor.neo_hookean_flex import EdgeMatrices, stiffness_rows
+from mjtactile.sim.sensor.rubber_flex import EdgeMatrices, stiffness_rows
 
 _SLOW = 1e-4  # angular velocity, rad/s, below which no compensation is applied
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor.interior_points import core
+from mjtactile.sim.sensor.feature_size import core
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _SLACK = 0.3e-3  # tolerance, m: triangles may overlap a thin object by this much while they settle

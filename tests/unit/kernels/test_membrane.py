@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile.kernels import kernel
 from mjtactile.sim.fast_step import advance
-from mjtactile.sim.sensor.neo_hookean_flex import stiffness_rows
+from mjtactile.sim.sensor.rubber_flex import stiffness_rows
 from tests.numpy_chain import membrane
 from tests.physics.test_step import scene
 

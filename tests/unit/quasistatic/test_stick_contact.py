@@ -8,7 +8,7 @@ from scipy.linalg import cho_solve_banded
 from mjtactile import InputError, QuasistaticMembrane
 from mjtactile.quasistatic import StickState, drag
 from mjtactile.quasistatic.incremental import Sticking
-from mjtactile.quasistatic.stiffness import compliance_of
+from mjtactile.quasistatic.stick_contact import compliance_of
 
 
 @pytest.fixture(scope="module")

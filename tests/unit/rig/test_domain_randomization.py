@@ -34,7 +34,7 @@ from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.devices import SimGripper
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.rig import build_sim_rig
-from mjtactile.sim.scenes.modify_object import change
+from mjtactile.sim.scenes.mjcf import change
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.gas import ChamberGas
 

@@ -11,7 +11,7 @@ from mjtactile.sim.effects import fidelity
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.sensor.effect_switches import Effect
-from mjtactile.sim.sensor.quasistatic_cache import QS_GRID
+from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 
 
 def _row(mesh, error, cost):

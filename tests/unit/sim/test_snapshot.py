@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from mjtactile.sim.fast_reset import Snapshot
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from mjtactile.sim.scenes.snapshot import Snapshot
 
 
 def test_what_follows_a_snapshot_follows_it_again():

@@ -12,10 +12,10 @@ import numpy as np
 
 from mjtactile.core.types import Image
 from mjtactile.rig.camera_faults import CameraFaults
-from mjtactile.sim.rendering.image_faults import image_processing, image_sensor, optics
-from mjtactile.sim.rendering.image_faults.fault_context import FaultContext, Floats, Step
+from mjtactile.sim.rendering.image_faults import electronics, optics
+from mjtactile.sim.rendering.image_faults.optics import FaultContext, Floats, Step
 
-STEPS: tuple[Step, ...] = (*optics.STEPS, *image_sensor.STEPS, *image_processing.STEPS)
+STEPS: tuple[Step, ...] = (*optics.STEPS, *electronics.STEPS)
 """In the order of light, chip, processor and wire."""
 _FORGOTTEN = 0.15
 """Time after which the last image is discarded, s."""
