@@ -20,10 +20,8 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
-MOST = 64
-"""Steps in one go."""
-_RAN = 0
-_UNSOLVED = 1
+MAX_STEPS = 64
+"""Steps in one call."""
 
 
 @dataclass(frozen=True)
@@ -57,53 +55,33 @@ class QuasistaticStepper:
         sensors: Sequence[QuasistaticSensor],
         drive: Drive,
         movers: Array,
-        hurry: Array,
+        max_speeds: Array,
     ):
-        """Bind the kernel; `movers` (n,) are degrees of freedom, `hurry` (n,) their speed
-        limits."""
+        """Bind the kernel; the degrees of freedom `movers` (n,) have limits `max_speeds` (n,)."""
         self._data = data
         self._sensors = tuple(sensors)
         self._goals = np.zeros(8)
         self._goals[7] = drive.opening
         self.goals = self._goals[:4]
         self.maximum = self._goals[4:7]
-        self._wrenches = np.zeros((MOST, len(sensors), 6))
-        self._told = np.zeros(4, np.int64)
-        self._hurry = np.ascontiguousarray(hurry, float)
-        self._never = np.full(len(hurry), np.inf)
+        self._wrenches = np.zeros((MAX_STEPS, len(sensors), 6))
+        self._counts = np.zeros(4, np.int64)
+        self._max_speeds = np.ascontiguousarray(max_speeds, float)
         follows = np.array([sensor.follow_message() for sensor in sensors])
         pushes = np.array([sensor.push_message() for sensor in sensors])
-        self._hurries = self._hurry.copy()
+        self._limits = self._max_speeds.copy()
+        mujoco_addresses = np.array([*_functions(), model._address, data._address], np.int64)
+        membranes = (len(sensors), follows, pushes, sensors[0].add_messages())
+        opening = (len(drive.read), np.ascontiguousarray(drive.read, np.int64), drive.per)
+        ids = np.ascontiguousarray(drive.controls, np.int64)
+        controls = (len(ids), ids, np.ascontiguousarray(drive.affine, float))
+        state = (model.nv, data.qvel, len(movers), np.ascontiguousarray(movers, np.int64))
         self._run = bound(
             "film_steps",
-            ...,
-            np.array([*_functions(), model._address, data._address], np.int64),
-            ...,
-            float(model.opt.timestep),
-            len(sensors),
-            follows,
-            pushes,
-            sensors[0].add_messages(),
-            self._goals,
-            len(drive.read),
-            np.ascontiguousarray(drive.read, np.int64),
-            np.ascontiguousarray(drive.per, float),
-            model.nq,
-            data.qpos,
-            len(drive.controls),
-            np.ascontiguousarray(drive.controls, np.int64),
-            np.ascontiguousarray(drive.affine, float),
-            model.nu,
-            data.ctrl,
-            model.nv,
-            data.qvel,
-            len(movers),
-            np.ascontiguousarray(movers, np.int64),
-            self._hurries,
-            int(model.opt.iterations),
-            data.solver_niter,
-            ...,
-            self._told,
+            *(..., mujoco_addresses, ..., float(model.opt.timestep), *membranes, self._goals),
+            *(*opening, model.nq, data.qpos, *controls, model.nu, data.ctrl),
+            *(*state, self._limits, int(model.opt.iterations), data.solver_niter),
+            *(..., self._counts),
         )
 
     def is_ready(self) -> bool:
@@ -116,11 +94,11 @@ class QuasistaticStepper:
         Return the number of steps done, the number in which the solver ran out of iterations, and
         the wrench (n, sensors, 6) on each sensor in each step.
         """
-        self._hurries[:] = self._hurry if watch_speed else self._never
+        self._limits[:] = self._max_speeds if watch_speed else np.inf
         wrenches = self._wrenches[:count]
         self._run(count, float(self._data.time), wrenches)
-        done = int(self._told[_RAN])
-        return done, int(self._told[_UNSOLVED]), wrenches[:done]
+        done, unsolved = self._counts[:2].tolist()
+        return done, unsolved, wrenches[:done]
 
 
 def is_there() -> bool:

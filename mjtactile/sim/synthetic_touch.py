@@ -50,23 +50,11 @@ class SensingErrorSampler:
         self._row = np.zeros(_COLUMNS)
         self._wrench = np.zeros(6)
         self._cov = np.zeros((6, 6))
-        self._draw = bound(
-            "draw_errors",
-            len(errors.loads),
-            errors.loads,
-            errors.at_loads,
-            errors.gain,
-            self._spread,
-            errors.reported_correlation,
-            self._settings,
-            errors.outlier_size,
-            self._normals,
-            self._true,
-            self._slow,
-            self._row,
-            self._wrench,
-            self._cov,
-        )
+        model = (len(errors.loads), errors.loads, errors.at_loads, errors.gain, self._spread)
+        settings = (errors.reported_correlation, self._settings, errors.outlier_size)
+        state = (self._normals, self._true, self._slow)
+        results = (self._row, self._wrench, self._cov)
+        self._draw = bound("draw_errors", *model, *settings, *state, *results)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Sample the persistent errors again."""

@@ -11,7 +11,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
-from mjtactile.sim.batched_quasistatic_step import MOST, QuasistaticStepper
+from mjtactile.sim.batched_quasistatic_step import MAX_STEPS, QuasistaticStepper
 from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.mujoco_log import route_warnings
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel
@@ -108,7 +108,7 @@ class World:
             self._stepper.step()
             done = 1
         else:
-            maximum = min(count, MOST, self._stepper.until_check, self._until_due())
+            maximum = min(count, MAX_STEPS, self._stepper.until_check, self._until_due())
             self._handover(ahead)
             done, unsolved, self.stretch = ahead.run(maximum, "speed" not in self.flags)
             self._take_back(ahead)
@@ -121,7 +121,7 @@ class World:
         """Return the number of steps, at least one, until a callback is due."""
         due = min((due() for due in self._dues), default=math.inf)
         if math.isinf(due):
-            return MOST
+            return MAX_STEPS
         return max(1, math.ceil((due - self.time) / self.timestep - 1e-9))
 
     def _handover(self, ahead: QuasistaticStepper) -> None:

@@ -19,7 +19,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 # of the changes of volume that add up; m^3
 _OFFSET = 1e-10
-_LEAST = 1e-12
+_MIN_LENGTH = 1e-12
 
 
 class ChamberGeometry:
@@ -31,15 +31,10 @@ class ChamberGeometry:
         self._p_SV = np.empty_like(mesh.p_SV)
         self._gradient = np.empty_like(mesh.p_SV)
         self._above_frame = np.empty(1)  # volume above the frame, m^3
-        self._measure = bound(
-            "chamber_volume",
-            len(mesh.p_SV),
-            self._p_SV,
-            len(mesh.triangles),
-            np.ascontiguousarray(mesh.triangles),
-            self._gradient,
-            self._above_frame,
-        )
+        vertices = (len(mesh.p_SV), self._p_SV)
+        triangles = (len(mesh.triangles), np.ascontiguousarray(mesh.triangles))
+        results = (self._gradient, self._above_frame)
+        self._measure = bound("chamber_volume", *vertices, *triangles, *results)
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
         """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices of the triangulated surface.
@@ -76,20 +71,9 @@ class GasTendon:
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
         self.forces: Array = np.asarray(data.qfrc_applied)[self.dofs]
         """Live view of the forces applied to them, (3 k,) N."""
-        self._apply = bound(
-            "apply_gas_load",
-            self._count,
-            ...,
-            self.displacements,
-            _OFFSET,
-            _LEAST,
-            ...,
-            ...,
-            coefficients,
-            self._spring,
-            rest,
-            self.forces,
-        )
+        vertices = (self._count, ..., self.displacements, _OFFSET, _MIN_LENGTH)
+        results = (coefficients, self._spring, rest, self.forces)
+        self._apply = bound("apply_gas_load", *vertices, ..., ..., *results)
 
     def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
         """Apply the pressure and its change in the step; `gradient` (k, 3) is dV/dq.

@@ -54,20 +54,9 @@ class StandOff:
         # maximum curvature, 1/m: a higher curvature is met by a vertex, not by facets
         self._maximum = 2 / (RESOLVED * mesh.spacing)
         self._time = float(data.time)
-        self._kernel = bound(
-            "touched_curvatures",
-            ...,
-            ...,
-            ...,
-            self._first,
-            len(self.margins),
-            model.ngeom,
-            model.geom_type,
-            model.geom_size,
-            data.geom_xmat,
-            END,
-            ...,
-        )
+        vertices = (self._first, len(self.margins))
+        geoms = (model.ngeom, model.geom_type, model.geom_size, data.geom_xmat)
+        self._kernel = bound("touched_curvatures", ..., ..., ..., *vertices, *geoms, END, ...)
 
     def update(self) -> None:
         """Follow the contacts of the last step; call every step, it works every 10 ms."""

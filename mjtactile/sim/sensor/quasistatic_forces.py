@@ -63,22 +63,13 @@ class QuasistaticForces:
         return [rows[number].ctypes.data for rows in (self._forces, self._holds)]
 
     def _bind(self) -> None:
-        model = self._model
-        data = self._data
+        model, data = self._model, self._data
+        rows = (model.nv, len(self._owners), self._forces, self._holds)
+        damping = (self._undamped, model.dof_damping.reshape(-1))
         self._add = bound(
             "film_add",
-            model.nv,
-            len(self._owners),
-            self._forces,
-            self._holds,
-            float(model.opt.timestep),
-            model.dof_M0,
-            data.qvel,
-            self._base,
-            self._left,
-            data.qfrc_applied,
-            self._undamped,
-            model.dof_damping.reshape(-1),
+            *(*rows, float(model.opt.timestep), model.dof_M0, data.qvel),
+            *(self._base, self._left, data.qfrc_applied, *damping),
         )
 
 

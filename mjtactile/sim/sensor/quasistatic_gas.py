@@ -15,91 +15,26 @@ from mjtactile.quasistatic import MembraneStatus
 from mjtactile.quasistatic.incremental import HEAT_RATIO, IncrementalMembrane
 from mjtactile.sim.sensor.gas import ChamberGas
 
-# indices, as in kernels/qs_friction.h
-_COUNT = 69
-_BODY = 0
-_WRENCH = slice(1, 7)
-_MIDDLE = slice(7, 10)
-_RADIUS = 10
-_SLIDES = 11
-_STRAIN = slice(12, 15)
-_NEAR = 18
-_STATUS = 19
-_LOST = 20
-_SOLVED_GAS = slice(57, 59)
-_SLID = 66
-
-
-class QuasistaticState:
-    """State of one quasi-static membrane in `numbers` (69,), which the kernel writes. SI units,
-    frame S."""
-
-    def __init__(self) -> None:
-        self.numbers = np.zeros(_COUNT)
-
-    def forget(self) -> None:
-        """Reset the state to that before the first update."""
-        self.numbers[:] = 0.0
-
-    @property
-    def is_touched(self) -> bool:
-        """True if an obstacle touches the membrane."""
-        return bool(self.numbers[_BODY] > 0)
-
-    @property
-    def near(self) -> int:
-        """Number of near obstacles."""
-        return int(self.numbers[_NEAR])
-
-    @property
-    def wrench(self) -> Array:
-        """Wrench (6,) N and N m of the obstacles on the membrane, about the origin of S."""
-        return self.numbers[_WRENCH].copy()
-
-    @property
-    def middle(self) -> Array:
-        """Center of pressure (3,), m."""
-        return self.numbers[_MIDDLE].copy()
-
-    @property
-    def radius(self) -> float:
-        """Mean distance of the contact pressure from `middle`, m; 0 without contact."""
-        return float(self.numbers[_RADIUS])
-
-    @property
-    def strain(self) -> Array:
-        """Shear displacement along x, y and rotation (3,) of the sticking membrane, m, m, rad."""
-        return self.numbers[_STRAIN].copy()
-
-    @property
-    def slides(self) -> bool:
-        """True if the contact is at the friction limit."""
-        return bool(self.numbers[_SLIDES])
-
-    @property
-    def slid(self) -> float:
-        """Sliding distance of the obstacle over the membrane since first touch, m."""
-        return float(self.numbers[_SLID])
-
-    @property
-    def status(self) -> MembraneStatus:
-        """Status of the last solution."""
-        return MembraneStatus(int(self.numbers[_STATUS]))
-
-    @property
-    def lost(self) -> int:
-        """Steps without a solution in a row."""
-        return int(self.numbers[_LOST])
-
-    def lose(self) -> None:
-        """Count one more step without a solution."""
-        self.numbers[_LOST] += 1
-
-    def rest_at(self, gauge_pressure: float) -> None:
-        """Mark the membrane as solved at a constant gauge pressure, Pa."""
-        self.numbers[_SOLVED_GAS] = gauge_pressure, 0.0
-
-
+STATE = np.dtype([
+    ("body", float),  # MuJoCo body in contact, plus one; 0: none
+    ("wrench", float, 6),  # on the membrane about the origin of S, N and N m
+    ("middle", float, 3),  # center of pressure, m
+    ("radius", float),  # mean distance of the pressure from it in the frame's plane, m
+    ("slides", float),  # 1 at the friction limit
+    ("strain", float, 3),  # shear displacement along x and y, m, and rotation, rad
+    ("shear", float, 3),
+    ("near", float),  # number of near obstacles
+    ("status", float),
+    ("lost", float),  # steps without a solution in a row
+    ("grip", float, 12),
+    ("poses", float, 24),
+    ("gas", float),  # gas settings of the last solution
+    ("is_sealed", float),
+    ("motion", float, 7),
+    ("slid", float),  # sliding distance since first touch, m
+    ("observed_gas", float, 2),
+])  # fmt: skip
+"""State of one quasi-static membrane between updates, as in kernels/qs_friction.h. SI units, S."""
 _FLAT = 1.0  # pressure, Pa, below which the membrane is flat
 _SEALED = 1  # index in a membrane's settings
 
@@ -111,7 +46,7 @@ class QuasistaticGas:
         self,
         gas: ChamberGas,
         live: IncrementalMembrane,
-        memory: QuasistaticState,
+        state: np.void,
         stiffness: Array,
         timestep: float,
         time: float,
@@ -119,7 +54,7 @@ class QuasistaticGas:
         """Couple the gas; `stiffness` (1,) -dp/dV, Pa/m^3, is written here for the kernel."""
         self._gas = gas
         self._live = live
-        self._memory = memory
+        self._state = state
         self._stiffness = stiffness
         self._timestep = timestep
         self._flat_volume = live.film.design.chamber_volume_flat
@@ -221,9 +156,10 @@ class QuasistaticGas:
         self._stiffness[0] = 0.0
         if not self._is_sealed and live.settings[0] == pressure:
             return
-        if abs(pressure) < _FLAT and not self._memory.is_touched:
+        if abs(pressure) < _FLAT and not self._state["body"]:
             live.lie_flat()
-            self._memory.rest_at(pressure)
+            self._state["gas"] = pressure
+            self._state["is_sealed"] = 0.0
         elif live.go_to_pressure(pressure) != MembraneStatus.CONVERGED:
-            self._memory.lose()
+            self._state["lost"] += 1
         live.settings[:2] = pressure, 0.0

@@ -25,7 +25,7 @@ from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of
-from mjtactile.sim.sensor.quasistatic_gas import QuasistaticGas, QuasistaticState
+from mjtactile.sim.sensor.quasistatic_gas import STATE, QuasistaticGas
 from mjtactile.sim.sensor.quasistatic_geoms import (
     FEELER,
     ContactGeoms,
@@ -87,7 +87,8 @@ class QuasistaticSensor(BaseSensor):
                 reach,
             ]
         )
-        self._memory = QuasistaticState()
+        self._numbers = np.zeros(STATE.itemsize // 8)
+        self._state = self._numbers.view(STATE)[0]
         self._touched = np.zeros((2, *film.grid), np.uint8)
         self._before = np.zeros((6, *film.grid))
         self._pushes = pushes_of(model, data)
@@ -99,51 +100,27 @@ class QuasistaticSensor(BaseSensor):
         self._bind()
         stiffness = self._given[_GAS : _GAS + 1]
         self._qs_gas = QuasistaticGas(
-            self._gas, self._live, self._memory, stiffness, self._timestep, self.time
+            self._gas, self._live, self._state, stiffness, self._timestep, self.time
         )
         self._look()
 
     def _bind(self) -> None:
-        """Kernels on the very arrays of model and data."""
-        model = self._model
-        data = self._data
-        geoms = self._geoms
-        poses = (model.nbody, data.xpos, data.xmat)
+        """Bind the kernels to the arrays of model and data."""
+        model, data, geoms = self._model, self._data, self._geoms
+        bodies = (model.nbody, data.xpos, data.xmat)
+        contact_geoms = (data.geom_xpos, data.geom_xmat, geoms.ids, geoms.bodies, geoms.bounds)
         self._follow = bound(
             "film_follow",
-            *self._live.arguments,
-            self._given,
-            self._sticking.compliance,
-            self.body_id,
-            *poses,
-            model.ngeom,
-            data.geom_xpos,
-            data.geom_xmat,
-            geoms.ids,
-            geoms.bodies,
-            geoms.bounds,
-            self._memory.numbers,
-            self._touched,
-            self._before,
+            *(*self._live.arguments, self._given, self._sticking.compliance),
+            *(self.body_id, *bodies, model.ngeom, *contact_geoms),
+            *(self._numbers, self._touched, self._before),
         )
+        tree = (model.nbody, model.body_parentid, model.body_jntnum, model.body_jntadr)
+        joints = (model.njnt, model.jnt_type, model.jnt_dofadr, data.xanchor, data.xaxis)
         self._find_push = bound(
             "film_push",
-            self._given,
-            self._memory.numbers,
-            self.body_id,
-            model.nbody,
-            model.body_parentid,
-            model.body_jntnum,
-            model.body_jntadr,
-            model.njnt,
-            model.jnt_type,
-            model.jnt_dofadr,
-            data.xanchor,
-            data.xaxis,
-            *poses[1:],
-            model.nv,
-            self._force,
-            self._hold,
+            *(self._given, self._numbers, self.body_id, *tree, *joints, *bodies[1:]),
+            *(model.nv, self._force, self._hold),
         )
 
     # -- before every step
@@ -204,7 +181,7 @@ class QuasistaticSensor(BaseSensor):
         live.lie_flat()
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(gauge_pressure, False, 1.0)
-        self._memory.forget()
+        self._numbers[:] = 0.0
         self._qs_gas.trap(gauge_pressure, self.time)
         self._look()
 
@@ -231,17 +208,17 @@ class QuasistaticSensor(BaseSensor):
     @property
     def is_asleep(self) -> bool:
         """True if no obstacle is near, so that no computation is needed."""
-        return not self.is_touched and not self._memory.near
+        return not self.is_touched and not self._state["near"]
 
     @property
     def is_touched(self) -> bool:
         """True if an obstacle touches the membrane."""
-        return self._memory.is_touched
+        return bool(self._state["body"] > 0)
 
     @property
     def wrench(self) -> Array:
         """Wrench (6,) on the membrane at the last update, N and N m about the origin of S."""
-        return self._memory.wrench
+        return self._state["wrench"].copy()
 
     @property
     def contact_area(self) -> float:
@@ -256,12 +233,12 @@ class QuasistaticSensor(BaseSensor):
     @property
     def slid(self) -> float:
         """Sliding distance of the obstacle over the membrane since first touch, m."""
-        return self._memory.slid
+        return float(self._state["slid"])
 
     @property
     def slides(self) -> bool:
         """True if the contact is at the friction limit."""
-        return self._memory.slides
+        return bool(self._state["slides"])
 
     def look(self) -> Array:
         """Return the wrench at the present time, equal to `wrench` after the next `update`."""
@@ -271,12 +248,12 @@ class QuasistaticSensor(BaseSensor):
     @property
     def middle(self) -> Array:
         """Center of pressure (3,), m, frame S."""
-        return self._memory.middle
+        return self._state["middle"].copy()
 
     @property
     def radius(self) -> float:
         """Mean distance of the contact pressure from `middle`, m; 0 without contact."""
-        return self._memory.radius
+        return float(self._state["radius"])
 
     def contact_forces(self) -> tuple[Array, Array]:
         """Return forces (n, 3) N on the touching nodes and positions (n, 3) m, in S.
@@ -307,7 +284,7 @@ class QuasistaticSensor(BaseSensor):
     def _positions(self) -> Callable[[], Array]:
         """Return a function that computes `p_SV` of the last update."""
         x = self._live.x.copy()
-        strain = self._memory.strain
+        strain = self._state["strain"].copy()
         held = None
         if self.is_touched and strain.any():
             held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
@@ -349,15 +326,16 @@ class QuasistaticSensor(BaseSensor):
     def flags(self) -> validity_checks.Flags:
         """Return flags for reduced accuracy of the present state."""
         flags: validity_checks.Flags = {}
-        lost = self._memory.lost
+        lost = int(self._state["lost"])
         if lost > _LATE:
             flags["quasistatic"] = (
                 f"the quasi-static membrane found no equilibrium for {lost} steps: {self._reason()}"
             )
-        if self._memory.near:
+        near = self._state["near"]
+        if near:
             narrow = self._live.doubt() if self.is_touched else 0.0
             flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
-        if self._memory.near > 1:
+        if near > 1:
             flags["bodies"] = (
                 "several objects are near one quasi-static membrane, which treats them as "
                 "one; switch 'mesh' on"
@@ -368,15 +346,14 @@ class QuasistaticSensor(BaseSensor):
 
     def failure(self) -> str | None:
         """Return the reason why this sensor's state is outside the membrane model, or None."""
-        lost = self._memory.lost
-        if lost:
-            pushed = self._memory.status == MembraneStatus.GLASS_CONTACT
-            if pushed or lost >= _PATIENCE:
-                return f"sensor {self.prefix!r}: {self._reason()}; switch 'mesh' on"
+        lost = self._state["lost"]
+        is_on_glass = self._state["status"] == MembraneStatus.GLASS_CONTACT
+        if lost and (is_on_glass or lost >= _PATIENCE):
+            return f"sensor {self.prefix!r}: {self._reason()}; switch 'mesh' on"
         return self._empty()
 
     def _reason(self) -> str:
-        return _REASONS.get(self._memory.status, "the gas pressure jumps")
+        return _REASONS.get(int(self._state["status"]), "the gas pressure jumps")
 
 
 _REASONS = {

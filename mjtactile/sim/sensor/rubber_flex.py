@@ -31,8 +31,8 @@ _ROW = 21
 """Number of values per triangle in `flex_stiffness`; six are the upper triangle of its matrix."""
 _UPPER = np.triu_indices(3)
 # lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
-_LEAST = -0.5
-_MOST = 3.0
+_MIN_LAMBDA = -0.5
+_MAX_LAMBDA = 3.0
 
 
 class EdgeMatrices:
@@ -91,22 +91,13 @@ class Rubber:
         ends = elements.ends.astype(np.int64)
         self.thin = np.ones(len(edges))
         """Square of the thickness's stretch over that of the area, (m,), at the last update."""
-        self._write = bound(
-            "rubber_stiffness",
-            len(edges),
-            edges,
-            len(ends),
-            ends,
-            len(self._p_SV),
-            self._p_SV,
-            # conversion of squared lengths to C relative to the free membrane
-            elements.metric * sheet.pre_stretch**2,
-            np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]),
-            by_mu,
-            by_lambda,
-            self.thin,
-            all_rows(model, flex_id),
-        )
+        # conversion of squared lengths to C relative to the free membrane
+        metric = elements.metric * sheet.pre_stretch**2
+        law = np.array([mu, sheet.poisson, unstrained, _MIN_LAMBDA, _MAX_LAMBDA])
+        arrays = (len(edges), edges, len(ends), ends, len(self._p_SV), self._p_SV)
+        factors = (metric, law, by_mu, by_lambda)
+        rows = all_rows(model, flex_id)
+        self._write = bound("rubber_stiffness", *arrays, *factors, self.thin, rows)
 
     def update(self, p_SV: Array) -> None:
         """Write the secant stiffness for the strain of the vertices `p_SV` (n, 3) m, before every
@@ -132,34 +123,17 @@ class RelaxingMesh:
         self._p_SV = mesh.p_SV.copy()
         # long-term stress, then the relaxed part of each term: S_xx, S_yy, S_xy of each triangle
         self._memory = np.zeros((len(self._shares) + 1, 3, count))
-        law = [
-            self._shear,
-            sheet.poisson,
-            sheet.pre_stretch**2,
-            relaxation.softening,
-            relaxation.softening_energy,
-        ]
-        self._sheet = (
-            count,
-            np.ascontiguousarray(mesh.triangles),
-            len(self._p_SV),
-            self._p_SV,
-            np.ascontiguousarray(mesh.inverse_edges),
-            mesh.triangle_areas * sheet.thickness,
-            np.array(law),
-        )
-        self._state = (
-            len(self._shares),
-            self._shares,
-            self._kept,
-            self._memory,
-            np.zeros(count),
-            np.empty(12 * count + 3 * len(self._p_SV)),
-            len(mesh.interior),
-            np.ascontiguousarray(mesh.interior, np.int64),
-        )
-        aside = np.zeros(3 * len(mesh.interior))
-        self._remember = bound("rubber_remembers", *self._sheet, None, *self._state, None, aside)
+        softening = (relaxation.softening, relaxation.softening_energy)
+        law = np.array([self._shear, sheet.poisson, sheet.pre_stretch**2, *softening])
+        vertices = (len(self._p_SV), self._p_SV)
+        flat = (np.ascontiguousarray(mesh.inverse_edges), mesh.triangle_areas * sheet.thickness)
+        self._sheet = (count, np.ascontiguousarray(mesh.triangles), *vertices, *flat, law)
+        terms = (len(self._shares), self._shares, self._kept, self._memory)
+        workspace = (np.zeros(count), np.empty(12 * count + 3 * len(self._p_SV)))
+        interior = np.ascontiguousarray(mesh.interior, np.int64)
+        self._state = (*terms, *workspace, len(interior), interior)
+        unused = np.zeros(3 * len(interior))
+        self._remember = bound("rubber_remembers", *self._sheet, None, *self._state, None, unused)
         self._act = self._remember
         self.settle(mesh.p_SV)
 

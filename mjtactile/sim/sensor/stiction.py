@@ -79,18 +79,10 @@ class Stiction:
         self._memory = np.zeros((self._count, 6))
         self._slides = np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
-        self._advance = bound(
-            "update_stiction",
-            *[...] * 9,
-            data.xmat[body_id],
-            self._first,
-            self._count,
-            np.array([self._step, _SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE]),
-            self._goal,
-            self._memory,
-            self._slides,
-            self._belt,
-        )
+        settings = np.array([self._step, _SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE])
+        vertices = (data.xmat[body_id], self._first, self._count)
+        state = (self._goal, self._memory, self._slides, self._belt)
+        self._advance = bound("update_stiction", *[...] * 9, *vertices, settings, *state)
         model.flg_surfacevel = True
         self._forget()
 
