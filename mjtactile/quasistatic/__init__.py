@@ -45,7 +45,7 @@ from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.quasistatic.obstacles import KINDS, Obstacle, obstacle
 from mjtactile.quasistatic.sensitivities import SolutionSensitivities
 from mjtactile.quasistatic.solution import MembraneSolution, MembraneStatus
-from mjtactile.quasistatic.stick_contact import StickState, StuckPatch, drag
+from mjtactile.quasistatic.stick_contact import StuckPatch
 
 __all__ = [
     "KINDS",
@@ -54,8 +54,6 @@ __all__ = [
     "Obstacle",
     "QuasistaticMembrane",
     "SolutionSensitivities",
-    "StickState",
     "StuckPatch",
-    "drag",
     "obstacle",
 ]  # fmt: skip

@@ -18,16 +18,7 @@ from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import obstacles
 from mjtactile.quasistatic.discretization_error import row_error
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
-from mjtactile.quasistatic.solution import (
-    AREA,
-    FOUND,
-    PRESSURE,
-    STATUS,
-    TENSION,
-    VOLUME,
-    WRENCH,
-    MembraneStatus,
-)
+from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, VOLUME, MembraneStatus
 from mjtactile.quasistatic.stick_contact import compliance_of
 
 _TOLERANCE = 1e-6  # tolerance of the displacements, m
@@ -96,16 +87,6 @@ class IncrementalMembrane:
         self.trend[:] = 0.0
         self.found[:] = 0.0
 
-    def keep(self) -> tuple[Array, Array, Array]:
-        """The present state, for `restore`."""
-        return self.x.copy(), self.force.copy(), self.found.copy()
-
-    def restore(self, kept: tuple[Array, Array, Array]) -> None:
-        """Restore a state returned by `keep`."""
-        for place, was in zip((self.x, self.force, self.found), kept, strict=True):
-            place[:] = was
-        self.trend[:] = 0.0
-
     def below_rim(self) -> float:
         """Return the depth of the obstacles below the membrane's mid-surface on the frame, m."""
         film = self.film
@@ -138,19 +119,9 @@ class IncrementalMembrane:
         return float(self.found[PRESSURE])
 
     @property
-    def tension(self) -> float:
-        """Mean tension of the membrane, N/m."""
-        return float(self.found[TENSION])
-
-    @property
     def area(self) -> float:
         """Contact area of the membrane, m^2."""
         return float(self.found[AREA])
-
-    @property
-    def wrench(self) -> Array:
-        """Frictionless wrench (6,) of the obstacles about the origin of S, N and N m; a view."""
-        return self.found[WRENCH]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mjtactile.core import analytical_solutions
-from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.quasistatic.cut_cells import moving
 from mjtactile.quasistatic.obstacles import NUMBERS
 from mjtactile.quasistatic.solution import FOUND, MembraneSolution
+
+if TYPE_CHECKING:
+    from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 _INFLATING = (0.25, 0.5, 0.75, 1.0)  # of the pressure
 _TAUT = 1.02  # minimum stretch during inflation, reduced to the actual one afterwards
@@ -26,26 +27,7 @@ _MAX_STEPS = 160
 _STRETCH_SQUARED = 4  # index in the membrane's parameters
 
 
-class Uninflated(Protocol):
-    """Attributes of a `QuasistaticMembrane` that exist before inflation."""
-
-    design: SensorDesign
-    grid: tuple[int, int]
-    gauge_pressure: float
-    x: Array
-    y: Array
-    _numbers: Array
-    _law: Array
-    _cut: Array
-    _room: Array
-    _kept: NDArray[np.float32]
-
-    def _run(
-        self, settings: Array, rows: Array, pool: Array | None, fields: tuple[Array, ...]
-    ) -> None: ...
-
-
-def inflate(film: Uninflated) -> MembraneSolution:
+def inflate(film: QuasistaticMembrane) -> MembraneSolution:
     """Find the inflated equilibrium of a membrane. Raises InputError if there is none.
 
     The start is a low bulge of about the right height. The stiffness matrices are factored again at
@@ -86,7 +68,7 @@ def _ways(stretch: float) -> Iterator[tuple[float, float]]:
     yield 1.0, stretch
 
 
-def _low_bulge(film: Uninflated) -> Array:
+def _low_bulge(film: QuasistaticMembrane) -> Array:
     frame = film.design.frame
     outline = frame.outline
     known = (
@@ -109,7 +91,7 @@ def _low_bulge(film: Uninflated) -> Array:
     return x
 
 
-def _keep(film: Uninflated, x: Array) -> None:
+def _keep(film: QuasistaticMembrane, x: Array) -> None:
     """Factors of the stiffness at displacements `x`, for all solutions that follow."""
     fixed = (film._numbers, film._law, *film.grid)
     given = (x, film._room.size, film._room, film._kept.size, film._kept)

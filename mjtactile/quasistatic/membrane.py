@@ -35,7 +35,7 @@ from mjtactile.quasistatic.solution import (
     MembraneSolutionBatch,
     judged,
 )
-from mjtactile.quasistatic.stick_contact import StuckPatch, factor_of, patches_of
+from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of, stiffness_band
 
 TOLERANCE = 5e-7  # tolerance of the displacements, m
 _MAX_STEPS = 40
@@ -362,7 +362,8 @@ class QuasistaticMembrane:
             The Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format. Each node
             has x, y and height in order.
         """
-        return factor_of(self, state)
+        width = 3 * self.grid[1] - 1
+        return np.ascontiguousarray(stiffness_band(self, state)[:, : width + 1].T)
 
     def obstacle_heights(
         self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,9 @@ from mjtactile.kernels import kernel
 from mjtactile.quasistatic import obstacles
 from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, MembraneSolution
+
+if TYPE_CHECKING:
+    from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 Shape = Callable[[Array], Obstacle | Sequence[Obstacle]]
 # relative to a parameter, or to 1; differences of the obstacles alone, which are closed forms
@@ -28,19 +31,6 @@ _TURNS = np.array([
     [[0.0, -1, 0], [1, 0, 0], [0, 0, 0]],
 ])  # fmt: skip
 """Derivatives of a position by rotation about x, y and z."""
-
-
-class Resting(Protocol):
-    """Attributes of a `QuasistaticMembrane` that the derivatives need."""
-
-    grid: tuple[int, int]
-    sealed: bool
-    _gas: float
-    _numbers: Array
-    _law: Array
-    _derive_room: Array
-    _room: Array
-    _kept: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +106,7 @@ def moved_rows(rows: Array) -> Array:
 
 
 def derived(
-    film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+    film: QuasistaticMembrane, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> SolutionSensitivities:
     """Compute the derivatives of a state by the kernel.
 
@@ -138,7 +128,7 @@ def derived(
 
 
 def answered(
-    film: Resting, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+    film: QuasistaticMembrane, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
 ) -> tuple[Array, Array]:
     """Approximate derivatives (n, nx, ny) of heights, m, and forces, N, at a fifth of the cost.
 

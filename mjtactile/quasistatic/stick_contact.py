@@ -7,49 +7,35 @@ nodes go to equilibrium. No parameter is fitted (docs/theory/quasistatic_membran
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.kernels import band_stride, kernel
 from mjtactile.quasistatic.solution import MembraneSolution
 
-
-class Sheet(Protocol):
-    """Attributes of a `QuasistaticMembrane` that its stiffness needs."""
-
-    grid: tuple[int, int]
-    _numbers: Array
-    _law: Array
-    _room: Array
+if TYPE_CHECKING:
+    from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 
-def factor_of(film: Sheet, state: MembraneSolution) -> Array:
-    """Return the Cholesky factor's lower band (width + 1, 3 inner nodes) in SciPy's format."""
-    width = 3 * film.grid[1] - 1
-    return np.ascontiguousarray(_band(film, state)[:, : width + 1].T)
-
-
-def compliance_of(film: Sheet, state: MembraneSolution) -> Array:
+def compliance_of(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
     """Return the in-plane compliance (2 inner, 2 inner), m/N, of a membrane with free heights."""
-    band = _band(film, state)
+    band = stiffness_band(film, state)
     count = 2 * len(band) // 3
-    room = np.empty(8 * len(band))
-    found = np.empty((count, count))
-    kernel("film_compliance")(*film.grid, band, room.size, room, found)
-    return found
+    workspace = np.empty(8 * len(band))
+    compliance = np.empty((count, count))
+    kernel("film_compliance")(*film.grid, band, workspace.size, workspace, compliance)
+    return compliance
 
 
-def _band(film: Sheet, state: MembraneSolution) -> Array:
-    """The factor by columns, as kernels/band_cholesky_f64.h has it."""
+def stiffness_band(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
+    """Return the Cholesky factor of the tangent stiffness, as in kernels/band_cholesky_f64.h."""
     columns, rows = film.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
-    fixed = (film._numbers, film._law, *film.grid)
     given = (state.x, state.gauge_pressure, film._room.size, film._room)
-    kernel("film_stiffness")(*fixed, *given, band)
+    kernel("film_stiffness")(film._numbers, film._law, *film.grid, *given, band)
     return band
 
 
@@ -66,42 +52,6 @@ class StuckPatch:
     stiffness: Array
     force_normal: float
     radius: float
-
-
-@dataclass(frozen=True, eq=False)
-class StickState:
-    """State of a sticking patch: its drag along x and y, m, and rotation, rad, (3,)."""
-
-    strain: Array
-
-    @classmethod
-    def none(cls) -> StickState:
-        return cls(np.zeros(3))
-
-
-def drag(
-    patch: StuckPatch, held: StickState, moved: ArrayLike, friction: float
-) -> tuple[Array, StickState]:
-    """Move a sticking obstacle by `moved` (3,), m, m, rad, within the limit of friction.
-
-    Coulomb's limit couples force and torque as an ellipse (Howe & Cutkosky, Int. J. Robotics Res.
-    15(6), 1996): |f|^2 + (t / r)^2 <= (mu N)^2. Beyond it, the stored drag is scaled back to the
-    limit. Return force along x and y, N, and torque about z, N m, (3,), on the obstacle, and the
-    new drag. Raises InputError for an invalid motion or friction coefficient.
-    """
-    step = np.asarray(moved, dtype=float)
-    if step.shape != (3,) or not np.isfinite(step).all():
-        raise InputError("are not three finite numbers", field="moved")
-    if not friction >= 0:
-        raise InputError(f"{friction:g} must not be negative", field="friction")
-    strain = held.strain + step
-    load = patch.stiffness @ strain
-    carried = float(np.hypot(np.hypot(load[0], load[1]), load[2] / max(patch.radius, 1e-9)))
-    limit = friction * patch.force_normal
-    if carried > limit:
-        strain = strain * (limit / carried)
-        load = load * (limit / carried)
-    return -load, StickState(strain)
 
 
 def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> list[StuckPatch]:

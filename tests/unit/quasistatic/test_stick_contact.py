@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import cho_solve_banded
 
-from mjtactile import InputError, QuasistaticMembrane
-from mjtactile.quasistatic import StickState, drag
+from mjtactile import QuasistaticMembrane
 from mjtactile.quasistatic.incremental import Sticking
 from mjtactile.quasistatic.stick_contact import compliance_of
 
@@ -78,23 +77,3 @@ def test_two_bodies_are_two_patches(fine):
     patches = fine.patches(fine.solve(balls))
     assert [patch.place[0] > 0 for patch in patches] == [True, False]  # the deeper one first
     assert fine.patches(fine.rest) == []
-
-
-def test_it_holds_remembers_and_slides(fine):
-    (patch,) = fine.patches(pressed(fine, 8e-3, 2e-3))
-    force, held = drag(patch, StickState.none(), (1e-4, 0, 0), friction=0.5)
-    assert force[0] == pytest.approx(-1e-4 * patch.stiffness[0, 0])
-    force, held = drag(patch, held, (-1e-4, 0, 0), friction=0.5)
-    np.testing.assert_allclose(force, 0, atol=1e-12)  # back where it was: nothing is left
-    for _ in range(20):
-        force, held = drag(patch, held, (1e-4, 5e-5, 1e-3), friction=0.5)
-        carried = np.hypot(np.hypot(*force[:2]), force[2] / patch.radius)
-        assert carried <= 0.5 * patch.force_normal * (1 + 1e-9)
-    assert carried == pytest.approx(0.5 * patch.force_normal)  # it slides
-    before = np.linalg.norm(force[:2])
-    force, held = drag(patch, held, (0, 0, 0.5), friction=0.5)
-    assert np.linalg.norm(force[:2]) < 0.2 * before  # a rotating contact does not resist drag
-    force, _ = drag(patch, held, (1.0, 0, 0), friction=0.0)
-    np.testing.assert_allclose(force, 0, atol=1e-12)
-    with pytest.raises(InputError, match="friction"):
-        drag(patch, held, (0, 0, 0), friction=-1)
