@@ -127,10 +127,10 @@ def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
         world.step(max(1, round(seconds / world.timestep)))
 
     for sensor in range(len(world.sensors)):
-        world.open_valve(sensor)
+        world.sensors[sensor].open_valve()
     run(0.15)
     for sensor in range(len(world.sensors)):
-        world.close_valve(sensor)
+        world.sensors[sensor].close_valve()
     world.set_finger_target(0.01, HOLD_FORCE)
     run(1.0)
     world.set_lift_target(0.01)

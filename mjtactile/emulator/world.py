@@ -117,9 +117,9 @@ class EmulatedWorld:
         self._lift(shared["lift_goal"])
         for number, sensor in enumerate(scene.sensors, 1):
             if shared[f"open_{number}"]:
-                scene.open_valve(number - 1, shared[f"supply_{number}"])
+                scene.sensors[number - 1].open_valve(shared[f"supply_{number}"])
             elif sensor.valve_is_open:
-                scene.close_valve(number - 1)
+                scene.sensors[number - 1].close_valve()
         leaking = scene.sensors[0]
         if shared["puncture"] and not leaking.valve_is_open:
             leaking.open_valve(leaking.gauge_pressure * (1 - scene.timestep / _LEAK_TIME))

@@ -125,10 +125,10 @@ class GraspEstimate:
             specimens=old.specimens,
         )
         for i in range(len(world.sensors)):
-            world.open_valve(i)
+            world.sensors[i].open_valve()
         self._drive(world, pose, lift, np.full(round(0.15 / timestep), start))
         for i in range(len(world.sensors)):
-            world.close_valve(i)
+            world.sensors[i].close_valve()
         self._drive(world, pose, lift, np.linspace(start, opening, round(_CLOSING / timestep)))
         self._drive(world, pose, lift, np.full(round(_RESTING / timestep), opening))
         return float(

@@ -177,11 +177,11 @@ def _motions(world: GripperWorld) -> Iterator[Finding]:
     if touching := touched_by_sensors(world):
         yield from _touches({"at its start": touching})  # no measurement is possible from there
         return
-    for sensor in range(len(world.sensors)):
-        world.open_valve(sensor)
+    for sensor in world.sensors:
+        sensor.open_valve()
     _wait(world, 0.3)
-    for sensor in range(len(world.sensors)):
-        world.close_valve(sensor)
+    for sensor in world.sensors:
+        sensor.close_valve()
     touched = {"when it is inflated": touched_by_sensors(world)}
     sag = -world.lift_height
     reached: dict[float, tuple[float, float]] = {}

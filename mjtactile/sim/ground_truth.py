@@ -92,17 +92,6 @@ def stretch_forces(world: World) -> Array:
     return -world.stretch[:, :, 2]
 
 
-def friction_used(world: World, mu: float) -> float:
-    """Return the friction of all contacts over `mu` times their normal forces."""
-    data = world.data
-    force = np.zeros(6)
-    sums = np.zeros(2)
-    for row in np.flatnonzero(data.contact.efc_address >= 0):
-        mujoco.mj_contactForce(world.model, data, row, force)
-        sums += np.hypot(force[1], force[2]), mu * force[0]
-    return float(sums[0] / sums[1])
-
-
 def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
     """Return the friction on membrane `sensor` along `direction` (3,) over `mu` times the normal
     force.
@@ -159,11 +148,6 @@ def sliding(world: World, sensor: int) -> tuple[float, float]:
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     used = -float((along * f_W).sum()) / max(float(data.contact.friction[rows, 0] @ normal), 1e-9)
     return used, float(np.sqrt(mean @ mean + turn**2 * (share @ (arm**2).sum(axis=1))))
-
-
-def contact_torque(world: World, sensor: int) -> Array:
-    """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
-    return contact_wrench(world, sensor)[3:]
 
 
 def contact_wrench(world: World, sensor: int) -> Array:
@@ -268,17 +252,6 @@ def _ray(
 def penetration(world: World, sensor: int) -> float:
     """Return the deepest penetration of an object into membrane `sensor`, m."""
     return float(max(contact_forces(world, sensor)[2].max(initial=0.0), 0.0))
-
-
-def heights(world: World, sensor: int) -> Array:
-    """Return the heights (nx, ny) m of the membrane's mesh over `mesh.x`, `mesh.y`."""
-    device = world.sensors[sensor]
-    return device.p_SV[:, 2].reshape(device.mesh.nx, device.mesh.ny)
-
-
-def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
-    """True marker centres (N, 3) m and outward unit normals (N, 3) in S."""
-    return world.sensors[sensor].marker_poses()
 
 
 def object_bodies(world: World) -> NDArray[np.int64]:

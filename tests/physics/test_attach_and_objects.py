@@ -178,7 +178,7 @@ def test_commands_that_are_not_numbers_are_refused(grasp, value):
     with pytest.raises(InputError, match="not a finite control"):
         grasp.set_control(0, float("nan"))
     with pytest.raises(InputError, match="supply_gauge"):
-        grasp.open_valve(0, float("nan"))
+        grasp.sensors[0].open_valve(float("nan"))
 
 
 def test_divergence_is_an_error_with_step_and_reason():

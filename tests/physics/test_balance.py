@@ -22,10 +22,10 @@ def held(request):
     force = 0.4 if request.param == "strawberry" else 0.5
     world = GraspWorld("paper16", request.param, timestep=TIMESTEP, mesh=MESH)
     for i in range(2):
-        world.open_valve(i)
+        world.sensors[i].open_valve()
     world.step(54)
     for i in range(2):
-        world.close_valve(i)
+        world.sensors[i].close_valve()
     world.set_finger_target(0.02, force)
     world.step(600)
     world.grasped_at = ground_truth.object_position(world) - ground_truth.gripper_position(world)
@@ -160,7 +160,7 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     for _ in range(50):  # averages out the solver's noise, a few 1e-3 of the force
         world.step()
         force += R_WS @ ground_truth.contact_force(world, 0) / 50
-        torque += R_WS @ ground_truth.contact_torque(world, 0) / 50
+        torque += R_WS @ ground_truth.contact_wrench(world, 0)[3:] / 50
         servos += data.actuator_force / 50
     jac_p = np.zeros((3, model.nv))
     jac_r = np.zeros((3, model.nv))

@@ -254,10 +254,10 @@ def test_richardson_is_exact_for_a_second_order_error():
 def test_a_grasp_estimates_its_own_error():
     world = GraspWorld("dense", "egg", mesh=(11, 9), timestep=1 / 150, opening=0.05)
     for i in range(2):
-        world.open_valve(i)
+        world.sensors[i].open_valve()
     world.step(30)
     for i in range(2):
-        world.close_valve(i)
+        world.sensors[i].close_valve()
     world.set_finger_target(0.02, 0.5)
     world.step(150)
     estimate = GraspEstimate(world)

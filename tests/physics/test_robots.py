@@ -105,10 +105,10 @@ def test_an_arm_that_carries_its_own_weight_does_not_sag(tmp_path):
 def test_statics_of_what_is_held(name):
     world = make(name, opening=0.045, timestep=1 / 240)
     for sensor in range(len(world.sensors)):
-        world.open_valve(sensor)
+        world.sensors[sensor].open_valve()
     world.step(50)
     for sensor in range(len(world.sensors)):
-        world.close_valve(sensor)
+        world.sensors[sensor].close_valve()
     world.set_finger_target(0.02, 0.5)
     world.step(240)
     world.set_lift_target(0.02)

@@ -15,10 +15,10 @@ def squeezed(path, opening):
     """Opening m, force N and area of contact m^2 on a finger, of a ball between two membranes."""
     world = GraspWorld("dense", path, timestep=6e-3, opening=0.032)
     for finger in range(2):
-        world.open_valve(finger)
+        world.sensors[finger].open_valve()
     world.step(30)
     for finger in range(2):
-        world.close_valve(finger)
+        world.sensors[finger].close_valve()
     world.set_finger_target(opening, 6.0)
     world.step(70)
     sides = range(2)

@@ -127,14 +127,6 @@ class GripperWorld(World):
         self._lift_target = float(height)
         self._lift_speed = self.rig.lift.speed if speed is None else speed
 
-    def open_valve(self, sensor: int, supply_gauge: float | None = None) -> None:
-        """Connect one chamber to a supply of `supply_gauge` Pa (default: the design's)."""
-        self.sensors[sensor].open_valve(supply_gauge)
-
-    def close_valve(self, sensor: int) -> None:
-        """Trap the gas that one chamber holds now."""
-        self.sensors[sensor].close_valve()
-
     # -- state reported by a real gripper
 
     @property

@@ -6,7 +6,6 @@ import contextlib
 import math
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -76,12 +75,8 @@ def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
     """
     _scale(spec, 1 + changes.size)
     if changes.mass or changes.size:
-        _weigh(
-            spec,
-            (1 + changes.size) ** 3 * (1 + changes.mass),
-            1 + changes.mass,
-            (1 + changes.size) ** 2,
-        )
+        density = 1 + changes.mass
+        _weigh(spec, (1 + changes.size) ** 3 * density, density, (1 + changes.size) ** 2)
     for geom in [*spec.geoms, *spec.flexes]:
         geom.friction = np.asarray(geom.friction) * [1 + changes.friction, 1.0, 1.0]
     for joint in spec.joints:
@@ -93,17 +88,12 @@ def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
 def _scale(spec: mujoco.MjSpec, size: float) -> None:
     if size == 1:
         return
-    for thing in [
-        *(body for body in spec.bodies if body.name != "world"),
-        *spec.geoms,
-        *spec.sites,
-        *spec.joints,
-        *spec.frames,
-    ]:
-        thing.pos = size * np.asarray(thing.pos)
-    for thing in [*spec.geoms, *spec.sites]:
-        thing.size = size * np.asarray(thing.size)
-        thing.fromto = size * np.asarray(thing.fromto)
+    bodies = [body for body in spec.bodies if body.name != "world"]
+    for element in [*bodies, *spec.geoms, *spec.sites, *spec.joints, *spec.frames]:
+        element.pos = size * np.asarray(element.pos)
+    for element in [*spec.geoms, *spec.sites]:
+        element.size = size * np.asarray(element.size)
+        element.fromto = size * np.asarray(element.fromto)
     for body in spec.bodies:
         body.ipos = size * np.asarray(body.ipos)
     for joint in spec.joints:
@@ -114,8 +104,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
     for mesh in spec.meshes:
         mesh.scale = size * np.asarray(mesh.scale)
     for flex in spec.flexes:
-        flex.vert = _times(flex.vert, size)
-        flex.node = _times(flex.node, size)
+        flex.vert = [size * value for value in flex.vert]
+        flex.node = [size * value for value in flex.node]
         flex.radius *= size
 
 
@@ -132,7 +122,3 @@ def _weigh(spec: mujoco.MjSpec, mass: float, density: float, square: float) -> N
             body.mass *= mass
             body.inertia = mass * square * np.asarray(body.inertia)
             body.fullinertia = mass * square * np.asarray(body.fullinertia)
-
-
-def _times(values: Any, factor: float) -> list[float]:
-    return [factor * value for value in values]

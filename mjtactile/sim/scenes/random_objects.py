@@ -84,23 +84,23 @@ def random_object(seed: int) -> RandomObject:
     """Return the object of `seed`."""
     rng = np.random.default_rng([seed, zlib.crc32(b"random object")])
     shape = str(rng.choice(list(_SHAPES)))
-    (a, b, c), detail, volume, density = _SHAPES[shape](rng)
+    (a, b, c), detail, volume, density = _SHAPES[shape][0](rng)
     mass = float(np.clip(volume * density, *_MASS))
     minimum = max(_FRAGILE, _CARRIES * mass)
     return RandomObject(shape, a, b, c, mass, _log(rng, minimum, _STURDY), detail)
 
 
-Drawn = tuple[tuple[float, float, float], tuple[float, ...], float, float]
+Sample = tuple[tuple[float, float, float], tuple[float, ...], float, float]
 """Half sizes, details, volume m^3, density kg/m^3."""
 
 
-def _egg(rng: Rng) -> Drawn:
+def _egg(rng: Rng) -> Sample:
     a = rng.uniform(0.010, 0.025)
     c = a * rng.uniform(1.1, 1.4)
     return (a, a, c), (), 4 / 3 * math.pi * a * a * c, rng.uniform(400, 1100)
 
 
-def _box(rng: Rng) -> Drawn:
+def _box(rng: Rng) -> Sample:
     a = rng.uniform(0.009, 0.028)
     b = rng.uniform(0.009, 0.025)
     c = rng.uniform(0.0075, 0.035)
@@ -112,49 +112,38 @@ def _box(rng: Rng) -> Drawn:
     )
 
 
-def _cylinder(rng: Rng) -> Drawn:
+def _cylinder(rng: Rng) -> Sample:
     c = rng.uniform(0.0075, 0.035)
     a = rng.uniform(0.010 if c < _CLEAR else 0.008, 0.030)
     return (a, a, c), (), 2 * math.pi * a * a * c, rng.uniform(300, 1500)
 
 
-def _cone(rng: Rng) -> Drawn:
+def _cone(rng: Rng) -> Sample:
     a = rng.uniform(0.011, 0.028)
     c = rng.uniform(0.010, 0.035)
     slope = rng.uniform(-0.1, 0.1)
     return (a, a, c), (slope,), 2 * math.pi * a * a * c, rng.uniform(150, 900)
 
 
-def _bottle(rng: Rng) -> Drawn:
+def _bottle(rng: Rng) -> Sample:
     a = rng.uniform(0.010, 0.025)
     c = rng.uniform(0.016, 0.026)
     neck = a * rng.uniform(0.3, 0.6), rng.uniform(0.006, 0.016)
     return (a, a, c), neck, 2 * math.pi * a * a * c, rng.uniform(200, 1100)
 
 
-def _fruit(rng: Rng) -> Drawn:
+def _fruit(rng: Rng) -> Sample:
     a = rng.uniform(0.011, 0.020)
     c = a * rng.uniform(0.9, 1.25)
     return (a, a, c), (_log(rng, 300, 2000),), 4 / 3 * math.pi * a * a * c, rng.uniform(800, 1000)
-
-
-_SHAPES: dict[str, Callable[[Rng], Drawn]] = {
-    "egg": _egg,
-    "box": _box,
-    "cylinder": _cylinder,
-    "cone": _cone,
-    "bottle": _bottle,
-    "fruit": _fruit,
-}
 
 
 def _log(rng: Rng, low: float, high: float) -> float:
     return float(low * (high / low) ** rng.random())
 
 
-def to_mjcf(thing: RandomObject, name: str) -> str:
+def to_mjcf(t: RandomObject, name: str) -> str:
     """The object's file, in the format of docs/reference/object_files.md."""
-    t = thing
     stand = max(_CLEAR - t.c, 0.0)
     radius = max(min(t.a, t.b) - _ASIDE, 4e-3)
     if stand:
@@ -167,7 +156,7 @@ def to_mjcf(thing: RandomObject, name: str) -> str:
     else:
         under = ""
     turn = '    <numeric name="rotation_deg" data="3"/>\n' if t.shape == "box" else ""
-    asset, geoms = _BUILD[t.shape](t)
+    asset, geoms = _SHAPES[t.shape][1](t)
     body = "\n".join(f"      {line}" for line in geoms)
     return f"""<!-- A random {t.shape}: {2e3 * t.a:.3g} mm between the fingers,
      {2e3 * t.c:.3g} mm high, {1e3 * t.mass:.3g} g.
@@ -332,11 +321,11 @@ def _build_fruit(t: RandomObject) -> Built:
     return "", lines
 
 
-_BUILD: dict[str, Callable[[RandomObject], Built]] = {
-    "egg": _build_egg,
-    "box": _build_box,
-    "cylinder": _build_cylinder,
-    "cone": _build_cone,
-    "bottle": _build_bottle,
-    "fruit": _build_fruit,
+_SHAPES: dict[str, tuple[Callable[[Rng], Sample], Callable[[RandomObject], Built]]] = {
+    "egg": (_egg, _build_egg),
+    "box": (_box, _build_box),
+    "cylinder": (_cylinder, _build_cylinder),
+    "cone": (_cone, _build_cone),
+    "bottle": (_bottle, _build_bottle),
+    "fruit": (_fruit, _build_fruit),
 }

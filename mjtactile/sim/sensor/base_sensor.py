@@ -13,7 +13,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor.effect_switches import make_gas
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import BODY
-from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh, stretches_of
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
 
 
 class BaseSensor(ABC):
@@ -85,7 +85,7 @@ class BaseSensor(ABC):
     def stretches(self) -> tuple[Array, Array]:
         """Return principal stretches (m, 2), small and large, relative to the free membrane, and
         areas (m,) m^2 of the triangles."""
-        return stretches_of(self.design, self.mesh, self.p_SV)
+        return self.mesh.stretches(self.p_SV, self.design.membrane.pre_stretch)
 
     def stretch_and_area(self) -> tuple[float, float]:
         """Return the largest principal stretch of the triangles and the membrane's area, m^2."""

@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import feature_size, ray_intersection
-from mjtactile.sim.sensor.subgrid_indentation import (
-    WIDEST,
-    depth_beyond_mesh,
-    depth_of_neighbours,
-    profile,
-)
+from mjtactile.sim.sensor import feature_size, ray_intersection, subgrid_indentation
 
 REACH = 0.6
 """Half width of a vertex's contact search cell, in cells: a little more than a half."""
@@ -172,12 +166,14 @@ def standoff(
     )
     # averages over opposite directions, which remove the membrane's own slope
     even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
-    own, radii = depth_beyond_mesh(loads, *profile(even[0], even[1], _RINGS), width)
+    shape = subgrid_indentation.profile(even[0], even[1], _RINGS)
+    own, radii = subgrid_indentation.depth_beyond_mesh(loads, *shape, width)
     places = flat / cells.sizes[:, None]
-    return np.maximum(own + depth_of_neighbours(loads, radii, places, places + at), 0.0)
+    others = subgrid_indentation.depth_of_neighbours(loads, radii, places, places + at)
+    return np.maximum(own + others, 0.0)
 
 
-def lie(cells: Cells, core: Array, at: Array) -> Array:
+def angles_of(cells: Cells, core: Array, at: Array) -> Array:
     """Return the angles (k,) in the membrane plane of a thin shape near the shifts `at` (k, 2).
 
     They are computed from the points `core` (m, 3) m inside, and arbitrary for a shape on end.
@@ -185,7 +181,7 @@ def lie(cells: Cells, core: Array, at: Array) -> Array:
     flat = cells.axes[:2]
     off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
     off -= at[:, None]
-    near = (np.linalg.norm(off, axis=2) < WIDEST).astype(float)
+    near = (np.linalg.norm(off, axis=2) < subgrid_indentation.MAX_RADIUS).astype(float)
     xx, yy, xy = (
         (near * off[..., i] * off[..., j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1))
     )

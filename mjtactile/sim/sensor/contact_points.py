@@ -26,18 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import feature_size, ray_intersection
-from mjtactile.sim.sensor.contact_cells import (
-    FOOT,
-    REACH,
-    REACHED,
-    Cells,
-    axes_of,
-    deepest,
-    initial_offsets,
-    lie,
-    standoff,
-)
+from mjtactile.sim.sensor import contact_cells, feature_size, ray_intersection
+from mjtactile.sim.sensor.contact_cells import FOOT, REACH, REACHED, Cells, standoff
 from mjtactile.sim.sensor.mesh import MembraneMesh, normals_of
 from mjtactile.sim.sensor.sharp_geoms import KINDS, sharp_geoms
 from mjtactile.sim.sensor.subgrid_indentation import depth_under_end
@@ -72,16 +62,6 @@ class _Goals(NamedTuple):
     back: Array
     blunt: NDArray[np.bool_]
     gaps: Array
-
-
-def _no_goals(count: int) -> _Goals:
-    """Return the goals of spheres without a nearby object."""
-    return _Goals(
-        np.zeros((count, 3)),
-        np.zeros((count, 3)),
-        np.zeros(count, dtype=bool),
-        np.full(count, np.inf),
-    )
 
 
 class ContactPoints:
@@ -197,14 +177,21 @@ class ContactPoints:
 
     def _touching(self) -> NDArray[np.bool_]:
         """Return a mask (k,) of the vertices in contact."""
-        numbers = self._data.contact.geom - self._first
         touching = np.zeros(len(self._sizes), dtype=bool)
-        touching[numbers[(numbers >= 0) & (numbers < len(self._sizes))]] = True
+        vertices, is_own = self._contact_vertices()
+        touching[vertices[is_own]] = True
         return touching
+
+    def _contact_vertices(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return vertex numbers (n, 2) of MuJoCo's contacts, and where they are this sensor's."""
+        vertices = self._data.contact.geom - self._first
+        return vertices, (vertices >= 0) & (vertices < len(self._sizes))
 
     def _goals(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> _Goals:
         """Return the goals of the spheres of vertices at `p_SV` (n, 3) m."""
-        goals = _no_goals(len(self._places))
+        count = len(self._places)
+        to, back = np.zeros((2, count, 3))
+        goals = _Goals(to, back, np.zeros(count, dtype=bool), np.full(count, np.inf))
         loads = None
         vertices = p_SV[self._interior]
         for geom in self._about(vertices):
@@ -213,7 +200,7 @@ class ContactPoints:
             if not len(close):
                 continue
             normal = self._upright[close].sum(axis=0)
-            axes = axes_of(normal / np.linalg.norm(normal))
+            axes = contact_cells.axes_of(normal / np.linalg.norm(normal))
             cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
             if geom in self._round:  # but for its ends
                 at_end = self._at_end(geom, cells)
@@ -222,7 +209,7 @@ class ContactPoints:
             is_thin = geom in self._cores
             hints = self._hints(geom, entry, cells) if is_thin else None
             foot = self._foot(geom) if is_thin else FOOT
-            rows, at, gaps = deepest(cells, entry, self._reach[close], foot, hints)
+            rows, at, gaps = contact_cells.deepest(cells, entry, self._reach[close], foot, hints)
             better = gaps < goals.gaps[close[rows]]
             rows = rows[better]
             at = at[better]
@@ -282,7 +269,7 @@ class ContactPoints:
 
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
         """Return shifts and gaps to the points where a thin geom reaches farthest in."""
-        hints = initial_offsets(cells, entry, self._cores[geom])
+        hints = contact_cells.initial_offsets(cells, entry, self._cores[geom])
         if hints[1].min(initial=np.inf) < REACHED:
             # it is met from the first step
             self._every = EVERY if self._is_touched() else 0.0
@@ -312,7 +299,7 @@ class ContactPoints:
         end = self._end(geom, cells.axes[2]) / size
         if end:
             return np.maximum(depth_under_end(loads, end, flat / size), -_FORWARD)
-        turns = lie(cells, self._cores[geom], at)
+        turns = contact_cells.angles_of(cells, self._cores[geom], at)
         width = self._width(geom) / size
         return standoff(cells, entry, at, loads, flat, turns=turns, width=width)
 
@@ -335,8 +322,7 @@ class ContactPoints:
         self._eased += _EASE * (np.maximum(loads, 0.0) - self._eased)
 
     def _is_touched(self) -> bool:
-        numbers = self._data.contact.geom - self._first
-        return bool(((numbers >= 0) & (numbers < len(self._sizes))).any())
+        return bool(self._contact_vertices()[1].any())
 
     def _width(self, geom: int) -> float:
         """Return the half width of the flat edge of a blade, m; 0 for a round geom."""
@@ -380,8 +366,7 @@ class ContactPoints:
         """Return the contact forces (k,) beyond the gas load, over 2 pi times tension and cell
         size."""
         contact = self._data.contact
-        numbers = contact.geom - self._first
-        mine = (numbers >= 0) & (numbers < len(self._sizes))
+        numbers, mine = self._contact_vertices()
         rows = np.flatnonzero(mine.any(axis=1) & (contact.efc_address >= 0))
         vertices = np.where(mine[rows, 1], numbers[rows, 1], numbers[rows, 0])
         forces = (

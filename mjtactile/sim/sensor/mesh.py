@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.bspline import interpolating
-from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
@@ -42,16 +41,6 @@ class MembraneMesh:
     knots: tuple[Array, Array]
     outline: Outline | None = None
 
-    @property
-    def x(self) -> Array:
-        """Positions of the columns of a rectangle, m."""
-        return self.p_SV[:: self.ny, 0]
-
-    @property
-    def y(self) -> Array:
-        """Positions of the rows of a rectangle, m."""
-        return self.p_SV[: self.ny, 1]
-
     def coordinates(self, p_SM: Array) -> Array:
         """Return the mesh coordinates (N, 2) of points `p_SM` (N, 3) m of the flat membrane."""
         return p_SM[:, :2] if self.outline is None else self.outline.square(p_SM[:, :2])
@@ -66,6 +55,17 @@ class MembraneMesh:
     def triangle_areas(self) -> Array:
         """Areas (m,) m^2 of the flat triangles."""
         return 0.5 / np.linalg.det(self.inverse_edges)
+
+    def stretches(self, p_SV: Array, pre_stretch: float) -> tuple[Array, Array]:
+        """Return principal stretches (m, 2), relative to the free membrane, and areas (m,) m^2."""
+        now = p_SV[self.triangles]
+        F = self.inverse_edges @ (now[:, 1:] - now[:, :1])  # rows: dx/dX and dx/dY, (m, 2, 3)
+        xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+        mean = (xx + yy) / 2
+        spread = np.hypot((xx - yy) / 2, xy)
+        squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
+        area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.triangle_areas
+        return pre_stretch * np.sqrt(squares), area
 
     @cached_property
     def spacing(self) -> float:
@@ -183,16 +183,3 @@ def normals_of(p_SV: Array, triangles: NDArray[np.int64]) -> Array:
         [np.bincount(corners, np.repeat(faces[:, i], 3), len(p_SV)) for i in range(3)], axis=1
     )
     return sums / np.linalg.norm(sums, axis=1, keepdims=True)
-
-
-def stretches_of(design: SensorDesign, mesh: MembraneMesh, p_SV: Array) -> tuple[Array, Array]:
-    """Return principal stretches (m, 2), relative to the free membrane, and areas (m,) m^2."""
-    now = p_SV[mesh.triangles]
-    moved = now[:, 1:] - now[:, :1]
-    F = mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
-    xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
-    mean = (xx + yy) / 2
-    spread = np.hypot((xx - yy) / 2, xy)
-    squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
-    area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * mesh.triangle_areas
-    return design.membrane.pre_stretch * np.sqrt(squares), area

@@ -353,7 +353,8 @@ class QuasistaticSensor(BaseSensor):
         return self._empty()
 
     def _reason(self) -> str:
-        return _REASONS.get(int(self._state["status"]), "the gas pressure jumps")
+        status = MembraneStatus(int(self._state["status"]))
+        return _REASONS.get(status, "the gas pressure jumps")
 
 
 _REASONS = {

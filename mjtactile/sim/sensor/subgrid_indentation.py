@@ -14,7 +14,7 @@ from mjtactile.core.types import Array
 MESH_RADIUS = 0.198
 """Radius at which a lattice's response to a point force equals ln(1/a): exp(-(gamma + 1.5 ln
 2))."""
-WIDEST = 0.5
+MAX_RADIUS = 0.5
 """Contact radius, in cells, above which adjacent vertices carry the contact jointly."""
 _LINE = 0.31  # deepening of contact on a line: 1 - ln 2
 # tuned to the forces on a cone and a cube's corner; a soap film has 0, the mesh's own tension gives
@@ -42,7 +42,7 @@ def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
     """Return the radius a at which a membrane leaves a shape: load = a sin(angle of the shape at
     a)."""
     low = np.zeros(np.broadcast(load, slope).shape)
-    high = np.full(np.broadcast(load, slope).shape, WIDEST)
+    high = np.full(np.broadcast(load, slope).shape, MAX_RADIUS)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         steep = slope + curvature * middle / 2

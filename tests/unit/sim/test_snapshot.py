@@ -11,10 +11,10 @@ def test_what_follows_a_snapshot_follows_it_again():
     the last digits."""
     world = GraspWorld("dense", "egg", opening=0.045)
     for number in range(2):
-        world.open_valve(number)
+        world.sensors[number].open_valve()
     world.step(60)
     for number in range(2):
-        world.close_valve(number)
+        world.sensors[number].close_valve()
     world.set_finger_target(0.033, 4.0)
     world.step(120)
     assert world.data.ncon > 10
