@@ -18,6 +18,7 @@ import numpy as np
 from mjtactile.core.config_fields import KPA, MM, entry, given, number, part, text
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.field_types import NumberArray, Table
+from mjtactile.core.lens import PLUMB_BOB
 from mjtactile.core.renamed import old_keys
 from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.toml import Section
@@ -56,6 +57,8 @@ def fingerprint(design: SensorDesign) -> str:
     for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
         if values[added] is None:
             del values[added]
+    if values["camera"]["distortion_model"] == PLUMB_BOB:
+        del values["camera"]["distortion_model"]
     del values["markers"]["frame"]
     if not design.frame.has_corners:
         del values["frame"]["corner_radius"], values["frame"]["corners"]

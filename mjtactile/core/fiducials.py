@@ -194,10 +194,7 @@ class Fiducials:
         """Return the mask (F,) of circles that extend to or beyond the image border. `depth` (F,)
         accounts for the glass."""
         camera = design.camera
-        r = (xy + self.radius) / depth[:, None]
-        r2 = (r**2).sum(axis=1)[:, None]
-        k1, k2, _, _, k3 = camera.distortion
-        far = r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * [camera.fx, camera.fy]
+        far = camera.lens.distort((xy + self.radius) / depth[:, None]) * [camera.fx, camera.fy]
         room_u = min(camera.cx, camera.width - 1 - camera.cx)
         room_v = min(camera.cy, camera.height - 1 - camera.cy)
         return (far > np.array([room_u, room_v]) - _BORDER_PX).any(axis=1)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.lens import MODELS, PLUMB_BOB
 from mjtactile.core.toml import Section
 
 
@@ -74,6 +75,19 @@ class Numbers(Number):
 
     def write(self, value: Any) -> dict[str, Any]:
         return {self.key: [one if self.whole else one / self.unit for one in value]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class LensCoefficients(Number):
+    """List of the coefficients of the lens model that the same section names."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        model = section.text("distortion_model", MODELS, PLUMB_BOB)
+        names = MODELS[model].coefficients
+        return section.numbers(self.key, names, self.low, self.high, self.unit, default)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: list(value)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,9 +2,8 @@
 points; images are not used.
 
 The projection of a point P beyond the glass has four steps. Refraction at the glass yields a ray in
-air through the camera's center. The pinhole projection and the plumb_bob lens distortion follow
-(OpenCV's definition, `cv2.projectPoints`). The last step maps to pixels, where (0, 0) is the
-*center* of the top-left pixel.
+air through the camera's center. The pinhole projection and the lens (`mjtactile.core.lens`)
+follow. The last step maps to pixels, where (0, 0) is the *center* of the top-left pixel.
 
 C has its origin at the camera's center, x right, y down, z forward. The glass is normal to z.
 """
@@ -24,8 +23,6 @@ from mjtactile.core.sensor_parts import Glass, Pinhole
 from mjtactile.core.types import Array
 
 _NEWTON_STEPS = 30
-# normalised image plane: one more Newton step from here is exact to about 1e-13
-_UNDISTORT_NEAR = 1e-7
 
 
 @dataclass(frozen=True)
@@ -43,13 +40,7 @@ class Camera(Pinhole):
     glass_distance: float = 0.0
 
     def __post_init__(self) -> None:
-        if len(self.distortion) != 5:
-            raise InputError(
-                f"{len(self.distortion)} coefficients",
-                source="Camera",
-                field="distortion",
-                choices=["5 numbers: k1, k2, p1, p2, k3"],
-            )
+        super().__post_init__()
         values = (
             self.fx,
             self.fy,
@@ -116,7 +107,7 @@ class Camera(Pinhole):
 
     @cached_property
     def numbers(self) -> Array:
-        """All parameters of a ray's path, (12,): fx, fy, cx, cy, lens, and thickness, index and
+        """All parameters of a ray's path, (16,): fx, fy, cx, cy, lens, and thickness, index and
         distance of the glass."""
         return np.array(
             [
@@ -124,7 +115,7 @@ class Camera(Pinhole):
                 self.fy,
                 self.cx,
                 self.cy,
-                *self.distortion,
+                *self.lens.numbers,
                 self.glass_thickness,
                 self.glass_index,
                 self.glass_distance,
@@ -162,16 +153,15 @@ def project(camera: Camera, p_CP: ArrayLike) -> Array:
     NaN for a point that is behind the camera or, if there is a glass, not beyond it.
     """
     p = np.asarray(p_CP, dtype=float)
-    return pixel_from_normalized(camera, distort(camera, refract(camera, p)))
+    return pixel_from_normalized(camera, camera.lens.distort(refract(camera, p)))
 
 
 def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
     """Compute unit rays (..., 3) in C, in the air before the glass, for pixels `uv_px` (..., 2).
 
-    NaN where the lens model cannot be inverted (far outside of the image, where plumb_bob folds
-    over).
+    NaN where the lens model cannot be inverted (far outside of the image, where it folds over).
     """
-    xy = undistort(camera, normalized_from_pixel(camera, uv_px))
+    xy = camera.lens.undistort(normalized_from_pixel(camera, uv_px))
     ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
     return ray / np.sqrt(np.einsum("...i,...i->...", ray, ray))[..., None]
 
@@ -235,53 +225,6 @@ def glass_displacement(camera: Camera, tan2: ArrayLike) -> Array:
     )
 
 
-def distort(camera: Camera, xy: ArrayLike) -> Array:
-    """plumb_bob: distorted from ideal normalised coordinates (..., 2)."""
-    xy = np.asarray(xy, dtype=float)
-    if not any(camera.distortion):
-        return xy
-    return np.stack(_lens(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
-
-
-def undistort(camera: Camera, xy_distorted: ArrayLike) -> Array:
-    """Ideal from distorted normalised coordinates (..., 2), by Newton with the exact Jacobian, to
-    about 1e-13.
-
-    NaN where it does not converge to a point on the near side of the fold.
-    """
-    target = np.asarray(xy_distorted, dtype=float)
-    if not any(camera.distortion):
-        return target.copy()
-    x_d, y_d = np.moveaxis(target, -1, 0).copy()
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        x, y, *_ = _lens(camera, x_d, y_d)
-        # one step of the fixed-point iteration, without derivatives
-        x = 2 * x_d - x
-        y = 2 * y_d - y
-        for _ in range(_NEWTON_STEPS):
-            x_now, y_now, xx, xy, yy = _lens(camera, x, y)
-            x_off = x_now - x_d
-            y_off = y_now - y_d
-            det = xx * yy - xy * xy
-            x = x - (yy * x_off - xy * y_off) / det
-            y = y - (xx * y_off - xy * x_off) / det
-            residual = np.maximum(np.abs(x_off), np.abs(y_off))
-            if not np.any(residual > _UNDISTORT_NEAR):  # the step just made squares it
-                break
-        good = np.logical_and(residual <= _UNDISTORT_NEAR, det > 0)
-    return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)
-
-
-def distortion_jacobian(camera: Camera, xy: ArrayLike) -> Array:
-    """Derivative (..., 2, 2) of `distort` with respect to the ideal normalised coordinates (...,
-    2)."""
-    xy = np.asarray(xy, dtype=float)
-    J = np.empty((*xy.shape, 2))
-    _, _, J[..., 0, 0], J[..., 0, 1], J[..., 1, 1] = _lens(camera, xy[..., 0], xy[..., 1])
-    J[..., 1, 0] = J[..., 0, 1]
-    return J
-
-
 def pixel_from_normalized(camera: Camera, xy: ArrayLike) -> Array:
     """Pixels (..., 2) of (distorted) normalised coordinates (..., 2)."""
     return np.asarray(xy, dtype=float) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
@@ -290,27 +233,3 @@ def pixel_from_normalized(camera: Camera, xy: ArrayLike) -> Array:
 def normalized_from_pixel(camera: Camera, uv_px: ArrayLike) -> Array:
     """(Distorted) normalised coordinates (..., 2) of pixels (..., 2)."""
     return (np.asarray(uv_px, dtype=float) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-
-
-def _lens(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """plumb_bob of ideal coordinates x, y (...), and its derivatives dx/dx, dx/dy = dy/dx,
-    dy/dy."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    x2 = x * x
-    y2 = y * y
-    xy = x * y
-    r2 = x2 + y2
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * k1 + r2 * (4 * k2 + 6 * k3 * r2)  # d(radial)/dx = slope x
-    x_d = x * radial
-    y_d = y * radial
-    xx = radial + slope * x2
-    xy_ = slope * xy
-    yy = radial + slope * y2
-    if p1 or p2:
-        x_d = x_d + 2 * p1 * xy + p2 * (r2 + 2 * x2)
-        y_d = y_d + p1 * (r2 + 2 * y2) + 2 * p2 * xy
-        xx = xx + 2 * p1 * y + 6 * p2 * x
-        xy_ = xy_ + 2 * p1 * x + 2 * p2 * y
-        yy = yy + 6 * p1 * y + 2 * p2 * x
-    return x_d, y_d, xx, xy_, yy

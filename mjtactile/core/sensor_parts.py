@@ -22,12 +22,12 @@ from mjtactile.core.config_fields import (
     MM,
     entry,
     number,
-    numbers,
     read,
     whole,
     write_fields,
 )
-from mjtactile.core.field_types import Pairs
+from mjtactile.core.field_types import LensCoefficients, Pairs, Text
+from mjtactile.core.lens import MODELS, PLUMB_BOB, Lens
 from mjtactile.core.neo_hookean import Law, equibiaxial_stress
 from mjtactile.core.outline import Outline, OutlineError
 from mjtactile.core.toml import Section
@@ -347,14 +347,35 @@ class Pinhole:
         about="principal point along u; the center of the top-left pixel is (0, 0)",
     )
     cy: float = number("cy_px", -8192, 16384, ONE, about="principal point along v")
-    distortion: tuple[float, ...] = numbers(
-        "distortion",
-        ("k1", "k2", "p1", "p2", "k3"),
-        -1000,
-        1000,
-        default=(0.0, 0.0, 0.0, 0.0, 0.0),
-        about="k1, k2, p1, p2, k3 as in OpenCV and ROS (plumb_bob), each in this range",
+    distortion: tuple[float, ...] = entry(
+        LensCoefficients(
+            key="distortion",
+            low=-1000,
+            high=1000,
+            about=(
+                "coefficients in the order of OpenCV and ROS: "
+                + "; ".join(f"{', '.join(m.coefficients)} ({name})" for name, m in MODELS.items())
+            ),
+        ),
+        (),
     )
+    distortion_model: str = entry(
+        Text(
+            key="distortion_model",
+            choices=tuple(MODELS),
+            about="lens model, as in ROS; equidistant is a fisheye",
+        ),
+        PLUMB_BOB,
+        kw_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "distortion", self.lens.coefficients)
+
+    @cached_property
+    def lens(self) -> Lens:
+        """Lens model with its coefficients."""
+        return Lens(self.distortion_model, tuple(self.distortion))
 
     @property
     def K(self) -> Array:

@@ -231,7 +231,7 @@ def _camera(item: messages.Message) -> Any:
         frame_id=item.frame,
         width=c.width,
         height=c.height,
-        distortion_model="plumb_bob",
+        distortion_model=c.lens.definition.foxglove,
         D=list(c.distortion),
         K=c.K.ravel().tolist(),
         R=np.eye(3).ravel().tolist(),

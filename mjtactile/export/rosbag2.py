@@ -212,7 +212,7 @@ class _Bag:
             header=self._header(item),
             height=c.height,
             width=c.width,
-            distortion_model="plumb_bob",
+            distortion_model=c.distortion_model,
             d=np.array(c.distortion),
             k=c.K.ravel(),
             r=np.eye(3).ravel(),

@@ -38,6 +38,7 @@ _ERRORS = {
 _DECLARATION = re.compile(r"^(int64_t|double|void) (\w+)\(([^;]*)\);", re.M)
 _ARGUMENT = re.compile(r"(const )?(\w+) (\*?)(\w+)(?: /\* (.*?)( or NULL)? \*/)?(?:, |$)")
 _MACRO = re.compile(r"^#define (\w+)\((\w+)\) (.*?)(?: /\*.*)?$", re.M)
+_CONSTANT = re.compile(r"^#define (\w+) (\d+)(?: /\*.*)?$", re.M)
 
 
 def kernel(name: str) -> Callable[..., Any]:
@@ -136,9 +137,10 @@ def _header() -> str:
 
 
 @cache
-def _macros() -> dict[str, Callable[[Any], Any]]:
-    """Return the header's macros of one integer argument, for use in array sizes."""
-    return {
+def _macros() -> dict[str, Any]:
+    """Return the header's constants and macros of one integer argument, for array sizes."""
+    constants = {name: int(value) for name, value in _CONSTANT.findall(_header())}
+    return constants | {
         name: eval(f"lambda {argument}: {body.replace('/', '//')}", {"__builtins__": {}})
         for name, argument, body in _MACRO.findall(_header())
     }

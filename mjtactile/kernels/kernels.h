@@ -8,6 +8,7 @@
 
 enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
 
+#define CAMERA_NUMBERS 16 /* of a `Camera`: see optics.h */
 /* Stride of a band's columns: panels of four columns and vectors of four need seven rows more. */
 #define BAND_STRIDE(width) (((width) + 11) / 4 * 4)
 #define SHEET_WIDTH(ny) (9 * (ny) + 11) /* band width of a membrane's stiffness */
@@ -17,7 +18,7 @@ enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
    `across`, `down`: see render_discs.c. `per_px`: nodes per pixel of a rim. `nodes`: points of the
    curve, px; `weights`: dx. */
 int64_t render_discs(int64_t n, const double *p_CM /* n, 3 */, const double *n_C /* n, 3 */, const double *radii /* n */,
-                   const double *camera /* 12 */, double per_px, int64_t bins, int64_t taps,
+                   const double *camera /* CAMERA_NUMBERS */, double per_px, int64_t bins, int64_t taps,
                    const float *across /* bins, taps */, const float *down /* bins, taps + 1 */, int64_t height, int64_t width,
                    float *coverage /* height, width */);
 int64_t fill_curve(int64_t count, const double *nodes /* count, 2 */, const double *weights /* count */, int64_t bins,
@@ -168,15 +169,15 @@ int64_t fit_profiles(const float *image /* height, width */, int64_t height, int
    covariances of (u, v, a, b, angle). Out: `uv`, px, of the center; `poses`: center and normal of
    the preferred pose, then of the other; `cov_p`, covariance of the center. */
 void circle_poses(int64_t n, const double *centers /* n, 2 */, const double *semi_axes /* n, 2 */, const double *angles /* n */,
-                  const double *covs /* n, 5, 5 */, const double *radii /* n */, const double *camera /* 12 */,
+                  const double *covs /* n, 5, 5 */, const double *radii /* n */, const double *camera /* CAMERA_NUMBERS */,
                   double *uv /* n, 2 */, double *poses /* 4, n, 3 */, double *cov_p /* n, 3, 3 */);
 /* Compute covariances of the center and of (n_x, n_y) at fixed n_z, of poses estimated from the
    ellipses. */
 void circle_covariances(int64_t n, const double *centers /* n, 2 */, const double *semi_axes /* n, 2 */,
                         const double *angles /* n */, const double *covs /* n, 5, 5 */, const double *p /* n, 3 */,
-                        const double *normals /* n, 3 */, const double *camera /* 12 */, double *out /* n, 5, 5 */);
+                        const double *normals /* n, 3 */, const double *camera /* CAMERA_NUMBERS */, double *out /* n, 5, 5 */);
 /* Compute the cones of ellipses with `shapes`, without the glass. */
-void cones(int64_t n, const double *centers /* n, 2 */, const double *shapes /* n, 3 */, const double *camera /* 12 */,
+void cones(int64_t n, const double *centers /* n, 2 */, const double *shapes /* n, 3 */, const double *camera /* CAMERA_NUMBERS */,
            double *out /* n, 3, 3 */);
 /* Compute both circles on each cone `Q`. Out: centers of the first and the second circle, then
    their normals. */
@@ -195,7 +196,7 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found /* n,
    `cov_p`. */
 int64_t name_circles(int64_t count, int64_t all, const int64_t *circles /* count */, const double *first /* all, 3 */,
                      const double *first_n /* all, 3 */, const double *second /* all, 3 */, const double *second_n /* all, 3 */,
-                     const double *cov /* all, 3, 3 */, const double *factors /* count */, const double *camera /* 12 */,
+                     const double *cov /* all, 3, 3 */, const double *factors /* count */, const double *camera /* CAMERA_NUMBERS */,
                      const double *origin /* 3 */, const double *slopes /* 2, count, count */, double *p /* count, 3 */,
                      double *normals /* count, 3 */, double *cov_p /* count, 3, 3 */);
 

@@ -1,10 +1,11 @@
-/* Lens and glass as in core/optics.py. Equations: its docstrings. */
+/* Lens and glass as in core/lens.py and core/optics.py. Equations: their docstrings. */
 #ifndef MJTACTILE_OPTICS_H
 #define MJTACTILE_OPTICS_H
 
 typedef struct {
-    /* thickness and distance of the glass in m; thickness 0: no glass */
-    double fx, fy, cx, cy, k1, k2, p1, p2, k3, thickness, index, distance;
+    /* `k`: coefficients of the lens `model`; thickness and distance of the glass in m; thickness 0:
+       no glass */
+    double fx, fy, cx, cy, model, k[8], thickness, index, distance;
 } Camera;
 
 /* distorted coordinates, and their derivatives by the ideal ones */

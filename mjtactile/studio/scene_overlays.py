@@ -211,7 +211,9 @@ def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
         np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]])
         - 0.5
     )
-    rays = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    plain = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    rays = camera.lens.undistort(plain)
+    rays = np.where(np.isfinite(rays), rays, plain)  # a lens that folds over before the corner
     eye = pose.place(camera.p_SC)
     base = pose.place(np.column_stack([camera.distance * rays, np.zeros(4)]))
     for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):

@@ -187,7 +187,7 @@ def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array,
     """Compute boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2,
     N) e. Also return their approximate affine map (2, 3, N) of (1, e), and the cones Q (N, 3,
     3)."""
-    if not any(camera.distortion):
+    if camera.lens.is_ideal:
         scale = np.array([[1 / camera.fx], [1 / camera.fy]])
         affine = np.empty((2, 3, len(center_px)))
         affine[:, 0] = optics.normalized_from_pixel(camera, center_px).T
@@ -200,7 +200,7 @@ def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array,
             _cone(affine, circle),
         )
     points = center_px.T[:, None] + np.einsum("ijn,jk->ikn", axes, _E)
-    xy = optics.undistort(camera, optics.normalized_from_pixel(camera, points.transpose(1, 2, 0)))
+    xy = camera.lens.undistort(optics.normalized_from_pixel(camera, points.transpose(1, 2, 0)))
     xy = np.ascontiguousarray(xy.transpose(2, 0, 1))
     return xy, *_fit(xy)
 
@@ -312,7 +312,7 @@ def _derivative(
     sin = np.sin(ellipses.angle)
     # of e: (u, v) change by one pixel
     du = np.array([cos / a, -sin / b]), np.array([sin / a, cos / b])
-    lens = optics.distortion_jacobian(camera, middle.T)
+    lens = camera.lens.jacobian(middle.T)
     mx, my = (
         _E.T @ (camera.fx * lens[:, 0, i] * du[0] + camera.fy * lens[:, 1, i] * du[1])
         for i in (0, 1)

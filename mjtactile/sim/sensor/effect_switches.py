@@ -127,7 +127,7 @@ def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
     if Effect.VALVE_FLOW not in on:
         chamber = replace(chamber, valve_conductance=math.inf, leak_conductance=0.0)
     if Effect.DISTORTION not in on:
-        camera = replace(camera, distortion=(0.0,) * 5)
+        camera = replace(camera, distortion=())
     if Effect.REFRACTION not in on:
         glass = replace(glass, refractive_index=1.0)
     relaxation = design.relaxation if Effect.RELAXATION in on else None

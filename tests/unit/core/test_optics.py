@@ -52,39 +52,12 @@ def trace_to_depth(rays, camera, z):
     return p + out * ((z - p[:, 2]) / out[:, 2])[:, None]
 
 
-def test_lens_is_opencvs_plumb_bob():
-    p = points()
-    reference, _ = cv2.projectPoints(p, np.zeros(3), np.zeros(3), LENS.K, np.array(LENS.distortion))
-    # both evaluate the same polynomial in float64: rounding of ~1e3 px
-    np.testing.assert_allclose(optics.project(LENS, p), reference[:, 0], atol=1e-10)
-
-
 def test_unproject_inverts_the_lens():
     p = points()
     # 1e-10 of a unit ray is 6e-8 px: Newton's tolerance, and far below any pixel noise
     np.testing.assert_allclose(
         optics.unproject(LENS, optics.project(LENS, p)), geometry.unit(p), atol=1e-10
     )
-
-
-def test_distortion_jacobian_is_the_derivative():
-    xy = points()[:, :2] / 0.05
-    h = 1e-6
-    for axis in range(2):
-        step = h * np.eye(2)[axis]
-        numeric = (optics.distort(LENS, xy + step) - optics.distort(LENS, xy - step)) / (2 * h)
-        # central difference: h^2 truncation 1e-12 and cancellation 1e-16/h = 1e-10
-        np.testing.assert_allclose(
-            optics.distortion_jacobian(LENS, xy)[..., axis], numeric, atol=2e-9
-        )
-
-
-def test_undistort_refuses_what_the_lens_cannot_produce():
-    folded = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
-    # r (1 - 0.3 r^2) is at most 0.7027 (at r = 1.054): no ideal point gives 0.71
-    assert np.isnan(optics.undistort(folded, [[0.71, 0.0]])).all()
-    xy = optics.undistort(folded, [[0.69, 0.0]])
-    assert 0 < xy[0, 0] < 1.054
 
 
 def test_projection_through_the_pane_agrees_with_a_ray_trace():

@@ -186,7 +186,7 @@ def test_mirror_images_obey_the_law_of_reflection():
     led = DENSE.leds.ring_radius * np.array([math.cos(math.pi / 4), math.sin(math.pi / 4)])
     hit = led / 2  # equal angles: halfway, as lens and LED are in one plane
     eye = optics.Camera.from_design(DENSE.camera)
-    seen = optics.pixel_from_normalized(eye, optics.distort(eye, hit / DENSE.glass.distance))
+    seen = optics.pixel_from_normalized(eye, eye.lens.distort(hit / DENSE.glass.distance))
     np.testing.assert_allclose(camera_check.led_mirrors(DENSE)[0], seen, atol=1e-6)
 
 

@@ -12,6 +12,7 @@ from mjtactile.sensing.image import candidates, markers, profile_fit
 from mjtactile.sensing.pose import circles, marker_matching
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.rendering.renderer import Renderer
+from tests.lenses import CAMERAS
 from tests.numpy_chain import circles as numpy_circles
 from tests.numpy_chain import identity as numpy_identity
 from tests.numpy_chain import profiles as numpy_profiles
@@ -56,8 +57,9 @@ def test_ellipses_from_profiles(image):
             Camera.from_design(DESIGN.camera, DESIGN.glass),
             distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01),
         ),
+        *(lens.behind_glass(2e-3, 1.52, 23e-3) for lens in CAMERAS.values()),
     ],
-    ids=["as shipped", "no pane", "no lens", "every coefficient"],
+    ids=["as shipped", "no pane", "no lens", "every coefficient", *CAMERAS],
 )
 def test_poses_from_ellipses(image, camera):
     """Both work in double precision on numbers of order 1; the covariance goes through a 5 x 5

@@ -10,6 +10,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
 from mjtactile.sim.rendering import renderer, shadows
 from mjtactile.sim.rendering.renderer import Effects, Renderer
+from tests.lenses import CAMERAS
 from tests.numpy_chain import discs as numpy_discs
 
 DESIGN = load_sensor("dense")
@@ -25,8 +26,17 @@ def scene():
     return p, n / np.linalg.norm(n, axis=1)[:, None]
 
 
-@pytest.mark.parametrize("blur", [0.45, 0.7, 2.5])
-def test_discs_and_opening(scene, blur):
+@pytest.mark.parametrize(
+    ("blur", "lens"),
+    [
+        (0.45, "plumb_bob"),
+        (0.7, "plumb_bob"),
+        (2.5, "plumb_bob"),
+        (0.7, "rational_polynomial"),
+        (0.7, "equidistant"),
+    ],
+)
+def test_discs_and_opening(scene, blur, lens):
     """The kernel renders discs and opening as numpy does.
 
     Both round the positions of nodes to 1/512 px, each in its own coordinate. A pixel of a rim
@@ -34,7 +44,9 @@ def test_discs_and_opening(scene, blur):
     coefficients make the opening bulge; the image border cuts some discs.
     """
     camera = replace(
-        Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01)
+        Camera.from_design(DESIGN.camera, DESIGN.glass),
+        distortion=CAMERAS[lens].distortion,
+        distortion_model=lens,
     )
     p, n = scene
     aside = np.where(np.arange(len(p)) < 40, -1, 1)[:, None] * [8e-3, 5e-3, 0]
