@@ -8,6 +8,7 @@ can. "as returned" takes the preferred solution.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -138,17 +139,12 @@ def cramer_rao(
     rim = marker_scenes.rim_px(camera, circle, 64)
     low = np.floor(rim.min(axis=0)) - 6
     high = np.ceil(rim.max(axis=0)) + 6
-    window = optics.Camera(
-        int(high[0] - low[0]),
-        int(high[1] - low[1]),
-        camera.fx,
-        camera.fy,
-        camera.cx - low[0],
-        camera.cy - low[1],
-        camera.distortion,
-        camera.glass_thickness,
-        camera.glass_index,
-        camera.glass_distance,
+    window = replace(
+        camera,
+        width=int(high[0] - low[0]),
+        height=int(high[1] - low[1]),
+        cx=camera.cx - low[0],
+        cy=camera.cy - low[1],
     )
 
     def render(move: Array) -> Array:

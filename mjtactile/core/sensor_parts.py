@@ -8,7 +8,7 @@ range (`mjtactile.core.config_fields`). The format: docs/reference/sensor_files.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -359,6 +359,7 @@ class Pinhole:
         ),
         (),
     )
+    _: KW_ONLY
     distortion_model: str = entry(
         Text(
             key="distortion_model",
@@ -366,7 +367,6 @@ class Pinhole:
             about="lens model, as in ROS; equidistant is a fisheye",
         ),
         PLUMB_BOB,
-        kw_only=True,
     )
 
     def __post_init__(self) -> None:
