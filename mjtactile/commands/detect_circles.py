@@ -170,13 +170,8 @@ def _locate(
     all."""
     if frame.pixels is None:
         return _without_markers(frame, "cannot be read")
-    height, width = frame.pixels.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        return _without_markers(
-            frame,
-            f"the image has {width} x {height} pixels, but the camera file has {camera.width} "
-            f"x {camera.height}",
-        )
+    if mismatch := camera.size_mismatch(frame.pixels, "the camera file"):
+        return _without_markers(frame, mismatch)
     begin = time.perf_counter()
     found = detect_circles(
         frame.pixels,

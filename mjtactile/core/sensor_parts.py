@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.config_fields import (
     KPA,
@@ -381,6 +382,22 @@ class Pinhole:
     def K(self) -> Array:
         """Intrinsic matrix (3, 3), pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def size_mismatch(self, pixels: NDArray[Any], owner: str = "the camera") -> str:
+        """Compare the size of an image with that of this camera.
+
+        Args:
+            pixels: Image (H, W) or (H, W, channels).
+            owner: Name of this camera in the message.
+
+        Returns:
+            A clause that states both sizes; empty if they are equal.
+        """
+        height, width = pixels.shape[:2]
+        if (width, height) == (self.width, self.height):
+            return ""
+        size = f"{self.width} x {self.height}"
+        return f"the image has {width} x {height} pixels, but {owner} has {size}"
 
     @property
     def intrinsics(self) -> dict[str, Any]:

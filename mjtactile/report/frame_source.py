@@ -87,13 +87,7 @@ def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
     pixels = frame.grey()
     if pixels is None:
         return "cannot be read"
-    want = (design.camera.height, design.camera.width)
-    if pixels.shape != want:
-        return (
-            f"the image has {pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera "
-            f"{want[1]} x {want[0]}"
-        )
-    return Image(pixels)
+    return design.camera.size_mismatch(pixels, "the sensor's camera") or Image(pixels)
 
 
 def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArray[np.uint8]:

@@ -84,6 +84,8 @@ class MarkerDetector:
         next."""
         if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
             return image.ellipses, None
+        if mismatch := self.camera.size_mismatch(image.pixels, f"sensor {self.design.name}"):
+            raise DeviceError(mismatch)
         return tracking.follow(
             image,
             tracks,
@@ -104,7 +106,8 @@ class MarkerDetector:
 
     def locate(self, state: PipelineState, image: Image, expected: Array, what: str) -> Markers:
         """Find the markers of one image near the `expected` positions (N, 3), m, for the reference
-        `what`. Raises DeviceError if the image is overexposed, or too few markers are detected."""
+        `what`. Raises DeviceError if the image is overexposed or of another size than the camera's,
+        or too few markers are detected."""
         ellipses, tracks = self._ellipses(None, image)  # searched, not followed
         self._require_levels(image, ellipses, what)
         afresh = replace(state, expected=expected, reference=None)

@@ -109,7 +109,7 @@ def test_frames_that_cannot_be_used_are_named(capsys, frames, tmp_path):
     assert [row["status"] for row in rows] == [
         "ok",
         "cannot be read",
-        "the image has 100 x 100 pixels, the sensor's camera 640 x 480",
+        "the image has 100 x 100 pixels, but the sensor's camera has 640 x 480",
         "only 0 of 81 markers detected",
     ]
     assert rows[3]["surface"] is None

@@ -123,10 +123,13 @@ def detect_circles(
         reason for its rejection.
 
     Raises:
-        InputError: The image, the radius, or an option is invalid.
+        InputError: The image, the radius, or an option is invalid, or the image has another size
+            than the camera.
     """
     _check_options(neighbours, gamma)
     grey = grey_image(plain_grey(image))
+    if mismatch := camera.size_mismatch(grey):
+        raise InputError(mismatch, source="detect-circles", field="image")
     assumed = 1.0 if gamma == "auto" else float(gamma)
     search = partial(
         detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings

@@ -82,8 +82,8 @@ def track_circles(
         The circles of each image.
 
     Raises:
-        InputError: An image, a radius or an option is invalid; or only one of camera and radius is
-            given.
+        InputError: An image, a radius or an option is invalid; an image has another size than the
+            camera; or only one of camera and radius is given.
     """
     if (camera is None) != (radius is None):
         raise InputError(

@@ -11,7 +11,8 @@ from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import CirclePoses
 from mjtactile.sensing.image.markers import detect
-from mjtactile.sensing.pose.circles_from_images import detect_circles
+from mjtactile.sensing.pose.circles_from_images import detect_circles, locate
+from mjtactile.sensing.pose.dot_tracking import track_circles
 from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
@@ -255,3 +256,22 @@ def test_circles_behind_glass():
 def test_bad_neighbours():
     with pytest.raises(InputError, match="auto, always, never"):
         detect_circles(np.zeros((48, 64), np.uint8), CAMERA, R, neighbours="some")
+
+
+@pytest.mark.parametrize("shape", [(960, 1280), (640, 480)])
+@pytest.mark.parametrize(
+    "find",
+    [
+        lambda image: detect_circles(image, CAMERA, R),
+        lambda image: locate(image, CAMERA, R),
+        lambda image: next(track_circles([image], CAMERA, R)),
+    ],
+    ids=["detect_circles", "locate", "track_circles"],
+)
+def test_an_image_of_another_size_than_the_cameras_is_refused(find, shape):
+    """Twice the pixels double all sizes, so that every distance would be halved."""
+    height, width = shape
+    with pytest.raises(
+        InputError, match=f"{width} x {height} pixels, but the camera has 640 x 480"
+    ):
+        find(np.full(shape, 200, np.uint8))
