@@ -14,13 +14,12 @@ from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_patch import Patch
 
 _REACH = 8e-3  # range of influence of a touch, m
-_TOLD = 2.0  # sd
+_SIGNIFICANT = 2.0  # sd
 
 
 @dataclass(frozen=True, eq=False)
 class ComplianceMap:
-    """Compliance m/N, force for force, of each vertex (V,), and of all touches together with its
-    sd."""
+    """Compliance, m/N, of each vertex (V,), and mean of all touches with its sd."""
 
     by_vertex: Array
     mean: float
@@ -29,16 +28,15 @@ class ComplianceMap:
     @classmethod
     def of(cls, patches: Sequence[Patch], mesh: Mesh) -> ComplianceMap:
         """Interpolate the compliance from touches: local value near a touch, mean far from all."""
-        told = [patch for patch in patches if math.isfinite(patch.compliance)]
-        if not told:
+        known = [patch for patch in patches if math.isfinite(patch.compliance)]
+        if not known:
             return cls(np.full(len(mesh.vertices), math.nan), math.nan, math.nan)
-        values = np.array([patch.compliance for patch in told])
-        weights = np.array([patch.compliance_sd**-2 for patch in told])
+        values = np.array([patch.compliance for patch in known])
+        weights = np.array([patch.compliance_sd**-2 for patch in known])
         mean = float(np.average(values, weights=weights))
-        way = np.linalg.norm(
-            mesh.vertices[:, None] - np.stack([patch.middle for patch in told])[None], axis=2
-        )
-        near = np.exp(-0.5 * (way / _REACH) ** 2) * weights
+        centers = np.stack([patch.center for patch in known])
+        distance = np.linalg.norm(mesh.vertices[:, None] - centers[None], axis=2)
+        near = np.exp(-0.5 * (distance / _REACH) ** 2) * weights
         far = 1e-3 * weights.sum()
         by_vertex = (near @ values + far * mean) / (near.sum(axis=1) + far)
         return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))
@@ -47,9 +45,7 @@ class ComplianceMap:
         """Return `stiffness_N_m`, or a lower bound `stiffness_least_N_m` if it is unknown."""
         if not math.isfinite(self.mean):
             return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
-        minimum = 1 / (max(self.mean, 0.0) + _TOLD * self.mean_sd)
-        seen = self.mean > _TOLD * self.mean_sd
-        return {
-            "stiffness_N_m": 1 / self.mean if seen else math.nan,
-            "stiffness_least_N_m": math.nan if seen else minimum,
-        }
+        if self.mean > _SIGNIFICANT * self.mean_sd:
+            return {"stiffness_N_m": 1 / self.mean, "stiffness_least_N_m": math.nan}
+        minimum = 1 / (max(self.mean, 0.0) + _SIGNIFICANT * self.mean_sd)
+        return {"stiffness_N_m": math.nan, "stiffness_least_N_m": minimum}

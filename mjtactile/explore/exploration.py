@@ -1,5 +1,4 @@
-"""Exploration loop: touch the most uncertain surface area, fuse, and repeat until a stop
-criterion."""
+"""Exploration loop: touch the most uncertain surface area, fuse, and repeat until a stop."""
 
 from __future__ import annotations
 
@@ -25,9 +24,7 @@ from mjtactile.recording.files import to_json
 
 _PLAN_EDGE = 1.5e-3  # triangle edge during exploration, m
 _EDGE = 0.8e-3  # triangle edge of the result, m
-_IN_VAIN = 6  # limit of successive touches without contact
-
-Say = Callable[[str], None]
+_MAX_MISSED = 6  # successive touches without contact
 
 
 class Bench(Protocol):
@@ -91,21 +88,20 @@ class ExplorationResult:
             "area_mm2": 1e6 * float(self.mesh.areas().sum()),
             "volume_mL": 1e6 * volume(self.mesh),
             **self.stiffness.summary(),
-            "touched": [_row(patch) for patch in self.patches],
+            "touched": [
+                {
+                    "place_mm": 1e3 * patch.center,
+                    "normal": patch.normal,
+                    "kind": patch.kind,
+                    "force_N": patch.force,
+                    "gave_way_mm_per_N": 1e3 * patch.compliance,
+                    "gave_way_sd_mm_per_N": 1e3 * patch.compliance_sd,
+                }
+                for patch in self.patches
+            ],
             "failures": list(self.failures),
             "flags": dict(self.flags),
         }
-
-
-def _row(patch: Patch) -> dict[str, Any]:
-    return {
-        "place_mm": 1e3 * patch.middle,
-        "normal": patch.normal,
-        "kind": patch.kind,
-        "force_N": patch.force,
-        "gave_way_mm_per_N": 1e3 * patch.compliance,
-        "gave_way_sd_mm_per_N": 1e3 * patch.compliance_sd,
-    }
 
 
 def volume(mesh: Mesh) -> float:
@@ -116,73 +112,62 @@ def volume(mesh: Mesh) -> float:
 
 def explore(
     bench: Bench,
-    wanted: ExplorationGoal,
+    goal: ExplorationGoal,
     *,
     known: Sequence[Patch] = (),
-    begun: int = 0,
-    say: Say = lambda _: None,
+    completed: int = 0,
+    say: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> ExplorationResult:
-    """Explore an object.
+    """Explore an object by touches until the goal or a stop.
 
     Args:
         bench: Device that touches the object.
-        wanted: Stop criteria.
+        goal: Stop criteria.
         known: Patches from earlier touches.
-        begun: Number of these earlier touches.
+        completed: Number of these earlier touches.
         say: Callback that receives a line for each touch.
         keep: Callback that receives each new patch.
         stopped: Callback between touches; True stops the exploration.
-
-    Returns:
-        The result, also after a stop.
     """
     patches = list(known)
-    believed: Sequence[SurfacePosterior] = fuse(patches)
-    tried: list[Aim] = []
+    hypotheses: Sequence[SurfacePosterior] = fuse(patches)
+    targets: list[Aim] = []
     failures: list[str] = []
-    vain = 0
+    missed = 0
     outcome = "touches"
-    while begun + len(tried) < wanted.touches:
-        mesh = mesh_of(believed[0], _PLAN_EDGE)
-        if patches and mesh.error() <= wanted.accuracy:
+    while completed + len(targets) < goal.touches:
+        mesh = mesh_of(hypotheses[0], _PLAN_EDGE)
+        if patches and mesh.error() <= goal.accuracy:
             outcome = "accurate"
-        elif vain >= _IN_VAIN and not patches:
+        elif missed >= _MAX_MISSED and not patches:
             outcome = "nothing there"
         elif stopped():
             outcome = "interrupted"
         if outcome != "touches":
             break
-        aim = next_aim(
-            mesh, patches, tried, bench.reaches, size_information_gain(mesh, believed[0])
-        )
+        gain = size_information_gain(mesh, hypotheses[0])
+        aim = next_aim(mesh, patches, targets, bench.reaches, gain)
         if aim is None:
             outcome = "nothing left"
             break
-        tried.append(aim)
+        targets.append(aim)
+        contacts: tuple[Pressed, ...] = ()
         try:
-            felt = bench.touch(aim, wanted.force)
+            contacts = bench.touch(aim, goal.force)
         except SimulationError as error:
             failures.append(str(error))
-            felt = ()
-        new = [patch for one in felt if (patch := patch_from_press(one, bench.design)) is not None]
+        new = [patch for contact in contacts if (patch := patch_from_press(contact, bench.design))]
         for patch in new:
             keep(patch)
         patches += new
-        vain = 0 if new else vain + 1
-        believed = _with(new, patches, believed)
-        say(_line(begun + len(tried), new, believed[0]))
-    if not patches:
-        outcome = outcome if outcome == "interrupted" else "nothing there"
-    return explored(patches, outcome, begun + len(tried), bench.flags, failures)
-
-
-def _with(
-    new: Sequence[Patch], patches: Sequence[Patch], before: Sequence[SurfacePosterior]
-) -> Sequence[SurfacePosterior]:
-    """Return the updated surface hypotheses."""
-    return fuse(patches, before) if new else before
+        missed = 0 if new else missed + 1
+        hypotheses = fuse(patches, hypotheses) if new else hypotheses
+        say(_line(completed + len(targets), new, hypotheses[0]))
+    if not patches and outcome != "interrupted":
+        outcome = "nothing there"
+    return explored(patches, outcome, completed + len(targets), bench.flags, failures)
 
 
 def explored(
@@ -192,21 +177,18 @@ def explored(
     flags: Mapping[str, str],
     failures: Sequence[str] = (),
 ) -> ExplorationResult:
-    """Patches as a result."""
-    believed = fuse(patches)
-    counting = rivals(believed)
-    meshes = [mesh_of(one, _PLAN_EDGE if number else _EDGE) for number, one in enumerate(counting)]
-    mesh = meshes[0]
+    """Return the result with these patches."""
+    hypotheses = fuse(patches)
+    names = [surface.family.name for surface in hypotheses]
+    likely = rivals(hypotheses)
+    meshes = [mesh_of(surface, _PLAN_EDGE if k else _EDGE) for k, surface in enumerate(likely)]
     return ExplorationResult(
         tuple(patches),
-        believed[0],
-        {
-            one.family.name: float(share)
-            for one, share in zip(believed, shares(believed), strict=True)
-        },
-        mesh,
-        sizes(meshes, counting, patches),
-        ComplianceMap.of(patches, mesh),
+        hypotheses[0],
+        dict(zip(names, shares(hypotheses).tolist(), strict=True)),
+        meshes[0],
+        sizes(meshes, likely, patches),
+        ComplianceMap.of(patches, meshes[0]),
         outcome,
         tried,
         dict(flags),
@@ -215,9 +197,9 @@ def explored(
 
 
 def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
-    felt = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "nothing felt"
-    doubt = f"surface sd {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
-    return f"touch {number}: {felt}; {surface.family.name}, {doubt}"
+    contacts = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "no contact"
+    sd = f"surface sd {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
+    return f"touch {number}: {contacts}; {surface.family.name}, {sd}"
 
 
 class PatchStore:

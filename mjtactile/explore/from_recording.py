@@ -21,8 +21,8 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_SEEN = 0.08  # minimum force for a shape estimate, N
-_MOST = 8  # images of one indentation, over its whole path
+_MIN_FORCE = 0.08  # for a shape estimate, N
+_MAX_IMAGES = 8  # images of one indentation, over its whole path
 _LIFTED = 3e-3  # start height of a lifted indenter above its goal, m
 
 
@@ -55,22 +55,22 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
     session = Session(rig)
     session.take_references()
-    moments = _re_estimate(recording, session)
-    if len(rig.fingers) != 2 or not any(math.isfinite(one.opening) for one in moments):
+    cycles = _re_estimate(recording, session)
+    if len(rig.fingers) != 2 or not any(math.isfinite(cycle.opening) for cycle in cycles):
         raise InputError(
             "is neither a grip of two fingers nor an indentation on a stage",
             source=recording.folder,
         )
     designs = [finger.design for finger in rig.fingers]
     patches = []
-    for number, grip in enumerate(grips_of(moments), group):
+    for number, grip in enumerate(grips_of(cycles), group):
         patches += patches_of_grip(grip, session.perceptions, designs, yaw=yaw, group=number)
     return patches
 
 
 def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
     """Estimate touches again from every cycle's images, with opening and gripper height."""
-    moments = []
+    cycles = []
     for cycle, images in enumerate(recording.images()):
         now = float(recording.column("time")[cycle, 0])
         readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
@@ -81,8 +81,8 @@ def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
         )
         opening = float(recording.column("opening")[cycle, 0])
         height = float(recording.column("lift_height")[cycle, 0])
-        moments.append(GripCycle(touch, opening, height))
-    return moments
+        cycles.append(GripCycle(touch, opening, height))
+    return cycles
 
 
 def _of_presses(recording: Recording) -> list[Patch]:
@@ -100,36 +100,32 @@ def _of_presses(recording: Recording) -> list[Patch]:
         for time, images in zip(times, recording.images(), strict=True)
     ]
     forces = np.array([touch.force_normal for touch in seen])
-    felt = np.where(np.isfinite(forces) & np.isfinite(depths), forces, 0.0)
-    if not len(felt) or felt.max() < _SEEN:
+    forces = np.where(np.isfinite(forces) & np.isfinite(depths), forces, 0.0)
+    if not len(forces) or forces.max() < _MIN_FORCE:
         return []
-    way = _direction_to_stiffest(felt)
+    path = _loading_cycles(forces)
     rest = perception.state.reference.surface
     row = int(np.abs(rest.y - stage.at[1]).argmin())
     column = int(np.abs(rest.x - stage.at[0]).argmin())
     top = float(rest.z[row, column]) + design.membrane.thickness / 2
     p_SH = np.column_stack(
-        [stage.at[0] + shears[way], np.full(len(way), stage.at[1]), top - depths[way]]
+        [stage.at[0] + shears[path], np.full(len(path), stage.at[1]), top - depths[path]]
     )
-    touches = tuple(seen[cycle] for cycle in way)
+    touches = tuple(seen[cycle] for cycle in path)
     pressed = Pressed(touches, np.eye(3), p_SH, perception.shape(touches))
     patch = patch_from_press(pressed, design)
     return [] if patch is None else [patch]
 
 
-def _direction_to_stiffest(felt: Array) -> NDArray[np.int64]:
-    """Return the cycles from permanent contact to the largest force. At most `_MOST` cycles, plus
-    that of the largest force. `felt` (k,) are the forces, N."""
-    firmest = int(felt.argmax())
-    quiet = np.flatnonzero(felt[:firmest] < _SEEN)
-    begin = quiet[-1] + 1 if len(quiet) else 0
-    way = np.arange(begin, firmest + 1)
-    if len(way) > _MOST:
-        every = math.ceil(len(way) / _MOST)
-        way = way[::every]
-    if way[-1] != firmest:
-        way = np.append(way, firmest)
-    return way
+def _loading_cycles(forces: Array) -> NDArray[np.int64]:
+    """Return at most `_MAX_IMAGES` cycles from permanent contact on, plus that of the largest of
+    the forces (k,), N."""
+    last = int(forces.argmax())
+    without_contact = np.flatnonzero(forces[:last] < _MIN_FORCE)
+    start = without_contact[-1] + 1 if len(without_contact) else 0
+    cycles = np.arange(start, last + 1)
+    cycles = cycles[:: math.ceil(len(cycles) / _MAX_IMAGES)]
+    return cycles if cycles[-1] == last else np.append(cycles, last)
 
 
 def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> StatefulPipeline:

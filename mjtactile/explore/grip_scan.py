@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +25,7 @@ LOOSE = 1e-3
 HEIGHTS = (0.0, 6e-3, 12e-3, 18e-3)
 """Heights above the start of the gripper, m. At lower heights the sensors' frames would touch the
 table."""
-_SEEN = 0.08  # contact threshold, N
+_CONTACT_FORCE = 0.08  # N
 _RISE_SPEED = 0.040  # lift speed, m/s
 _CLOSE_SPEED = 0.015
 _PRESS_SPEED = 0.003
@@ -43,8 +44,8 @@ _FACING = (
 
 @dataclass(frozen=True, eq=False)
 class GripCycle:
-    """One cycle of a grip. It holds each finger's touch, the opening between the frames, m, and the
-    gripper's height, m."""
+    """One cycle of a grip: each finger's touch, opening between the frames, m, gripper height,
+    m."""
 
     touch: tuple[Touch, ...]
     opening: float
@@ -64,22 +65,23 @@ class GripController:
     def step(self, observation: Observation) -> Command:
         """One control cycle."""
         command = replace(observation.command, force_limit=2 * self.force + 0.5)
-        felt = [touch.force_normal for touch in observation.touch]
+        forces = [touch.force_normal for touch in observation.touch]
         period = observation.period
-        if not all(math.isfinite(one) for one in felt):
+        if not all(math.isfinite(force) for force in forces):
             return command
         done = int(command.memory.get("done", 0))
         if command.phase == "approach" and command.lift_height != self.heights[done]:
-            height = _towards(command.lift_height, self.heights[done], _RISE_SPEED * period)
-            return replace(command, lift_height=height)
+            step = _RISE_SPEED * period
+            change = max(-step, min(step, self.heights[done] - command.lift_height))
+            return replace(command, lift_height=command.lift_height + change)
         if command.phase == "approach":
-            return self._close(command, felt, period)
+            return self._close(command, forces, period)
         since = command.memory.get("since", 0.0) + period
         command = replace(command, memory={**command.memory, "since": since})
         if command.phase == "hold":
             return command if since < _STILL_TIME else replace(command, phase="release")
         opening = min(command.opening + _OPEN_SPEED * period, command.memory["opened"])
-        if opening < command.memory["opened"] or max(felt) > _SEEN:
+        if opening < command.memory["opened"] or max(forces) > _CONTACT_FORCE:
             return replace(command, opening=opening)
         if done + 1 < len(self.heights):
             return replace(command, phase="approach", memory={"done": done + 1.0})
@@ -87,30 +89,26 @@ class GripController:
         is_down = lower == 0 and observation.gripper.lift_height < 5e-4
         return replace(command, lift_height=lower, phase="done" if is_down else "release")
 
-    def _close(self, command: Command, felt: Sequence[float], period: float) -> Command:
-        met = min(felt) >= self.force or max(felt) >= _TOO_STRONG * self.force
-        if met or command.opening <= _MIN_OPENING:
+    def _close(self, command: Command, forces: Sequence[float], period: float) -> Command:
+        reached = min(forces) >= self.force or max(forces) >= _TOO_STRONG * self.force
+        if reached or command.opening <= _MIN_OPENING:
             opened = {"opened": command.opening + _CLEAR, "since": 0.0}
             memory = {**command.memory, **opened}
             return replace(command, phase="hold", memory=memory)
-        speed = _PRESS_SPEED if max(felt) > _SEEN else _CLOSE_SPEED
+        speed = _PRESS_SPEED if max(forces) > _CONTACT_FORCE else _CLOSE_SPEED
         return replace(command, opening=command.opening - speed * period)
 
 
-def _towards(start: float, goal: float, maximum: float) -> float:
-    return start + max(-maximum, min(maximum, goal - start))
-
-
 class Log(Observer):
-    """Keeps the moments of a grip."""
+    """Observer that keeps the cycles of a grip."""
 
     def __init__(self) -> None:
-        self.moments: list[GripCycle] = []
+        self.cycles: list[GripCycle] = []
 
     def add(self, cycle: Cycle, view: object = None, **truth: object) -> None:
-        """Take in a cycle."""
+        """Add a cycle."""
         gripper = cycle.gripper
-        self.moments.append(GripCycle(cycle.touch, gripper.opening, gripper.lift_height))
+        self.cycles.append(GripCycle(cycle.touch, gripper.opening, gripper.lift_height))
 
 
 def require_two(fingers: int) -> None:
@@ -123,32 +121,28 @@ def require_two(fingers: int) -> None:
         )
 
 
-def grips_of(moments: Sequence[GripCycle]) -> list[list[GripCycle]]:
+def grips_of(cycles: Sequence[GripCycle]) -> list[list[GripCycle]]:
     """Split a run into its grips with contact on both fingers. A grip lasts from the first contact
     to the last, while the gripper stays at its contact height."""
     grips: list[list[GripCycle]] = []
     now: list[GripCycle] = []
-    for moment in moments:
-        forces = [touch.force_normal for touch in moment.touch]
-        if max(forces, default=0.0) > _SEEN:
-            now.append(moment)
+    for cycle in cycles:
+        forces = [touch.force_normal for touch in cycle.touch]
+        if max(forces, default=0.0) > _CONTACT_FORCE:
+            now.append(cycle)
         elif all(math.isfinite(force) for force in forces):  # blind cycles end no grip
             grips.append(now)
             now = []
     grips.append(now)
-    stood = [_before_it_was_lifted(grip) for grip in grips]
-    return [grip for grip in stood if _strongest(grip) is not None]
+    return [grip for grip in map(_before_lift, grips) if _strongest(grip) is not None]
 
 
-def _before_it_was_lifted(grip: list[GripCycle]) -> list[GripCycle]:
-    for number, moment in enumerate(grip):
-        if abs(moment.height - grip[0].height) > _LIFTED:
-            return grip[:number]
-    return grip
+def _before_lift(grip: list[GripCycle]) -> list[GripCycle]:
+    return list(itertools.takewhile(lambda c: abs(c.height - grip[0].height) <= _LIFTED, grip))
 
 
 def patches_of_grip(
-    moments: Sequence[GripCycle],
+    cycles: Sequence[GripCycle],
     perceptions: Sequence[Perceiver],
     designs: Sequence[SensorDesign],
     *,
@@ -158,7 +152,7 @@ def patches_of_grip(
     """Compute the surface patches of one grip.
 
     Args:
-        moments: Cycles of the grip.
+        cycles: Cycles of the grip.
         perceptions: Sensing pipelines that estimated the touches.
         designs: Sensors of two opposite fingers.
         yaw: Rotation of the object about z relative to its own frame, rad.
@@ -172,39 +166,34 @@ def patches_of_grip(
         InputError: The gripper has another number of fingers.
     """
     require_two(len(designs))
-    end = _strongest(moments)
+    end = _strongest(cycles)
     if end is None:
         return []
     c, s = math.cos(yaw), math.sin(yaw)
     R_GH = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     patches = []
     for finger, (perception, design) in enumerate(zip(perceptions, designs, strict=True)):
-        felt = [
-            moment
-            for moment in moments[: end + 1]
-            if (force := moment.touch[finger].force_normal) == force and force > _SEEN
-        ]
-        if not felt or not isinstance(perception, StatefulPipeline):
+        contact = [c for c in cycles[: end + 1] if c.touch[finger].force_normal > _CONTACT_FORCE]
+        if not contact or not isinstance(perception, StatefulPipeline):
             continue
-        felt = felt[-1 : -1 - len(felt) : -max(len(felt) // 6, 1)][::-1]
+        contact = contact[:: -max(len(contact) // 6, 1)][::-1]
         R_SG = _FACING[finger]
         away = (-1.0, 1.0)[finger] * 0.5
-        places = [
-            R_SG @ (np.array([0.0, 0.0, -one.height]) - (away * one.opening, 0.0, 0.0))
-            for one in felt
+        origins = [
+            R_SG @ (np.array([0.0, 0.0, -c.height]) - (away * c.opening, 0.0, 0.0)) for c in contact
         ]
-        touches = tuple(one.touch[finger] for one in felt)
+        touches = tuple(c.touch[finger] for c in contact)
         shape = perception.shape(touches)
-        patch = patch_from_press(Pressed(touches, R_SG @ R_GH, np.array(places), shape), design)
+        patch = patch_from_press(Pressed(touches, R_SG @ R_GH, np.array(origins), shape), design)
         if patch is not None:
             patches.append(replace(patch, group=group, loose=LOOSE))
     return patches
 
 
-def _strongest(moments: Sequence[GripCycle]) -> int | None:
+def _strongest(cycles: Sequence[GripCycle]) -> int | None:
     """Return the last cycle near the maximum grip force; None without contact on both fingers."""
-    minimum = np.array([min((t.force_normal for t in m.touch), default=0.0) for m in moments])
+    minimum = np.array([min((t.force_normal for t in c.touch), default=0.0) for c in cycles])
     minimum = np.where(np.isfinite(minimum), minimum, 0.0)
-    if not len(minimum) or minimum.max() < _SEEN:
+    if not len(minimum) or minimum.max() < _CONTACT_FORCE:
         return None
     return int(np.flatnonzero(minimum > 0.9 * minimum.max())[-1])

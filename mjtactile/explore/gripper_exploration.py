@@ -1,7 +1,5 @@
-"""Exploration by a gripper that cannot rotate the object, emulated or real.
-
-It moves up and down next to the object. The user may rotate the object between two explorations.
-"""
+"""Exploration by a gripper that moves up and down next to the object, emulated or real. The user
+may rotate the object between two explorations."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ def is_simulated(scenario: Scenario) -> bool:
 
 def explore_by_gripper(
     scenario: Scenario,
-    wanted: ExplorationGoal,
+    goal: ExplorationGoal,
     *,
     yaw: float = 0.0,
     known: Sequence[Patch] = (),
@@ -54,7 +52,7 @@ def explore_by_gripper(
 
     Args:
         scenario: Two-finger rig and sensor; for an emulated rig, also object and seed.
-        wanted: Goal: `touches`, the grips including earlier ones, at most one per height; `force`.
+        goal: `touches`, the grips including earlier ones, at most one per height; `force`.
         yaw: Rotation of the object about the vertical since the first grips, by the user, rad.
         known: Patches from earlier grips.
         say: Callback that receives a line for each grip.
@@ -70,26 +68,23 @@ def explore_by_gripper(
     """
     before = max((patch.group for patch in known), default=0)
     log = Log()
-    watching = Observers([log] if observer is None else [log, observer])
+    observers = Observers([log] if observer is None else [log, observer])
     outcome = "touches"
     with open_session(scenario, workers=0, say=say) as session:
         require_two(len(session.rig.fingers))
-        heights = _heights(session.rig, wanted.touches - before)
-        watching.begin(session)
-        session.take_references(watching)
+        heights = _heights(session.rig, goal.touches - before)
+        observers.begin(session)
+        session.take_references(observers)
+        controller = GripController(heights, goal.force)
         try:
-            session.run(
-                GripController(heights, wanted.force),
-                time_limit=_GRIP_TIME * len(heights),
-                observer=watching,
-            )
+            session.run(controller, time_limit=_GRIP_TIME * len(heights), observer=observers)
         except Interrupted:
             outcome = "interrupted"
         designs = [finger.design for finger in session.rig.fingers]
         perceptions = session.perceptions
         flags = session.flags
     patches = list(known)
-    for number, grip in enumerate(grips_of(log.moments), before + 1):
+    for number, grip in enumerate(grips_of(log.cycles), before + 1):
         new = patches_of_grip(grip, perceptions, designs, yaw=yaw, group=number)
         for patch in new:
             keep(patch)
@@ -101,8 +96,6 @@ def explore_by_gripper(
 
 
 def _heights(rig: Rig, count: int) -> tuple[float, ...]:
-    """Return the heights of the grips."""
-    reached = [height for height in HEIGHTS if height <= rig.limits.lift[1]]
     if count < 1:
         raise InputError("the requested number of grips is already complete", field="--touches")
-    return tuple(reached[:count])
+    return tuple(height for height in HEIGHTS if height <= rig.limits.lift[1])[:count]

@@ -1,7 +1,5 @@
-"""`explore.html`: the explored surface as a rotatable model, and an image of it.
-
-It is a single file that needs no network.
-"""
+"""`explore.html`: the explored surface as a rotatable model, and an image of it; one file that
+needs no network."""
 
 from __future__ import annotations
 
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import Array
 from mjtactile.explore.compliance_map import ComplianceMap
@@ -28,14 +27,7 @@ _EDGE = 1.6e-3  # triangle edge, m; a browser can rotate this mesh smoothly
 _UNSURE = 1e-3  # standard deviation of the darkest color, m
 _ELEVATION = 12  # deg
 _AZIMUTH = -55  # deg
-_LEVEL = math.cos(math.radians(_ELEVATION))
-_VIEW = np.array(
-    [
-        _LEVEL * math.cos(math.radians(_AZIMUTH)),
-        _LEVEL * math.sin(math.radians(_AZIMUTH)),
-        math.sin(math.radians(_ELEVATION)),
-    ]
-)
+_VIEW = Rotation.from_euler("yz", [-_ELEVATION, _AZIMUTH], degrees=True).apply([1.0, 0.0, 0.0])
 _LIGHT = np.array([0.62, -0.45, 0.64])
 _STYLE = """#solid{width:100%;height:520px;touch-action:none;border:1px solid #e6e6e6;
 box-sizing:border-box;cursor:grab}.hint{color:#666;font-size:13px}"""
@@ -61,7 +53,7 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
         "vertices": (1e3 * mesh.vertices).round(2).tolist(),
         "normals": mesh.normals.round(3).tolist(),
         "triangles": mesh.triangles.tolist(),
-        "colours": {"stiffness": colours(soft).tolist(), "doubt": _doubt(mesh).tolist()},
+        "colours": {"stiffness": colours(soft).tolist(), "doubt": _sd_colours(mesh).tolist()},
         "words": {
             "stiffness": (
                 f"Blue: stiff. Red: deforms by {1e6 * SOFT / 1e3:.0f} mm under 1 N. Gray: "
@@ -70,7 +62,7 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
             "doubt": "White: sd of 0.03 mm or less. Orange: sd of 1 mm or more. Dots: touches.",
         },
         "touched": [
-            {"place": 1e3 * patch.middle, "normal": patch.normal} for patch in found.patches
+            {"place": 1e3 * patch.center, "normal": patch.normal} for patch in found.patches
         ],
     }
     page = document(f"{summary.get('object', 'explored')}", _body(data, summary), style=_STYLE)
@@ -79,10 +71,9 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
     part.replace(path)
 
 
-def _doubt(mesh: Mesh) -> Array:
+def _sd_colours(mesh: Mesh) -> Array:
     """Return the colors (V, 3) of each vertex's uncertainty."""
-    low = math.log(3e-5)
-    high = math.log(_UNSURE)
+    low, high = math.log(3e-5), math.log(_UNSURE)
     share = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
     mixed = (1 - share) * np.array([245, 245, 240]) + share * np.array([217, 108, 30])
     return mixed.round().astype(int)
@@ -93,10 +84,10 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
-        if _is_known_kind(summary.get(key))
+        if _is_known(summary.get(key))
     ]
-    told = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
-    size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in told)
+    sizes = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
+    size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in sizes)
     yield table([], [*rows, ["size", f"{size} mm"]])
     yield (
         '<p><select id="mode"><option value="stiffness">stiffness</option><option '
@@ -114,28 +105,27 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"<script>{script}</script>"
 
 
-def _is_known_kind(value: Any) -> bool:
+def _is_known(value: Any) -> bool:
     return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
 
 
 def _words(value: Any, unit: str) -> str:
     if not isinstance(value, float):
         return f"{value} {unit}".strip()
-    said = f"{value:.0f}" if abs(value) >= 1000 else f"{value:#.3g}"
-    return f"{said} {unit}".strip()
+    digits = ".0f" if abs(value) >= 1000 else "#.3g"
+    return f"{value:{digits}} {unit}".strip()
 
 
 def draw(figure: Any, found: ExplorationResult) -> None:
     """Plot stiffness and uncertainty of the surface with the touches, its longest axis up."""
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex
-    for number, (colour, title) in enumerate(
-        (
-            (colours(soft), "stiffness: blue stiff, red soft"),
-            (_doubt(mesh), "uncertainty: orange 1 mm"),
-        )
-    ):
-        axes = figure.add_subplot(1, 2, number + 1, projection="3d")
+    views = (
+        (colours(soft), "stiffness: blue stiff, red soft"),
+        (_sd_colours(mesh), "uncertainty: orange 1 mm"),
+    )
+    for number, (colour, title) in enumerate(views, 1):
+        axes = figure.add_subplot(1, 2, number, projection="3d")
         _paint(axes, mesh, np.asarray(colour) / 255, found)
         axes.set_title(title, fontsize=10)
 
@@ -148,23 +138,22 @@ def _paint(axes: Any, mesh: Mesh, colour: Array, found: ExplorationResult) -> No
     up = up * np.array([np.linalg.det(up), 1.0, 1.0])
     corners = 1e3 * (mesh.vertices[mesh.triangles] @ up)
     normal = mesh.normals[mesh.triangles].mean(axis=1) @ up
-    seen = normal @ _VIEW > 0
+    visible = normal @ _VIEW > 0
     light = 0.5 + 0.5 * np.clip(normal @ _LIGHT, 0, 1)
-    faces = (light[:, None] * colour[mesh.triangles].mean(axis=1))[seen]
+    faces = (light[:, None] * colour[mesh.triangles].mean(axis=1))[visible]
     axes.add_collection3d(
-        Poly3DCollection(corners[seen], facecolors=faces, edgecolors=faces, lw=0.2, zorder=1)
+        Poly3DCollection(corners[visible], facecolors=faces, edgecolors=faces, lw=0.2, zorder=1)
     )
     for touch, patch in enumerate(found.patches):
         if patch.normal @ up @ _VIEW > 0.1:
-            place = 1e3 * (patch.middle + 1e-3 * patch.normal) @ up
+            place = 1e3 * (patch.center + 1e-3 * patch.normal) @ up
             axes.scatter(*place, s=14, c="k", depthshade=False, zorder=3)
             axes.text(*place, f" {touch + 1}", fontsize=8, zorder=4)
-    low = corners.min(axis=(0, 1))
-    high = corners.max(axis=(0, 1))
-    middle = (low + high) / 2
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    center = (low + high) / 2
     half = float((high - low).max()) / 2
-    for set_limits, at in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), middle, strict=True):
-        set_limits(at - half, at + half)
+    limits = zip(("xlim", "ylim", "zlim"), center - half, center + half, strict=True)
+    axes.set(**{name: (start, end) for name, start, end in limits})
     axes.set_box_aspect((1, 1, 1), zoom=0.88)  # leaves room for the unit of the vertical axis
     axes.computed_zorder = False
     axes.set(xlabel="mm", ylabel="mm", zlabel="mm")

@@ -49,7 +49,7 @@ def _between(
     per = 1 / edge
 
     def along_yz(at: int, v: float, w: float) -> float:
-        """Between the four nodes of a cell's side, from node `at` on."""
+        """Interpolate between the four nodes of a cell's side, from node `at` on."""
         here = (1 - w) * outside[at] + w * outside[at + 1]
         next_row = (1 - w) * outside[at + row] + w * outside[at + row + 1]
         return (1 - v) * here + v * next_row
@@ -71,12 +71,12 @@ def _between(
 
 
 def with_uncertainty(surface: SurfacePosterior, vertices: Array, triangles: Array) -> Mesh:
-    """A mesh with its normals and standard deviations."""
-    risen = [
+    """Return a mesh with its normals and standard deviations."""
+    change = [
         surface.distance(vertices + step) - surface.distance(vertices - step)
         for step in _SLOPE_STEP * np.eye(3)
     ]
-    slope = np.stack(risen, axis=1) / (2 * _SLOPE_STEP)
+    slope = np.stack(change, axis=1) / (2 * _SLOPE_STEP)
     length = np.linalg.norm(slope, axis=1)
     steep = np.maximum(length, 0.2)
     normals = slope / np.maximum(length, 1e-9)[:, None]
@@ -85,13 +85,13 @@ def with_uncertainty(surface: SurfacePosterior, vertices: Array, triangles: Arra
 
 
 def _box(surface: SurfacePosterior) -> tuple[Array, Array]:
-    """Corners, m, around all of it."""
+    """Return the lower and upper corner, m, of a box around the surface."""
     reach = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
-    middle = 1e-3 * surface.theta[:3]
+    center = 1e-3 * surface.theta[:3]
     coarse = np.linspace(-1.2 * reach, 1.2 * reach, 33)
     grid = np.stack(np.meshgrid(coarse, coarse, coarse, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = grid[surface.distance(middle + grid) < 0] + middle
+    inside = grid[surface.distance(center + grid) < 0] + center
     if not len(inside):
-        inside = middle[None]
+        inside = center[None]
     step = coarse[1] - coarse[0]
     return inside.min(axis=0) - step - _MARGIN, inside.max(axis=0) + step + _MARGIN

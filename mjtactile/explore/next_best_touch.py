@@ -24,7 +24,7 @@ class Aim:
     n_H: Array
 
     def R_SH(self) -> Array:
-        """(3, 3) The holder turned so that the normal points at the sensor."""
+        """Return the rotation (3, 3) of the holder so that the normal points at the sensor."""
         u, v = tangents(self.n_H)
         return np.stack([u, -v, -self.n_H])
 
@@ -40,28 +40,27 @@ class Mesh:
     sd: Array
 
     def areas(self) -> Array:
-        """(V,) m^2, a third of each triangle's for each of its vertices."""
+        """Return the areas (V,), m^2: a third of each triangle's for each of its vertices."""
         a, b, c = (self.vertices[self.triangles[:, k]] for k in range(3))
         third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
         return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
 
     def error(self) -> float:
-        """Root mean square of its own sd over the surface, m."""
+        """Return the root mean square of the sd over the surface, m."""
         return float(np.sqrt(np.average(self.sd**2, weights=self.areas())))
 
 
-def _around(mesh: Mesh, told: Array) -> Array:
-    """Return the value of a touch at each vertex, m. This is the mean of `told` (V,) over the area
-    of a touch. It is reduced on curved areas, since an edge or a corner gives information only
+def _mean_around(mesh: Mesh, values: Array) -> Array:
+    """Return the value of a touch at each vertex, m. This is the mean of `values` (V,) over the
+    area of a touch. It is reduced on curved areas, since an edge or a corner gives information only
     about itself."""
-    tree = cKDTree(mesh.vertices)
-    near = tree.query_ball_point(mesh.vertices, _REACH)
+    near = cKDTree(mesh.vertices).query_ball_point(mesh.vertices, _REACH)
     areas = mesh.areas()
     worth = np.empty(len(near))
     for vertex, others in enumerate(near):
         weights = areas[others] / max(areas[others].sum(), 1e-12)
         flat = np.linalg.norm(weights @ mesh.normals[others])
-        worth[vertex] = flat**_BENT * (weights @ told[others])
+        worth[vertex] = flat**_BENT * (weights @ values[others])
     return worth
 
 
@@ -75,11 +74,11 @@ def next_aim(
     """Choose the next point to touch; None if none is left. `tried` are the earlier targets,
     including touches without contact. `news` (V,), m, is the information from a touch at each
     vertex about the sizes."""
-    past = [patch.middle for patch in patches] + [aim.p_H for aim in tried]
-    worth = _around(mesh, mesh.sd if news is None else mesh.sd + news)
+    past = [patch.center for patch in patches] + [aim.p_H for aim in tried]
+    worth = _mean_around(mesh, mesh.sd if news is None else mesh.sd + news)
     if past:
-        way = np.linalg.norm(mesh.vertices[:, None] - np.stack(past)[None], axis=2).min(axis=1)
-        worth = worth * np.minimum(way / _NEAR, 1.0)
+        distances = np.linalg.norm(mesh.vertices[:, None] - np.stack(past)[None], axis=2)
+        worth = worth * np.minimum(distances.min(axis=1) / _NEAR, 1.0)
     for vertex in np.argsort(-worth):
         aim = Aim(mesh.vertices[vertex], mesh.normals[vertex])
         if worth[vertex] > 0 and reaches(aim):

@@ -36,8 +36,8 @@ class Sizes:
 
 
 def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
-    """Extents (3,) m of a surface along its own principal axes, the largest first, and these axes
-    as columns (3, 3)."""
+    """Return the extents (3,), m, of a surface along its principal axes, the largest first, and
+    these axes as columns (3, 3)."""
     weights = mesh.areas()
     off = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
     axes = np.linalg.eigh((off * weights[:, None]).T @ off)[1][:, ::-1]
@@ -66,45 +66,45 @@ def sizes(
 
 
 def rivals(surfaces: Sequence[SurfacePosterior]) -> list[SurfacePosterior]:
-    """Those that may be meant, the likeliest first."""
-    return [one for one, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
+    """Return the surfaces with a relevant probability, in order."""
+    return [each for each, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
 
 
 def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:
     """Return the information gain of a touch at each vertex about the three sizes, (V,) m."""
     _, axes = principal_sizes(mesh)
-    doubt = mesh.sd**2 + _OBSERVED_SD**2
-    told = np.zeros(len(mesh.vertices))
+    variance = mesh.sd**2 + _OBSERVED_SD**2
+    gain = np.zeros(len(mesh.vertices))
     for axis in axes.T:
         ends = _ends(mesh, axis)
         across = sum(surface.distance_cov(mesh.vertices, end).mean(axis=1) for end in ends)
-        told += across**2 / doubt
-    return np.sqrt(told)
+        gain += across**2 / variance
+    return np.sqrt(gain)
 
 
 def _ends(mesh: Mesh, axis: Array) -> list[Array]:
     """Return the positions (N, 3) m at both ends of a surface along an axis. For a flat end they
     cover its face. For a round end it is the tip."""
-    found = []
-    for way in (axis, -axis):
-        along = mesh.vertices @ way
+    ends = []
+    for direction in (axis, -axis):
+        along = mesh.vertices @ direction
         outer = along > along.max() - _END
-        face = np.flatnonzero(outer & (mesh.normals @ way > _FACING))
+        face = np.flatnonzero(outer & (mesh.normals @ direction > _FACING))
         chosen = face if len(face) else np.array([int(along.argmax())])
-        found.append(mesh.vertices[chosen[:: -(-len(chosen) // _SAMPLES)]])
-    return found
+        ends.append(mesh.vertices[chosen[:: -(-len(chosen) // _SAMPLES)]])
+    return ends
 
 
 def _variance(surface: SurfacePosterior, ends: Sequence[Array], touched: Array) -> float:
     """Return the variance of the distance between two ends, m^2. It includes shape and field, and
     three model errors. These are ends far from any touch, a poorly fitting shape, and a common
     error of all touches."""
-    places = np.concatenate(list(ends))
+    points = np.concatenate(list(ends))
     weight = np.concatenate([np.full(len(end), 1 / len(end)) for end in ends])
-    told = max(float(weight @ surface.distance_cov(places, places) @ weight), 0.0)
-    told += (2e-3 * ALIKE) ** 2  # the same at either end
+    variance = max(float(weight @ surface.distance_cov(points, points) @ weight), 0.0)
+    variance += (2e-3 * ALIKE) ** 2  # the same at either end
     unexplained = _UNEXPLAINED * 1e-3 * surface.field[0]
     if not len(touched):
-        return told + 2 * unexplained**2
+        return variance + 2 * unexplained**2
     far = [max(float(cdist(end, touched).min()) - _NEAR, 0.0) for end in ends]
-    return told + sum((_BEYOND * way) ** 2 + unexplained**2 for way in far)
+    return variance + sum((_BEYOND * distance) ** 2 + unexplained**2 for distance in far)

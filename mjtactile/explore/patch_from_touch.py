@@ -22,10 +22,10 @@ _FREE_STEP = 4  # of the surface's grid
 _STAGE = 2e-5  # positioning error (sd) of stage or jaws, m
 _FACE_SD = 4e-5  # height noise (sd) of the membrane on the object from image to image, m
 _AGREES = 1e-4  # tolerance between the estimated shape and the membrane on it, m
-_MOST = 0.6  # of a patch's points, that agree
+_MIN_AGREEING = 0.6  # fraction of a patch's points
 _HARD = 0.25  # of the strongest node's force
-_SHEET_SPREAD = (5e-5, 0.01, 15.0, 6e-5)
-_TOLD = 3.0  # significance threshold of a compliance, in sd
+_MEMBRANE_SPREAD = (5e-5, 0.01, 15.0, 6e-5)
+_SIGNIFICANT = 3.0  # threshold of a compliance, in sd
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +55,12 @@ def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
     if touch.surface is None or touch.contact is None or not touch.touching:
         return None
     shape = pressed.shape
-    told = _of_body(shape, touch, design) if len(shape.outline) >= 3 else None
-    points_S, normal_S, spread = _of_sheet(touch, design) if told is None else told
-    compliance, compliance_sd = give(pressed)
+    face = _face_of_shape(shape, touch, design) if len(shape.outline) >= 3 else None
+    points_S, normal_S, spread = face or _face_of_membrane(touch, design)
+    compliance, compliance_sd = estimate_compliance(pressed)
     free_S = _free(touch, points_S, design)
     force = float(touch.force_normal)
-    if compliance > _TOLD * compliance_sd:  # surface position before the object yielded
+    if compliance > _SIGNIFICANT * compliance_sd:  # surface position before the object yielded
         points_S = points_S + compliance * force * normal_S
     R_HS = pressed.R_SH.T
     origin = pressed.p_SH[-1]
@@ -78,7 +78,7 @@ def patch_from_press(pressed: Pressed, design: SensorDesign) -> Patch | None:
     )
 
 
-def give(pressed: Pressed) -> tuple[float, float]:
+def estimate_compliance(pressed: Pressed) -> tuple[float, float]:
     """Estimate the compliance of the object and its sd, m/N: the motion of the holder minus that of
     the membrane at the first contact point, over the force. NaN with fewer than three images."""
     first = pressed.touches[0].traction
@@ -87,46 +87,45 @@ def give(pressed: Pressed) -> tuple[float, float]:
     row, column = np.unravel_index(int(first.force[:, :, 2].argmin()), first.force.shape[:2])
     at = np.array([[first.x[column], first.y[row]]])
     rows = [
-        (touch.force_normal, place[2] - float(_sheet(touch.surface, at)[0]))
-        for touch, place in zip(pressed.touches, pressed.p_SH, strict=True)
+        (touch.force_normal, origin[2] - float(_membrane_height(touch.surface, at)[0]))
+        for touch, origin in zip(pressed.touches, pressed.p_SH, strict=True)
         if touch.surface is not None and math.isfinite(touch.force_normal)
     ]
-    force, way = np.array(rows).T
+    force, motion = np.array(rows).T
     spread = force - force.mean()
     weight = float(spread @ spread)
     if len(rows) < 3 or weight < 1e-3:
         return math.nan, math.nan
     # the holder goes down as the force grows
-    return float(-(spread @ way) / weight), _FACE_SD / math.sqrt(weight)
+    return float(-(spread @ motion) / weight), _FACE_SD / math.sqrt(weight)
 
 
-def _sheet(surface: Surface, xy: Array) -> Array:
+def _membrane_height(surface: Surface, xy: Array) -> Array:
     """Return the heights (N,) m of the membrane at positions (N, 2) m."""
     grid = RegularGridInterpolator((surface.y, surface.x), surface.z)
     low, high = (surface.x[0], surface.y[0]), (surface.x[-1], surface.y[-1])
     return grid(np.clip(xy, low, high)[:, ::-1])
 
 
-_Told = tuple[Array, Array, tuple[float, float, float, float]]
+_Face = tuple[Array, Array, tuple[float, float, float, float]]
 """Points (N, 3) m in S, the outward normal, and spreads as `Patch` has them."""
 
 
-def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told | None:
+def _face_of_shape(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Face | None:
     """Return points of the estimated shape inside its outline; None if the membrane does not lie on
     it."""
-    middle = shape.outline.mean(axis=0)
+    center = shape.outline.mean(axis=0)
     if shape.kind == "edge":
-        xy = _along(shape, middle)
+        xy = _along(shape, center)
     else:
-        shrink = _SHRINK if shape.kind == "flat" else 1.0
-        xy = _inside(shape.outline, middle, shrink)
+        xy = _inside(shape.outline, center, _SHRINK if shape.kind == "flat" else 1.0)
     x, y = (xy - shape.p_SO[:2]).T
     z, slope = _heights(shape, x, y)
     points = np.column_stack([xy, shape.p_SO[2] + z])
     assert touch.surface is not None
-    off = points[:, 2] - _sheet(touch.surface, xy) - design.membrane.thickness / 2
+    off = points[:, 2] - _membrane_height(touch.surface, xy) - design.membrane.thickness / 2
     on = np.abs(off) < _AGREES
-    if on.sum() < max(_MOST * len(off), 3):
+    if on.sum() < max(_MIN_AGREEING * len(off), 3):
         return None
     normal = np.array([slope[0], slope[1], -1.0])
     return points[on], normal / np.linalg.norm(normal), _spread(shape)
@@ -134,55 +133,51 @@ def _of_body(shape: ContactShape, touch: Touch, design: SensorDesign) -> _Told |
 
 def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
     """Return heights of a shape over its point nearest the sensor, and its mean slope (2,)."""
+    plane = np.zeros(2)
     if shape.kind == "flat" or shape.family == "cylinder":
         z_axis = shape.R_SO[:, 2]
         plane = -z_axis[:2] / z_axis[2]
-    else:
-        plane = np.zeros(2)
     maximum, minimum = np.nan_to_num(shape.curvatures)
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     c, s = math.cos(angle), math.sin(angle)
     along, across = c * x + s * y, c * y - s * x
     z = plane[0] * x + plane[1] * y + _bent(minimum, along) + _bent(maximum, across)
     center_along, center_across = along.mean(), across.mean()
-    slope = plane + np.array(
-        [
-            minimum * center_along * c - maximum * center_across * s,
-            minimum * center_along * s + maximum * center_across * c,
-        ]
-    )
-    return z, slope
+    slope_x = minimum * center_along * c - maximum * center_across * s
+    slope_y = minimum * center_along * s + maximum * center_across * c
+    return z, plane + np.array([slope_x, slope_y])
 
 
-def _bent(curvature: float, way: Array) -> Array:
+def _bent(curvature: float, distance: Array) -> Array:
     """Return the height of a circle over its lowest point. The horizontal distance is limited to
     0.8 of the radius, so that the rise stays below half of it."""
     if abs(curvature) < 1e-3:
-        return 0.5 * curvature * way**2
+        return 0.5 * curvature * distance**2
     radius = 1 / curvature
-    short = np.minimum(np.abs(way), 0.8 * abs(radius))
+    short = np.minimum(np.abs(distance), 0.8 * abs(radius))
     return radius - math.copysign(1, radius) * np.sqrt(radius**2 - short**2)
 
 
-def _inside(outline: Array, middle: Array, shrink: float) -> Array:
+def _inside(outline: Array, center: Array, shrink: float) -> Array:
     """Return positions on a patch: its center and rings."""
-    off = outline - middle
+    off = outline - center
     angle = np.arctan2(off[:, 1], off[:, 0])
     far = np.hypot(off[:, 0], off[:, 1])
     spokes = np.arange(_SPOKES) * (2 * math.pi / _SPOKES)
     order = np.argsort(angle)
     reach = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
     rays = np.column_stack([np.cos(spokes), np.sin(spokes)])
-    return np.concatenate([[middle], *(middle + share * reach[:, None] * rays for share in _RINGS)])
+    rings = [center + share * reach[:, None] * rays for share in _RINGS]
+    return np.concatenate([[center], *rings])
 
 
-def _along(shape: ContactShape, middle: Array) -> Array:
+def _along(shape: ContactShape, center: Array) -> Array:
     """Return points along the contacting part of an edge."""
     ray = np.array([math.cos(shape.direction), math.sin(shape.direction)])
     across = np.array([-ray[1], ray[0]])
-    on = middle + across * (across @ (shape.p_SO[:2] - middle))
-    ways = (shape.outline - on) @ ray
-    return on + np.linspace(0.8 * ways.min(), 0.8 * ways.max(), _LINE)[:, None] * ray
+    on = center + across * (across @ (shape.p_SO[:2] - center))
+    reach = (shape.outline - on) @ ray
+    return on + np.linspace(0.8 * reach.min(), 0.8 * reach.max(), _LINE)[:, None] * ray
 
 
 def _spread(shape: ContactShape) -> tuple[float, float, float, float]:
@@ -190,29 +185,29 @@ def _spread(shape: ContactShape) -> tuple[float, float, float, float]:
     variance = np.nan_to_num(np.diag(shape.pose_cov))
     height = math.hypot(math.sqrt(max(variance[2], 0.0)), _STAGE)
     bent = float(np.nanmax(np.abs(np.nan_to_num(shape.curvatures))))
-    aside = math.sqrt(max(variance[0], variance[1], 0.0))
-    tilt = math.sqrt(max(variance[3], variance[4], 0.0) + (bent * aside) ** 2)
+    lateral = math.sqrt(max(variance[0], variance[1], 0.0))
+    tilt = math.sqrt(max(variance[3], variance[4], 0.0) + (bent * lateral) ** 2)
     curvature = float(np.nanmax(np.nan_to_num(shape.curvatures_sd)))
     if shape.kind in ("edge", "point"):  # the contact does not show how far the faces are tilted
         return height + 5e-5, 0.1, curvature, 5e-5
     return height, max(tilt, 3e-3), max(curvature, 1.0), 2e-5
 
 
-def _of_sheet(touch: Touch, design: SensorDesign) -> _Told:
+def _face_of_membrane(touch: Touch, design: SensorDesign) -> _Face:
     """Return the membrane's outer face at the largest pressure, with a larger uncertainty."""
     assert touch.surface is not None and touch.contact is not None and touch.traction is not None
     traction = touch.traction
     pressing = -traction.force[:, :, 2] * touch.contact.mask
     rows, columns = np.nonzero(pressing > _HARD * pressing.max())
     xy = np.column_stack([traction.x[columns], traction.y[rows]])
-    z = _sheet(touch.surface, xy)
+    z = _membrane_height(touch.surface, xy)
     points = np.column_stack([xy, z + design.membrane.thickness / 2])
     off = points - points.mean(axis=0)
     normal = np.array([0.0, 0.0, -1.0])
     if len(points) >= 4:
         slope = np.linalg.lstsq(off[:, :2], off[:, 2], rcond=1e-2)[0]
         normal = np.array([*slope, -1.0]) / math.hypot(*slope, 1.0)
-    return points, normal, _SHEET_SPREAD
+    return points, normal, _MEMBRANE_SPREAD
 
 
 def _free(touch: Touch, points_S: Array, design: SensorDesign) -> Array:
@@ -221,6 +216,6 @@ def _free(touch: Touch, points_S: Array, design: SensorDesign) -> Array:
     s = touch.surface
     x, y = np.meshgrid(s.x[::_FREE_STEP], s.y[::_FREE_STEP])
     z = s.z[::_FREE_STEP, ::_FREE_STEP]
-    sheet = np.column_stack([x.ravel(), y.ravel(), z.ravel() + design.membrane.thickness / 2])
-    away = np.linalg.norm(sheet[:, None, :2] - points_S[None, :, :2], axis=2).min(axis=1)
-    return sheet[away > _CLEAR]
+    face = np.column_stack([x.ravel(), y.ravel(), z.ravel() + design.membrane.thickness / 2])
+    distance = np.linalg.norm(face[:, None, :2] - points_S[None, :, :2], axis=2).min(axis=1)
+    return face[distance > _CLEAR]

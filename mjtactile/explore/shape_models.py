@@ -67,18 +67,12 @@ def _family(
     starts: tuple[tuple[float, float], ...] = (),
     fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
 ) -> ObjectFamily:
-    """Exponents along and across as mean and sd, the taper's sd; whether the sizes across are
-    alike."""
+    """Return a family with exponents `along` and `across` as mean and sd, and the taper's sd."""
     end, end_sd = _CUT if cut else (WHOLE, _TIED)
     mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2 + [end])
-    cov = np.diag(
-        [_PLACE_SD**2] * 3
-        + [_ROTATION_SD**2] * 3
-        + [0.0] * 3
-        + [along[1] ** 2, across[1] ** 2]
-        + [taper**2] * 2
-        + [end_sd**2]
-    )
+    pose = [_PLACE_SD**2] * 3 + [_ROTATION_SD**2] * 3
+    shape = [along[1] ** 2, across[1] ** 2, taper**2, taper**2, end_sd**2]
+    cov = np.diag([*pose, 0.0, 0.0, 0.0, *shape])
     cov[6:9, 6:9] = _SIZE_SD**2 + _ASPECT_SD**2 * np.eye(3)
     if round_across:
         cov[6:8, 6:8] = _SIZE_SD**2 + _ASPECT_SD**2 + _ALIKE**2 * np.eye(2)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from mjtactile.core.errors import InputError
@@ -15,9 +17,9 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult, explore, explored
 from mjtactile.explore.grip_scan import HEIGHTS, GripController, Log, patches_of_grip, require_two
-from mjtactile.explore.ground_truth_error import score
 from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Mesh
+from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.stage import SimulatedStage
 from mjtactile.explore.surface_fusion import fuse
 from mjtactile.explore.surface_patch import Patch
@@ -35,18 +37,21 @@ _FINGER = 6e-3  # contact radius around a finger's axis, m
 _FACES = 0.6  # minimum cosine between a finger's axis and a contact normal
 _GRIP_TIME = 30.0  # time limit of a grip, s
 _GENTLE = 0.5  # maximum fraction of the breaking force
+_FACETS = 5e-5  # reduction of a size by flat triangles, m
+_TOUCHED_SD = 3e-5  # error of the triangulation itself, m
+_APART = 2e-3  # distance to the nearest vertex above which the plane is not used, m
 
 
 def explore_on_stage(
-    scenario: Scenario, wanted: ExplorationGoal, *, known: Sequence[Patch] = (), **told: Any
+    scenario: Scenario, goal: ExplorationGoal, *, known: Sequence[Patch] = (), **callbacks: Any
 ) -> tuple[ExplorationResult, dict[str, Any]]:
     """Explore a simulated object.
 
     Args:
         scenario: Object, sensor and seed; the seed defines the object pose in its holder.
-        wanted: Stop criteria.
+        goal: Stop criteria.
         known: Patches from earlier touches.
-        told: `say`, `keep`, `stopped`; see `explore`.
+        callbacks: `say`, `keep`, `stopped`; see `explore`.
 
     Returns:
         The result and its ground-truth error.
@@ -55,28 +60,28 @@ def explore_on_stage(
         InputError: Unknown names, an object that does not fit a holder, or a force that may break
             it.
     """
-    model = _checked(scenario, wanted)
-    p_HO, R_HO = placed(scenario.seed)
+    model = _load_object(scenario, goal)
+    p_HO, R_HO = object_pose(scenario.seed)
     stage = SimulatedStage(scenario.design(), model, p_HO=p_HO, R_HO=R_HO, seed=scenario.seed)
-    found = explore(stage, wanted, known=known, begun=len(known), **told)
+    found = explore(stage, goal, known=known, completed=len(known), **callbacks)
     if not found.patches:
         return found, {}
     return found, score(found, TrueSurface.of(model), p_HO, R_HO)
 
 
-def _checked(scenario: Scenario, wanted: ExplorationGoal) -> ObjectModel:
-    """The object, where the force cannot break it."""
+def _load_object(scenario: Scenario, goal: ExplorationGoal) -> ObjectModel:
+    """Return the object. Raises InputError if the force may break it."""
     model = load_object(scenario.object)
-    if wanted.force > _GENTLE * model.break_force:
+    if goal.force > _GENTLE * model.break_force:
         raise InputError(
-            f"{wanted.force:g} N is more than half of the breaking force of {model.name!r}, "
+            f"{goal.force:g} N is more than half of the breaking force of {model.name!r}, "
             f"{model.break_force:g} N",
             field="--force-N",
         )
     return model
 
 
-def placed(seed: int) -> tuple[Array, Array]:
+def object_pose(seed: int) -> tuple[Array, Array]:
     """Return the pose of an object in its holder: p_HO (3,), m, and R_HO (3, 3)."""
     rng = np.random.default_rng([seed, 31])
     return rng.uniform(-_ASIDE, _ASIDE, 3), Rotation.random(rng=rng).as_matrix()
@@ -84,7 +89,7 @@ def placed(seed: int) -> tuple[Array, Array]:
 
 def explore_in_gripper(
     scenario: Scenario,
-    wanted: ExplorationGoal,
+    goal: ExplorationGoal,
     *,
     known: Sequence[Patch] = (),
     say: Callable[[str], None] = lambda _: None,
@@ -95,7 +100,7 @@ def explore_in_gripper(
 
     Args:
         scenario: Object, sensor, rig (two fingers) and seed.
-        wanted: Stop criteria; a grip counts as one touch.
+        goal: Stop criteria; a grip counts as one touch.
         known: Patches from earlier grips.
         say: Callback that receives a line for each grip.
         keep: Callback that receives each patch.
@@ -108,35 +113,35 @@ def explore_in_gripper(
         InputError: Unknown names, a rig that is not simulated, or a force that may break the
             object.
     """
-    model = _checked(scenario, wanted)
+    model = _load_object(scenario, goal)
     require_two(len(load_sim_rig(scenario.rig).fingers))
     patches = list(known)
     number = max((patch.group for patch in patches), default=0)
-    tried: list[tuple[float, float]] = []
-    believed = fuse(patches)
+    grips: list[tuple[float, float]] = []
+    hypotheses = fuse(patches)
     flags: dict[str, str] = {}
     outcome = "touches"
-    while number < wanted.touches:
-        mesh = mesh_of(believed[0], _PLAN_EDGE)
-        if patches and mesh.error() <= wanted.accuracy:
+    while number < goal.touches:
+        mesh = mesh_of(hypotheses[0], _PLAN_EDGE)
+        if patches and mesh.error() <= goal.accuracy:
             outcome = "accurate"
             break
         if stopped():
             outcome = "interrupted"
             break
-        turn, height = next_grip(mesh, tried, bool(patches))
-        tried.append((turn, height))
+        turn, height = next_grip(mesh, grips, has_contact=bool(patches))
+        grips.append((turn, height))
         number += 1
-        new = _grip(scenario, turn, height, wanted.force, number, flags)
+        new = _grip(scenario, turn, height, goal.force, number, flags)
         for patch in new:
             keep(patch)
         patches += new
-        believed = fuse(patches, believed)
-        doubt = 1e3 * mesh_of(believed[0], _PLAN_EDGE).error()
-        kinds = ", ".join(patch.kind for patch in new) or "nothing felt"
+        hypotheses = fuse(patches, hypotheses)
+        sd = 1e3 * mesh_of(hypotheses[0], _PLAN_EDGE).error()
+        kinds = ", ".join(patch.kind for patch in new) or "no contact"
         say(
             f"grip {number}: rotated {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
-            f"{kinds}; surface sd {doubt:.2f} mm"
+            f"{kinds}; surface sd {sd:.2f} mm"
         )
     found = explored(patches, outcome if patches else "nothing there", number, flags)
     if not patches:
@@ -144,25 +149,24 @@ def explore_in_gripper(
     return found, score(found, TrueSurface.of(model), np.zeros(3), np.eye(3))
 
 
-def next_grip(mesh: Mesh, tried: Sequence[tuple[float, float]], begun: bool) -> tuple[float, float]:
+def next_grip(
+    mesh: Mesh, grips: Sequence[tuple[float, float]], *, has_contact: bool
+) -> tuple[float, float]:
     """Choose rotation, rad, and height, m, of a grip, so that the fingers meet the most uncertain
     part of the surface. Before the first contact the rotations are tried in order."""
-    if not begun:
-        return TURNS[len(tried) % len(TURNS)], HEIGHTS[0]
+    if not has_contact:
+        return TURNS[len(grips) % len(TURNS)], HEIGHTS[0]
     worth = {}
-    for turn in TURNS:
+    for turn, height in itertools.product(TURNS, HEIGHTS):
+        if (turn, height) in grips:
+            continue
         axis = np.array([math.cos(turn), -math.sin(turn), 0.0])
-        for height in HEIGHTS:
-            if (turn, height) in tried:
-                continue
-            off = mesh.vertices - (0.0, 0.0, height)
-            along = off @ axis
-            aside = np.linalg.norm(off - along[:, None] * axis, axis=1)
-            near = (aside < _FINGER) & (np.abs(mesh.normals @ axis) > _FACES)
-            worth[turn, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
-    if not worth:
-        return tried[0]
-    return max(worth, key=lambda grip: worth[grip])
+        off = mesh.vertices - (0.0, 0.0, height)
+        along = off @ axis
+        lateral = np.linalg.norm(off - along[:, None] * axis, axis=1)
+        near = (lateral < _FINGER) & (np.abs(mesh.normals @ axis) > _FACES)
+        worth[turn, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
+    return max(worth, key=lambda grip: worth[grip]) if worth else grips[0]
 
 
 def _grip(
@@ -171,8 +175,8 @@ def _grip(
     """Simulate one grip of the rotated object."""
     # a seed first samples the camera noise, so each grip gets its own seed
     file = load_sim_rig(scenario.rig)
-    drawn = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
-    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, drawn=drawn)
+    change = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
+    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, drawn=change)
     log = Log()
     try:
         session = Session(rig, threads=0)
@@ -180,6 +184,59 @@ def _grip(
         session.run(GripController((height,), force), time_limit=_GRIP_TIME, observer=log)
         flags |= dict(rig.flags())
         designs = [finger.design for finger in rig.fingers]
-        return patches_of_grip(log.moments, session.perceptions, designs, yaw=turn, group=number)
+        return patches_of_grip(log.cycles, session.perceptions, designs, yaw=turn, group=number)
     finally:
         rig.close()
+
+
+def score(
+    found: ExplorationResult, true: TrueSurface, p_HO: Array, R_HO: Array
+) -> dict[str, float]:
+    """Compare an explored surface with the true surface of the object at its true pose.
+
+    Returns:
+        `surface_error_mm_true` (root mean square of the distances from either surface to the
+        other), `surface_error_95_mm_true` (95 % quantile), `size_error_true` (largest relative
+        error of three extents along the object's axes), `within_1_sd_true`, `within_2_sd_true`
+        (fractions of the estimated surface), `sizes_within_true` (fraction of the three estimated
+        sizes whose 68 % interval contains the true one), `sizes_within_2_sd_true`.
+    """
+    mesh = found.mesh
+    vertices = (mesh.vertices - p_HO) @ R_HO
+    normals = mesh.normals @ R_HO
+    weights = mesh.areas()
+    outside = true.off(vertices, normals)
+    missed = _missed(Mesh(vertices, mesh.triangles, normals, mesh.sd), true.points)
+    square = (np.average(outside**2, weights=weights) + float(np.mean(missed**2))) / 2
+    sizes = np.ptp(vertices, axis=0) / true.extents(np.eye(3))
+    sd = np.maximum(mesh.sd, _TOUCHED_SD)
+    both = np.concatenate([np.abs(outside), np.abs(missed)])
+    return {
+        "surface_error_mm_true": 1e3 * float(np.sqrt(square)),
+        "surface_error_95_mm_true": 1e3 * float(np.quantile(both, 0.95)),
+        "size_error_true": float(np.abs(sizes - 1).max()),
+        "within_1_sd_true": float(np.average(np.abs(outside) < sd, weights=weights)),
+        "within_2_sd_true": float(np.average(np.abs(outside) < 2 * sd, weights=weights)),
+        **_sizes_within(found, true, R_HO),
+    }
+
+
+def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -> dict[str, float]:
+    """Return the fraction of sizes within their intervals, and within twice their sd. The sizes are
+    along the estimated axes. A tolerance of 0.05 mm covers the triangulation error."""
+    _, axes = principal_sizes(found.mesh)
+    true = surface.extents(R_HO.T @ axes)
+    low, high = found.sizes.interval.T
+    twice = np.abs(true - found.sizes.mean) <= 2 * found.sizes.sd + _FACETS
+    return {
+        "sizes_within_true": float(np.mean((true >= low - _FACETS) & (true <= high + _FACETS))),
+        "sizes_within_2_sd_true": float(np.mean(twice)),
+    }
+
+
+def _missed(mesh: Mesh, points: Array) -> Array:
+    """Return the distances of true points from the estimated surface, (N,) m. The distance is to
+    the plane of the nearest vertex, or to that vertex if it is far away."""
+    distance, nearest = cKDTree(mesh.vertices).query(points)
+    across = np.einsum("ni,ni->n", points - mesh.vertices[nearest], mesh.normals[nearest])
+    return np.where(distance < _APART, across, distance)

@@ -7,12 +7,12 @@ the holder then changes slightly; the exploration does not have this offset.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array, ContactShape, Touch
+from mjtactile.core.types import Array, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.explore.next_best_touch import Aim
 from mjtactile.explore.patch_from_touch import Pressed
@@ -25,9 +25,12 @@ coarser mesh."""
 _STEP = 2.5e-4  # lowering step of the stage between images, m
 _TRAVEL = 2.6e-3  # maximum depth below first contact, m; the frame's rim is deeper
 _STILL = 0.1  # settling time before an image, s
-_SEEN = 0.08  # minimum force for a shape estimate, N
-
-Say = Callable[[str], None]
+_MIN_FORCE = 0.08  # for a shape estimate, N
+_APPROACHES = 2
+_OFF_CENTER = 5e-3  # distance of the contact from the sensor's center, m, for a second approach
+_HOLDER = math.radians(35)
+_TURNED_GROUP = -1  # group number of the patches touched with the object upside down
+_SEAT_SD = 1e-4  # standard deviation of the offset after turning the object upside down, m
 
 
 class SimulatedStage:
@@ -77,56 +80,44 @@ class SimulatedStage:
         """Touch one point until the contact force reaches `force`, N. The result is empty without
         contact."""
         R_SH = aim.R_SH()
-        is_over = aim.n_H[2] < -math.cos(_HOLDER)
-        seat = R_SH @ self._seat if is_over else np.zeros(3)
+        is_turned = aim.n_H[2] < -math.cos(_HOLDER)
+        seat = R_SH @ self._seat if is_turned else np.zeros(3)
         p_H = self._above_center(R_SH, aim.p_H)
-        self.world.turn(R_SH, p_H)
         touches: list[Touch] = []
-        places: list[Array] = []
-        depth = 0.0
-        while depth < _TRAVEL:
-            depth += _STEP
-            self._lower(depth)
-            touch = self._view.touch()
-            felt = touch.force_normal
-            if math.isfinite(felt) and felt > _SEEN:
+        origins: list[Array] = []
+        for touch in self._lower(R_SH, p_H):
+            if touch.force_normal > _MIN_FORCE:
                 touches.append(touch)
-                places.append(self.world.p_SH - seat)
-            if not math.isfinite(felt) or felt >= force:
+                origins.append(self.world.p_SH - seat)
+            if not touch.force_normal < force:
                 break
         self.world.lift_off()
         if not touches:
             return ()
-        shape: ContactShape = self._view.perception.shape(touches)
-        group, loose = (_OVER, _SEAT_SD) if is_over else (0, 0.0)
-        return (Pressed(tuple(touches), R_SH, np.array(places), shape, group, loose),)
+        shape = self._view.perception.shape(touches)
+        group, loose = (_TURNED_GROUP, _SEAT_SD) if is_turned else (0, 0.0)
+        return (Pressed(tuple(touches), R_SH, np.array(origins), shape, group, loose),)
 
     def _above_center(self, R_SH: Array, p_H: Array) -> Array:
         """Find the first contact point with a light touch, and move it over the sensor's center."""
-        for _ in range(_LOOKS):
-            self.world.turn(R_SH, p_H)
-            depth = 0.0
-            while depth < _TRAVEL:
-                depth += _STEP
-                self._lower(depth)
-                touch = self._view.touch()
-                if touch.contact is not None and touch.force_normal > _SEEN:
+        for _ in range(_APPROACHES):
+            for touch in self._lower(R_SH, p_H):
+                if touch.contact is not None and touch.force_normal > _MIN_FORCE:
+                    at = touch.contact.centroid
                     break
             else:
                 return p_H
-            at = touch.contact.centroid
-            if np.hypot(*at) < _ASIDE:
+            if np.hypot(*at) < _OFF_CENTER:
                 return p_H
             p_H = p_H + R_SH.T @ (at[0], at[1], 0.0)
         return p_H
 
-    def _lower(self, depth: float) -> None:
-        self.world.drive(depth)
-        self.world.step(round(_STILL / self.world.timestep))
-
-
-_LOOKS = 2
-_ASIDE = 5e-3  # distance of the contact from the sensor's center that requires a second approach, m
-_HOLDER = math.radians(35)
-_OVER = -1  # group number of the patches touched with the object upside down
-_SEAT_SD = 1e-4  # standard deviation of the offset after turning the object upside down, m
+    def _lower(self, R_SH: Array, p_H: Array) -> Iterator[Touch]:
+        """Lower a point of the object in steps onto the sensor, and yield the touch of each."""
+        self.world.turn(R_SH, p_H)
+        depth = 0.0
+        while depth < _TRAVEL:
+            depth += _STEP
+            self.world.drive(depth)
+            self.world.step(round(_STILL / self.world.timestep))
+            yield self._view.touch()

@@ -11,35 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from mjtactile.core.types import Array
 
-NAMES = (
-    "x",
-    "y",
-    "z",
-    "turn_x",
-    "turn_y",
-    "turn_z",
-    "a",
-    "b",
-    "c",
-    "e1",
-    "e2",
-    "taper_x",
-    "taper_y",
-    "cut",
-)
-"""Names of the parameters.
-
-They start with the position in mm, the rotation vector, and the logarithms of half sizes in mm. The
-exponents (1: round, 0: sharp) apply along and across its axis z. The tapers are the relative
-increase of the width at its upper end. The cut is the remaining fraction of its lower half, up to a
-flat end (`WHOLE`: no cut).
-"""
-COUNT = len(NAMES)
-WHOLE = 1.3
+COUNT = 14
+"""Number of parameters: position in mm (3), rotation vector (3), logarithms of half sizes in mm
+(3), exponents (2; 1: round, 0: sharp) along and across its axis z, tapers (2), the relative
+increase of the width at its upper end, and cut, the remaining fraction of its lower half up to a
+flat end."""
+WHOLE = 1.3  # cut of a shape without a flat end
 LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
 HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2 + [WHOLE + 0.2])
-STEP = np.array([1e-3] * 3 + [1e-4] * 3 + [1e-4] * 3 + [1e-4] * 5)
-"""Over which derivatives are taken."""
+STEP = np.array([1e-3] * 3 + [1e-4] * 11)  # of finite differences
 _TINY = 1e-9
 
 
@@ -89,7 +69,7 @@ def _level(theta: Array, p: Array) -> tuple[Array, Array]:
 
 
 def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
-    """(|x|^p + |y|^p)^(1/p), and its derivatives."""
+    """Return (|x|^p + |y|^p)^(1/p), and its derivatives."""
     maximum = np.maximum(np.maximum(np.abs(x), np.abs(y)), _TINY)
     sides = np.abs(x) / maximum, np.abs(y) / maximum
     total = np.maximum(sides[0] ** power + sides[1] ** power, _TINY)
@@ -101,7 +81,7 @@ def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
     )
 
 
-def by_numbers(theta: Array, p: Array) -> Array:
+def jacobian(theta: Array, p: Array) -> Array:
     """Compute the derivatives (N, 14) of `distance` with respect to the shape parameters."""
     steps = np.diag(STEP)
     moved = distance(np.concatenate([theta + steps, theta - steps]), p)

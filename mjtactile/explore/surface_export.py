@@ -25,20 +25,22 @@ def colours(compliance: Array) -> Array:
 
 
 def write_ply(path: Path, found: ExplorationResult) -> None:
-    """Write the surface in mm, binary: vertices with normals, `sd` mm, `compliance` mm/N and
-    colours, and triangles."""
+    """Write the surface in mm, binary: vertices with normals, `sd` mm, `compliance` mm/N, color."""
     mesh = found.mesh
     named = [
         *((name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "sd", "compliance")),
         *((name, "u1") for name in ("red", "green", "blue")),
     ]
     rows = np.zeros(len(mesh.vertices), named)
-    numbers = np.column_stack(
-        [1e3 * mesh.vertices, mesh.normals, 1e3 * mesh.sd, 1e3 * found.stiffness.by_vertex]
-    )
-    for (name, _), column in zip(named[:8], numbers.T, strict=True):
-        rows[name] = column
-    for (name, _), column in zip(named[8:], colours(found.stiffness.by_vertex).T, strict=True):
+    compliance = found.stiffness.by_vertex
+    values = [
+        1e3 * mesh.vertices,
+        mesh.normals,
+        1e3 * mesh.sd,
+        1e3 * compliance,
+        colours(compliance),
+    ]
+    for (name, _), column in zip(named, np.column_stack(values).T, strict=True):
         rows[name] = column
     faces = np.zeros(len(mesh.triangles), [("count", "u1"), ("at", "<i4", 3)])
     faces["count"] = 3

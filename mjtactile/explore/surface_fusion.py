@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 from mjtactile.core.types import Array
 from mjtactile.explore import superquadric
 from mjtactile.explore.shape_models import FAMILIES, HALF, ObjectFamily
-from mjtactile.explore.surface_patch import Patch, between
-from mjtactile.explore.surface_posterior import SurfacePosterior, kernel, unknown
-from mjtactile.explore.variance_inflation import excess
+from mjtactile.explore.surface_patch import Patch, group_covariance
+from mjtactile.explore.surface_posterior import SurfacePosterior, excess, kernel, unknown
 
 _MM = 1e3
 _FIRST_FIELD = (0.05, 8.0)  # mm; a larger field would absorb the errors of outlier patches
@@ -57,15 +56,15 @@ def fuse(
         return [unknown()]
     data = _Data.of(patches)
     places = _starts(patches)
-    known = {one.family.name: one.theta for one in before if len(one.points)}
-    found = [_of_family(data, family, places, known.get(family.name)) for family in FAMILIES]
-    return sorted(found, key=lambda one: -one.log_evidence)
+    known = {surface.family.name: surface.theta for surface in before if len(surface.points)}
+    surfaces = [_of_family(data, family, places, known.get(family.name)) for family in FAMILIES]
+    return sorted(surfaces, key=lambda surface: -surface.log_evidence)
 
 
 def shares(surfaces: Sequence[SurfacePosterior]) -> Array:
-    """Probability of each, (N,), all families alike beforehand."""
-    told = np.array([one.log_evidence for one in surfaces])
-    weight = np.exp(told - told.max())
+    """Return the probability (N,) of each surface, with equal prior probabilities."""
+    log = np.array([surface.log_evidence for surface in surfaces])
+    weight = np.exp(log - log.max())
     return weight / weight.sum()
 
 
@@ -81,20 +80,21 @@ def _of_family(
         if family.cut:  # at either end
             starts.append(starts[-1].copy())
             starts[-1][3:6] = _upside_down(place[3:6])
-    tried = sorted((_robust(data, family, one, _FIRST_ROUNDS) for one in starts), key=_cost)
-    theta = min((_robust(data, family, one.x, _ROUNDS) for one in tried[:_STARTS]), key=_cost).x
-    said = data.noise
+    fits = sorted((_robust(data, family, start, _FIRST_ROUNDS) for start in starts), key=_cost)
+    theta = min((_robust(data, family, fit.x, _ROUNDS) for fit in fits[:_STARTS]), key=_cost).x
+    stated = data.noise
     data = data.with_uncertainty(theta).with_free(theta)
     theta = _solve(data, family, _FIRST_FIELD, theta).x
     fields = [_with_field(data, family, theta, field) for field in family.fields]
-    likeliest = max(fields, key=lambda one: one.log_evidence)
-    theta = _solve(data, family, likeliest.field, theta).x
-    found = _with_field(data, family, theta, likeliest.field)
+    field = max(fields, key=lambda surface: surface.log_evidence).field
+    theta = _solve(data, family, field, theta).x
+    surface = _with_field(data, family, theta, field)
     expected = _expected(data, family, theta)
-    found = replace(found, excess=excess(found.factor, expected, data.noise, said, data.parts))
+    inflation = excess(surface.factor, expected, data.noise, stated, data.parts)
+    surface = replace(surface, excess=inflation)
     if family.cut and not _ends_flat(data, theta):
-        return replace(found, log_evidence=found.log_evidence - _UNTOUCHED)
-    return found
+        return replace(surface, log_evidence=surface.log_evidence - _UNTOUCHED)
+    return surface
 
 
 def _ends_flat(data: _Data, theta: Array) -> bool:
@@ -132,9 +132,8 @@ class _Data:
         points = _MM * np.concatenate([patch.points for patch in patches])
         noise: Array = np.asarray(block_diag(*(_MM**2 * patch.covariance() for patch in patches)))
         if any(patch.group for patch in patches):
-            noise += _MM**2 * np.block(
-                [[between(one, other) for other in patches] for one in patches]
-            )
+            blocks = [[group_covariance(one, other) for other in patches] for one in patches]
+            noise += _MM**2 * np.block(blocks)
         free = _thinned(_MM * np.concatenate([patch.free for patch in patches]))
         ends = np.cumsum([len(patch.points) for patch in patches])
         parts = tuple(slice(end - len(p.points), end) for end, p in zip(ends, patches, strict=True))
@@ -189,25 +188,17 @@ class _Data:
 
 
 def _thinned(places: Array) -> Array:
-    """One of those in each cell as wide as they need to be apart."""
+    """Return one of the points in each cell as wide as their minimum distance."""
     cells = np.floor(places / _FREE_APART).astype(int)
     return places[np.unique(cells, axis=0, return_index=True)[1]]
 
 
-TaskGoal = Callable[[Array], Array]
-"""Function of the shape parameters: the residuals, (N,), or their derivatives (N, 14)."""
-
-
-def _least_squares(left: TaskGoal, slopes: Any, start: Array, rounds: int) -> OptimizeResult:
+def _least_squares(
+    residuals: Callable[[Array], Array], slopes: Any, start: Array, rounds: int
+) -> OptimizeResult:
     start = np.clip(start, superquadric.LOW + 1e-6, superquadric.HIGH - 1e-6)
-    return least_squares(
-        left,
-        start,
-        slopes,
-        bounds=(superquadric.LOW, superquadric.HIGH),
-        x_scale=_SCALE,
-        max_nfev=rounds,
-    )
+    bounds = (superquadric.LOW, superquadric.HIGH)
+    return least_squares(residuals, start, slopes, bounds=bounds, x_scale=_SCALE, max_nfev=rounds)
 
 
 def _free_and_prior(data: _Data, family: ObjectFamily, theta: Array) -> list[Array]:
@@ -220,7 +211,7 @@ def _slopes(data: _Data, family: ObjectFamily, theta: Array) -> tuple[Array, lis
     the points, of the free-space residuals and of the prior."""
     inside = superquadric.distance(theta, data.free)
     pulls = np.flatnonzero((inside < 0) & (inside > -_FREE_MAX))
-    rows = superquadric.by_numbers(theta, np.concatenate([data.points, data.free[pulls]]))
+    rows = superquadric.jacobian(theta, np.concatenate([data.points, data.free[pulls]]))
     count = len(data.points)
     free = np.zeros((len(data.free), superquadric.COUNT))
     free[pulls] = rows[count:] / _FREE_SD
@@ -271,7 +262,7 @@ def _solve(
 
 def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
     """Return the residuals at the points for the family's mean shape, mm, to first order."""
-    rows = superquadric.by_numbers(theta, data.points)
+    rows = superquadric.jacobian(theta, data.points)
     return data.left(theta) - rows @ (family.mean - theta)
 
 
@@ -280,7 +271,7 @@ def _with_field(
 ) -> SurfacePosterior:
     """Compute the posterior of field and shape parameters about `theta` (Eq. E3). It includes the
     evidence (Eq. E5)."""
-    rows = superquadric.by_numbers(theta, data.points)
+    rows = superquadric.jacobian(theta, data.points)
     own = kernel(data.points, data.points, *field) + data.noise
     cov = rows @ family.cov @ rows.T + own
     factor = cho_factor(cov, lower=True)
@@ -299,27 +290,25 @@ def _starts(patches: Sequence[Patch]) -> list[Array]:
     """Return start vectors (9,) of position, rotation and sizes. The position is near the
     intersection of the patches' normals. The sizes are those of a ball. The rotations are likely
     ones."""
-    middles = _MM * np.stack([patch.middle for patch in patches])
+    centers = _MM * np.stack([patch.center for patch in patches])
     normals = np.stack([patch.normal for patch in patches])
-    centre, radius = _meeting(middles, normals)
+    center, radius = _fit_sphere(centers, normals)
     sizes = np.full(3, np.log(radius))
-    starts = []
-    for R in _turns(middles, normals):
-        starts.append(np.concatenate([centre, Rotation.from_matrix(R).as_rotvec(), sizes]))
-    return starts
+    turns = Rotation.from_matrix(np.stack(_rotations(normals))).as_rotvec()
+    return [np.concatenate([center, turn, sizes]) for turn in turns]
 
 
-def _meeting(middles: Array, normals: Array) -> tuple[Array, float]:
+def _fit_sphere(centers: Array, normals: Array) -> tuple[Array, float]:
     """Fit center and radius of a sphere to the patches, mm. The prior radius is 15 mm."""
-    rows = np.concatenate([np.tile(np.eye(3), (len(middles), 1)), np.zeros((1, 3))])
+    rows = np.concatenate([np.tile(np.eye(3), (len(centers), 1)), np.zeros((1, 3))])
     rows = np.column_stack([rows, np.append(normals.ravel(), 0.0)])
     rows[-1, 3] = 0.5
-    goal = np.append(middles.ravel(), 0.5 * HALF)
-    found = np.linalg.lstsq(rows, goal, rcond=None)[0]
-    return found[:3], float(np.clip(found[3], 5.0, 40.0))
+    goal = np.append(centers.ravel(), 0.5 * HALF)
+    sphere = np.linalg.lstsq(rows, goal, rcond=None)[0]
+    return sphere[:3], float(np.clip(sphere[3], 5.0, 40.0))
 
 
-def _turns(middles: Array, normals: Array) -> list[Array]:
+def _rotations(normals: Array) -> list[Array]:
     """Return candidate rotations (3, 3) of the shape: bases from the normals, in three axis
     orders."""
     bases = [np.linalg.eigh(normals.T @ normals + 1e-6 * np.diag([3.0, 2.0, 1.0]))[1]]
@@ -328,8 +317,5 @@ def _turns(middles: Array, normals: Array) -> list[Array]:
             third = np.cross(normals[i], normals[j])
             third /= np.linalg.norm(third)
             bases.append(np.column_stack([normals[i], np.cross(third, normals[i]), third]))
-    turns = []
-    for basis in bases:
-        right = basis * np.sign(np.linalg.det(basis))
-        turns += [np.roll(right, shift, axis=1) for shift in range(3)]
-    return turns
+    right_handed = [basis * np.sign(np.linalg.det(basis)) for basis in bases]
+    return [np.roll(basis, shift, axis=1) for basis in right_handed for shift in range(3)]

@@ -11,19 +11,6 @@ import numpy as np
 
 from mjtactile.core.types import Array
 
-_KEPT = (
-    "points",
-    "free",
-    "normal",
-    "kind",
-    "force",
-    "compliance",
-    "compliance_sd",
-    "spread",
-    "group",
-    "loose",
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Patch:
@@ -55,33 +42,25 @@ class Patch:
     loose: float = 0.0
 
     @property
-    def middle(self) -> Array:
-        """(3,) m, of its points."""
+    def center(self) -> Array:
+        """Mean (3,), m, of its points."""
         return self.points.mean(axis=0)
 
     def covariance(self) -> Array:
         """Return the covariance of the points along the normal, (N, N) m^2. The points lie on one
         face with uncertain height, tilt and curvatures."""
         axes = tangents(self.normal)
-        u, v = axes @ (self.points - self.middle).T
+        u, v = axes @ (self.points - self.center).T
         height, tilt, curvature, alone = self.spread
-        rows = np.stack(
-            [
-                np.full_like(u, height),
-                tilt * u,
-                tilt * v,
-                curvature * u * u / 2,
-                curvature * u * v,
-                curvature * v * v / 2,
-            ]
-        )
+        bent = [curvature * u * u / 2, curvature * u * v, curvature * v * v / 2]
+        rows = np.stack([np.full_like(u, height), tilt * u, tilt * v, *bent])
         return rows.T @ rows + alone**2 * np.eye(len(u))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for a file; lengths in m."""
         return {
-            name: value.tolist() if isinstance(value := getattr(self, name), np.ndarray) else value
-            for name in _KEPT
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
         }
 
     @classmethod
@@ -108,14 +87,14 @@ def _known(value: float | None) -> float:
 
 
 def tangents(normal: Array) -> Array:
-    """Two unit vectors (2, 3) across a unit vector, and each other."""
+    """Return two unit vectors (2, 3) normal to a unit vector and to each other."""
     minimum = int(np.argmin(np.abs(normal)))
     first = np.cross(normal, np.eye(3)[minimum])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(normal, first)])
 
 
-def between(patch: Patch, other: Patch) -> Array:
+def group_covariance(patch: Patch, other: Patch) -> Array:
     """Return the covariance (N, M), m^2, of two patches' points along their normals. It is caused
     by the common displacement of the object in a grip."""
     if not patch.group or patch.group != other.group:

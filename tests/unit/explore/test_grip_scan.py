@@ -14,7 +14,7 @@ from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.simulated import TURNS, next_grip
 from mjtactile.explore.surface_fusion import fuse
-from mjtactile.explore.surface_patch import Patch, between
+from mjtactile.explore.surface_patch import Patch, group_covariance
 
 RADIUS = 0.012
 
@@ -109,13 +109,13 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
     # with the shifts in the model the ball's position is uncertain; without them the patches are
     assert meshes[1e-3].error() > 1.2 * meshes[0.0].error()
     alike = patches(1e-3)
-    assert between(alike[0], alike[1]) == pytest.approx(np.full((12, 12), -1e-6))
-    assert not between(alike[0], alike[2]).any()
+    assert group_covariance(alike[0], alike[1]) == pytest.approx(np.full((12, 12), -1e-6))
+    assert not group_covariance(alike[0], alike[2]).any()
 
 
 def test_the_next_grip_is_where_least_is_known():
     # both ends of x are well known, those of y are unknown: rotated by 90 deg
     mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
-    turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], begun=True)
+    turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], has_contact=True)
     assert turn != TURNS[0] and height in HEIGHTS
-    assert next_grip(mesh, [], begun=False) == (TURNS[0], HEIGHTS[0])
+    assert next_grip(mesh, [], has_contact=False) == (TURNS[0], HEIGHTS[0])

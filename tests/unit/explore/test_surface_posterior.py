@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from mjtactile.explore import superquadric
 from mjtactile.explore.exploration import volume
 from mjtactile.explore.meshing import mesh_of
-from mjtactile.explore.next_best_touch import Mesh, _around, next_aim
+from mjtactile.explore.next_best_touch import Mesh, _mean_around, next_aim
 from mjtactile.explore.object_size import principal_sizes, size_information_gain, sizes
 from mjtactile.explore.surface_fusion import fuse, shares
 from mjtactile.explore.surface_patch import Patch
@@ -174,7 +174,7 @@ def test_a_touch_of_an_edge_tells_little():
     normals = np.column_stack([along >= 0, 0 * y, along <= 0]).astype(float)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     triangles = Delaunay(np.column_stack([along, y])).simplices
-    worth = _around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
+    worth = _mean_around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
     length = (70 / np.sqrt(2) + 11) / 81
     # twelve of them are exactly 5 mm away: rounding decides which of these count
     assert worth[(along == 0) & (y == 0)] == pytest.approx(length**6, rel=0.05)
@@ -203,7 +203,7 @@ def test_six_patches_tell_an_ellipsoid(explored):
 def test_doubt_shrinks_where_it_was_touched_and_stays_where_not(explored):
     patches, surface = explored
     one = fuse(patches[:1])[0]
-    touched, untouched = patches[0].middle[None], (2 * PLACE - patches[0].middle)[None]
+    touched, untouched = patches[0].center[None], (2 * PLACE - patches[0].center)[None]
     assert one.distance_sd(touched)[0] < 1e-4  # sd of the patch itself, m
     assert one.distance_sd(untouched)[0] > 2e-3  # never touched
     assert surface.distance_sd(untouched)[0] < 0.1 * one.distance_sd(untouched)[0]

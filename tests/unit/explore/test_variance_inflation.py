@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mjtactile.explore.surface_fusion import fuse
 from mjtactile.explore.surface_patch import Patch
-from mjtactile.explore.variance_inflation import excess
+from mjtactile.explore.surface_posterior import excess
 
 TOUCHES, EACH = 5, 4
 PARTS = [slice(EACH * k, EACH * (k + 1)) for k in range(TOUCHES)]
