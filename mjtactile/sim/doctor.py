@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -31,57 +32,41 @@ _MOVES = 1e-3  # minimum fingertip motion, m
 _HEIGHT_WRONG = 2e-3  # tolerance of the lift height, m
 _FORCE_MIN = 1.0  # minimum force on each finger, N; the shipped controllers hold with 0.6
 _SLACK = 1.5  # of the time that a motion takes at the rig's speed
+_ok, _warn, _bad = (partial(Finding, level) for level in ("ok", "warn", "bad"))
 
 
 def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
-    """Return all findings; `sensor` is on fingers without one. Raises InputError for a broken
-    sensor."""
-    designs = finger_designs(rig, load_sensor(sensor))
+    """Return all findings; `sensor` is on fingers without one. Raises InputError."""
+    return list(_findings(rig, finger_designs(rig, load_sensor(sensor))))
+
+
+def _findings(rig: SimRigFile, designs: Sequence[SensorDesign]) -> Iterator[Finding]:
     try:
         spec = read_mjcf(rig.model)
     except InputError as error:
-        return [
-            Finding(
-                "bad", "model", str(error), "correct the MJCF; `python -m mujoco.viewer` shows it"
-            )
-        ]
-    missing = [
-        Finding(
-            "bad",
-            error.field or "name",
-            str(error).split(": ", 2)[-1],
-            "correct the name in the rig file",
-        )
-        for error in missing_names(spec, rig)
-    ]
+        yield _bad("model", str(error), "correct the MJCF; `python -m mujoco.viewer` shows it")
+        return
+    missing = list(missing_names(spec, rig))
+    for error in missing:
+        text = str(error).split(": ", 2)[-1]
+        yield _bad(error.field or "name", text, "correct the name in the rig file")
     if missing:
-        return missing
-    findings = [Finding("ok", "names", "all sites, actuators and bodies exist"), _options(spec)]
+        return
+    yield _ok("names", "all sites, actuators and bodies exist")
+    yield _options(spec)
+    half_height = max(max(d.frame.length, d.frame.width) / 2 + d.frame.rim for d in designs)
     try:
-        world = GripperWorld(rig, designs, _tip_height(designs))
+        world = GripperWorld(rig, designs, half_height + _ABOVE_TABLE)
     except InputError as error:
-        return [
-            *findings,
-            Finding(
-                "bad",
-                error.field or "rig",
-                str(error),
-                "correct this first; it prevents all further checks",
-            ),
-        ]
-    findings += [*_fingers(world), *_arm(world)]
+        remedy = "correct this first; it prevents all further checks"
+        yield _bad(error.field or "rig", str(error), remedy)
+        return
+    yield from [*_fingers(world), *_arm(world)]
     try:
-        return [*findings, *_motions(world), *_force(world)]
+        yield from [*_motions(world), *_force(world)]
     except SimulationError as error:
-        return [
-            *findings,
-            Finding(
-                "bad",
-                "simulation",
-                str(error),
-                "correct the rig: it does not stay at rest without commands",
-            ),
-        ]
+        remedy = "correct the rig: it does not stay at rest without commands"
+        yield _bad("simulation", str(error), remedy)
 
 
 def _options(spec: mujoco.MjSpec) -> Finding:
@@ -89,11 +74,7 @@ def _options(spec: mujoco.MjSpec) -> Finding:
     text = "are those that the sensors require"
     if changed:
         text = f"the sensors require other values, which are set: {', '.join(changed)}"
-    return Finding("ok", "options", text)
-
-
-def _tip_height(designs: tuple[SensorDesign, ...]) -> float:
-    return max(max(d.frame.length, d.frame.width) / 2 + d.frame.rim for d in designs) + _ABOVE_TABLE
+    return _ok("options", text)
 
 
 def _fingers(world: GripperWorld) -> Iterator[Finding]:
@@ -106,24 +87,21 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
         cosine = float(away @ inward / max(np.linalg.norm(away), 1e-9)) if len(p_WS) > 1 else 1.0
         angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
         if cosine < _INWARD:
-            yield Finding(
-                "bad",
+            yield _bad(
                 what,
                 f"z of site {finger.site!r} points {angle:.0f} degrees away from the center "
                 "of the fingertips",
                 "rotate the site: its z points out of the sensor, towards the object",
             )
         elif cosine < _ASKEW:
-            yield Finding(
-                "warn",
+            yield _warn(
                 what,
                 f"z of site {finger.site!r} misses the center of the fingertips by "
                 f"{angle:.0f} degrees",
                 "the sensor touches with an edge first; rotate or move the site",
             )
         elif abs(inward[2]) > _LEANING:
-            yield Finding(
-                "warn",
+            yield _warn(
                 what,
                 f"is tilted by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the "
                 "vertical",
@@ -131,15 +109,14 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
                 "the site",
             )
         elif abs(away[2]) > _UNEVEN:
-            yield Finding(
-                "warn",
+            yield _warn(
                 what,
                 f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the "
                 "center of the fingertips",
                 "an object tilts when it is gripped; move the site",
             )
         else:
-            yield Finding("ok", what, f"site {finger.site!r} faces the center of the fingertips")
+            yield _ok(what, f"site {finger.site!r} faces the center of the fingertips")
 
 
 def _arm(world: GripperWorld) -> Iterator[Finding]:
@@ -155,14 +132,12 @@ def _arm(world: GripperWorld) -> Iterator[Finding]:
         for joint in arm_joints(model, world.start.hand)
         if joint not in moved
     ]
-    yield Finding(
-        "ok",
+    yield _ok(
         "arm",
         f"{len(held)} servos reach the full {1e3 * rig.lift.travel:.0f} mm: {', '.join(held)}",
     )
     if loose:
-        yield Finding(
-            "warn",
+        yield _warn(
             "arm",
             f"nothing holds {', '.join(map(repr, loose))}",
             "give these joints position actuators, name their actuators in lift.actuators, "
@@ -201,16 +176,14 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
     closed, response_closed = reached[low]
     way = f"from {_mm(response_open)} to {_mm(response_closed)} mm"
     if response_open - response_closed < -_MOVES:
-        yield Finding(
-            "bad",
+        yield _bad(
             "jaws",
             f"move in the wrong direction: on a command to close, the fingertips move {way}",
             "reverse the sign of mm_per_rad or mm_per_mm, or the order of the table",
         )
         return
     if response_open - response_closed < _MOVES:
-        yield Finding(
-            "bad",
+        yield _bad(
             "jaws",
             f"do not move: on a command to close, the fingertips move {way}",
             "check that it is the right actuator, that its force suffices and that nothing jams",
@@ -218,23 +191,20 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         return
     wrong = max(abs(opened - response_open), abs(closed - response_closed))
     if wrong > _OPENING_WRONG:
-        yield Finding(
-            "warn",
+        yield _warn(
             "jaws",
             f"do not follow the transmission: it gives {_mm(opened)} to {_mm(closed)} mm, the "
             f"sites move {way}",
             "correct transmission, mm_per_rad or mm_per_mm, or jaw_offset_mm",
         )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:
-        yield Finding(
-            "warn",
+        yield _warn(
             "jaws",
             f"reach {_mm(closed)} to {_mm(opened)} mm, not {_mm(low)} to {_mm(high)} mm",
             "set opening_min_mm and opening_max_mm to the reached values",
         )
     else:
-        yield Finding(
-            "ok",
+        yield _ok(
             "jaws",
             f"open and close, {way}; transmission and sites agree within {1e3 * wrong:.2f} mm",
         )
@@ -247,42 +217,38 @@ def _touches(touched: dict[str, set[tuple[str, str, str]]]) -> Iterator[Finding]
         for prefix, _, geom in touches
     }
     for (prefix, geom), where in found.items():
-        yield Finding(
-            "bad",
+        yield _bad(
             f"finger {prefix.rstrip('/')}",
             f"its sensor touches {geom!r} {where}",
             "move the site, or exclude that geom from contact with the sensors (contype 0)",
         )
     if not found:
-        yield Finding("ok", "sensors", "touch nothing when inflated, opened or closed")
+        yield _ok("sensors", "touch nothing when inflated, opened or closed")
 
 
 def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
     """Up by the whole travel."""
     lift = world.rig.lift
     if lift.kind == "none":
-        yield Finding("warn", "lift", "does not exist: a grasped object stays on the table")
+        yield _warn("lift", "does not exist: a grasped object stays on the table")
         return
     world.set_lift_target(lift.travel)
     _wait(world, _SLACK * lift.travel / lift.speed + 0.5)
     risen = world.lift_height
     if abs(risen - lift.travel) > _HEIGHT_WRONG:
-        yield Finding(
-            "bad",
+        yield _bad(
             "lift",
             f"commanded {1e3 * lift.travel:.0f} mm, the gripper rose by {1e3 * risen:.1f} mm",
             "reduce travel_mm, or use stiffer and stronger servos",
         )
     elif abs(sag) > 0.5 * _HEIGHT_WRONG:
-        yield Finding(
-            "warn",
+        yield _warn(
             "lift",
             f"the gripper sank by {1e3 * sag:.1f} mm at the start",
             'use stiffer servos, or gravcomp="1"',
         )
     else:
-        yield Finding(
-            "ok",
+        yield _ok(
             "lift",
             f"{lift.kind}: the gripper rose by {1e3 * risen:.1f} of {1e3 * lift.travel:.0f} mm",
         )
@@ -293,24 +259,20 @@ def _force(world: GripperWorld) -> Iterator[Finding]:
     wanted = world.rig.gripper.force_max
     text = f"the actuators close each finger with at most {reached:.2g} N"
     if reached < _FORCE_MIN:
-        yield Finding(
-            "bad",
+        yield _bad(
             "force",
             f"{text}: too little for a grasp",
             "use a larger forcerange, or correct the ratio of the transmission",
         )
     elif reached < wanted:
-        yield Finding(
-            "warn",
+        yield _warn(
             "force",
             f"{text}, force_max_N says {wanted:g}",
             "use a larger forcerange, or a smaller force_max_N",
         )
     else:
-        yield Finding(
-            "ok",
-            "force",
-            f"force_max_N = {wanted:g} on each finger is within the range of the actuators",
+        yield _ok(
+            "force", f"force_max_N = {wanted:g} on each finger is within the range of the actuators"
         )
 
 

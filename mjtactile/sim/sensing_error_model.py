@@ -38,55 +38,31 @@ FOLDER = "models/fidelity/chain"
 class SensingErrorModel:
     """Errors of one design's sensing pipeline.
 
-    SI units, frame S. There are k loads, and six components of a wrench.
-
-    Attributes:
-        loads: Normal forces (k,) N, increasing; all values below are interpolated linearly.
-        gain: Mean relative error (6, 6) of the wrench with respect to the ground truth.
-        mean: Mean (k, 6) N and N m of the remaining error.
-        sd: Standard deviations (k, 6) of the remaining error.
-        fresh: Standard deviations (k, 6) of the part of it that is independent in each image.
-        correlation: Correlation (6, 6) of the remaining error.
-        said: Standard deviations (k, 6) of the wrench, as reported by the pipeline.
-        reported_correlation: Correlation (6, 6), as reported by the pipeline.
-        shear_gain: Standard deviation of the relative error of a grasp's shear.
-        between: Standard deviation (k,) of the logarithm of a grasp's factor.
-        slow_time: Time constant of the persistent part, s.
-        outliers: Fraction (k,) of images whose independent error is `outlier_size` times as large.
-        outlier_size: Factors (6,), see `outliers`.
-        unknown: Fraction (k,) of images in which the pipeline reports an unknown result.
-        touch_force: Force above which a touch starts, N.
-        release: Fraction of that force below which the touch ends.
-        area: Mean logarithm (k,) of the ratio of estimated to true area.
-        area_sd: Standard deviation (k,) of that logarithm.
-        centroid_sd: Standard deviation (k,) of the centroid, m.
-        depth: Ratio of estimated to true depth.
-        slip_displacement: Sliding distance before slip is reported, m.
-        incipient: Fraction of the friction limit above which slip is incipient.
+    SI units, frame S. Values of k loads are interpolated linearly; wrenches have six components.
     """
 
-    loads: Array
-    gain: Array
-    mean: Array
-    sd: Array
-    fresh: Array
-    correlation: Array
-    said: Array
-    reported_correlation: Array
-    shear_gain: float
-    between: Array
-    slow_time: float
-    outliers: Array
-    outlier_size: Array
-    unknown: Array
-    touch_force: float
-    release: float
-    area: Array
-    area_sd: Array
-    centroid_sd: Array
-    depth: float
-    slip_displacement: float
-    incipient: float
+    loads: Array  # normal forces (k,) N, increasing
+    gain: Array  # mean relative error (6, 6) of the wrench with respect to the ground truth
+    mean: Array  # mean (k, 6) N and N m of the remaining error
+    sd: Array  # standard deviations (k, 6) of the remaining error
+    fresh: Array  # standard deviations (k, 6) of its part that is independent in each image
+    correlation: Array  # correlation (6, 6) of the remaining error
+    said: Array  # standard deviations (k, 6) of the wrench that the pipeline reports
+    reported_correlation: Array  # correlation (6, 6) that the pipeline reports
+    shear_gain: float  # standard deviation of the relative error of a grasp's shear
+    between: Array  # standard deviation (k,) of the logarithm of a grasp's factor
+    slow_time: float  # time constant of the persistent part, s
+    outliers: Array  # fraction (k,) of images with `outlier_size` times the independent error
+    outlier_size: Array  # factors (6,)
+    unknown: Array  # fraction (k,) of images in which the pipeline reports an unknown result
+    touch_force: float  # force above which a touch starts, N
+    release: float  # fraction of that force below which the touch ends
+    area: Array  # mean logarithm (k,) of the ratio of estimated to true area
+    area_sd: Array  # standard deviation (k,) of that logarithm
+    centroid_sd: Array  # standard deviation (k,) of the centroid, m
+    depth: float  # ratio of estimated to true depth
+    slip_displacement: float  # sliding distance before slip is reported, m
+    incipient: float  # fraction of the friction limit above which slip is incipient
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:

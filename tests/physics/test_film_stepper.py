@@ -13,10 +13,12 @@ def hand(task="lift"):
     """An egg between inflated films."""
     rig = build_rig(Scenario(object="egg", effects="-mesh,-pipeline", seed=3, task=task))
     world = rig.scene
-    for act in (world.open_valve, world.close_valve):
-        for sensor in range(2):
-            act(sensor)
-        world.step(50)
+    for sensor in world.sensors:
+        sensor.open_valve()
+    world.step(50)
+    for sensor in world.sensors:
+        sensor.close_valve()
+    world.step(50)
     return rig, world
 
 

@@ -17,7 +17,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from mjtactile.core import renamed, resources
@@ -28,7 +27,7 @@ from mjtactile.sim.effects import activation_rules
 from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
-from mjtactile.sim.sensor import feature_size
+from mjtactile.sim.sensor import feature_size, sharp_geoms
 from mjtactile.sim.sensor.effect_switches import Effect
 
 
@@ -161,14 +160,16 @@ def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
     return forced | {Effect.IMAGES: False}
 
 
+def _always(why: str) -> Gate:
+    return lambda scene: (True, why)
+
+
+_OBJECT_FILE = "the object's own file (docs/reference/object_files.md)"
 EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
         Effect.SHEET,
         "physics",
-        lambda s: (
-            True,
-            "without it, a quasi-static membrane rests on the objects, outside MuJoCo's model",
-        ),
+        _always("without it, a quasi-static membrane rests on the objects, outside MuJoCo's model"),
     ),
     EffectEntry(Effect.GAS, "physics", activation_rules.gas),
     EffectEntry(
@@ -203,30 +204,20 @@ EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
         Effect.IMAGES,
         "camera",
-        lambda s: (
-            True,
-            "without it, the marker ellipses are sampled from the bound on their error",
-        ),
+        _always("without it, the marker ellipses are sampled from the bound on their error"),
     ),
     EffectEntry(
         Effect.CHAIN,
         "camera",
-        lambda s: (
-            True,
-            "without it, touch is that of a quasi-static membrane with sampled pipeline errors",
+        _always(
+            "without it, touch is that of a quasi-static membrane with sampled pipeline errors"
         ),
     ),
     EffectEntry(
-        Effect.PLASTICITY,
-        "the object's own file (docs/reference/object_files.md)",
-        activation_rules.material("amorphous"),
-        built=False,
+        Effect.PLASTICITY, _OBJECT_FILE, activation_rules.material("amorphous"), built=False
     ),
     EffectEntry(
-        Effect.VOLUMETRIC_SOFTNESS,
-        "the object's own file (docs/reference/object_files.md)",
-        activation_rules.material("soft"),
-        built=False,
+        Effect.VOLUMETRIC_SOFTNESS, _OBJECT_FILE, activation_rules.material("soft"), built=False
     ),
 )
 
@@ -244,16 +235,9 @@ def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, flo
         return math.inf, False, (math.inf, math.inf)
     model = read_spec(grasped).compile()
     geoms = feature_size.touching_geoms(model)
-    kinds = model.geom_type[geoms]
-    sharp = np.isin(
-        kinds,
-        (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH),
-    ).any()
-    return (
-        feature_size.smallest_feature(model)[0],
-        bool(sharp),
-        activation_rules.half_extents(model, geoms),
-    )
+    sharp = bool(np.isin(model.geom_type[geoms], sharp_geoms.KINDS).any())
+    half_extents = activation_rules.half_extents(model, geoms)
+    return feature_size.smallest_feature(model)[0], sharp, half_extents
 
 
 def _number(value: float | None) -> float:

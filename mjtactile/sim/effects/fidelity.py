@@ -33,32 +33,19 @@ DEFAULT_FORCE_ERROR = 0.02
 
 @dataclass(frozen=True)
 class Fidelity:
-    """A setting of the simulator with its measured performance.
+    """A setting of the simulator with its measured performance."""
 
-    - `mesh`: vertices along x and y.
-    - `timestep`, s: upper limit; a rig takes the next shorter one that divides its camera's period.
-    - `tolerance`: that of the solver.
-    - `force_error`, N, and `surface_error`, m: root mean square against the converged reference.
-    - `force_noise`, N: standard deviation while an object is held.
-    - `cost`, ms: time of one core per simulated second of two sensors holding an object.
-    - `met`: False if no measured setting meets the requirement.
-    - `basis`: reason of the choice.
-    - `asked`, N: force error used for the choice of effects. A real-time request keeps the default,
-      without costly effects.
-    """
-
-    mesh: tuple[int, int]
-    timestep: float
-    tolerance: float
-    force_error: float
-    surface_error: float
-    force_noise: float
-    cost: float
-    met: bool = True
-    basis: str = ""
-    asked: float = DEFAULT_FORCE_ERROR
-    effects: str = ""
-    """Effects left out, in the format of `--effects`."""
+    mesh: tuple[int, int]  # vertices along x and y; the grid of a quasi-static membrane
+    timestep: float  # upper limit, s; a rig takes the next shorter one for its camera's period
+    tolerance: float  # of the solver
+    force_error: float  # N, root mean square against the converged reference
+    surface_error: float  # m, as `force_error`
+    force_noise: float  # standard deviation while an object is held, N
+    cost: float  # ms of one core per simulated second of two sensors holding an object
+    met: bool = True  # False if no measured setting meets the requirement
+    basis: str = ""  # reason of the choice
+    asked: float = DEFAULT_FORCE_ERROR  # force error for the choice of effects, N
+    effects: str = ""  # effects left out, in the format of `--effects`
 
     @property
     def real_time_factor(self) -> float:
@@ -86,11 +73,9 @@ class Fidelity:
         good = [row for row in rows if row.force_error <= force_error]
         if good:
             best = min(good, key=lambda row: row.cost)
-        else:
-            best = min(rows, key=lambda row: row.force_error)
-        if good:
             reason = f"cheapest setting with at most {force_error:g} N of force error"
         else:
+            best = min(rows, key=lambda row: row.force_error)
             reason = (
                 f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N"
             )
@@ -102,13 +87,8 @@ class Fidelity:
         rows, stamp = load_table(table)
         good = [row for row in rows if row.real_time_factor >= REAL_TIME_MARGIN]
         if good:
-            best = min(good, key=lambda row: row.force_error)
-            return _with_basis(
-                best,
-                True,
-                f"most accurate setting at {REAL_TIME_MARGIN:g} x real time or faster",
-                stamp,
-            )
+            reason = f"most accurate setting at {REAL_TIME_MARGIN:g} x real time or faster"
+            return _with_basis(min(good, key=lambda row: row.force_error), True, reason, stamp)
         fastest = min(rows, key=lambda row: row.cost)
         reason = (
             "no setting is fast enough on that machine; the fastest runs at "

@@ -20,7 +20,7 @@ from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, gripper_pose_at, solve
 from mjtactile.sim.scenes.mjcf import read_mjcf
 
-_GOOD = 1e-4  # tolerance of a reached posture, m and rad
+_TOLERANCE = 1e-4  # tolerance of a reached posture, m and rad
 # height step between an arm's postures, m, linear between: within 5 um on a path of 0.3 m radius
 _PATH_STEP = 4e-3
 
@@ -66,33 +66,29 @@ class ArmPath:
 
 def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
     """An error for each name of the rig file that the MJCF does not have."""
-    wanted = [("site", finger.site, f"finger[{i}].site") for i, finger in enumerate(rig.fingers)]
-    wanted += [
+    required = [("site", finger.site, f"finger[{i}].site") for i, finger in enumerate(rig.fingers)]
+    required += [
         ("actuator", a.name, f"gripper.actuator[{i}].name")
         for i, a in enumerate(rig.gripper.actuators)
     ]
-    wanted += [("actuator", name, "lift.actuators") for name in rig.lift.actuators]
+    required += [("actuator", name, "lift.actuators") for name in rig.lift.actuators]
     if rig.lift.kind == "actuator":
-        wanted.append(("actuator", rig.lift.name, "lift.actuator"))
+        required.append(("actuator", rig.lift.name, "lift.actuator"))
     if rig.lift.kind == "mocap":
-        wanted.append(("mocap body", rig.lift.name, "lift.body"))
+        required.append(("mocap body", rig.lift.name, "lift.body"))
     if rig.keyframe is not None:
-        wanted.append(("keyframe", rig.keyframe, "sim.keyframe"))
-    there = {
+        required.append(("keyframe", rig.keyframe, "sim.keyframe"))
+    elements = {
         "site": spec.sites,
         "actuator": spec.actuators,
         "keyframe": spec.keys,
         "mocap body": [body for body in spec.bodies if body.mocap],
     }
-    for kind, name, field in wanted:
-        names = [element.name for element in there[kind] if element.name]
+    for kind, name, field in required:
+        names = [element.name for element in elements[kind] if element.name]
         if name not in names:
-            yield InputError(
-                f"{rig.model.name} has no {kind} {name!r}",
-                source=rig.path,
-                field=field,
-                choices=names,
-            )
+            text = f"{rig.model.name} has no {kind} {name!r}"
+            yield InputError(text, source=rig.path, field=field, choices=names)
     sites = [finger.site for finger in rig.fingers]
     if len(set(sites)) != len(sites):
         yield InputError(
@@ -151,14 +147,8 @@ def plan_start(
     if mocap is not None:
         data.mocap_pos[:] = mocap
     jaws = place_jaws(model, data, rig, opening)
-    _settle(
-        model,
-        data,
-        jaws,
-        rig,
-        "gripper.opening_start_mm",
-        f"the jaws do not open to {1e3 * opening:g} mm (check the sign of the transmission)",
-    )
+    wrong = f"the jaws do not open to {1e3 * opening:g} mm (check the sign of the transmission)"
+    _settle(model, data, jaws, rig, "gripper.opening_start_mm", wrong)
     hand = _gripper_body(model, bodies, rig)
     rotations = data.xmat[bodies].reshape(-1, 3, 3)
     centre = data.xpos[bodies].mean(axis=0)
@@ -169,14 +159,8 @@ def plan_start(
     path = None
     if rig.lift.kind == "mocap":
         data.mocap_pos[model.body(rig.lift.name).mocapid[0], 2] += raised
-        _settle(
-            model,
-            data,
-            jaws,
-            rig,
-            "lift.body",
-            "the gripper does not follow the mocap body to the grasp height",
-        )
+        wrong = "the gripper does not follow the mocap body to the grasp height"
+        _settle(model, data, jaws, rig, "lift.body", wrong)
     elif rig.lift.kind == "arm":
         path = _plan_path(model, data, rig, hand, centre, raised, jaws)
     return Start(data.qpos.copy(), data.mocap_pos.copy(), hand, centre.copy(), yaw, raised, path)
@@ -197,10 +181,10 @@ def _centre_at(
     moved.mocap_pos[:] = data.mocap_pos
     moved.mocap_quat[:] = data.mocap_quat
     conditions = place_jaws(model, moved, rig, min(max(opening, low), high))
-    if solve(model, moved, conditions) > _GOOD:
+    if solve(model, moved, conditions) > _TOLERANCE:
         return start
     centre = moved.xpos[bodies].mean(axis=0)
-    return centre if np.linalg.norm(centre - start) > _GOOD else start
+    return centre if np.linalg.norm(centre - start) > _TOLERANCE else start
 
 
 def place_jaws(
@@ -222,24 +206,23 @@ def _settle(
     conditions: Sequence[Condition],
     rig: SimRigFile,
     field: str,
-    what: str,
+    wrong: str,
 ) -> None:
-    rest = solve(model, data, conditions)
-    if rest > _GOOD:
-        raise InputError(
-            f"{what}: {1e3 * rest:.2g} mm or mrad remain", source=rig.path, field=field
-        )
+    remainder = solve(model, data, conditions)
+    if remainder > _TOLERANCE:
+        text = f"{wrong}: {1e3 * remainder:.2g} mm or mrad remain"
+        raise InputError(text, source=rig.path, field=field)
 
 
 def _gripper_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) -> int:
     """Return the nearest MuJoCo body that carries all fingers."""
-    chains = []
+    ancestors = []
     for body in bodies:
-        chain = [int(model.body_parentid[body])]
-        while chain[-1]:
-            chain.append(int(model.body_parentid[chain[-1]]))
-        chains.append(chain)
-    hand = next(body for body in chains[0] if all(body in chain for chain in chains))
+        line = [int(model.body_parentid[body])]
+        while line[-1]:
+            line.append(int(model.body_parentid[line[-1]]))
+        ancestors.append(line)
+    hand = next(body for body in ancestors[0] if all(body in line for line in ancestors))
     if hand == 0:
         raise InputError(
             "no body carries all fingers: there is no gripper to lift",
@@ -277,7 +260,7 @@ def _plan_path(
         rest = solve(
             model, moving, [*jaws, gripper_pose_at(model, hand, point_H, target, R_WH, dofs)]
         )
-        if rest > _GOOD:
+        if rest > _TOLERANCE:
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
             field = "lift.kind" if height == 0 else "lift.travel_mm"
             raise InputError(
