@@ -51,10 +51,7 @@ STILL_INTERVAL = 0.15  # image period, s
 DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
 REFERENCE_IMAGES = 4
 # limits of an insignificant change: force, N; sd (relative); area (relative); depth, m
-SIMILAR_FORCE = 1e-4
-SIMILAR_SD = 5e-3
 SIMILAR_AREA = 0.05
-SIMILAR_DEPTH = 1e-6
 WORKERS = 2
 
 
@@ -327,47 +324,40 @@ def run(out: Path, quick: bool) -> dict[str, Any]:
     return result
 
 
-def is_insensitive(row: Mapping[str, Any]) -> bool:
-    """Return True if none of the results changes."""
-    return (
-        abs(row.get("force_N", 0.0)) < SIMILAR_FORCE
-        and abs(row.get("bar", 1.0) - 1) < SIMILAR_SD
-        and not row.get("markers", 0.0)
-        and not row.get("said", 0)
-        and not row.get("circles", 0)
-        and abs(row.get("depth_m", 0.0)) < SIMILAR_DEPTH
-        and abs(row.get("circle_bar", 1.0) - 1) < SIMILAR_SD
-    )
-
-
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: a row for each number."""
+    """Markdown: a row for each parameter that changes a result."""
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in result["rows"]:
         by_name.setdefault(row["name"], []).append(row)
-    quiet = [name for name, rows in by_name.items() if all(map(is_insensitive, rows))]
+    cells = {name: _cells(rows) for name, rows in by_name.items()}
+    quiet = sum(not any(row) for row in cells.values())
     lines = [
-        f"{len(by_name)} parameters; {len(quiet)} change nothing here.",
+        f"{len(cells)} parameters; {quiet} change nothing here and are left out.",
         "",
         "| parameter | default | force, mN | sd factor | markers | images | circles | depth, um "
         "| sd factor |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     defaults = DEFAULTS.to_dict()
-    for name, rows in by_name.items():
-        cells = [
-            _both(rows, "force_N", lambda x: f"{1e3 * x:.1f}"),
-            _both(rows, "bar", lambda x: f"{x:.2f}"),
-            _both(rows, "markers", lambda x: f"{x:+.1f}"),
-            _both(rows, "said", lambda x: f"{x:.0f}"),
-            _both(rows, "circles", lambda x: f"{x:.0f}"),
-            _both(rows, "depth_m", lambda x: f"{1e6 * x:.0f}"),
-            _both(rows, "circle_bar", lambda x: f"{x:.2f}"),
-        ]
+    for name, row in cells.items():
         value = defaults[name]
         shown = ", ".join(f"{v:g}" for v in (value if isinstance(value, tuple) else (value,)))
-        lines.append(f"| `{name}` | {shown} | {' | '.join(cells)} |")
+        if any(row):
+            lines.append(f"| `{name}` | {shown} | {' | '.join(row)} |")
     return "\n".join(lines) + "\n"
+
+
+def _cells(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the changes by one parameter, empty where nothing changes."""
+    return [
+        _both(rows, "force_N", lambda x: f"{1e3 * x:.1f}"),
+        _both(rows, "bar", lambda x: f"{x:.2f}"),
+        _both(rows, "markers", lambda x: f"{x:+.1f}"),
+        _both(rows, "said", lambda x: f"{x:.0f}"),
+        _both(rows, "circles", lambda x: f"{x:.0f}"),
+        _both(rows, "depth_m", lambda x: f"{1e6 * x:.0f}"),
+        _both(rows, "circle_bar", lambda x: f"{x:.2f}"),
+    ]
 
 
 def _both(rows: Sequence[Mapping[str, Any]], key: str, text: Callable[[float], str]) -> str:
