@@ -38,7 +38,7 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
         return
     chain = SensingPipeline(design)
     _, state = chain.detect_markers(chain.initial_state(), image)
-    known = chain.sight.known
+    known = chain.detector.known
     assert known is not None
     seen = 0 if state.fiducials is None else len(state.fiducials)
     text = f"{seen} of {known.count} fiducials detected"

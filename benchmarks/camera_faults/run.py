@@ -22,7 +22,7 @@ from benchmarks.camera_faults import gas_changes
 from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD, numbers
 from benchmarks.camera_faults.fault_kinds import Kind, kinds, label
 from benchmarks.camera_faults.pictures import draw
-from benchmarks.camera_faults.replay import Grasp, feel, record
+from benchmarks.camera_faults.replay import Grasp, record, replay_faults
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -62,7 +62,7 @@ def run(
 
 def _felt(sensor: str, grasp: Grasp, kind: Kind) -> dict[str, Any]:
     """A row: with the gauge, and under "without" the same without."""
-    felt, without = (numbers(grasp, found) for found in feel(grasp, kind))
+    felt, without = (numbers(grasp, found) for found in replay_faults(grasp, kind))
     return {
         "sensor": sensor,
         "name": kind.name,
