@@ -1,6 +1,7 @@
 """Input and output values of a controller, for import by controller files: all of
 `mjtactile.core.types`."""
 
+from mjtactile.core.flags import Flag, Flags
 from mjtactile.core.policy import command_from_action, policy_observation
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import (
@@ -37,6 +38,8 @@ __all__ = [
     "Command",
     "Contact",
     "ContactShape",
+    "Flag",
+    "Flags",
     "GripperState",
     "Image",
     "Markers",

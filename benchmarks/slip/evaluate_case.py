@@ -9,13 +9,13 @@ import numpy as np
 from benchmarks.scenes.slip_cases import SlipCase
 from benchmarks.scenes.slip_world import SlipWorld
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Touch
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.rendering.renderer import Renderer
-from mjtactile.sim.sensor.validity_checks import Flags
 
 # a reference is the mean of so many; s of load; m slid that end a case
 _IMAGES = 10
@@ -130,4 +130,4 @@ def watch(
         slid = [slider.slid for slider in sliders]
         if min(slid) > _ENOUGH or max(slid) > 2 * _ENOUGH:
             break
-    return Watched(fingers, dict(world.flags))
+    return Watched(fingers, world.flags)

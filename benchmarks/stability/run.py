@@ -30,6 +30,7 @@ from benchmarks.stability.cases import Case, matrix, pruned
 from mjtactile.core import platform_support
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.flags import Cadence
 from mjtactile.report.figures import new_figure
 from mjtactile.runtime.progress import Progress
 from mjtactile.sim import ground_truth
@@ -192,7 +193,7 @@ def measure(case: Case) -> dict[str, Any]:
     return {
         "force_N": normal,
         "penetration_mm": 1e3 * depth,
-        "flags": dict(world.flags),
+        "flags": world.flags,
         "problems": problems,
     }
 
@@ -251,7 +252,7 @@ def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
     )
     settled = _rest(world)
     if isinstance(world, PinchWorld) and world.drop > 5e-3:
-        world.flags["unsettled"] = "the plate slips out"
+        world.update_flags({"unsettled": "the plate slips out"}, {Cadence.SETTLING})
     return world, None, settled
 
 
@@ -262,7 +263,8 @@ def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
         world.step()
         still = still + world.timestep if np.abs(world.data.qvel).max() < speed else 0.0
     if still < 0.1:
-        world.flags["unsettled"] = f"does not come to rest in {limit:g} s"
+        reason = f"does not come to rest in {limit:g} s"
+        world.update_flags({"unsettled": reason}, {Cadence.SETTLING})
     return still >= 0.1
 
 

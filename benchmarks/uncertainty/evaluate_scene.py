@@ -9,13 +9,13 @@ import numpy as np
 
 from benchmarks.scenes.stress_scenes import PinchWorld
 from benchmarks.uncertainty.scenes import Scene
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Array, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import PressWorld
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor.validity_checks import Flags
 
 # maximum depth, m; maximum force, N; waiting height of an indenter above first touch, m
 _DEEPEST = 6e-3
@@ -117,7 +117,7 @@ def watch(scene: Scene) -> Watched:
     world.after_each_step(look)
     for seconds in _moves(scene, world):
         world.step(max(round(seconds / world.timestep), 1))
-    return Watched(looks, dict(world.flags))
+    return Watched(looks, world.flags)
 
 
 def _moves(scene: Scene, world: World) -> Iterator[float]:

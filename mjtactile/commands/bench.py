@@ -140,6 +140,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "no measurement: collect questions and headline results",
     ),
     "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
+    "flags-page": ("flags_page", "no measurement: print the table of all flags"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
 """Benchmarks by name: module in the folder `benchmarks`, and description.

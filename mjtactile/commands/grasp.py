@@ -63,7 +63,7 @@ a rig without ground truth "not set down": the run ended with a loaded, raised g
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, the whole "scenario"; "flags", the conditions that reduce the accuracy of the
-simulation (kind to reason, docs/validation/limitations.md); a "reason" if known.
+simulation, by kind (docs/reference/status_and_flags.md); a "reason" if known.
 exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
 simulation failed, or Ctrl-C.
 """
@@ -251,7 +251,7 @@ def _report_fault(
         "outcome": "fault",
         **dict.fromkeys(_MEASURED),
         "frames": recorder.cycles,
-        "flags": dict(recorder.flags),
+        "flags": recorder.flags,
         **wanted.names(),
         "error": reason,
         "scenario": wanted.to_dict(),

@@ -25,7 +25,7 @@ examples:
 JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in
 chamber and bulge), "area_mm2", "max_stretch" (relative to the unstretched membrane),
 "theory_height_mm" (null where the rubber cannot hold the pressure), "converged"}], "flags":
-{kind of flag: reason}}
+{kind: {"reason", "first_s", "last_s", "fraction"}}}
 """
 
 ARGUMENTS = (

@@ -9,7 +9,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mjtactile import InputError
 from mjtactile.commands.nonblocking_output import Background
 from mjtactile.core import resources
 from mjtactile.recording.files import to_json
+from mjtactile.types import Flags
 
 
 @contextlib.contextmanager
@@ -126,10 +127,10 @@ def print_json(value: Any) -> None:
     print(json.dumps(to_json(value), indent=2, allow_nan=False))
 
 
-def print_flags(flags: Mapping[str, str]) -> None:
+def print_flags(flags: Flags) -> None:
     """Print the reasons why a simulation's results are less accurate than usual."""
-    for kind, reason in flags.items():
-        print(f"  warning ({kind}): {reason}")
+    for kind, flag in flags.items():
+        print(f"  warning ({kind}): {flag}{f' ({flag.when})' if flag.when else ''}")
 
 
 def page_of_table(name: str) -> Path:

@@ -34,7 +34,7 @@ objects: the contact error), "pressure_kPa", "volume_mL", "converged", "status"}
 unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
 "area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
 "parts" (of several objects at once, each)},
-"flags": {flag: reason}}
+"flags": {kind: {"reason", "first_s", "last_s", "fraction"}}}
 """
 
 ARGUMENTS = (

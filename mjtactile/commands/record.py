@@ -227,7 +227,7 @@ def _on_stage(
             say=progress.message,
         )
         recorder.close(outcome="recorded")
-    return {"cycles": cycles, "seconds": options.seconds, "flags": dict(recorder.flags)}
+    return {"cycles": cycles, "seconds": options.seconds, "flags": recorder.flags}
 
 
 def _on_rig(
@@ -316,5 +316,5 @@ def _record(
         "unknown": len(forces) - len(known),
         "force_min_N": low,
         "force_max_N": high,
-        "flags": dict(session.flags),
+        "flags": session.flags,
     }

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         "cycles": len(recording),
         "shown": len(strip.kept),
         "re_estimate": felt,
-        "flags": dict(recording.flags),
+        "flags": recording.flags,
     }
     if options.json:
         print_json(result)

@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
             seconds=options.seconds,
             say=Progress(quiet=options.json).message,
         )
-    result |= {"out": str(path), "flags": dict(recording.flags)}
+    result |= {"out": str(path), "flags": recording.flags}
     if options.json:
         print_json(result)
     else:

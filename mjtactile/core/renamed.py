@@ -119,6 +119,17 @@ TEXTS: Mapping[str, Mapping[str, str]] = {
 """Column of a recording to its texts before 0.2.0 and those now."""
 
 
+FLAGS: Mapping[str, str] = {
+    "edge": "sharp_edge",
+    "feature": "small_feature",
+    "frame": "frame_contact",
+    "rim": "rim_contact",
+    "beyond": "unsensed_force",
+    "film": "quasistatic",
+}
+"""Kind of a flag before 0.2.0 to kind now."""
+
+
 def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
     """Return ": `name` is now ..." for an old name, and an empty text for any other."""
     return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""

@@ -11,7 +11,7 @@ import gc
 import math
 import shutil
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,9 +19,11 @@ from typing import Any
 
 from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.core.fidelity_levels import LEFT_OUT
+from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.evaluate import emulated
+from mjtactile.recording.files import to_json
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.domain_randomization import draw
@@ -171,7 +173,7 @@ def run_episode(
     line |= {name: False for name in LEFT_OUT if summary.get(name) is False}
     return line | {
         "break_force_N": facts.break_force,
-        "flags": dict(facts.flags),
+        "flags": to_json(facts.flags),
         "randomized": _sampled_values(scenario),
         "rerun_command": scenario.command(),
     }
@@ -236,8 +238,7 @@ class _Facts(Observer):
     def __init__(self) -> None:
         self._begin = math.nan
         self.break_force: float | None = None
-        self.flags: Mapping[str, str] = {}
-        """Flags of reduced simulation accuracy: kind and reason."""
+        self.flags: Flags = {}
         self.phases: list[str] = []
         self.is_crushed = False
         self.time = 0.0

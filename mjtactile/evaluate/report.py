@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.fidelity_levels import fidelity_notes
+from mjtactile.core.flags import merge_flags, read_flags
 from mjtactile.evaluate import svg
 from mjtactile.evaluate.episodes import OUTCOMES
 from mjtactile.evaluate.parameter_sensitivity import measures
@@ -176,9 +177,7 @@ def _failures(lines: Sequence[Line]) -> str:
 def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
     """Return the episodes by flag of reduced simulation accuracy, with outcomes with and without
     it."""
-    reasons: dict[str, str] = {}
-    for line in lines:
-        reasons = dict(line.get("flags", {})) | reasons
+    reasons = merge_flags(read_flags(line.get("flags", {})) for line in lines)
     rows = []
     for name, mine in summary["controllers"].items():
         for kind, one in mine["flags"].items():

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Reasons
 from mjtactile.core.ritz_bulge import GRAVITY, inflated_height
 from mjtactile.core.types import ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
@@ -91,6 +92,7 @@ def press(
     `simulation`: `timestep` s and `effects` of the world.
     """
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
+    world.update_flags(_coarse(world))
     shadows = Effect.SHADOWS in simulation.get("effects", ())
     view = View(world, design, seed=seed, shadows=shadows, gauge=True)
     take_references(world, [view], design.chamber.supply_gauge, sealed=plan.sealed)
@@ -120,8 +122,7 @@ def press(
         for step, error in zip(steps, errors, strict=True):
             step["force_error_estimate_N"] = error
     shape = shape_report(view.perception.shape(touches))
-    flags = world.flags | _coarse(world)
-    return {"sensor": design.name, "steps": steps, "shape": shape, "flags": flags}
+    return {"sensor": design.name, "steps": steps, "shape": shape, "flags": world.flags}
 
 
 def shape_report(shape: ContactShape) -> dict[str, Any]:
@@ -165,7 +166,7 @@ def shape_report(shape: ContactShape) -> dict[str, Any]:
     }
 
 
-def _coarse(world: PressWorld) -> dict[str, str]:
+def _coarse(world: PressWorld) -> Reasons:
     """Return a flag if the mesh of the simulated membrane is too coarse for the contact shape."""
     mesh = world.sensors[0].mesh
     if mesh.spacing <= _COARSEST:

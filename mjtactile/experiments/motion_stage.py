@@ -126,8 +126,8 @@ def record_stage(
             loads[number].append(bench.load())
         recorder.add(bench.cycle())
         drive.advance_to((cycle + 1) * bench.period)
-    if bench.world.flags:
-        recorder.note(flags=dict(bench.world.flags))
+    if flags := bench.world.flags:
+        recorder.note(flags=flags)
     if load_cell:
         recorder.note(
             stage=stage.with_forces(

@@ -12,6 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.flags import Flags
 from mjtactile.explore.compliance_map import ComplianceMap
 from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Aim, Mesh, next_aim
@@ -34,7 +35,7 @@ class Bench(Protocol):
     def design(self) -> SensorDesign: ...
 
     @property
-    def flags(self) -> Mapping[str, str]: ...
+    def flags(self) -> Flags: ...
 
     def reaches(self, aim: Aim) -> bool:
         """Return True if the sensor can reach the position."""
@@ -69,7 +70,7 @@ class ExplorationResult:
     stiffness: ComplianceMap
     outcome: str
     tried: int
-    flags: Mapping[str, str] = field(default_factory=dict)
+    flags: Flags = field(default_factory=dict)
     failures: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
@@ -100,7 +101,7 @@ class ExplorationResult:
                 for patch in self.patches
             ],
             "failures": list(self.failures),
-            "flags": dict(self.flags),
+            "flags": self.flags,
         }
 
 
@@ -171,11 +172,7 @@ def explore(
 
 
 def explored(
-    patches: Sequence[Patch],
-    outcome: str,
-    tried: int,
-    flags: Mapping[str, str],
-    failures: Sequence[str] = (),
+    patches: Sequence[Patch], outcome: str, tried: int, flags: Flags, failures: Sequence[str] = ()
 ) -> ExplorationResult:
     """Return the result with these patches."""
     hypotheses = fuse(patches)
@@ -191,7 +188,7 @@ def explored(
         ComplianceMap.of(patches, meshes[0]),
         outcome,
         tried,
-        dict(flags),
+        flags,
         tuple(failures),
     )
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mjtactile.core.flags import read_flags
 from mjtactile.core.types import Array
 from mjtactile.explore.compliance_map import ComplianceMap
 from mjtactile.explore.exploration import ExplorationResult
@@ -21,7 +22,7 @@ from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.surface_export import SOFT, colours
 from mjtactile.recording.files import to_json
-from mjtactile.report.html import document, table
+from mjtactile.report.html import document, flag_table, table
 
 _EDGE = 1.6e-3  # triangle edge, m; a browser can rotate this mesh smoothly
 _UNSURE = 1e-3  # standard deviation of the darkest color, m
@@ -95,9 +96,8 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
         'wheel: zoom</span></p><canvas id="solid"></canvas><p id="readout" '
         'class="hint"></p><noscript>The surface needs JavaScript.</noscript>'
     )
-    flags = summary.get("flags", {})
-    if flags:
-        yield table(["doubt", "reason"], [[escape(k), escape(v)] for k, v in flags.items()])
+    if summary.get("flags"):
+        yield flag_table(read_flags(summary["flags"]))
     content = json.dumps(to_json(data), allow_nan=False, separators=(",", ":"))
     safe = content.replace("<", "\\u003c")
     yield f'<script type="application/json" id="data">{safe}</script>'

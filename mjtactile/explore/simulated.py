@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flag, merge_flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.exploration import ExplorationGoal, ExplorationResult, explore, explored
@@ -119,7 +120,7 @@ def explore_in_gripper(
     number = max((patch.group for patch in patches), default=0)
     grips: list[tuple[float, float]] = []
     hypotheses = fuse(patches)
-    flags: dict[str, str] = {}
+    flags: dict[str, Flag] = {}
     outcome = "touches"
     while number < goal.touches:
         mesh = mesh_of(hypotheses[0], _PLAN_EDGE)
@@ -170,7 +171,12 @@ def next_grip(
 
 
 def _grip(
-    scenario: Scenario, turn: float, height: float, force: float, number: int, flags: dict[str, str]
+    scenario: Scenario,
+    turn: float,
+    height: float,
+    force: float,
+    number: int,
+    flags: dict[str, Flag],
 ) -> list[Patch]:
     """Simulate one grip of the rotated object."""
     # a seed first samples the camera noise, so each grip gets its own seed
@@ -182,7 +188,7 @@ def _grip(
         session = Session(rig, threads=0)
         session.take_references()
         session.run(GripController((height,), force), time_limit=_GRIP_TIME, observer=log)
-        flags |= dict(rig.flags())
+        flags |= merge_flags((flags, rig.flags()))
         designs = [finger.design for finger in rig.fingers]
         return patches_of_grip(log.cycles, session.perceptions, designs, yaw=turn, group=number)
     finally:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Array, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.explore.next_best_touch import Aim
@@ -67,9 +68,9 @@ class SimulatedStage:
         take_references(self.world, [self._view], design.chamber.supply_gauge)
 
     @property
-    def flags(self) -> dict[str, str]:
+    def flags(self) -> Flags:
         """Flags of reduced simulation accuracy."""
-        return dict(self.world.flags)
+        return self.world.flags
 
     def reaches(self, aim: Aim) -> bool:
         """Return True if the sensor can reach the target. It always can: the area under the holder

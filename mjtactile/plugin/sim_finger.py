@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
 from mjtactile.plugin.rest_calibration import at_rest
 from mjtactile.rig.finger import Finger
@@ -112,11 +113,11 @@ class SimFinger:
         return self.sensor.gauge_pressure
 
     @property
-    def flags(self) -> Mapping[str, str]:
-        """Reasons for reduced simulation accuracy since `reset`.
+    def flags(self) -> Flags:
+        """Flags since `reset`: reasons for reduced simulation accuracy, by kind (`sharp_edge`,
+        `frame_contact`, `speed`, ...).
 
-        The keys are kinds of model error (`feature`, `edge`, `frame`, `speed`, ...). The values are
-        the reasons at the first occurrence.
+        The times are those of the scene.
         """
         return MappingProxyType(self._stepper.flags)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flag
 from mjtactile.core.types import FINGERS
 
 FORMAT = "mjtactile-recording"
@@ -41,6 +42,8 @@ def finger_names(count: int) -> tuple[str, ...]:
 def to_json(value: Any) -> Any:
     """Make `value` valid JSON: non-finite numbers become null, numpy values plain ones, paths
     text."""
+    if isinstance(value, Flag):
+        return to_json(value.to_dict())
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -181,9 +181,10 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
             return key
     if "simulated" in row and not _is_simulated(row["simulated"]):
         return "simulated"
-    for texts in ("versions", "flags"):
-        if not {kind(value) for value in row.get(texts, {}).values()} <= {TEXT}:
-            return texts
+    if not {kind(value) for value in row.get("versions", {}).values()} <= {TEXT}:
+        return "versions"
+    if not all(map(_is_flag, row.get("flags", {}).values())):
+        return "flags"
     return next((key for key in ("files", "calibration") if not _has_tables(row, key)), None)
 
 
@@ -207,6 +208,14 @@ def _is_simulated(how: Mapping[str, Any]) -> bool:
         and isinstance(effects, list)
         and all(map(_is_effect, effects))
     )
+
+
+def _is_flag(value: Any) -> bool:
+    """Return True for a reason with times, or for a reason alone as before version 0.2.0."""
+    if kind(value) == TEXT:
+        return True
+    times = {kind(value.get(key)) for key in ("first_s", "last_s", "fraction")} if value else ()
+    return kind(value) == TABLE and kind(value.get("reason")) == TEXT and set(times) == {NUMBER}
 
 
 def _is_effect(row: Any) -> bool:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flags, read_flags
 from mjtactile.core.image_decoding import decode
 from mjtactile.core.renamed import current_row
 from mjtactile.core.types import Array, Image, ValveState
@@ -71,9 +72,10 @@ class Recording:
         return tuple(self.notes.get("fingers") or finger_names(self.width))
 
     @property
-    def flags(self) -> Mapping[str, str]:
-        """Reasons for reduced simulation accuracy, by kind of model error."""
-        return self.notes.get("flags", {})
+    def flags(self) -> Flags:
+        """Flags of the recorded run by kind; their times are NaN in a recording from before
+        0.2.0."""
+        return read_flags(self.notes.get("flags", {}))
 
     @property
     def has_shapes(self) -> bool:

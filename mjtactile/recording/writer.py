@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Image
 from mjtactile.recording import png
 from mjtactile.recording.decimated_history import DecimatedHistory
@@ -66,7 +67,7 @@ class Recorder(Observer):
         self.strip: DecimatedHistory | None = None
         """Cycles spread over the run, if the caller sets a history."""
         self.cycles = self.references = 0
-        self.flags: Mapping[str, str] = {}
+        self.flags: Flags = {}
         """Last noted reasons for reduced simulation accuracy."""
         self.problem = ""
         self.disk_wait_time = 10.0

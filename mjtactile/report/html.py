@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
+
+from mjtactile.core.flags import Flags
 
 _STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;
 color:#222}
@@ -32,6 +35,25 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, text: bool = Fa
     body = "".join("<tr>" + "".join(f"<td>{value}</td>" for value in row) + "</tr>" for row in rows)
     first = f"<tr>{''.join(f'<th>{escape(word)}</th>' for word in head)}</tr>" if head else ""
     return f"<table{' class=text' if text else ''}>{first}{body}</table>"
+
+
+def flag_table(flags: Flags) -> str:
+    """Return a table of the flags of a run with their times."""
+    rows = [
+        [
+            escape(kind),
+            _known(flag.first, ".2f"),
+            _known(flag.last, ".2f"),
+            _known(100 * flag.fraction, ".0f"),
+            escape(flag),
+        ]
+        for kind, flag in flags.items()
+    ]
+    return table(["flag", "first, s", "last, s", "of the time, %", "reason"], rows, text=True)
+
+
+def _known(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else ""
 
 
 def data_uri(kind: str, content: bytes) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import DEFAULT_GOAL, PressureReading, TaskGoal, ValveState
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
@@ -110,7 +111,7 @@ class Rig:
     length: float = math.inf
     varied: Mapping[str, Any] = field(default_factory=dict)
     simulated: Mapping[str, Any] = field(default_factory=dict)
-    flags: Callable[[], Mapping[str, str]] = dict
+    flags: Callable[[], Flags] = dict
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None
     goal: TaskGoal = DEFAULT_GOAL

@@ -14,6 +14,7 @@ import numpy as np
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.fidelity_levels import disabled_effects
 from mjtactile.core.fidelity_levels import fidelity_notes as fidelity_notes
+from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
@@ -51,7 +52,7 @@ class GraspResult:
     left_out: tuple[str, ...] = ()
     """Parts disabled by `--effects`: "mesh" (a quasi-static membrane replaced it), "pipeline"
     (synthetic touch) and "images" (markers with sampled errors)."""
-    flags: Mapping[str, str] = field(default_factory=dict)
+    flags: Flags = field(default_factory=dict)
     """Reasons for reduced simulation accuracy, by kind of model error."""
 
     measures: Mapping[str, float] = field(default_factory=dict)
@@ -70,7 +71,7 @@ class GraspResult:
             "real_time_factor": self.real_time_factor,
             "frames": self.frames,
             "perception_ms_median": self.milliseconds["perception_median"],
-            "flags": dict(self.flags),
+            "flags": self.flags,
             **self.scenario.names(),
         }
         if not math.isnan(self.peak_stress_true):

@@ -6,13 +6,14 @@ a result. It does not use ground truth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Material, Touch
 from mjtactile.recording.observer import Observer, Observers
@@ -42,9 +43,7 @@ class _Log(Observer):
         self.openings.append(opening)
         self.phases.append(phase)
 
-    def result(
-        self, names: dict[str, Any], settings: Settings, flags: Mapping[str, str]
-    ) -> ProbeResult:
+    def result(self, names: dict[str, Any], settings: Settings, flags: Flags) -> ProbeResult:
         squeeze = Squeeze.of(self.touches, self.openings, settings.squeeze)
         material = judge(squeeze, settings.material)
         return ProbeResult(names, material, squeeze, tuple(self.phases), flags)
@@ -58,7 +57,7 @@ class ProbeResult:
     material: Material
     squeeze: Squeeze
     phases: tuple[str, ...]
-    flags: Mapping[str, str] = field(default_factory=dict)
+    flags: Flags = field(default_factory=dict)
     """Reasons for reduced simulation accuracy, by kind of model error."""
 
     def summary(self) -> dict[str, Any]:
@@ -80,7 +79,7 @@ class ProbeResult:
             "permanent_set_sd_mm": 1e3 * m.permanent_set_sd,
             "deformation_speed_mm_s": 1e3 * m.speed,
             "frames": len(self.squeeze),
-            "flags": dict(self.flags),
+            "flags": self.flags,
         }
 
     def history(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy.ma  # noqa: F401
 from mjtactile.core import signals
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
@@ -90,13 +91,13 @@ class Session:
         return 0.0 if math.isfinite(self.rig.host_timeout) else WAIT_TIME
 
     @property
-    def flags(self) -> Mapping[str, str]:
+    def flags(self) -> Flags:
         """Reasons for reduced accuracy so far, by kind of model error.
 
         On a real rig the only kind is "unsensed_force". The servo forces then exceed the forces
         estimated on the fingers.
         """
-        return {**self.rig.flags(), **self._push.flags}
+        return merge_flags((self.rig.flags(), self._push.flags))
 
     def take_references(self, observer: Observer | None = None) -> None:
         """Take the references of every sensor.

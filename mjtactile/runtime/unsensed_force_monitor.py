@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from mjtactile.core.flags import Cadence, Flag, FlagTracker
 from mjtactile.core.types import Array
 from mjtactile.recording.observer import Observer
 
@@ -40,15 +40,18 @@ class UnsensedForceMonitor(Observer):
         self._free = 0.0
         self._maximum = 0.0
         self._text = ""
+        self._tracker: FlagTracker | None = None
 
     @property
-    def flags(self) -> Mapping[str, str]:
-        """Kind and reason of the flag; empty if none was raised."""
-        return {KIND: self._text} if self._text else {}
+    def flags(self) -> dict[str, Flag]:
+        """The flag by its kind; empty if it was never raised."""
+        return {} if self._tracker is None else self._tracker.flags()
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         """Add one cycle. A cycle with unknown values is ignored and clears the window of earlier
         cycles."""
+        if self._tracker is None:
+            self._tracker = FlagTracker(cycle.time)
         felt = float(np.mean([touch.force_normal for touch in cycle.touch]))
         effort = float(cycle.gripper.effort)
         if not math.isfinite(felt + effort):
@@ -62,16 +65,19 @@ class UnsensedForceMonitor(Observer):
         if not any(touch.touching for touch in cycle.touch):
             # effort above `_LEAST` is not friction but a load that no finger senses
             self._free = max(self._free, min(abs(float(np.mean(self._efforts))), _LEAST))
-        self._judge(np.array(self._efforts), np.array(self._felt))
+        is_up = self._exceeds(np.array(self._efforts), np.array(self._felt))
+        self._tracker.update(cycle.time, {KIND: self._text} if is_up else {}, {Cadence.CYCLE})
 
-    def _judge(self, effort: Array, felt: Array) -> None:
-        """Compute the minimum excess force over the window and set the flag text if it is too
-        large."""
+    def _exceeds(self, effort: Array, felt: Array) -> bool:
+        """Return True if the minimum excess force over the window is too large, and set the flag
+        text if it is also the largest so far."""
         beyond = effort - felt
         minimum = int(beyond.argmin())
         allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[minimum]))
-        if beyond[minimum] <= max(allowed, self._maximum):
-            return
+        if beyond[minimum] <= allowed:
+            return False
+        if beyond[minimum] <= self._maximum:
+            return True
         self._maximum = float(beyond[minimum])
         names = " and ".join(self._names)
         self._text = (
@@ -79,3 +85,4 @@ class UnsensedForceMonitor(Observer):
             f"{felt[minimum]:.1f} N on average: frames, finger sides or the jaws carry "
             f"{self._maximum:.1f} N, more than the allowed {allowed:.1f} N"
         )
+        return True

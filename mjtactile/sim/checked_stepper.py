@@ -7,18 +7,18 @@ instead. Reduced accuracy alone only sets a flag.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.errors import SimulationError
+from mjtactile.core.flags import Cadence, Flag, FlagTracker, Reasons
 from mjtactile.core.types import Array
 from mjtactile.sim.fast_step import advance
 from mjtactile.sim.sensor.monitor import SceneMonitor
 from mjtactile.sim.sensor.sensor_types import AnySensor
-from mjtactile.sim.sensor.validity_checks import GROWS, Flags
 
 # period of the more expensive checks, s; quasi-static membranes check much themselves
 _CHECK_PERIOD = 0.02
@@ -28,9 +28,7 @@ _QS_CHECK_PERIOD = 0.1
 class Stepper:
     """Checked stepper of a scene with `sensors`, which are bound to its model and data.
 
-    `flags` maps the kind of each warning to its reason at first occurrence; kinds in `GROWS` report
-    the largest amount so far. Each of `watchers` is called at every check and returns flags of its
-    own.
+    Each of `watchers` is called at every check and returns flags of its own.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[AnySensor]):
@@ -47,9 +45,24 @@ class Stepper:
         it."""
         period = _QS_CHECK_PERIOD if self._monitor.only_quasistatic else _CHECK_PERIOD
         self._check_every = max(1, round(period / float(model.opt.timestep)))
-        self.flags: Flags = self._monitor.built()
+        self._built = self._monitor.built()
+        self._tracker = FlagTracker(float(data.time), self._built)
         self.step_count = 0
-        self.watchers: list[Callable[[], Flags]] = []
+        self.watchers: list[Callable[[], Reasons]] = []
+
+    @property
+    def flags(self) -> dict[str, Flag]:
+        """Flags so far, by kind."""
+        return self._tracker.flags(float(self._data.time))
+
+    @property
+    def is_speed_flagged(self) -> bool:
+        """True if an object was too fast for the step; single steps then need no check of speed."""
+        return "speed" in self._tracker
+
+    def update_flags(self, reasons: Reasons, checked: Collection[Cadence] = ()) -> None:
+        """Add the result of a check that is not one of the stepper; see `FlagTracker.update`."""
+        self._tracker.update(float(self._data.time), reasons, checked)
 
     def step(self) -> None:
         """Advance by one time step. Raises SimulationError when the state is not to be trusted."""
@@ -92,8 +105,8 @@ class Stepper:
         if unsolved is None:
             unsolved = int(self._data.solver_niter[0] >= self._model.opt.iterations)
         self._unsolved[0] += unsolved
-        if "speed" not in self.flags:
-            self.flags = self.flags | self._monitor.hurried()
+        if not self.is_speed_flagged and (hurried := self._monitor.hurried()):
+            self.update_flags(hurried)
         if self.step_count % self._check_every == 0:
             self._look()
             return
@@ -102,7 +115,7 @@ class Stepper:
             self._stop(reason)
 
     def _look(self) -> None:
-        flags, reason = self._monitor.look()
+        flags, checked, reason = self._monitor.look()
         if min(self._unsolved) > 0.5 * self._check_every:
             flags["solver"] = (
                 f"the solver did not converge in {self._model.opt.iterations} iterations: "
@@ -111,7 +124,7 @@ class Stepper:
         self._unsolved = [0, self._unsolved[0]]
         for watcher in self.watchers:
             flags |= watcher()
-        self.flags = flags | self.flags | {kind: flags[kind] for kind in GROWS & flags.keys()}
+        self.update_flags(flags | self._built, checked)
         if reason:
             self._stop(reason)
 

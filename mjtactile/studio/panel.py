@@ -5,7 +5,7 @@ in a user's scene.
 from __future__ import annotations
 
 import time as wall
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -15,6 +15,7 @@ from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Ellipses
 from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import plots, scene_overlays, surface_colormap
@@ -183,7 +184,7 @@ class Panel(plugin.ViewerPlugin):
             plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
         imgui.End()
 
-    def _build_overlay(self, flags: Mapping[str, str]) -> None:
+    def _build_overlay(self, flags: Flags) -> None:
         """Build the window of the overlay options and the simulation's flags."""
         self._layout.place(8, -LOOK, LEFT, LOOK)
         if imgui.Begin("Touch in the scene")[0]:
@@ -203,8 +204,10 @@ class Panel(plugin.ViewerPlugin):
                 choices[chosen], forces, field, contacts, camera
             )
             imgui.TextUnformatted(self._scale)
-            for kind, reason in flags.items():
-                imgui.TextWrapped(f"warning ({kind}): {reason}")
+            for kind, flag in flags.items():
+                imgui.TextWrapped(f"warning ({kind}): {flag}")
+                if flag.when:
+                    imgui.TextDisabled(flag.when)
             if self.error:
                 imgui.TextColored(RED, self.error)
         imgui.End()

@@ -19,6 +19,7 @@ import numpy as np
 
 from mjtactile.core import signals
 from mjtactile.core.errors import DeviceError, Interrupted, SimulationError
+from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image, Surface
 from mjtactile.recording.observer import Observer
@@ -116,7 +117,7 @@ class SessionBridge(Observer):
 
     def note(self, **facts: Any) -> None:
         """Report each kind of simulation flag once."""
-        flags: Mapping[str, str] = facts.get("flags", {})
+        flags: Flags = facts.get("flags", {})
         for kind in flags.keys() - self._flagged:
             self.message(f"warning ({kind}): {flags[kind]}")
         self._flagged |= flags.keys()

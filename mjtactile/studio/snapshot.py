@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from mjtactile.core.flags import Flags
 from mjtactile.core.types import Array, Image, Surface, Touch, ValveState
 from mjtactile.report.shape_wireframe import describe_shape
 
@@ -69,7 +70,7 @@ class StudioSnapshot:
     fingers: tuple[FingerSnapshot, ...]
     session: SessionState | None = None
     scene: Any = None
-    flags: Mapping[str, str] = field(default_factory=dict)
+    flags: Flags = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

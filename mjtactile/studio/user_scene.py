@@ -12,6 +12,7 @@ from typing import ClassVar
 import mujoco
 from mujoco.studio import messages, plugin
 
+from mjtactile.core.flags import Flag
 from mjtactile.plugin.attach import AttachedSensor, attach
 from mjtactile.plugin.sim_finger import SimFinger, step
 from mjtactile.sim.attach import configure_options
@@ -64,12 +65,10 @@ class UserFingers:
         return self._latest
 
 
-def _flags_of(fingers: Sequence[SimFinger]) -> dict[str, str]:
+def _flags_of(fingers: Sequence[SimFinger]) -> dict[str, Flag]:
     """Return the flags for reduced accuracy of each finger's simulation."""
     return {
-        f"{finger.name}: {kind}": reason
-        for finger in fingers
-        for kind, reason in finger.flags.items()
+        f"{finger.name}: {kind}": flag for finger in fingers for kind, flag in finger.flags.items()
     }
 
 

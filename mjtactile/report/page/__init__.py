@@ -17,7 +17,7 @@ import numpy as np
 from mjtactile.recording.files import to_json
 from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.report.html import document, table
+from mjtactile.report.html import document, flag_table, table
 from mjtactile.report.page.data import page_data
 
 _SCRIPTS = ("curves.js", "membranes.js", "moment.js")
@@ -122,10 +122,9 @@ def _doubts(recording: Recording) -> str:
     """Return the table of reasons for reduced simulation accuracy."""
     if not recording.flags:
         return ""
-    rows = [[escape(kind), escape(reason)] for kind, reason in recording.flags.items()]
     return (
-        "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces, as first "
-        f"reported.</p>{table(['kind', 'reason'], rows, text=True)}"
+        "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces.</p>"
+        f"{flag_table(recording.flags)}"
     )
 
 

@@ -10,6 +10,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Reasons
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, GripperWorld
@@ -18,7 +19,6 @@ from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_o
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 from mjtactile.sim.scenes.world import require_clear
 from mjtactile.sim.sensor.effect_switches import PHYSICS
-from mjtactile.sim.sensor.validity_checks import Flags
 
 _STRAINED = 0.2
 """Compression from which rubber is stiffer than linear elements by 27 % and more."""
@@ -90,9 +90,9 @@ class GraspWorld(GripperWorld):
         self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)
 
-    def _strain_flags(self) -> Flags:
+    def _strain_flags(self) -> Reasons:
         """Return a flag if the strain exceeds the range of the object's linear elements."""
-        if self.solid is None or "strain" in self.flags:
+        if self.solid is None:
             return {}
         compression = self.solid.strain(self.data).compression
         if compression <= _STRAINED:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Cadence
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
@@ -201,12 +202,13 @@ class PressWorld(World):
             self.step()
             still = still + 1 if np.abs(self.data.qvel).max() < speed else 0
             if still >= needed:
+                self.update_flags({}, {Cadence.SETTLING})
                 return True
-        self.flags.setdefault(
-            "unsettled",
+        reason = (
             f"the membrane did not come to rest in {time_limit:g} s: forces are those of a "
-            "moving membrane; use a smaller timestep",
+            "moving membrane; use a smaller timestep"
         )
+        self.update_flags({"unsettled": reason}, {Cadence.SETTLING})
         return False
 
     def _before_step(self) -> None:

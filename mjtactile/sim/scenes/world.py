@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 import mujoco
 import numpy as np
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Cadence, Flag, Reasons
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.batched_quasistatic_step import MAX_STEPS, QuasistaticStepper
@@ -16,7 +17,6 @@ from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.mujoco_log import route_warnings
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel
 from mjtactile.sim.sensor.sensor_types import AnySensor
-from mjtactile.sim.sensor.validity_checks import Flags
 
 
 class World:
@@ -81,9 +81,13 @@ class World:
         self.data.ctrl[actuator] = value
 
     @property
-    def flags(self) -> Flags:
-        """Warnings about reduced accuracy: their kind, and the reason at first occurrence."""
+    def flags(self) -> dict[str, Flag]:
+        """Flags of reduced accuracy so far, by kind."""
         return self._stepper.flags
+
+    def update_flags(self, reasons: Reasons, checked: Collection[Cadence] = ()) -> None:
+        """Raise the flags in `reasons`, and clear the other flags of the cadences `checked`."""
+        self._stepper.update_flags(reasons, checked)
 
     @property
     def step_count(self) -> int:
@@ -110,7 +114,7 @@ class World:
         else:
             maximum = min(count, MAX_STEPS, self._stepper.until_check, self._until_due())
             self._handover(ahead)
-            done, unsolved, self.stretch = ahead.run(maximum, "speed" not in self.flags)
+            done, unsolved, self.stretch = ahead.run(maximum, not self._stepper.is_speed_flagged)
             self._take_back(ahead)
             self._stepper.after_step(done, unsolved)
         for call in (*self._after_step, *self._after_stretch):
@@ -152,7 +156,7 @@ class World:
     def _before_step(self) -> None:
         """Hook for worlds that move their controls by themselves."""
 
-    def _watch(self, watcher: Callable[[], Flags]) -> None:
+    def _watch(self, watcher: Callable[[], Reasons]) -> None:
         """Register `watcher`; its flags are collected at each check of the state."""
         self._stepper.watchers.append(watcher)
 

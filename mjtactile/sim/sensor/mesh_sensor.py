@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Reasons
 from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import validity_checks
@@ -268,7 +269,7 @@ class TactileSensor(BaseSensor):
             self._relaxing.settle(self.p_SV)
         self._follow()
 
-    def flags(self) -> validity_checks.Flags:
+    def flags(self) -> Reasons:
         """Return flags for reduced accuracy of the present state; empty when there are none."""
         return validity_checks.membrane_flags(self.design, self.gauge_pressure, *self.stretches())
 

@@ -7,19 +7,19 @@ objects too fast for the step.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core import geometry
+from mjtactile.core.flags import SIMULATION, Cadence, Reasons
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import contact_loads, feature_size, validity_checks
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
-from mjtactile.sim.sensor.validity_checks import Flags
 
 PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
@@ -76,7 +76,8 @@ class SceneMonitor:
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # ratios at the last checks
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
-        self._max_frame_area = 0.0  # largest lasting force reported, N
+        self._max_frame_load = 0.0  # largest lasting force reported, N
+        self._frame_text = ""
         self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
@@ -91,9 +92,9 @@ class SceneMonitor:
         """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,)."""
         return self._movers, self._hurry
 
-    def built(self) -> Flags:
+    def built(self) -> Reasons:
         """Flags of the scene as it was built."""
-        flags: Flags = {}
+        flags: Reasons = {}
         for sensor in self._sensors:
             flags |= validity_checks.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
             if isinstance(sensor, QuasistaticSensor) or sensor.contact != "vertices":
@@ -106,23 +107,24 @@ class SceneMonitor:
                 )
         return flags
 
-    def look(self) -> tuple[Flags, str | None]:
-        """Return flags of the present state, and the reason to stop, or None."""
-        flags: Flags = {}
+    def look(self) -> tuple[Reasons, Collection[Cadence], str | None]:
+        """Return flags of the present state, the checked cadences, and a reason to stop or None."""
+        flags: Reasons = {}
         stop = None
         if all(sensor.is_asleep for sensor in self._sensors):
-            return flags, stop
+            return flags, SIMULATION, stop
         self._looks += 1
         # quasi-static membranes detect tunneling themselves
         if self.only_quasistatic and self._looks % _QS_RARE_PERIOD:
             for number in range(len(self._sensors)):
                 flags |= self._frame(number)
-            return flags, stop
+            return flags, {Cadence.FAST}, stop
         places = self._geoms_in(self._sensors)
+        is_slow_check = self._looks % _RARELY == 0
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
-            if self._looks % _RARELY == 0:
+            if is_slow_check:
                 flags |= sensor.flags()
             rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
@@ -139,13 +141,13 @@ class SceneMonitor:
             stop = stop or self._jumped(number, places[number])
         self._places = places
         stop = stop or self.passed()
-        if self._looks % _RARELY == 0:
-            flags |= self._too_fast(places)
-        return flags, stop
+        if not is_slow_check:
+            return flags, SIMULATION - {Cadence.SLOW}, stop
+        return flags | self._too_fast(places), SIMULATION, stop
 
-    def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Flags:
+    def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Reasons:
         """Return flags of the geoms in the contacts `rows`: small features, edges, hulls."""
-        flags: Flags = {}
+        flags: Reasons = {}
         contact = self._data.contact
         others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
         touching = set(others.tolist()) - {-1}
@@ -196,20 +198,20 @@ class SceneMonitor:
         ]
         return float(self._deep[number].min())
 
-    def _frame(self, number: int) -> Flags:
+    def _frame(self, number: int) -> Reasons:
         """Return a flag when a sensor's frame carries force over several checks."""
         load = contact_loads.frame_load(self._data, self._sensors[number])
         self._framed[number].append(load)
         lasting = min(self._framed[number])
-        if lasting < _FRAMED or lasting <= self._max_frame_area:
+        if lasting < _FRAMED:
             return {}
-        self._max_frame_area = lasting
-        return {
-            "frame_contact": (
+        if lasting > self._max_frame_load:
+            self._max_frame_load = lasting
+            self._frame_text = (
                 f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} N, "
                 "which the camera cannot measure; move the contact onto the membrane"
             )
-        }
+        return {"frame_contact": self._frame_text}
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
         """Return the centers (g, 3) m of the geoms that can touch, in each sensor's frame."""
@@ -276,14 +278,14 @@ class SceneMonitor:
             "timestep or finer mesh"
         )
 
-    def hurried(self) -> Flags:
+    def hurried(self) -> Reasons:
         """Return the flag of an object that is too fast, checked at every step."""
         hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
         return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
 
-    def _too_fast(self, places: Sequence[Array]) -> Flags:
+    def _too_fast(self, places: Sequence[Array]) -> Reasons:
         """Return a flag for objects near a membrane that move by half their size per step."""
-        flags: Flags = {}
+        flags: Reasons = {}
         if not len(self._geoms):
             return flags
         velocities = self._velocities(self._model.geom_bodyid[self._geoms])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Reasons
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 from mjtactile.quasistatic import MembraneStatus
@@ -323,9 +324,9 @@ class QuasistaticSensor(BaseSensor):
 
     # -- its limits
 
-    def flags(self) -> validity_checks.Flags:
+    def flags(self) -> Reasons:
         """Return flags for reduced accuracy of the present state."""
-        flags: validity_checks.Flags = {}
+        flags: Reasons = {}
         lost = int(self._state["lost"])
         if lost > _LATE:
             flags["quasistatic"] = (

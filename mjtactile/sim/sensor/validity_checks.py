@@ -11,14 +11,10 @@ import numpy as np
 from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Reasons
 from mjtactile.core.neo_hookean import Law, principal_stresses
 from mjtactile.core.types import Array
 
-Flags = dict[str, str]
-"""Map from the kind of flag to its reason."""
-
-GROWS = frozenset({"frame_contact"})
-"""Kinds whose reason contains an amount: the reason is replaced when the amount grows."""
 STVK_ERROR = 0.02  # maximum relative error of a height
 # maximum stretch relative to the free membrane; beyond it, real rubber (Treloar 1944) is more than
 # about 10 % off the neo-Hookean law
@@ -56,9 +52,9 @@ def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
         )
 
 
-def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
+def design_flags(design: SensorDesign, nx: int, ny: int) -> Reasons:
     """Return flags for errors of a design that occur under any load."""
-    flags: Flags = {}
+    flags: Reasons = {}
     sheet = design.membrane
     frame = design.frame
     # second order; 1 % at 13 x 11 (tests/physics/test_membrane.py)
@@ -82,12 +78,12 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
 
 def membrane_flags(
     design: SensorDesign, gauge_pressure: float, stretches: Array, areas: Array
-) -> Flags:
+) -> Reasons:
     """Return flags for stretch and compression of a membrane's present state.
 
     `stretches` (m, 2) are relative to the free membrane; `areas` (m,) m^2 are the triangles'.
     """
-    flags: Flags = {}
+    flags: Reasons = {}
     sheet = design.membrane
     ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
     largest = float(np.partition(stretches[:, 1], ninth)[ninth])
@@ -118,13 +114,13 @@ def membrane_flags(
     return flags
 
 
-def quasistatic_flags(below_rim: float, doubt: float) -> Flags:
+def quasistatic_flags(below_rim: float, doubt: float) -> Reasons:
     """Return flags of a quasi-static membrane.
 
     `below_rim` is the depth, m, at which the frame carries the contact, `doubt` the relative force
     error for a contact that is narrow for the grid.
     """
-    flags: Flags = {}
+    flags: Reasons = {}
     if below_rim > 0:
         flags["rim_contact"] = (
             f"an object lies on the frame's rim ({1e3 * below_rim:.2f} mm below the "

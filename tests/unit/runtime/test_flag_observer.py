@@ -9,10 +9,12 @@ import pytest
 
 import mjtactile.gym
 from mjtactile.cli import main
+from mjtactile.core.flags import FlagTracker, read_flags
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.report import page
 from mjtactile.export.episode import RecordedEpisode as Exported
+from mjtactile.recording.files import to_json
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
 from mjtactile.runtime.flag_observer import FlagObserver
@@ -43,18 +45,27 @@ def closed(tmp_path_factory):
 
 def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
     line, folder = closed
-    assert "a sharp edge is in contact" in line["flags"]["sharp_edge"]
+    edge = line["flags"]["sharp_edge"]
+    assert "a sharp edge is in contact" in edge["reason"]
     recording = load_recording(folder / "recording")
-    assert dict(recording.flags) == line["flags"]
+    assert to_json(recording.flags) == line["flags"]
+    # the jaws close on the block for the last part of the run and are in contact at its end
+    times = recording.columns["time"]
+    assert times[0] < edge["first_s"] < edge["last_s"]
+    assert edge["last_s"] == pytest.approx(times[-1], abs=0.1)
+    assert edge["fraction"] == pytest.approx(1 - edge["first_s"] / edge["last_s"], abs=0.05)
     assert Exported(folder / "recording").facts["notes"]["flags"] == line["flags"]
 
 
 def test_a_doubt_is_on_the_pages_and_the_command_prints_it(closed, capsys):
     line, folder = closed
     assert main(["summary", str(folder), "--out", str(folder / "one.html")]) == 0
-    assert f"warning (sharp_edge): {line['flags']['sharp_edge']}\n" in capsys.readouterr().out
-    for text in ((folder / "one.html").read_text(), _report(line)):
-        assert line["flags"]["sharp_edge"] in text
+    edge = read_flags(line["flags"])["sharp_edge"]
+    assert f"warning (sharp_edge): {edge} ({edge.when})\n" in capsys.readouterr().out
+    page = (folder / "one.html").read_text()
+    for text in (page, _report(line)):
+        assert edge in text
+    assert f"<td>{edge.first:.2f}</td><td>{edge.last:.2f}</td>" in page
 
 
 def _report(line):
@@ -68,9 +79,8 @@ def test_a_doubt_is_in_what_grasp_says(closed, tmp_path, capsys):
     options = [f"--{key}={value}" for key, value in SCENE.items()]
     controller = f"--controller={folder / 'closes.py'}"
     main(["grasp", *options, controller, "--out", str(tmp_path / "run")])
-    assert (
-        capsys.readouterr().out.count(f"warning (sharp_edge): {line['flags']['sharp_edge']}") == 1
-    )
+    edge = line["flags"]["sharp_edge"]["reason"]
+    assert capsys.readouterr().out.count(f"warning (sharp_edge): {edge}") == 1
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["flags"] == line["flags"]  # the same world, bit for bit
 
@@ -93,7 +103,7 @@ def test_notes_are_taken_when_doubts_grow_and_at_the_end():
 
     class Keeps(Observer):
         def note(self, **facts):
-            noted.append(facts)
+            noted.append({"flags": dict(facts["flags"])})
 
     with FlagObserver(lambda: flags, Keeps()) as notes:
         notes.on_images()
@@ -103,3 +113,20 @@ def test_notes_are_taken_when_doubts_grow_and_at_the_end():
         flags["frame_contact"] = "the frame carries 3.0 N"
     both = {"sharp_edge": "an edge presses", "frame_contact": "the frame carries 3.0 N"}
     assert noted == [{"flags": {"sharp_edge": "an edge presses"}}, {"flags": both}]
+
+
+def test_the_last_note_has_the_final_times():
+    tracker = FlagTracker(0.0)
+    noted = []
+
+    class Keeps(Observer):
+        def note(self, **facts):
+            noted.append(facts["flags"]["sharp_edge"].last)
+
+    with FlagObserver(tracker.flags, Keeps()) as notes:
+        tracker.update(1.0, {"sharp_edge": "an edge presses"})
+        notes.on_images()
+        tracker.update(2.0, {"sharp_edge": "an edge presses"})
+        notes.on_images()
+        tracker.update(3.0, {})
+    assert noted == [1.0, 3.0]

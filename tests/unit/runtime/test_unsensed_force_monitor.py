@@ -14,15 +14,19 @@ PERIOD = 1 / 30
 def pushed(watch, effort, felt, seconds=1.0):
     """Return the flags after a push of `seconds` with this servo effort and finger force."""
     touch = SimpleNamespace(force_normal=felt, touching=felt > 0.05)
-    cycle = SimpleNamespace(touch=(touch, touch), gripper=SimpleNamespace(effort=effort))
-    for _ in range(round(seconds / PERIOD)):
-        watch.add(cycle)
-    return dict(watch.flags)
+    start = watch.time
+    for k in range(1, round(seconds / PERIOD) + 1):
+        gripper = SimpleNamespace(effort=effort)
+        watch.time = start + k * PERIOD
+        watch.add(SimpleNamespace(time=watch.time, touch=(touch, touch), gripper=gripper))
+    return watch.flags
 
 
 @pytest.fixture
 def watch():
-    return UnsensedForceMonitor(("left", "right"), PERIOD)
+    monitor = UnsensedForceMonitor(("left", "right"), PERIOD)
+    monitor.time = 0.0
+    return monitor
 
 
 @pytest.mark.parametrize(
@@ -49,7 +53,11 @@ def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):
     assert set(flags) == {KIND}
     assert "push with 11.0 N, but left and right measure 1.0 N" in flags[KIND]
     assert "carry 10.0 N" in flags[KIND]
-    assert "carry 10.0 N" in pushed(watch, 0.3, 0.0)[KIND]  # the most stays
+    found = pushed(watch, 0.3, 0.0)[KIND]
+    assert "carry 10.0 N" in found  # the maximum stays
+    # pushes of 1 s each after 2.1 s; the window of 0.3 s delays the flag, and the next one clears it
+    assert found.first == pytest.approx(2.1 + 0.3, abs=0.07)
+    assert found.last == pytest.approx(3.1, abs=0.07)
 
 
 def test_jaws_that_push_where_no_finger_touches_do_not_pass_for_friction(watch):

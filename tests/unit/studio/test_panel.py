@@ -12,6 +12,7 @@ from mujoco.studio.dear_imgui import dear_imgui
 from mujoco.studio.implot import implot
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.flags import Flag
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
 from mjtactile.studio import control_window, layout, panel, plots, scene_overlays, surface_colormap
@@ -74,7 +75,7 @@ def show():
     )
     show = SessionBridge(Scenario(seed=4))
     show.fastest = np.inf
-    flags = {"sharp_edge": "an edge presses"}
+    flags = {"sharp_edge": Flag("an edge presses", 0.1, 0.4, 0.2)}
     show.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
     for i in range(40):
         show.on_images()
@@ -104,6 +105,7 @@ def test_the_panels_numbers_are_the_sessions(gui, show):
             assert any(text in said for said in gui.said), text
     assert "gas    closed, 1.00 kPa" in " ".join(gui.said)
     assert "warning (sharp_edge): an edge presses" in gui.said
+    assert "0.10 to 0.40 s, 20 % of the time" in gui.said
     time, force = gui.plot.drawn["left, felt"]
     assert (
         time[-1] == show.moment().time and force[-1] == show.moment().fingers[0].touch.force_normal

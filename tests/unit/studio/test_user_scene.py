@@ -15,6 +15,7 @@ from mujoco.studio import messages, plugin
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from mjtactile.core.flags import Flag
 from mjtactile.studio.user_scene import UserFingers
 from tests.emulated import wait_for
 from tests.fake_run import fake_image, fake_touch
@@ -96,7 +97,7 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
         design=None,
         sensor=SimpleNamespace(body_id=1),
         seen=seen(0),
-        flags={"sharp_edge": "one presses"},
+        flags={"sharp_edge": Flag("one presses")},
     )
     fingers = []
     own = UserFingers(fingers)
