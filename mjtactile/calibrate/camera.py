@@ -297,7 +297,7 @@ def pose_of(corners: Array, uv: Array, K: Array, distortion: Array) -> tuple[Arr
 
 
 def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
-    """The fields of a ROS camera_info file, as `optics.Camera.from_yaml` and ROS read them."""
+    """The fields of a ROS camera_info file, as `optics.Camera.from_file` and ROS read them."""
     projection = np.column_stack([c.K, np.zeros(3)])
 
     def matrix(value: Array, rows: int) -> dict[str, Any]:

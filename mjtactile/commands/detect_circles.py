@@ -48,7 +48,8 @@ JSON: {"frames": [{"source": …, "status": "ok", or the reason for having no va
   "status": "ok", or the reason not to use it}],
   "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": the reason for
   the rejection}]}]}
-The camera file is a ROS camera_info with one optional extra field, for glass before the camera:
+Camera files: ROS camera_info, the output of `ros2 topic echo`, OpenCV YAML and XML, Kalibr, ini.
+Lens models: plumb_bob, rational_polynomial, equidistant. A YAML file may have a glass in addition:
   glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}
 One image of one circle allows two poses. The circles around it decide between them if they lie
 on a smooth surface; otherwise the less tilted pose is slightly more probable.
@@ -73,11 +74,7 @@ def _positive(text: str) -> float:
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
     arg.option(
-        "--camera",
-        "CAMERA.yaml",
-        "camera calibration, ROS camera_info YAML (plumb_bob)",
-        type=Path,
-        required=True,
+        "--camera", "CAMERA.yaml", "camera file of ROS, OpenCV or Kalibr", type=Path, required=True
     ),
     arg.option(
         "--glass-mm",
@@ -126,7 +123,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    camera = Camera.from_yaml(options.camera)
+    camera = Camera.from_file(options.camera)
     camera = camera if options.glass_mm is None else _behind_glass(camera, options.glass_mm)
     with optional_folder(options.out, "locate.json") as out:
         with stdout_to_stderr():

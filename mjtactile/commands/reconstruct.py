@@ -75,7 +75,7 @@ ARGUMENTS = (
     arg.option(
         "--camera",
         "CAMERA.yaml",
-        "with --marks: camera calibration, ROS camera_info; requires --radius-mm",
+        "with --marks: camera file of ROS, OpenCV or Kalibr; requires --radius-mm",
         type=Path,
     ),
     arg.option("--radius-mm", "R", "with --marks: radius of the dots", type=float),

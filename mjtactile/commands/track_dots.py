@@ -64,7 +64,7 @@ def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
         return None, None
     if not 0.01 <= options.radius_mm <= 100:
         raise InputError(f"{options.radius_mm:g} is outside 0.01 to 100", field="--radius-mm")
-    return Camera.from_yaml(options.camera), 1e-3 * options.radius_mm
+    return Camera.from_file(options.camera), 1e-3 * options.radius_mm
 
 
 def _images(source: Path, frames: list[NamedImage]) -> Iterator[NDArray]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,8 +44,8 @@ class LensModel:
         radial: Function of the coefficients and r^2. It returns the scale of (x, y) and its slope:
             the derivative of the scale by x is slope times x.
         tangential: True if the third and the fourth coefficient are p1 and p2.
-        kalibr: Names in files of Kalibr.
         foxglove: Name in messages of Foxglove.
+        others: Its names in camera files of other software.
     """
 
     name: str
@@ -52,8 +53,8 @@ class LensModel:
     coefficients: tuple[str, ...]
     radial: _Radial
     tangential: bool
-    kalibr: tuple[str, ...]
     foxglove: str
+    others: tuple[str, ...] = ()
 
 
 def _plumb_bob(k: Coefficients, r2: Array) -> tuple[Array, Array]:
@@ -97,7 +98,7 @@ MODELS: dict[str, LensModel] = {
     model.name: model
     for model in (
         LensModel(
-            PLUMB_BOB, 0, _RADIAL_TANGENTIAL, _plumb_bob, True, ("radtan", "none"), "plumb_bob"
+            PLUMB_BOB, 0, _RADIAL_TANGENTIAL, _plumb_bob, True, "plumb_bob", ("radtan", "none", "")
         ),
         LensModel(
             "rational_polynomial",
@@ -105,7 +106,6 @@ MODELS: dict[str, LensModel] = {
             (*_RADIAL_TANGENTIAL, "k4", "k5", "k6"),
             _rational,
             True,
-            (),
             "rational_polynomial",
         ),
         LensModel(
@@ -114,8 +114,8 @@ MODELS: dict[str, LensModel] = {
             ("k1", "k2", "k3", "k4"),
             _equidistant,
             False,
-            ("equi", "equidistant"),
             "kannala_brandt",
+            ("equi", "fisheye", "kannala_brandt"),
         ),
     )
 }
@@ -245,6 +245,14 @@ class Lens:
             xy_ = xy_ + 2 * p1 * x + 2 * p2 * y
             yy = yy + 6 * p1 * y + 2 * p2 * x
         return x_d, y_d, xx, xy_, yy
+
+
+def model_named(name: Any) -> LensModel | None:
+    """Return the model of this name in a camera file; None if it is unknown."""
+    for model in MODELS.values():
+        if name == model.name or name in model.others:
+            return model
+    return None
 
 
 def trimmed(coefficients: Sequence[float], count: int) -> Coefficients | None:

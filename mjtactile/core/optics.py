@@ -123,11 +123,11 @@ class Camera(Pinhole):
         )
 
     @classmethod
-    def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
-        """Read a ROS camera_info file, as the camera_calibration package writes it.
+    def from_file(cls, path: str | Path, glass: Glass | None = None) -> Camera:
+        """Read a camera file of ROS, OpenCV or Kalibr.
 
-        The file may have a field in addition to those of ROS, a glass in front of the camera:
-        `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`.
+        A YAML file may have one field in addition, a glass in front of the camera: `glass:
+        {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`.
 
         Args:
             path: The file.

@@ -89,7 +89,7 @@ def test_known_intrinsics_come_back(photos, tmp_path, capsys):
     out = tmp_path / "camera.yaml"
     assert main(["calibrate", "camera", str(photos), "--out", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    camera = Camera.from_yaml(out)  # the chain reads the written file
+    camera = Camera.from_file(out)  # the chain reads the written file
     sd = result["sd"]
     # Each within 4 of its own standard deviations, with a floor of 0.1 px: the bias of corner
     # refinement.

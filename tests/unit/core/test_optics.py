@@ -7,7 +7,6 @@ import pytest
 
 from mjtactile.core import geometry, optics
 from mjtactile.core.design import load_sensor
-from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
 
 LENS = Camera(640, 480, 600.0, 610.0, 320.5, 238.0, distortion=(-0.21, 0.08, 0.002, -0.003, -0.01))
@@ -110,81 +109,6 @@ def test_camera_of_a_design():
     assert camera.glass_thickness == design.glass.thickness
     assert camera.distortion == design.camera.distortion
     np.testing.assert_array_equal(camera.K, design.camera.K)
-
-
-YAML = """image_width: 640
-image_height: 480
-camera_name: finger
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [600.0, 0.0, 319.5, 0.0, 601.0, 239.5, 0.0, 0.0, 1.0]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.05, 0.01, 1e-5, 0.0, 0.0]
-rectification_matrix:
-  rows: 3
-  cols: 3
-  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-"""
-
-
-def test_ros_camera_info(tmp_path):
-    file = tmp_path / "camera.yaml"
-    file.write_text(YAML)
-    camera = Camera.from_yaml(file)
-    assert (camera.width, camera.height, camera.fy, camera.cx) == (640, 480, 601.0, 319.5)
-    assert camera.distortion == (-0.05, 0.01, 1e-5, 0.0, 0.0)
-
-
-def test_camera_file_with_glass(tmp_path):
-    file = tmp_path / "camera.yaml"
-    file.write_text(YAML + "glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}\n")
-    camera = Camera.from_yaml(file)
-    assert (camera.glass_thickness, camera.glass_index, camera.glass_distance) == pytest.approx(
-        (5e-3, 1.5, 0.12)
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "field"),
-    [
-        ("image_width: 640", "image_width: 640\nglass: 5", "glass"),
-        (
-            "image_width: 640",
-            "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 1.5}",
-            "distance_mm",
-        ),
-        (
-            "image_width: 640",
-            "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 0.5, distance_mm: 1}",
-            "glass.refractive_index",
-        ),
-        ("image_width: 640", "image_width: -3", "image_width"),
-        ("image_width: 640", "img_width: 640", "image_width"),
-        ("plumb_bob", "equidistant", "distortion_model"),
-        ("data: [600.0, 0.0,", "data: [600.0, 0.1,", "camera_matrix.data"),
-        ("data: [600.0,", "data: [", "camera_matrix.data"),
-        ("[-0.05", "[.nan", "distortion_coefficients.data[0]"),
-        ("[-0.05", "[left", "distortion_coefficients.data[0]"),
-        ("image_width: 640", "image_width: [640", "YAML"),
-    ],
-)
-def test_bad_camera_info_names_file_and_field(tmp_path, old, new, field):
-    file = tmp_path / "camera.yaml"
-    file.write_text(YAML.replace(old, new))
-    with pytest.raises(InputError) as caught:
-        Camera.from_yaml(file)
-    assert str(file) in str(caught.value)
-    assert field in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_missing_camera_info_is_one_line():
-    with pytest.raises(InputError, match="nowhere"):
-        Camera.from_yaml("nowhere.yaml")
 
 
 def test_rotations_and_frames():
