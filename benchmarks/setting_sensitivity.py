@@ -50,7 +50,7 @@ STILL_IMAGES = 8
 STILL_INTERVAL = 0.15  # image period, s
 DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
 REFERENCE_IMAGES = 4
-# limits of an insignificant change: force, N; sd (relative); area (relative); depth, m
+# relative change of the area that counts
 SIMILAR_AREA = 0.05
 WORKERS = 2
 
