@@ -35,8 +35,7 @@ class Number:
 
 def _largest_force(name: str, label: str) -> Number:
     return Number(
-        what=f"largest force on a finger, grasp of {label}, with touch / with servo current only: "
-        "median (worst), N",
+        what=f"largest force on a finger, {label}, with touch / without: median (worst), N",
         page="how-to/evaluate",
         row=f"gentle | {name} / touchless | {name}",
         column="largest force, N: median (worst)",
@@ -75,9 +74,9 @@ NUMBERS = (
         command="bench touch",
     ),
     Number(
-        what="force error in the test of the paper (paper: 0.04 N)",
+        what="force error in the test of the paper (paper: 0.04), N",
         page="validation/paper",
-        row="5a: force error, cylinder",
+        row="`dense`, valve closed",
         column="ours",
         command="experiments",
     ),
@@ -143,13 +142,6 @@ NUMBERS = (
         command="bench speed",
     ),
     Number(
-        what="the same, relative to the version without the compiled pipeline",
-        page="validation/accuracy",
-        row="60 Hz loop, touch to release",
-        column="ratio",
-        command="bench speed",
-    ),
-    Number(
         what="slips detected before 0.5 mm and within 100 ms",
         page="validation/benchmarks/slip",
         row="slips detected before",
@@ -164,7 +156,7 @@ NUMBERS = (
         command="bench slip",
     ),
     Number(
-        what="six tasks: objects held without damage, with touch / with servo current only",
+        what="six tasks: objects held without damage, with touch / without",
         page="validation/controller_comparison",
         row="all 6 |",
         column="adaptive | touchless",
@@ -172,8 +164,7 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="objects placed upright at a height other than specified, with touch / with servo "
-        "current only",
+        what="objects placed upright at a height other than specified, with touch / without",
         page="validation/controller_comparison",
         row="place |",
         column="adaptive | touchless",
@@ -181,8 +172,7 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="six tasks: grip force relative to the minimum that holds, median, with touch / with "
-        "servo current only",
+        what="six tasks: grip force / minimum holding force, median, with touch / without",
         page="validation/controller_comparison",
         row="grip force relative to required force, all tasks, median |",
         column="adaptive | touchless",
@@ -191,7 +181,7 @@ NUMBERS = (
     ),
     *(
         Number(
-            what=f"objects held without damage, {condition}, with touch / with servo current only",
+            what=f"objects held without damage, {condition}, with touch / without",
             page="validation/controller_comparison",
             row=f"{task} |",
             column="adaptive | touchless",

@@ -110,31 +110,47 @@ def table(result: Mapping[str, Any]) -> str:
             f"{FAR_N:g} N; without pressure sensor {total['far_without']} of "
             f"{total['ok_without']}.",
             "",
-            "| fault | when | force error (estimate minus ground truth), N: rms / worst | sd, N | "
-            "ok | far | other status | without pressure sensor: rms / worst | far |",
-            "|---|---|---|---|---|---|---|---|---|",
-            *(_row(row) for row in rows),
+            "Cells: force error, rms / worst (sd), N. *: without pressure sensor.",
+            "",
+            "| fault | always | run | always* | run* | only in the references |",
+            "|---|---|---|---|---|---|",
+            *(
+                _row([row for row in rows if row["name"] == name])
+                for name in dict.fromkeys(row["name"] for row in rows)
+            ),
             "",
         ]
     return "\n".join(lines)
 
 
-def _row(row: Row) -> str:
-    strength = ", ".join(f"{key} {_short(value)}" for key, value in row["strength"].items())
-    name = f"{label(row['name'])} (`{strength}`)" if strength else label(row["name"])
+def _row(rows: Sequence[Row]) -> str:
+    """Format the results of one fault."""
+    strength = ", ".join(f"{key} {_short(value)}" for key, value in rows[0]["strength"].items())
+    name = f"{label(rows[0]['name'])} (`{strength}`)" if strength else label(rows[0]["name"])
+    by_time = {row["when"]: row for row in rows}
+    cells = [
+        _cell(by_time.get(when), gauge=gauge)
+        for gauge in (True, False)
+        for when in ("always", "run")
+    ]
+    return f"| {name} | {' | '.join(cells)} | {_cell(by_time.get('references'), gauge=True)} |"
+
+
+def _cell(row: Row | None, *, gauge: bool) -> str:
+    if row is None:
+        return ""
     if row["refused"]:
-        return f"| {name} | {row['when']} | | | 0 | 0 | references rejected | | |"
-    sd = "" if row["sd_N"] is None else f"{row['sd_N']:.3f}"
-    other = ", ".join(f"{n} {code}" for code, n in row["status"].items() if code != "ok")
-    without = row["without"]
-    return (
-        f"| {name} | {row['when']} | {_off(row)} | {sd} | {row['ok']} | {row['far']} | {other} | "
-        f"{_off(without)} | {without['far']} |"
-    )
+        return "references rejected" if gauge else ""
+    if not gauge:
+        return _off(row["without"])
+    sd = "" if row["sd_N"] is None else f" ({row['sd_N']:.3f})"
+    other = "".join(f"; {n} {code}" for code, n in row["status"].items() if code != "ok")
+    return f"{_off(row)}{sd}{other}"
 
 
 def _off(found: Row) -> str:
-    return "" if found["rms_N"] is None else f"{found['rms_N']:.3f} / {found['worst_N']:.2f}"
+    far = f"; {found['far']} far" if found["far"] else ""
+    return "" if found["rms_N"] is None else f"{found['rms_N']:.3f} / {found['worst_N']:.2f}{far}"
 
 
 def _short(value: Any) -> str:

@@ -43,15 +43,24 @@ ARGUMENTS = (
     arg.flag("--quick", "use fewer points, as a quick check"),
     arg.out("folder for experiments.json, experiments.md and one figure per experiment"),
     arg.option(
-        "--page", "FILE.md", "also write a Markdown page with the figures in images/", type=Path
+        "--page",
+        "FILE.md",
+        "also write a Markdown page; figures in images/experiments/, next to the page or above it",
+        type=Path,
     ),
 )
+
+
+def _images(page: Path) -> str:
+    """Return the folder of the figures, relative to the page: that above the page if it exists."""
+    above = (page.parent / ".." / "images").is_dir()
+    return "../images/experiments" if above else "images/experiments"
 
 
 def run(options: argparse.Namespace) -> int:
     if options.page is not None and options.page.suffix != ".md":
         raise InputError("the file is not a Markdown file", source=options.page, field="--page")
-    page_images = None if options.page is None else options.page.parent / "images" / "experiments"
+    page_images = None if options.page is None else options.page.parent / _images(options.page)
     with (
         optional_folder(options.out, "experiments.json", "experiments.md") as out,
         optional_folder(page_images) as images,
@@ -71,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
             for name, result in results.items():
                 figures.save(name, result, images)
             Path(options.page).write_text(
-                findings.page(results, "images/experiments"), encoding="utf-8"
+                findings.page(results, _images(options.page)), encoding="utf-8"
             )
     if options.json:
         print_json(experiments.without_arrays(results))

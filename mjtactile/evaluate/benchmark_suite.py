@@ -278,7 +278,7 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
     """A comparison as Markdown."""
     others = list(dict.fromkeys(name for own in suite.results.values() for name in own))
     lines = [
-        f"| {suite.name} | controller | held and whole | grip over need | "
+        f"| {suite.name} | controller | held undamaged | grip force / minimum holding force | "
         + " | ".join(f"against `{name}`" for name in others)
         + " |",
         "|---" * (4 + len(others)) + "|",

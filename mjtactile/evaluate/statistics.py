@@ -195,7 +195,8 @@ def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
         "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors "
-        "| largest force, N: median (worst) | held with, N: 5-95 % | grip over need: median |",
+        "| largest force, N: median (worst) | held with, N: 5-95 % "
+        "| grip force / minimum holding force: median |",
         "|---" * 11 + "|",
     ]
     for name, mine in summary["controllers"].items():
