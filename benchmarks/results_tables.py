@@ -129,16 +129,16 @@ NUMBERS = (
     Number(
         what="speed of a complete grasp with two cameras at 30 Hz on two cores, x real time",
         page="validation/accuracy",
-        row="30 Hz loop, complete grasp",
-        column="now",
+        row="30 Hz loop",
+        column="complete grasp",
         command="bench speed",
         headline=True,
     ),
     Number(
         what="speed with two cameras at 60 Hz on two cores, touch to release, x real time",
         page="validation/accuracy",
-        row="60 Hz loop, touch to release",
-        column="now",
+        row="60 Hz loop",
+        column="touch to release",
         command="bench speed",
     ),
     Number(

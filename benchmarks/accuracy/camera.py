@@ -191,29 +191,24 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
 
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
-    lines = []
+    lines = [
+        "| camera | force error mN | marker error um | images without force | camera ms | "
+        "perception ms |",
+        "|---|---|---|---|---|---|",
+    ]
     for sweep in ("sensors", "resolution", "markers", "renderer"):
         lines += [
-            f"### Camera: {sweep}",
-            "",
-            "| | force error mN | marker error um | images without force | camera "
-            "ms | perception ms |",
-            "|---|---|---|---|---|---|",
-        ]
-        lines += [
-            f"| {r['name']} | failed: {r['failed']} | | | | |"
+            f"| {sweep}: {r['name']} | failed: {r['failed']} | | | | |"
             if "failed" in r
-            else f"| {r['name']} | {1e3 * r['force_error_N']:.1f} | {r['marker_error_um']:.1f} | "
-            f"{r['unknown']} | {r['camera_ms']:.1f} | {r['perception_ms']:.1f} |"
+            else f"| {sweep}: {r['name']} | {1e3 * r['force_error_N']:.1f} | "
+            f"{r['marker_error_um']:.1f} | {r['unknown']} | {r['camera_ms']:.1f} | "
+            f"{r['perception_ms']:.1f} |"
             for r in result[sweep]
-        ] + [""]
+        ]
     lines += [
-        "### Camera: rate",
         "",
-        "Error of an exact reading that is held until the next image, while a sphere is "
-        "pressed in at 20 mm/s.",
-        "",
-        "| | force error mN |",
+        "| camera rate | error of an exact value until the next image, sphere pressed at 20 mm/s, "
+        "mN |",
         "|---|---|",
     ]
     lines += [f"| {r['name']} | {1e3 * r['force_error_N']:.1f} |" for r in result["rate"]]

@@ -65,8 +65,8 @@ TOGETHER = tuple(
     if not (step == 1 / 240 and tolerance == 1e-6)
 ) + (Setting((21, 17)), Setting((25, 21)))
 _HEAD = (
-    "| mesh | step ms | tolerance | maximum iterations | contact softness | force error mN | "
-    "surface error um | noise mN | penetration um | ms per simulated s |"
+    "| varied | mesh | step ms | tolerance | maximum iterations | contact softness | "
+    "force error mN | surface error um | noise mN | penetration um | ms per simulated s |"
 )
 _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
 _QUICK_REFERENCE = (Setting((17, 13), softness=0.1), Setting((21, 17), softness=0.1))
@@ -249,17 +249,14 @@ def table(result: dict[str, Any]) -> str:
         f"{about['date']}. Uncertainty of the reference: {1e3 * limit['force_N']:.1f} mN and "
         f"{limit['surface_um']:.0f} um.",
         "",
+        _HEAD,
+        "|" + "---|" * 11,
     ]
-    for name, rows in {
-        **result["sweeps"],
-        "all parameters: Pareto front": result["pareto"],
-    }.items():
-        title = f"### {name[0].upper()}{name[1:]}"
-        lines += [title, "", _HEAD, "|" + "---|" * 10, *map(_row, rows), ""]
+    for name, rows in {**result["sweeps"], "all: Pareto front": result["pareto"]}.items():
+        lines += [f"| {name} {_row(row)}" for row in rows]
     lines += [
-        "### Free bulge at 1 kPa against the closed form",
         "",
-        "| mesh | height mm | Eq. M7 mm | difference |",
+        "| free bulge at 1 kPa: mesh | height mm | Eq. M7 mm | difference |",
         "|---|---|---|---|",
     ]
     lines += [

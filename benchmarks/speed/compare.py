@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -121,34 +121,58 @@ def table(result: Mapping[str, Any]) -> str:
     lines = [
         f"Baseline (before) and this version (now), alternating, median of {len(rounds)} runs; "
         f"{result['processor']}, load average {result['load_average']:.1f}. Core time at 30 Hz, "
-        "one thread:",
+        "one thread. Second rows: gain relative to the baseline.",
         "",
-        "| | before | now | ratio |",
-        "|---|---|---|---|",
     ]
 
-    def add(name: str, *keys: str | int, unit: str = "s") -> None:
+    def values(*keys: str | int) -> tuple[float, float]:
+        """Return the medians before and now."""
         before, now = (
             sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2]
             for which in ("before", "now")
         )
-        ratio = now / before if unit.startswith("x") else before / now
-        lines.append(f"| {name}, {unit} | {before:.3g} | {now:.3g} | {ratio:.2f} |")
+        return before, now
+
+    def add(name: str, columns: Sequence[str], known: Container[str], *keys: str | int) -> None:
+        cells = [values(*keys, column) if column in known else None for column in columns]
+        speed = name.endswith("x real time")
+        gains = [None if one is None else _gain(*one, speed=speed) for one in cells]
+        lines.append(_line(name, ["" if one is None else f"{one[1]:.3g}" for one in cells]))
+        lines.append(_line("… gain", ["" if one is None else f"{one:.2f}" for one in gains]))
 
     first = rounds[0]["now"]
+    lines += [_line("", PHASES), "|---" * (1 + len(PHASES)) + "|"]
     for what, by_phase in sorted(first["core"]["core_ms"].items()):
-        for phase in filter(by_phase.__contains__, PHASES):
-            add(f"{_LABELS.get(what, what)}, {phase}", "core", "core_ms", what, phase, unit="ms")
-    add("core time per simulated second", "core", "core_s_per_s")
+        add(f"{_LABELS.get(what, what)}, ms", PHASES, by_phase, "core", "core_ms", what)
+    columns = (*PHASES, "touch to release", "all")
+    columns = tuple(
+        name for name in columns if any(name in one["factors"] for one in first["loop"])
+    )
+    heads = [_LABELS.get(name, name) for name in columns]
+    lines += ["", _line("", heads), "|---" * (1 + len(columns)) + "|"]
     for k, loop in enumerate(first["loop"]):
-        for name in filter(loop["factors"].__contains__, (*PHASES, "touch to release", "all")):
-            label = f"{RATES[k]:g} Hz loop, {_LABELS.get(name, name)}"
-            add(label, "loop", k, "factors", name, unit="x real time")
-    add("imports for a grasp", "core", "import_s")
-    add("reference images of two sensors", "core", "references_s")
-    add("`mjtactile --help`", "help_s")
-    add("`mjtactile grasp`, complete", "grasp_s")
+        name = f"{RATES[k]:g} Hz loop, x real time"
+        add(name, columns, loop["factors"], "loop", k, "factors")
+    lines += ["", "| | before | now | gain |", "|---|---|---|---|"]
+    for name, keys in (
+        ("core time per simulated second, s", ("core", "core_s_per_s")),
+        ("imports for a grasp, s", ("core", "import_s")),
+        ("reference images of two sensors, s", ("core", "references_s")),
+        ("`mjtactile --help`, s", ("help_s",)),
+        ("`mjtactile grasp`, complete, s", ("grasp_s",)),
+    ):
+        before, now = values(*keys)
+        gain = _gain(before, now, speed=False)
+        lines.append(_line(name, [f"{before:.3g}", f"{now:.3g}", f"{gain:.2f}"]))
     return "\n".join(lines) + "\n"
+
+
+def _gain(before: float, now: float, *, speed: bool) -> float:
+    return now / before if speed else before / now
+
+
+def _line(name: str, cells: Sequence[str]) -> str:
+    return f"| {name} | {' | '.join(cells)} |"
 
 
 def _at(value: Any, keys: tuple[str | int, ...]) -> float:

@@ -28,6 +28,9 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     row["without"] = found
     shown = table({"rows": [row], "sums": _sums([row]), "air": []})
     assert "(25.00 %)" in shown and "without pressure sensor 1 of 4" in shown
+    cells = next(line for line in shown.splitlines() if "gamma 1.3" in line).split(" | ")
+    assert cells[1] == "" and cells[2].endswith("; 1 far (0.010); 1 fit failed")
+    assert cells[4].endswith(" / 0.30; 1 far")
 
 
 def test_strengths_are_near_their_names_and_the_same_again():
