@@ -95,12 +95,10 @@ class ConstitutiveLaw:
 
 
 def _thickness(half: float) -> Array:
-    """Compute the squared thickness stretch c over `_LOG_DET`.
-
-    It solves c - 1 + half ln(c det C) = 0 by Newton's method for ln c. The left side is increasing
-    and convex. So iterations from above decrease to the root. The equation is Lambert's, but the
-    import of scipy takes a sixth of a second.
-    """
+    """Compute the squared thickness stretch c over `_LOG_DET`. It solves c - 1 + half ln(c det C) =
+    0 by Newton's method for ln c. The left side is increasing and convex. So iterations from above
+    decrease to the root. The equation is Lambert's, but the import of scipy takes a sixth of a
+    second."""
     log_c = np.maximum(0.0, -_LOG_DET)
     for _ in range(_NEWTON_STEPS):
         c = np.exp(log_c)

@@ -30,12 +30,10 @@ _SET_ASIDE_FRACTION = 0.03  # maximum fraction of the markers, and at least one:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`.
-
-    `state` contains the gas state, from pressure sensor and shape. If without a history two shapes
-    explain the markers, `other` is the less likely one. `pressure_gap` is the measured minus the
-    estimated gauge pressure beyond the sensor's noise, Pa; 0 without a pressure sensor.
-    """
+    """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`. `state`
+    contains the gas state, from pressure sensor and shape. If without a history two shapes explain
+    the markers, `other` is the less likely one. `pressure_gap` is the measured minus the estimated
+    gauge pressure beyond the sensor's noise, Pa; 0 without a pressure sensor."""
 
     markers: Markers
     shape: Shape

@@ -23,12 +23,10 @@ _BELOW = 1e-4  # depth below the frame with full weight, m
 
 @dataclass(frozen=True, eq=False)
 class ContactLoad:
-    """Load that indents the membrane with the estimated shape to its depth.
-
-    `load` (3,) holds the normal force, N, and the torques about x and y, N m. The torques give the
-    pressure center. `cov` is the covariance of `load`. `rows` (3, 6) map a wrench to these values.
-    `explained` is the fraction of the variance due to sharp features that the shape explains.
-    """
+    """Load that indents the membrane with the estimated shape to its depth. `load` (3,) holds the
+    normal force, N, and the torques about x and y, N m. The torques give the pressure center. `cov`
+    is the covariance of `load`. `rows` (3, 6) map a wrench to these values. `explained` is the
+    fraction of the variance due to sharp features that the shape explains."""
 
     load: Array
     cov: Array

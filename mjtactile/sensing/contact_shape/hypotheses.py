@@ -24,12 +24,10 @@ _BEHIND = 10.0  # log evidence behind the best: the model is not searched again 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Shape model that may be the right one.
-
-    It holds the `fit` of the last evaluation, and the log evidence of the images. The filter
-    `common` combines the constant parameters over all evaluations. `behind` is the log evidence by
-    which it trailed the best model when it was dropped.
-    """
+    """Shape model that may be the right one. It holds the `fit` of the last evaluation, and the log
+    evidence of the images. The filter `common` combines the constant parameters over all
+    evaluations. `behind` is the log evidence by which it trailed the best model when it was
+    dropped."""
 
     family: ShapeModel
     fit: Fit

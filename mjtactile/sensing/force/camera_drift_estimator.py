@@ -41,13 +41,10 @@ _LINEAR_PX = 0.3  # image motion, px, above which one linear step is not enough
 
 @dataclass(frozen=True, eq=False)
 class CameraDriftEstimate:
-    """Camera drift in one image.
-
-    `mean` (K,) holds the modes in units of their standard deviation. `root` (K, K) is the lower
-    factor of their covariance. `darker` is the mean darkening of the fiducials. `change` is the
-    drift in physical terms. It is None if no fiducials were detected, and the drift is from an
-    earlier image.
-    """
+    """Camera drift in one image. `mean` (K,) holds the modes in units of their standard deviation.
+    `root` (K, K) is the lower factor of their covariance. `darker` is the mean darkening of the
+    fiducials. `change` is the drift in physical terms. It is None if no fiducials were detected,
+    and the drift is from an earlier image."""
 
     mean: Array
     root: Array

@@ -46,12 +46,10 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
 
 @dataclass(frozen=True, eq=False)
 class CameraDriftFilter:
-    """Camera drift estimated from the markers of all images up to `time`, s.
-
-    `mean` (MODES,) holds the modes in units of their standard deviation. `known` (MODES, MODES) is
-    the lower factor of their covariance. In each image all circles appear larger by an independent
-    `jitter`, in standard deviations of the size mode.
-    """
+    """Camera drift estimated from the markers of all images up to `time`, s. `mean` (MODES,) holds
+    the modes in units of their standard deviation. `known` (MODES, MODES) is the lower factor of
+    their covariance. In each image all circles appear larger by an independent `jitter`, in
+    standard deviations of the size mode."""
 
     mean: Array
     known: Array

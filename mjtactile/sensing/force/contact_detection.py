@@ -21,13 +21,10 @@ from mjtactile.sensing.settings import DEFAULTS, ContactDetectionSettings
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Contact detection result, with the values for the next image.
-
-    `time`, s, and `touching`; `quiet_since`, s, the start of the phase without contact. `noise` is
-    the standard deviation of the normal force between images, N, from `images` images. `force` is
-    the last force, N. `level` is its mean over the last few images, N, which detects lighter
-    contacts.
-    """
+    """Contact detection result, with the values for the next image. `time`, s, and `touching`;
+    `quiet_since`, s, the start of the phase without contact. `noise` is the standard deviation of
+    the normal force between images, N, from `images` images. `force` is the last force, N. `level`
+    is its mean over the last few images, N, which detects lighter contacts."""
 
     time: float
     touching: bool
@@ -93,12 +90,9 @@ def follow(
     s: ContactDetectionSettings = DEFAULTS.zero,
 ) -> RestTracker:
     """Track the zero over `step` s without contact: gas and offsets move slightly toward the
-    markers.
-
-    The gas takes the part of the marker motion that a change of its amount would cause. The offsets
-    take the remainder. Motion that neither gas nor camera drift explains is a touch too light to
-    detect. Then gas and offsets hardly move.
-    """
+    markers. The gas takes the part of the marker motion that a change of its amount would cause.
+    The offsets take the remainder. Motion that neither gas nor camera drift explains is a touch too
+    light to detect. Then gas and offsets hardly move."""
     rest = zero.rest
     ids = markers.ids
     blend = step / (step + s.smooth)

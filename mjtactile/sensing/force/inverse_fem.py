@@ -352,12 +352,10 @@ class InverseMembrane(LoadedMembrane):
         air_moved: float = 0.0,
         lag: float = 0.0,
     ) -> Traction:
-        """Return nodal forces on the grid, the net wrench and its covariance.
-
-        The covariance grows with the motion since `before`, `seconds` ago. It grows with the gas's
-        own pressure change since then, `air_moved`, Pa. It also grows with the `lag`, images, of a
-        camera that blends images.
-        """
+        """Return nodal forces on the grid, the net wrench and its covariance. The covariance grows
+        with the motion since `before`, `seconds` ago. It grows with the gas's own pressure change
+        since then, `air_moved`, Pa. It also grows with the `lag`, images, of a camera that blends
+        images."""
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)

@@ -54,14 +54,9 @@ class MarkerSlopes:
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
         """Return the derivatives (2, m, 2, 3) of the slopes by the membrane's derivatives at the
-        markers.
-
-        These are derivatives by the parametric coordinates, through the tangents g1 = dx/dX and g2
-        = dx/dY.
-
-        s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1),
-        q_k = -(e_k + s_k e_z) / N_z.
-        """
+        markers. These are derivatives by the parametric coordinates, through the tangents g1 =
+        dx/dX and g2 = dx/dY. s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k)
+        + dg2 . (q_k x g1), q_k = -(e_k + s_k e_z) / N_z."""
         g1, g2 = self._tangents(c, ids)
         N = geometry.cross(g1, g2)
         q = np.zeros((len(ids), 2, 3))

@@ -67,11 +67,9 @@ class Gas:
 @dataclass(frozen=True, eq=False)
 class State:
     """Deformation state: coefficients `c` (3, n), m, and the factor `scale` on Young's modulus.
-
     `volume`, m^3, is that of the bulge, and `gradient` (3, n), m^2, its derivative by the
     coefficients. `elastic` (3, n), N, are the elastic generalized forces, and `stretch` the factor
-    on the pre-stretch.
-    """
+    on the pre-stretch."""
 
     c: Array
     scale: float
@@ -101,12 +99,10 @@ class Stiffness:
 
 
 class Sheet:
-    """Operators of one sensor's membrane on `spans` (x, y) spline intervals.
-
-    `scale` multiplies Young's modulus, `stretch` the pre-stretch. `cells` (qx, qy), m^2, are the
-    areas of the Gauss points in the membrane's own coordinates. `weights` are those on the mounted
-    membrane. Raises InputError for too few intervals.
-    """
+    """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
+    Young's modulus, `stretch` the pre-stretch. `cells` (qx, qy), m^2, are the areas of the Gauss
+    points in the membrane's own coordinates. `weights` are those on the mounted membrane. Raises
+    InputError for too few intervals."""
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
         if min(spans) < FEWEST_SPANS:

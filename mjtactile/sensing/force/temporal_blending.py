@@ -28,12 +28,10 @@ _SURE = 0.15  # minimum fraction: three standard deviations with 16 markers, ten
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """Blending information from the images so far.
-
-    `p` (m, 3), m, are the positions of the markers `ids` in the last image. `moved` (m, 3) is their
-    motion in standard deviations, without its smooth part (None: something moved). The others are
-    sums over still images: of products of successive motions, of their squares, and of images.
-    """
+    """Blending information from the images so far. `p` (m, 3), m, are the positions of the markers
+    `ids` in the last image. `moved` (m, 3) is their motion in standard deviations, without its
+    smooth part (None: something moved). The others are sums over still images: of products of
+    successive motions, of their squares, and of images."""
 
     ids: NDArray[np.int64]
     p: Array

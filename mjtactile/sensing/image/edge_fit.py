@@ -40,12 +40,10 @@ UNSETTLED = 1e3  # gray levels added to the residual of unconverged fits, so tha
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """N fits: `center` (N, 2), `shape` (N, 3), px, and `cov` (N, 5, 5) of (u, v, p, q, s).
-
-    `inside` and `outside` are levels (N,), and `blur` (N,) is in px. `residual` (N,) is the rms in
-    gray levels. `pixels` (N,) is the number of pixels used, and `lost` (N,) the lost fraction of
-    robust weight. `motion` (N,), px, is the part of the blur correction due to motion.
-    """
+    """N fits: `center` (N, 2), `shape` (N, 3), px, and `cov` (N, 5, 5) of (u, v, p, q, s). `inside`
+    and `outside` are levels (N,), and `blur` (N,) is in px. `residual` (N,) is the rms in gray
+    levels. `pixels` (N,) is the number of pixels used, and `lost` (N,) the lost fraction of robust
+    weight. `motion` (N,), px, is the part of the blur correction due to motion."""
 
     center: Array
     shape: Array
@@ -249,11 +247,9 @@ def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
 
 def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) -> NDArray:
     """Return weights 1/(1 + (r/c)^4): one for most pixels, falling fast for glare, specks and
-    neighbors.
-
-    c is `outlier` times the marker's rms residual, but at least a fraction of its contrast. Effects
-    of lens or camera sharpening that the model does not contain are not outliers.
-    """
+    neighbors. c is `outlier` times the marker's rms residual, but at least a fraction of its
+    contrast. Effects of lens or camera sharpening that the model does not contain are not
+    outliers."""
     scale = np.maximum(
         s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
         s.outlier_fraction * np.abs(theta[:, 5] - theta[:, 6]),

@@ -80,11 +80,9 @@ def detect_thoroughly(
 
 def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
     """Return `grey`, slightly blurred if it is only black and white (synthetic or thresholded).
-
     Without gray levels, nothing shows the edge position between two pixels. Blur of any size leaves
     the same staircase error, 0.05 px of radius at 13-20 px. But with blur the fit detects it, and
-    its uncertainty is right.
-    """
+    its uncertainty is right."""
     cross = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
     low = cv2.erode(grey, cross).astype(np.float32)
     high = cv2.dilate(grey, cross).astype(np.float32)

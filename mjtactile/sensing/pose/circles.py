@@ -34,12 +34,9 @@ def estimate_poses(
     ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike
 ) -> CirclePoses:
     """Estimate the poses of N circles of `radius` (scalar or (N,)) m from their ellipses in
-    distorted pixels.
-
-    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and glass are
-    those of `camera`. Raises InputError for a radius that is not positive or not one per
-    ellipse.
-    """
+    distorted pixels. Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens
+    and glass are those of `camera`. Raises InputError for a radius that is not positive or not one
+    per ellipse."""
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     n = len(ellipses)
     r = _radii(radius, len(ellipses))

@@ -77,12 +77,10 @@ def identify(
 def match(
     p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity
 ) -> Ids:
-    """Return marker ids (N,) of circles at `p_SM` (N, 3) m, -1 for no match.
-
-    `expected` (M, 3) m are the expected positions (NaN: unknown, then predicted from the
-    neighbors). `layout` (M, 3) m is the flat membrane's layout, which defines the neighbors. Each
-    id is assigned at most once. NaN rows of `p_SM` match nothing.
-    """
+    """Return marker ids (N,) of circles at `p_SM` (N, 3) m, -1 for no match. `expected` (M, 3) m
+    are the expected positions (NaN: unknown, then predicted from the neighbors). `layout` (M, 3) m
+    is the flat membrane's layout, which defines the neighbors. Each id is assigned at most once.
+    NaN rows of `p_SM` match nothing."""
     found, expected, layout = (np.asarray(p, dtype=float)[:, :2] for p in (p_SM, expected, layout))
     pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
     ids = np.empty(len(found), np.int64)

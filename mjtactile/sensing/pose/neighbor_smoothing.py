@@ -25,12 +25,10 @@ _ROUNDS = 8
 def smooth_aspect_ratio(
     ellipses: Ellipses, s: NeighborSmoothingSettings = DEFAULTS.consensus
 ) -> Ellipses:
-    """Return ellipses with their elongation replaced by a smooth common field.
-
-    The same object is returned if the ellipses do not agree with such a field. With S = exp(m I +
-    D), D traceless, m (log of the mean radius) is kept. Both entries of D are fitted robustly by
-    second-order polynomials in the image. Covariances are rescaled to the observed scatter.
-    """
+    """Return ellipses with their elongation replaced by a smooth common field. The same object is
+    returned if the ellipses do not agree with such a field. With S = exp(m I + D), D traceless, m
+    (log of the mean radius) is kept. Both entries of D are fitted robustly by second-order
+    polynomials in the image. Covariances are rescaled to the observed scatter."""
     ok = np.flatnonzero(ellipses.status == "ok")
     if len(ok) < s.min_circles:
         return ellipses

@@ -41,12 +41,10 @@ def prefer(
     cov_n: Array,
     s: PoseDisambiguationSettings = DEFAULTS.preference,
 ) -> tuple[CirclePoses, Array, Array]:
-    """Return `poses` with the likelier pose of each circle first, and its probability.
-
-    The second result is the covariance (N, 3, 3) m^2 of the other pose's center. The third is the
-    probability (N,) that the first pose is right. `cov_p_alt` (N, 3, 3) m^2 belongs to the second
-    centers of `poses`, `cov_n` (2, N, 3, 3) to both normals.
-    """
+    """Return `poses` with the likelier pose of each circle first, and its probability. The second
+    result is the covariance (N, 3, 3) m^2 of the other pose's center. The third is the probability
+    (N,) that the first pose is right. `cov_p_alt` (N, 3, 3) m^2 belongs to the second centers of
+    `poses`, `cov_n` (2, N, 3, 3) to both normals."""
     if not len(poses):
         return poses, cov_p_alt, np.zeros(0)
     n = np.stack([poses.n_C, poses.n_C_alt])

@@ -113,13 +113,10 @@ class Spline:
 
 
 class SurfaceFitter:
-    """Spline fitter of one sensor; keeps the tables that are the same for all images.
-
-    The settings' `roughness`, 1/m^2, and `laplacian`, 1/m, are the g and k of the module's
-    docstring. The number of spline intervals exceeds the markers in a row by two or three. It is at
-    least 8 and even. So a knot lies in the center, where contacts are typical. This halves the
-    errors under a sphere.
-    """
+    """Spline fitter of one sensor; keeps the tables that are the same for all images. The settings'
+    `roughness`, 1/m^2, and `laplacian`, 1/m, are the g and k of the module's docstring. The number
+    of spline intervals exceeds the markers in a row by two or three. It is at least 8 and even. So
+    a knot lies in the center, where contacts are typical. This halves the errors under a sphere."""
 
     def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
         self.settings = settings

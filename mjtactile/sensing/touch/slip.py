@@ -48,13 +48,10 @@ _POINT = 1e-4  # minimum patch size, m; a patch of a single node has no extent
 
 @dataclass(frozen=True, eq=False)
 class SlipSample:
-    """Sample of one image for slip detection.
-
-    `time`, s, is that of the image. `p` (2,), m, is the center of pressure in material coordinates.
-    `dragged` (3,), m, is the displacement of the rubber under it since the touch started. `ratio`
-    (3,) is that of shear to normal force. `turning` is the nonuniformity of the shear along a
-    rotation (inf: no rotation).
-    """
+    """Sample of one image for slip detection. `time`, s, is that of the image. `p` (2,), m, is the
+    center of pressure in material coordinates. `dragged` (3,), m, is the displacement of the rubber
+    under it since the touch started. `ratio` (3,) is that of shear to normal force. `turning` is
+    the nonuniformity of the shear along a rotation (inf: no rotation)."""
 
     time: float
     p: Array

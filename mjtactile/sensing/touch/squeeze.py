@@ -113,13 +113,10 @@ def object_width(
 def contact_face(
     touch: Touch, s: SqueezeSettings = DEFAULTS.squeeze
 ) -> tuple[float, Array, Array] | None:
-    """Return the height and slope of the object's face; None without contact.
-
-    The results are the height of the membrane at the contact's centroid, m, and the centroid (2,),
-    m. The last is the slope (2,) there. A paraboloid is fitted to the surface inside the contact.
-    So the height of a curved face is that of its nearest point. It does not fall as the contact
-    grows.
-    """
+    """Return the height and slope of the object's face; None without contact. The results are the
+    height of the membrane at the contact's centroid, m, and the centroid (2,), m. The last is the
+    slope (2,) there. A paraboloid is fitted to the surface inside the contact. So the height of a
+    curved face is that of its nearest point. It does not fall as the contact grows."""
     surface = touch.surface
     contact = touch.contact
     if (
