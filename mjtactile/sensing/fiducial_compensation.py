@@ -1,23 +1,23 @@
-"""Use of fiducials in the sensing pipeline.
-
-They are separated from markers. Markers are corrected to their positions as observed by the camera
-at the rest reference.
-"""
+"""Fiducials in the sensing pipeline: they are identified by their fixed positions and separated
+from markers. Markers are corrected to their positions as observed by the camera at the rest
+reference."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, FiducialDetections, Markers
 from mjtactile.sensing.force.camera_drift_estimator import OBSERVED_MODES, CameraDriftEstimator
+from mjtactile.sensing.force.camera_drift_model import UNCHANGED
 from mjtactile.sensing.force.rest_equilibrium import darker
 from mjtactile.sensing.pipeline_state import PipelineState
-from mjtactile.sensing.pose.fiducial_matching import FiducialFinder
-from mjtactile.sensing.pose.image_transform import UNCHANGED
 from mjtactile.sensing.settings import Settings
 
 
@@ -72,3 +72,75 @@ class FiducialCompensation:
             p_SM = self._camera.undone(p_SM, changed, state.camera)
             state = replace(state, camera=self._camera.doubted(state.camera, changed))
         return replace(markers, p_SM=p_SM, fiducials=state.fiducials), state
+
+
+class FiducialFinder:
+    """Fiducial finder of one sensor. Each fiducial is the good circle nearest to its last position.
+    The limit is half the distance to the next fiducial, or to the nearest marker."""
+
+    def __init__(self, design: SensorDesign, camera: Camera, fiducials: Fiducials):
+        self.count = fiducials.count
+        p_SC = design.camera.p_SC
+        self.places_px = optics.project(camera, fiducials.p_SF(design) - p_SC)
+        markers_px = optics.project(camera, design.markers.p_SM - p_SC)
+        others = np.concatenate([self.places_px, markers_px])
+        apart = np.linalg.norm(self.places_px[:, None] - others, axis=2)
+        apart[np.arange(self.count), np.arange(self.count)] = np.inf
+        self._reach = float(apart.min()) / 2
+
+    def split(
+        self, ellipses: Ellipses, before: FiducialDetections | None
+    ) -> tuple[Array, FiducialDetections]:
+        """Return the indices of the circles that are not fiducials, and the well detected
+        fiducials. `before` are their previous positions; None: those of the sensor file."""
+        places = self.places_px
+        if before is not None and len(before) == self.count:
+            places = before.center_px
+        elif before is not None and len(before):
+            # undetected fiducials are assumed to move like the others
+            moved = np.median(before.center_px - places[before.ids], axis=0)
+            places = places + moved
+            places[before.ids] = before.center_px
+        u, v = ellipses.center_px.T
+        distance = np.hypot(places[:, :1] - u, places[:, 1:] - v)
+        within = distance < self._reach
+        good = within & (ellipses.status == "ok")
+        ids = np.flatnonzero(good.any(axis=1))
+        nearest = np.where(good, distance, np.inf)[ids].argmin(axis=1)
+        rest = np.flatnonzero(~within.any(axis=0))
+        return rest, _seen(ids, ellipses, nearest)
+
+
+def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
+    """Return the mean of repeated measurements by a camera that does not move. A fiducial counts if
+    it is detected in at least half of them."""
+    count = np.bincount(np.concatenate([one.ids for one in seen]), minlength=1)
+    ids = np.flatnonzero(count >= len(seen) / 2)
+
+    def mean(name: str) -> Array:
+        values = getattr(seen[0], name)
+        total = np.zeros((len(count), *values.shape[1:]))
+        for one in seen:
+            total[one.ids] += getattr(one, name)
+        return total[ids] / count[ids].reshape(-1, *(1,) * (total.ndim - 1))
+
+    names = ("center_px", "radius_px", "cov", "inside", "outside", "blur_px")
+    center, radius, cov, inside, outside, blur = (mean(name) for name in names)
+    share = count[ids][:, None, None]
+    return FiducialDetections(ids, center, radius, cov / share, inside, outside, blur)
+
+
+def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialDetections:
+    a, b = ellipses.semi_axes_px[at].T
+    radius = np.sqrt(a * b)
+    of_shape = np.zeros((len(a), 3, 5))
+    of_shape[:, 0, 0] = 1
+    of_shape[:, 1, 1] = 1
+    of_shape[:, 2, 2] = b / (2 * radius)
+    of_shape[:, 2, 3] = a / (2 * radius)
+    cov = of_shape @ ellipses.cov[at] @ of_shape.transpose(0, 2, 1)
+    unknown = np.full(len(ids), np.nan)
+    outside = unknown if ellipses.outside is None else ellipses.outside[at]
+    inside = unknown if ellipses.darkness is None else outside * np.exp(ellipses.darkness[at])
+    blur = unknown if ellipses.blur_px is None else ellipses.blur_px[at]
+    return FiducialDetections(ids, ellipses.center_px[at], radius, cov, inside, outside, blur)

@@ -13,14 +13,13 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Ellipses, Image, Markers, SyntheticEllipses
-from mjtactile.sensing.fiducial_compensation import FiducialCompensation
+from mjtactile.sensing.fiducial_compensation import FiducialCompensation, average_fiducials
 from mjtactile.sensing.force.temporal_blending import BlendEstimator
 from mjtactile.sensing.image import tracking
-from mjtactile.sensing.image.exposure import is_overexposed
-from mjtactile.sensing.image.markers import grey_image
+from mjtactile.sensing.image.markers import grey_image, is_overexposed
 from mjtactile.sensing.membrane_estimator import MembraneEstimator
 from mjtactile.sensing.pipeline_state import PipelineState
-from mjtactile.sensing.pose import fiducial_matching, marker_matching
+from mjtactile.sensing.pose import marker_matching
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.settings import Settings
 
@@ -177,5 +176,5 @@ def average(seen: Sequence[Markers]) -> Markers:
         direction,
         cov[ids] / n[..., None] ** 2,
         darkness,
-        fiducial_matching.average(fiducials) if fiducials else None,
+        average_fiducials(fiducials) if fiducials else None,
     )

@@ -43,6 +43,16 @@ class Estimate:
     pressure_gap: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """Context of one image: sensor at rest, capture time, s, and newest pressure reading, if
+    any."""
+
+    reference: Reference
+    time: float
+    reading: PressureReading | None
+
+
 class MembraneEstimator:
     """Membrane shape estimator of one sensor. Stateless."""
 
@@ -64,26 +74,27 @@ class MembraneEstimator:
         `fits_markers` checks the result. Dirt on a marker makes it appear larger, and nearer. Such
         a marker is excluded from then on. `reading` is the newest one of the chamber's pressure
         sensor, if any."""
+        image = _Image(reference, time, reading)
         known = without(markers, state.set_aside)
-        found = self._with_gas(state, reference, known, time, reading)
+        found = self._with_gas(state, image, known)
         is_seen = state.camera is not None
-        if self._is_doubtful(state, found, reading):
-            face = self._face(state, reference, found, time, reading)
+        if self._is_doubtful(state, image, found):
+            face = self._face(state, image, found)
             if face is not None:
                 return face
         state = replace(state, face=False)
         found = replace(found, state=replace(found.state, face=False))
         if state.belief is not None and self._has_changed(found.shape):
             state = replace(state, belief=None)
-            found = self._with_gas(state, reference, known, time, reading)
+            found = self._with_gas(state, image, known)
         if state.shape is None and not is_seen and state.belief is None:
-            found = self._static_retry(state, reference, found, time, reading)
+            found = self._static_retry(state, image, found)
         elif state.shape is not None:
-            found = self._missed_touch_retry(state, state.shape, reference, found, time, reading)
+            found = self._missed_touch_retry(state, state.shape, image, found)
         # a camera observed by fiducials is not knocked; gas without a pressure sensor may be lost
         sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
         if not sure:
-            found = self._knock_retry(state, reference, found, time, reading)
+            found = self._knock_retry(state, image, found)
         allowed = max(1, round(_SET_ASIDE_FRACTION * self._design.markers.count))
         if self.fits_markers(found.shape) or len(state.set_aside) >= allowed:
             return found
@@ -93,7 +104,7 @@ class MembraneEstimator:
         if not self.has_enough_markers(len(fewer)):
             return found
         aside = replace(state, set_aside=(*state.set_aside, worst))
-        again = self._with_gas(aside, reference, fewer, time, reading)
+        again = self._with_gas(aside, image, fewer)
         return again if self.fits_markers(again.shape) else found
 
     def has_enough_markers(self, seen: int) -> bool:
@@ -110,13 +121,11 @@ class MembraneEstimator:
         sharp = float(shape.excess[0].mean()) > maximum and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_max
 
-    def _is_doubtful(
-        self, state: PipelineState, found: Estimate, reading: PressureReading | None
-    ) -> bool:
+    def _is_doubtful(self, state: PipelineState, image: _Image, found: Estimate) -> bool:
         """Return True if a load is explained only by drift, discounted markers or new gas."""
         s = self._settings.inverse
         shape = found.shape
-        if state.face or self._gained_gas(state, found, reading):
+        if state.face or self._gained_gas(state, found, image.reading):
             return True
         if float(np.linalg.norm(self._inverse.force(shape))) < s.face_load:
             return False
@@ -140,14 +149,7 @@ class MembraneEstimator:
         before = gas.amount * math.exp(gas.value + gas.zero)
         return amount > before * (1 + self._settings.inverse.gained_max)
 
-    def _face(
-        self,
-        state: PipelineState,
-        reference: Reference,
-        found: Estimate,
-        time: float,
-        reading: PressureReading | None,
-    ) -> Estimate | None:
+    def _face(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate | None:
         """Return the estimate for a wide face in contact, if the markers favor it, else None.
 
         A face wider than the frame moves nearly all markers alike. A changed camera or lost gas
@@ -159,13 +161,11 @@ class MembraneEstimator:
         fresh = replace(state, shape=None)
 
         def fit(start: PipelineState, correlation: float | None = None) -> Estimate:
-            return self._with_gas(
-                start, reference, found.markers, time, reading, correlation=correlation
-            )
+            return self._with_gas(start, image, found.markers, correlation=correlation)
 
         wide = s.face_correlations[1]
         minimum = found.shape.log_evidence + s.face_margin
-        camera = self._camera(state, time)
+        camera = self._camera(state, image.time)
         rough = self._inverse.evidence(found.shape, found.markers, found.rest, camera, wide)
         if rough < minimum - s.face_rough:
             return None
@@ -176,7 +176,7 @@ class MembraneEstimator:
         for other in () if state.face else self._changed(state, found):
             rival = fit(other)
             likelier = rival.shape.log_evidence - s.face_change > evidence
-            if likelier and not self._gained_gas(state, rival, reading):
+            if likelier and not self._gained_gas(state, rival, image.reading):
                 return None
         face = fit(fresh, s.face_correlations[0])
         if not self.fits_markers(face.shape):
@@ -194,14 +194,7 @@ class MembraneEstimator:
             rivals.append(replace(state, belief=None))
         return rivals
 
-    def _static_retry(
-        self,
-        state: PipelineState,
-        reference: Reference,
-        found: Estimate,
-        time: float,
-        reading: PressureReading | None,
-    ) -> Estimate:
+    def _static_retry(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate:
         """Return the estimate without a history, for a camera without drift if that also fits. A
         large load and a camera drift may explain one image equally well. Without earlier images,
         the camera is assumed unchanged."""
@@ -209,7 +202,7 @@ class MembraneEstimator:
         if load < self._settings.inverse.cold_load:
             return found
         steady = CameraDriftFilter.unseen(self._settings.inverse, steady=True)
-        again = self._with_gas(state, reference, found.markers, time, reading, camera=steady)
+        again = self._with_gas(state, image, found.markers, camera=steady)
         if not self.fits_markers(again.shape):
             return found
         # this fit carries no information on the camera
@@ -222,13 +215,7 @@ class MembraneEstimator:
         return bool(share[:MODES].max() > self._settings.inverse.changed_min**2)
 
     def _missed_touch_retry(
-        self,
-        state: PipelineState,
-        before: Shape,
-        reference: Reference,
-        found: Estimate,
-        time: float,
-        reading: PressureReading | None,
+        self, state: PipelineState, before: Shape, image: _Image, found: Estimate
     ) -> Estimate:
         """Return `found`, or the estimate without a history if it fits the markers much better.
         After a phase without contact, the prior may reject a new touch and the markers that show
@@ -242,25 +229,18 @@ class MembraneEstimator:
         if (as_before and not distrusted) or load > s.overlooked_load:
             return found
         afresh = replace(state, shape=None)
-        again = self._with_gas(afresh, reference, found.markers, time, reading)
+        again = self._with_gas(afresh, image, found.markers)
         fits = again.shape.misfit < misfit / s.overlooked_rise
         if distrusted:
             fits = float(again.shape.excess[0].mean()) < excess / s.overlooked_rise
         return replace(again, state=replace(again.state, shape=before)) if fits else found
 
-    def _knock_retry(
-        self,
-        state: PipelineState,
-        reference: Reference,
-        found: Estimate,
-        time: float,
-        reading: PressureReading | None,
-    ) -> Estimate:
+    def _knock_retry(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate:
         """Return the estimate for a knocked camera if that explains the markers, else `found`."""
         shape = found.shape
         if shape.drift > self._settings.inverse.knock_min:
             sure = replace(state, knocked=KNOCKS_SURE, belief=None)
-            again = self._with_gas(sure, reference, found.markers, time, reading)
+            again = self._with_gas(sure, image, found.markers)
             better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
             if better and self.fits_markers(again.shape):
                 return replace(again, state=replace(again.state, knocked=state.knocked + 1))
@@ -269,10 +249,8 @@ class MembraneEstimator:
     def _with_gas(
         self,
         state: PipelineState,
-        reference: Reference,
+        image: _Image,
         markers: Markers,
-        time: float,
-        reading: PressureReading | None,
         *,
         camera: CameraDriftFilter | None = None,
         correlation: float | None = None,
@@ -280,6 +258,7 @@ class MembraneEstimator:
         """Estimate the shape together with the gas state. In a sealed chamber a reading is combined
         with the volume from the image. If it carries much new information, the image is evaluated
         again."""
+        reference, time, reading = image.reference, image.time, image.reading
         rest = reference.rest
         before = camera or self._camera(state, time)
         gas = self._gas_before(state.gas, rest, time, reading)

@@ -39,9 +39,8 @@ from mjtactile.sensing.apply_contact_shape import (
 )
 from mjtactile.sensing.contact_decision import ContactDecision
 from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
-from mjtactile.sensing.force import rest_shape_check
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
-from mjtactile.sensing.force.rest_equilibrium import InverseRest
+from mjtactile.sensing.force.rest_equilibrium import InverseRest, require_bulge
 from mjtactile.sensing.force.stress_relaxation import RelaxationState
 from mjtactile.sensing.marker_detection import MarkerDetector, average, moved
 from mjtactile.sensing.membrane_estimator import MembraneEstimator
@@ -219,7 +218,7 @@ class SensingPipeline:
         rest = self.inverse.rest_state(
             markers, gauge_pressure, sealed=sealed, inflated_s=inflated_s
         )
-        rest_shape_check.require_bulge(
+        require_bulge(
             self.design,
             markers,
             self.inverse.positions(rest.c)[markers.ids, 2],

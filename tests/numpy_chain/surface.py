@@ -12,8 +12,8 @@ from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
+from mjtactile.sensing.force.slopes import slope_sd
 from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
-from mjtactile.sensing.surface.slope_noise import slope_sd
 from mjtactile.sensing.surface.surface import grid_of
 
 _GAUSS = 4

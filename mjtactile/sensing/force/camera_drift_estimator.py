@@ -19,9 +19,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, CameraDrift, FiducialDetections
-from mjtactile.sensing.force.camera_drift_model import MODES, camera_modes
-from mjtactile.sensing.force.tone_curve import tone_of
-from mjtactile.sensing.pose.image_transform import ImageTransform
+from mjtactile.sensing.force.camera_drift_model import MODES, ImageTransform, camera_modes, tone_of
 from mjtactile.sensing.settings import FiducialSettings, InverseSettings
 
 OBSERVED_MODES = MODES + 2

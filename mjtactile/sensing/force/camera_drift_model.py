@@ -1,4 +1,5 @@
-"""Effect of camera drift since the references on the apparent marker positions (Eq. F11).
+"""Effect of camera drift since the references on the apparent marker positions (Eq. F11), on images
+and on their gray levels.
 
 A knock changes position and orientation of the camera. Lens breathing scales the image. A changed
 tone curve moves all edges inward or outward by about the same amount. So every circle appears
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array
+from mjtactile.core.types import Array, Ellipses
 from mjtactile.sensing.settings import InverseSettings
 
 MODES = 9
@@ -22,14 +23,17 @@ MODES = 9
 are the circle size: one common to all, one that follows their levels."""
 _SIZE = 7
 _STEADY = 1e-6  # of a mode's sd: none
+_TONE_ROUNDS = 5
+_TONE_STEP_LIMIT = 0.3  # of ln gamma in a round
+_TONE_MIN_CIRCLES = 3
+_UNCHANGED_LEVELS = 0.02  # maximum relative change of all levels for an unchanged curve
+_WHITE = 255.0
 
 
 def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings) -> Array:
-    """Compute the apparent marker motion for one standard deviation of each mode of a knocked
-    camera. `design`: sensor design; marker positions are relative to its camera. `p_SM`: marker
-    positions (m, 3), m. `darker`: change of each marker's darkness since the reference (m,). `s`:
-    settings with the standard deviations. Returns apparent motion of each marker (m, 3, MODES),
-    m."""
+    """Compute the apparent motion (m, 3, MODES), m, of markers at `p_SM` (m, 3), m, for one
+    standard deviation of each mode of a knocked camera. `darker` (m,) is the change of their
+    darkness since the reference."""
     away = p_SM - design.camera.p_SC
     depth = away[:, 2:]
     modes = np.zeros((len(p_SM), 3, MODES))
@@ -127,3 +131,81 @@ def drift_of(found: Array, seen: Array) -> float:
     fraction of their variance that estimates have. Gas counts as one mode of four."""
     share = found**2 / seen
     return float((share[0] + 3 * share[1:].mean()) / 4)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageTransform:
+    """Image transform about `middle` (2,), px: `shift` (2,), px, rotation `turn` (from u to v),
+    rad, and relative enlargement `scale`. Radii grow by `grown` px in addition."""
+
+    middle: Array
+    shift: Array
+    turn: float
+    scale: float
+    grown: float
+
+    def undone(self, uv: Array) -> Array:
+        """Return the positions (n, 2), px, before the transform."""
+        cos = math.cos(self.turn)
+        sin = math.sin(self.turn)
+        away = (uv - self.middle - self.shift) / (1 + self.scale)
+        return self.middle + away @ np.array([[cos, -sin], [sin, cos]])
+
+    def undone_ellipses(self, ellipses: Ellipses, at: Array) -> Ellipses:
+        """Return the ellipses with indices `at` before the transform."""
+        axes = (ellipses.semi_axes_px[at] - self.grown) / (1 + self.scale)
+        dark = ellipses.darkness
+        return Ellipses(
+            self.undone(ellipses.center_px[at]),
+            np.maximum(axes, 1e-3),
+            ellipses.angle[at] - self.turn,
+            ellipses.cov[at],
+            ellipses.status[at],
+            None if dark is None else dark[at],
+        )
+
+
+UNCHANGED = ImageTransform(np.zeros(2), np.zeros(2), 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Tone:
+    """level = black + `light` top (level before / top)^(1/gamma), less `black`; NaN: unknown."""
+
+    light: float
+    gamma: float
+    black: float
+
+
+_UNKNOWN_TONE = Tone(math.nan, math.nan, math.nan)
+
+
+def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Array) -> Tone:
+    """Fit the curve from the reference levels `_then` (n,) to the current levels inside circles and
+    of the background around them, by least squares. Black and white determine two of its three
+    parameters. Light that falls off toward the corners spreads either level over a range, whose
+    slope gives the third."""
+    then = np.concatenate([inside_then, outside_then])
+    now = np.concatenate([inside, outside])
+    known = np.isfinite(then + now) & (then > 0)
+    if known.sum() < 2 * _TONE_MIN_CIRCLES:
+        return _UNKNOWN_TONE
+    ratio = now[known] / then[known]
+    if np.abs(ratio - 1).max() < _UNCHANGED_LEVELS:
+        return Tone(float(ratio.mean()), 1.0, 0.0)
+    share = np.log(then[known] / _WHITE)
+    level = now[known] / _WHITE
+    power = 1.0
+    for _ in range(_TONE_ROUNDS):
+        curve = np.exp(power * share)
+        columns = np.stack([np.ones_like(curve), curve, curve * share])
+        normal = columns @ columns.T
+        normal[2, 2] += 1e-12
+        black, light, steeper = np.linalg.solve(normal, columns @ level)
+        if not light > 0:
+            return _UNKNOWN_TONE
+        change = float(np.clip(steeper / light, -_TONE_STEP_LIMIT, _TONE_STEP_LIMIT))
+        power = float(np.clip(power + change, 0.1, 10.0))
+        if abs(change) < 1e-3:
+            break
+    return Tone(float(light), 1 / power, _WHITE * float(black))

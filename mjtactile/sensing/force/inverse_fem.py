@@ -68,11 +68,8 @@ class InverseMembrane(LoadedMembrane):
         self._known = fiducials
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
         # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each
-        self._grid = (
-            len(self.x) - 2,
-            len(self.y) - 2,
-            *map(np.ascontiguousarray, self.node_loads()),
-        )
+        loads = map(np.ascontiguousarray, self.node_loads())
+        self._grid = (len(self.x) - 2, len(self.y) - 2, *loads)
         self._roots: dict[float, tuple[Array, ...]] = {}
         self._doubt = ModelErrorVariance(design, self.nodes, doubt)
         self._posterior_fraction = np.array(settings.posterior_fraction)[AXES]
@@ -80,8 +77,6 @@ class InverseMembrane(LoadedMembrane):
         if design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell:
             distance = design.camera.distance
             self._slopes = MarkerSlopes(self.sheet, self._material, distance, settings)
-
-    # -- one frame
 
     def estimate(
         self,
@@ -158,41 +153,26 @@ class InverseMembrane(LoadedMembrane):
         state = self._state(c, rest)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         if self._slopes is not None:
-            slopes_off = np.where(
-                gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0
-            ).T
+            weighted = self._slopes.off(markers, c).T * gain.slope_weights
+            slopes_off = np.where(gain.slope_weights > 0, weighted, 0.0).T
         change = np.empty_like(c)
         traction = np.empty((3, len(self.nodes)))
         unknowns = gain.drift.shape[1]
         misfit, noise = np.empty((2, len(gain.half)))
         drift = np.empty(unknowns)
-        kernel("inverse_step")(
-            *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
-            *self._nodes(gain.correlation),
-            gain.prior,
-            gain.innovation,
-            unknowns,
-            gain.drift,
-            gain.drift_gas[1],
-            c,
-            self.sheet.residual(state, pressure),
-            data,
-            slopes_off,
-            change,
-            traction,
-            misfit,
-            noise,
-            drift,
-        )
+        membrane = self._sight(gain.stiffness, ids, gain.weights, gain.tilts)
+        model = (gain.prior, gain.innovation, unknowns, gain.drift, gain.drift_gas[1])
+        point = (c, self.sheet.residual(state, pressure), data, slopes_off)
+        results = (change, traction, misfit, noise, drift)
+        kernel("inverse_step")(*membrane, *self._nodes(gain.correlation), *model, *point, *results)
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         traction /= self._density
         excess = np.zeros((2, len(self._material)))
         excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
         if self._slopes is not None:
-            excess[1, ids] = gain.distrust[1] ** 2 * (noise[3 * m :].reshape(-1, 2) ** 2).mean(
-                axis=1
-            )
+            squares = (noise[3 * m :].reshape(-1, 2) ** 2).mean(axis=1)
+            excess[1, ids] = gain.distrust[1] ** 2 * squares
         return Shape(
             c=c,
             traction=traction,
@@ -257,14 +237,10 @@ class InverseMembrane(LoadedMembrane):
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
         gas_observed = np.empty(rows)
-        kernel("inverse_gain")(
-            *self._sight(stiffness, ids, weights, tilts),
-            *self._nodes(correlation),
-            prior,
-            stiffness.solve(load),
-            half,
-            gas_observed,
-        )
+        membrane = self._sight(stiffness, ids, weights, tilts)
+        results = (half, gas_observed)
+        nodes = self._nodes(correlation)
+        kernel("inverse_gain")(*membrane, *nodes, prior, stiffness.solve(load), *results)
         drift = _observed_drift(gas_observed, weights @ modes @ camera.root)
         innovation = _innovation(half, drift)
         seen = drift.copy()
@@ -342,8 +318,6 @@ class InverseMembrane(LoadedMembrane):
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 
-    # -- forces and covariance
-
     def traction(
         self,
         shape: Shape,
@@ -365,16 +339,11 @@ class InverseMembrane(LoadedMembrane):
         if before is not None:
             change = wrench - _net(before.traction * self.node_area, positions)
             moved = self._at_nodes @ (shape.c - before.c).T
-        felt = FitDiagnostics(
-            force,
-            change,
-            self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
-            float(shape.excess[0].mean()),
-            air_moved,
-            lag,
-        )
+        velocity = self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3))
+        excess = float(shape.excess[0].mean())
         cov = self._posterior(shape, positions)
-        cov.flat[:: len(cov) + 1] += self._doubt.variance(felt)
+        fit = FitDiagnostics(force, change, velocity, excess, air_moved, lag)
+        cov.flat[:: len(cov) + 1] += self._doubt.variance(fit)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")
 
     def sharpness(self, shape: Shape) -> Array:
@@ -389,18 +358,8 @@ class InverseMembrane(LoadedMembrane):
         gain = shape.gain
         cov = np.empty((6, 6))
         jx, jy, _, _, *roots = self._nodes(gain.correlation)
-        kernel("wrench_posterior")(
-            len(gain.half),
-            jx,
-            jy,
-            *roots,
-            gain.prior,
-            positions,
-            self._cells,
-            gain.half,
-            gain.innovation,
-            cov,
-        )
+        nodes = (jx, jy, *roots, gain.prior, positions, self._cells)
+        kernel("wrench_posterior")(len(gain.half), *nodes, gain.half, gain.innovation, cov)
         scale = np.sqrt(self.posterior_fraction(shape))
         return cov * np.outer(scale, scale)
 
@@ -411,7 +370,7 @@ class InverseMembrane(LoadedMembrane):
 
 
 def _net(force: Array, positions: Array) -> Array:
-    """Net force and torque (6,) about the origin of forces (3, J) at `positions` (J, 3)."""
+    """Return net force and torque (6,) about the origin of forces (3, J) at `positions` (J, 3)."""
     M = force @ positions
     return np.array([*force.sum(axis=1), M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])
 

@@ -3,6 +3,11 @@ F25).
 
 The bulge is computed by the membrane model of `mjtactile.sensing.force.spline_fem`, not
 interpolated. The stiffness is fitted to the markers at rest.
+
+A contact makes the membrane appear stiffer, which this fit would absorb. But it also changes the
+shape of the bulge (Eq. F16). The residual heights are compared with all errors possible without
+contact: noise, discretization of the model, and the lens. An uncalibrated lens scales heights by an
+error that varies smoothly over the image, and grows with the flat membrane's marker deviations.
 """
 
 from __future__ import annotations
@@ -13,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, Sheet, State
 from mjtactile.sensing.force.stress_relaxation import RelaxingMembrane
-from mjtactile.sensing.settings import InverseSettings
+from mjtactile.sensing.settings import DEFAULTS, InverseSettings, ReferenceSettings, Settings
 
 _GAS_NEAR = 3.0  # pressure difference for which the rest shape is kept, Pa
 _REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
@@ -168,3 +174,61 @@ def darker(markers: Markers, rest: InverseRest) -> Array:
     changed = markers.darkness - rest.darkness[markers.ids]
     changed[~(np.abs(changed) < np.inf)] = 0.0
     return changed
+
+
+def bulge_misfit(
+    design: SensorDesign,
+    markers: Markers,
+    z: Array,
+    flat_px: float,
+    *,
+    lens_measured: bool,
+    s: ReferenceSettings = DEFAULTS.reference,
+) -> float:
+    """Return the mean square misfit of the markers' heights to the best-fitting bulge's `z` (n,),
+    m, over its variance. `flat_px` is the rms residual of the flat reference."""
+    x, y = (markers.p_SM[:, :2] / (design.frame.length / 2, design.frame.width / 2)).T
+    share = s.lens_fraction_measured if lens_measured else s.lens_fraction
+    modes = share * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    lens = (s.lens_rest + s.lens_rest_per_px * flat_px) * z
+    own = markers.cov_p[:, 2, 2] + s.bulge_floor**2 + lens**2
+    off = markers.p_SM[:, 2] - z
+    return float(off @ np.linalg.solve(modes @ modes.T + np.diag(own), off)) / len(off)
+
+
+def require_bulge(
+    design: SensorDesign,
+    markers: Markers,
+    z: Array,
+    rest: InverseRest,
+    flat_px: float,
+    *,
+    lens_measured: bool,
+    settings: Settings = DEFAULTS,
+) -> None:
+    """Raise DeviceError if the rest state is not the bulge of the sensor file, in height or shape.
+    `z` (n,), m, are the marker heights of the best-fitting bulge, and `flat_px` is the rms residual
+    of the flat reference."""
+    gauge_pressure = rest.gas.gauge
+    maximum = settings.reference.stiffness_off_max
+    if not 1 / maximum < rest.stiffness_scale < maximum:
+        height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
+        raise DeviceError(
+            f"sensor {design.name}: at {gauge_pressure:.0f} Pa the markers are at most "
+            f"{height:.2f} mm high, as if the membrane were {rest.stiffness_scale:.1f} times "
+            "as stiff as in the sensor file; check that the valve moves, and young_MPa and "
+            "thickness_mm of the membrane"
+        )
+    # hardly a bulge, and no stiffness was fitted to it
+    if gauge_pressure <= settings.inverse.informative_pressure:
+        return
+    s = settings.reference
+    squares = bulge_misfit(design, markers, z, flat_px, lens_measured=lens_measured, s=s)
+    if squares > s.bulge_misfit_max:
+        off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
+        raise DeviceError(
+            f"sensor {design.name}: at rest the membrane does not have the bulge expected at "
+            f"{gauge_pressure:.0f} Pa: markers deviate by up to {off:.2f} mm "
+            f"({np.sqrt(squares):.1f} standard deviations, rms); remove any contact, else "
+            "measure the lens: `mjtactile calibrate camera`"
+        )

@@ -23,23 +23,8 @@ LONG = "too long"
 NO_FIT = "no fit"
 MOVED = "edge lies elsewhere"
 # in the order of the status codes in mjtactile/kernels/candidates.c
-STATUSES = np.array(
-    [
-        "ok",
-        CUT,
-        NOT_ELLIPSE,
-        TOUCHING,
-        LOW_CONTRAST,
-        GLARE,
-        SMALL,
-        MOTION,
-        BLURRED,
-        LONG,
-        NO_FIT,
-        MOVED,
-    ],
-    dtype="<U24",
-)
+_REASONS = (CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT)
+STATUSES = np.array(["ok", *_REASONS, MOVED], dtype="<U24")
 
 
 def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
@@ -72,22 +57,9 @@ def judge(
     codes = np.empty(n, np.int64)
     keep = np.empty(n, np.int64)
     numbers = np.stack([fit.blur, fit.residual, fit.pixels, fit.lost, fit.motion])
-    kernel("judge_fits")(
-        n,
-        fit.center,
-        fit.shape,
-        fit.cov,
-        levels,
-        numbers,
-        found.center,
-        found.shape,
-        found.misfit,
-        found.cut,
-        1.0 if polarity == "dark" else -1.0,
-        *size,
-        min_radius_px,
-        as_numbers(s),
-        codes,
-        keep,
-    )
+    fits = (fit.center, fit.shape, fit.cov, levels, numbers)
+    borders = (found.center, found.shape, found.misfit, found.cut)
+    image = (1.0 if polarity == "dark" else -1.0, *size)
+    options = (min_radius_px, as_numbers(s))
+    kernel("judge_fits")(n, *fits, *borders, *image, *options, codes, keep)
     return STATUSES[codes], keep != 0

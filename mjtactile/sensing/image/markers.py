@@ -12,9 +12,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Ellipses, Image
 from mjtactile.sensing.image import candidates
 from mjtactile.sensing.image.edge_fit import EdgeFit
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates
 from mjtactile.sensing.image.fit_validation import implausible, judge
-from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings import DEFAULTS, LocateSettings, Settings
 
 Polarity = Literal["dark", "bright"]
 
@@ -105,3 +106,24 @@ def eight_bit(grey: NDArray) -> NDArray[np.uint8]:
         return grey
     low, high = np.percentile(grey[::4, ::4], [0.1, 99.9])
     return np.clip((grey - low) * (255 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+
+
+def is_overexposed(
+    grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings
+) -> bool:
+    """Return True if the bright side of most edges is at the end of the camera's range (8, 10, 12,
+    14 or 16 bits)."""
+    top = int(grey.max(initial=0))
+    good = ellipses.status == "ok"
+    if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
+        return False
+    shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
+    if polarity == "dark":
+        aside = shape + [s.ground_distance, 0.0, s.ground_distance]
+    else:
+        aside = s.inside_fraction * shape
+    u, v = (
+        np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
+    )
+    inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
+    return bool((grey[v[inside], u[inside]] > s.clipped_level * top).mean() > s.clipped_fraction)

@@ -17,9 +17,8 @@ from mjtactile.core.image_decoding import decode
 from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.exhaustive_detection import NO_REJECTED, Rejected, detect_thoroughly
-from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
-from mjtactile.sensing.image.markers import Polarity, grey_image
+from mjtactile.sensing.image.markers import Polarity, grey_image, is_overexposed
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.neighbor_smoothing import smooth_aspect_ratio
 from mjtactile.sensing.pose.pose_disambiguation import prefer

@@ -54,23 +54,13 @@ def identify(
     p = np.empty((n, 3))
     normals = np.empty((n, 3))
     cov_p = np.empty((n, 3, 3))
-    kernel("name_circles")(
-        n,
-        len(poses.p_CM),
-        circle[ids],
-        poses.p_CM,
-        poses.n_C,
-        poses.p_CM_alt,
-        poses.n_C_alt,
-        poses.cov_p,
-        np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids],
-        _camera(design).numbers,
-        design.camera.p_SC,
-        _slope_operators(design, (circle >= 0).tobytes(), s.height_weight),
-        p,
-        normals,
-        cov_p,
-    )
+    scales = np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids]
+    both = (poses.p_CM, poses.n_C, poses.p_CM_alt, poses.n_C_alt, poses.cov_p)
+    camera = (_camera(design).numbers, design.camera.p_SC)
+    operators = _slope_operators(design, (circle >= 0).tobytes(), s.height_weight)
+    sizes = (n, len(poses.p_CM))
+    results = (p, normals, cov_p)
+    kernel("name_circles")(*sizes, circle[ids], *both, scales, *camera, operators, *results)
     return Markers(ids, p, normals, cov_p, None if darkness is None else darkness[circle[ids]])
 
 
@@ -108,8 +98,7 @@ def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Arr
 
 @lru_cache(maxsize=8)
 def _neighbourhood(layout: bytes, neighbours: int) -> tuple[float, Ids]:
-    """Smallest distance of two markers, m, and each one's nearest markers (M, k), itself not among
-    them."""
+    """Return the minimum distance of two markers, m, and the nearest others (M, k) of each."""
     xy = np.frombuffer(layout).reshape(-1, 2)
     distance = np.linalg.norm(xy[:, None] - xy, axis=2)
     np.fill_diagonal(distance, np.inf)

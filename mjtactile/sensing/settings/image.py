@@ -76,7 +76,7 @@ class EdgeSettings:
 
 @dataclass(frozen=True)
 class ProfileSettings:
-    """Ellipses from profiles across their edges (sensing/image/profile_fit.py)."""
+    """Ellipses from profiles across their edges (sensing/image/ellipse_fit.py)."""
 
     step: float = number(
         0.75,

@@ -40,7 +40,7 @@ class IdentitySettings:
 @dataclass(frozen=True)
 class ReferenceSettings:
     """Acceptance limits of flat and rest references (sensing/pose/flat_reference.py,
-    sensing/force/rest_shape_check.py)."""
+    sensing/force/rest_equilibrium.py)."""
 
     radius_range: float = number(
         0.1, "maximum relative deviation of a marker's size from the sensor file"

@@ -40,41 +40,22 @@ def reconstruct_delaunay(
     z[[0, -1]] = 0.0
     z[:, [0, -1]] = 0.0
     spline = RectBivariateSpline(coarse_y, coarse_x, z)
-    (qx, wx), (qy, wy) = (
-        (axis.points, axis.weights)
-        for axis in (
-            Cubic(frame.length, 2 * layout.columns + 2, GAUSS),
-            Cubic(frame.width, 2 * layout.rows + 2, GAUSS),
-        )
-    )
-    stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)
-    area = float(wy @ stretch @ wx)
-    volume = float(wy @ spline(qy, qx) @ wx)
+    along_x = Cubic(frame.length, 2 * layout.columns + 2, GAUSS)
+    along_y = Cubic(frame.width, 2 * layout.rows + 2, GAUSS)
+    points = (along_y.points, along_x.points)
+    stretch = np.sqrt(1 + spline(*points, dy=1) ** 2 + spline(*points, dx=1) ** 2)
+    area = float(along_y.weights @ stretch @ along_x.weights)
+    volume = float(along_y.weights @ spline(*points) @ along_x.weights)
     x, y = grid_of(frame, grid_step)
-    return Surface(
-        x,
-        y,
-        spline(y, x),
-        area,
-        volume,
-        np.nan,
-        np.nan,
-        check_markers(len(p_SM), DEFAULTS.surface.markers_min),
-    )
+    status = check_markers(len(p_SM), DEFAULTS.surface.markers_min)
+    return Surface(x, y, spline(y, x), area, volume, np.nan, np.nan, status)
 
 
 def _rim_points(frame: Frame, nx: int, ny: int) -> Array:
-    """Points (M, 2) all round the opening, nx and ny to a side."""
-    t = np.linspace(-1, 1, nx, endpoint=False)[:, None]
-    s = np.linspace(-1, 1, ny, endpoint=False)[:, None]
-    one_t = np.ones_like(t)
-    one_s = np.ones_like(s)
-    square = np.concatenate(
-        [
-            np.hstack([t, -one_t]),
-            np.hstack([one_s, s]),
-            np.hstack([-t, one_t]),
-            np.hstack([-one_s, -s]),
-        ]
-    )
+    """Return points (M, 2) all round the opening, nx and ny to a side."""
+    t = np.linspace(-1, 1, nx, endpoint=False)
+    s = np.linspace(-1, 1, ny, endpoint=False)
+    right = np.column_stack([np.ones(ny), s])
+    bottom = np.column_stack([t, -np.ones(nx)])
+    square = np.concatenate([bottom, right, -bottom, -right])
     return square * [frame.length / 2, frame.width / 2]

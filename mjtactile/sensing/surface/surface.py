@@ -59,11 +59,8 @@ class Spline:
 
     fitter: SurfaceFitter
     coefficients: Array
-    # lower triangular factor of the coefficients' inverse covariance, before `misfit`: a band, see
-    # `banded`
-    factor: Array
-    # factor on the covariance, at least 1: mean square of the residuals over their sd
-    misfit: float
+    factor: Array  # lower band factor of the inverse covariance, before `misfit`; see `banded`
+    misfit: float  # factor on the covariance, at least 1: mean square of residuals over their sd
     status: Status
 
     def evaluate(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
@@ -93,20 +90,12 @@ class Spline:
         """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to
         first order."""
         f = self.fitter
-        (ny, nx), z, found = self.coefficients.shape, np.empty((len(f.y), len(f.x))), np.empty(4)
-        kernel("measure_surface")(
-            nx,
-            ny,
-            self.coefficients,
-            self.factor,
-            self.misfit,
-            len(f.x),
-            len(f.y),
-            *f.tables,
-            z,
-            found,
-        )
-        area, volume, area_sd, volume_sd = found.tolist()
+        ny, nx = self.coefficients.shape
+        z = np.empty((len(f.y), len(f.x)))
+        sums = np.empty(4)
+        spline = (nx, ny, self.coefficients, self.factor, self.misfit)
+        kernel("measure_surface")(*spline, len(f.x), len(f.y), *f.tables, z, sums)
+        area, volume, area_sd, volume_sd = sums.tolist()
         if f.outside is not None:
             z[f.outside] = 0.0
         return Surface(f.x, f.y, z, area, volume, area_sd, volume_sd, self.status)
@@ -151,19 +140,10 @@ class SurfaceFitter:
         self._prior_band = banded(self.prior, self.width)
         # half a pitch of a curvature k / 2
         slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)
-        self._numbers = np.array(
-            [
-                length,
-                width,
-                design.camera.distance,
-                settings.slope_model_sd,
-                settings.slope_sd_max,
-                slope_off,
-                settings.outlier_sd,
-                settings.outlier_min,
-                settings.outliers_leave,
-            ]
-        )
+        s = settings
+        slopes = [s.slope_model_sd, s.slope_sd_max, slope_off]
+        outliers = [s.outlier_sd, s.outlier_min, s.outliers_leave]
+        self._numbers = np.array([length, width, design.camera.distance, *slopes, *outliers])
 
     def _tables(self, weights: Array, inside: Array | None) -> tuple[object, ...]:
         """Return the tables with which the kernel measures a surface. The Gauss points have
@@ -186,15 +166,13 @@ class SurfaceFitter:
         settings = self.settings
         rough = self._energy(inside, ((3, 0), (1, 2)), ((2, 1), (0, 3)))
         bent = self._energy(inside, *_BENT)
-        return rough / (settings.roughness**2 * frame.area) + bent / (
-            settings.laplacian**2 * frame.area
-        )
+        rough /= settings.roughness**2 * frame.area
+        return rough + bent / (settings.laplacian**2 * frame.area)
 
     def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
         """The surface through identified markers; see `fit_spline`."""
-        return self.fit_spline(
-            markers.p_SM, markers.cov_p, markers.n_S if normals else None
-        ).surface()
+        n_S = markers.n_S if normals else None
+        return self.fit_spline(markers.p_SM, markers.cov_p, n_S).surface()
 
     def fit_spline(
         self, p_SM: ArrayLike, cov_p: ArrayLike | None = None, n_S: ArrayLike | None = None
@@ -213,25 +191,13 @@ class SurfaceFitter:
             variance = np.asarray(cov_p, dtype=float)[:, 2, 2]
         c = np.empty((self.basis_y.count, self.basis_x.count))
         factor = np.empty_like(self._prior_band)
-        found = np.empty(2)
+        sums = np.empty(2)
         # the prior is positive definite: only absurd weights make the normal equations not so
-        kernel("fit_surface")(
-            len(p),
-            p,
-            variance,
-            n_S,
-            self.basis_x.count,
-            self.basis_y.count,
-            self._numbers,
-            self._prior_band,
-            c,
-            factor,
-            found,
-        )
-        misfit, markers = found.tolist()
-        return Spline(
-            self, c, factor, misfit, check_markers(int(markers), self.settings.markers_min)
-        )
+        spline = (self.basis_x.count, self.basis_y.count, self._numbers, self._prior_band)
+        kernel("fit_surface")(len(p), p, variance, n_S, *spline, c, factor, sums)
+        misfit, markers = sums.tolist()
+        status = check_markers(int(markers), self.settings.markers_min)
+        return Spline(self, c, factor, misfit, status)
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Return the design matrix (N, ny * nx) at `x`, `y` (N,), m. It is z or its derivative of
@@ -273,9 +239,8 @@ class SurfaceFitter:
         for pair in terms:
             for ax, ay in pair:
                 for bx, by in pair:
-                    total += np.kron(
-                        gram(self._quad[1], wy, ay, by), gram(self._quad[0], wx, ax, bx)
-                    )
+                    along_y = gram(self._quad[1], wy, ay, by)
+                    total += np.kron(along_y, gram(self._quad[0], wx, ax, bx))
         return total
 
 
@@ -297,22 +262,19 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
     """Return grid lines x (nx,), y (ny,), m, over the opening, frame included, at most `step`
     apart."""
     nx, ny = (int(np.ceil(size / step - 1e-9)) + 1 for size in (frame.length, frame.width))
-    return np.linspace(-frame.length / 2, frame.length / 2, nx), np.linspace(
-        -frame.width / 2, frame.width / 2, ny
-    )
+    x = np.linspace(-frame.length / 2, frame.length / 2, nx)
+    return x, np.linspace(-frame.width / 2, frame.width / 2, ny)
 
 
 def check_markers(markers: int, minimum: int) -> Status:
     """Return the status OK for at least `least` markers, else TOO_FEW_MARKERS."""
     if markers >= minimum:
         return OK
-    return Status(
-        StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers}; at least {minimum} are needed"
-    )
+    text = f"too few markers: {markers}; at least {minimum} are needed"
+    return Status(StatusCode.TOO_FEW_MARKERS, text)
 
 
 def _products(down: Array, across: Array) -> Array:
     """Row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
-    return (down[:, :, None] * across[:, None, :]).reshape(
-        len(down), down.shape[1] * across.shape[1]
-    )
+    products = down[:, :, None] * across[:, None, :]
+    return products.reshape(len(down), down.shape[1] * across.shape[1])

@@ -38,46 +38,27 @@ def find_patches(
     peak = float(fine.max())
     if peak <= 0:
         return ()
-    above = fine > min(
-        s.separate_fraction * math.sqrt(max(shape.gauge_pressure, 0.1 * peak) * peak), 0.9 * peak
-    )
+    mean = math.sqrt(max(shape.gauge_pressure, 0.1 * peak) * peak)
+    above = fine > min(s.separate_fraction * mean, 0.9 * peak)
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     owner = _nearest_place(places) if count > 2 else None
     position = estimator.fine_positions(shape.c)
     sunk = (estimator.node_positions(rest.c) - estimator.node_positions(shape.c))[:, 2]
-    step_x = estimator.x[1] - estimator.x[0]
-    step_y = estimator.y[1] - estimator.y[0]
+    blur = ((estimator.x[1] - estimator.x[0]) ** 2 + (estimator.y[1] - estimator.y[0]) ** 2) / 24
     patches = []
     for k in range(1, count):
         inside = np.zeros(fine.shape, np.uint8)
         mask = np.empty((ny, nx), np.uint8)
-        found = np.empty(10)
-        carries = kernel("measure_patch")(
-            nx,
-            ny,
-            REFINE,
-            *fine.shape,
-            fine,
-            position,
-            owner,
-            k,
-            shape.traction,
-            estimator.node_area,
-            sunk,
-            shape.gauge_pressure,
-            (step_x**2 + step_y**2) / 24,
-            as_numbers(s),
-            inside,
-            mask,
-            found,
-        )
-        if carries:
-            patches.append(_patch(inside, mask.view(bool), found, position))
+        sums = np.empty(10)
+        grids = (nx, ny, REFINE, *fine.shape, fine, position, owner, k)
+        load = (shape.traction, estimator.node_area, sunk, shape.gauge_pressure, blur)
+        if kernel("measure_patch")(*grids, *load, as_numbers(s), inside, mask, sums):
+            patches.append(_patch(inside, mask.view(bool), sums, position))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 
 def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Contact:
-    """All patches taken as one contact, on a grid of (ny, nx) nodes; without any, no contact."""
+    """Return all patches as one contact, on a grid of (ny, nx) nodes."""
     if not patches:
         return Contact(False, 0.0, np.full(2, np.nan), 0.0, np.zeros(grid_shape, bool))
     if len(patches) == 1:
@@ -118,19 +99,19 @@ def _nearest_place(places: NDArray) -> NDArray:
 
 
 def _patch(
-    inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array
+    inside: NDArray[np.uint8], mask: NDArray[np.bool_], sums: Array, position: Array
 ) -> Contact:
     """Return one patch from its fine cells, its grid nodes and the kernel's results."""
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
-    x, y, depth, area, long, short, angle = found[3:].tolist()
+    x, y, depth, area, long, short, angle = sums[3:].tolist()
     return Contact(
         True,
         area,
         np.array([x, y]),
         depth,
         mask,
-        force=found[:3],
+        force=sums[:3],
         outline=position[:2, a, b].T,
         semi_axes=np.array([long, short]),
         angle=angle,

@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
-from mjtactile.sensing.image import candidates, markers, profile_fit
+from mjtactile.sensing.image import candidates, ellipse_fit, markers
 from mjtactile.sensing.pose import circles, marker_matching
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.rendering.renderer import Renderer
@@ -38,8 +38,8 @@ def test_ellipses_from_profiles(image):
     found = candidates.find(image.pixels, 4.0)
     assert len(found) > 70
     ours, theirs = (
-        module.fit(image.pixels, found.center, found.shape)
-        for module in (profile_fit, numpy_profiles)
+        fit(image.pixels, found.center, found.shape)
+        for fit in (ellipse_fit.fit_profiles, numpy_profiles.fit)
     )
     for field in fields(ours):
         a = getattr(ours, field.name)

@@ -19,9 +19,9 @@ from mjtactile.sensing.force.camera_drift_estimator import (
     CameraDriftEstimator,
     _solve,
 )
+from mjtactile.sensing.force.camera_drift_model import tone_of
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.force.tone_curve import tone_of
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rendering.image_faults import FaultyImage

@@ -11,8 +11,8 @@ from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
+from mjtactile.sensing.force.slopes import slope_sd_of
 from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
-from mjtactile.sensing.surface.slope_noise import slope_sd_of
 from mjtactile.sensing.surface.surface import SurfaceFitter
 
 L = 40e-3
