@@ -1,9 +1,8 @@
 """Camera intrinsics from images of a ChArUco board, with checks of the calibration quality.
 
-OpenCV fits the model (pinhole and plumb_bob, pixel centers at integers as in
-docs/reference/conventions.md). This module adds three checks. Outlier views are dropped. The camera
-is tested on views that were not used in the fit. A result with insufficient data (no tilt, image
-corners not covered, few views) is refused with the reason.
+`mjtactile.calibrate.intrinsics` fits the model. This module adds three checks. Outlier views are
+dropped. The camera is tested on views that were not used in the fit. A result with insufficient
+data (no tilt, image corners not covered, few views) is refused with the reason.
 """
 
 from __future__ import annotations
@@ -16,8 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.calibrate.intrinsics import DEFAULT, LensFit, Points, fit_intrinsics
+from mjtactile.core import camera_file
 from mjtactile.core.calibration_parts import CalibrationMetadata, LensCalibration
 from mjtactile.core.errors import InputError
+from mjtactile.core.lens import Lens
 from mjtactile.core.types import Array
 
 # each adds 6 unknowns (its pose) to the camera's 8, and some 50 to 100 measured values
@@ -123,8 +125,8 @@ class BoardFinder:
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """Fitted camera: `K` (3, 3), `distortion` (5,) plumb_bob, and `sd` (9,) of fx, fy, cx, cy, k1,
-    k2, p1, p2, k3. Residuals are in px.
+    """Fitted camera: `K` (3, 3), `lens`, and `sd` of fx, fy, cx, cy and of the coefficients.
+    Residuals are in px.
 
     `view_rms` is the residual of each image. `dropped` lists the outlier images. `holdout_px` is
     the rms in images that were not fitted. `coverage` is the fraction of the image that contained
@@ -134,7 +136,7 @@ class CameraCalibration:
 
     size: tuple[int, int]
     K: Array
-    distortion: Array
+    lens: Lens
     sd: Array
     rms: float
     view_rms: dict[str, float]
@@ -146,9 +148,9 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool = False
+    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], options: LensFit = DEFAULT
 ) -> CameraCalibration:
-    """Fit a camera of `size` (width, height) px. `k3`: fit the sixth-order term too (wide lenses).
+    """Fit a camera of `size` (width, height) px with the lens of `options`.
 
     Raises InputError for fewer than three views.
     """
@@ -158,27 +160,26 @@ def calibrate_camera(
             "to 30 recommended)",
             field="pictures",
         )
-    fit = fit_intrinsics(finder, views, size, k3=k3)
+    fit = fit_intrinsics(_points(finder, views), size, options)
     keep = [
         view
-        for view, rms in zip(views, fit[5], strict=True)
-        if rms <= max(_OUTLIER * float(np.median(fit[5])), 0.2)
+        for view, rms in zip(views, fit.view_rms, strict=True)
+        if rms <= max(_OUTLIER * float(np.median(fit.view_rms)), 0.2)
     ]
     dropped = tuple(view.name for view in views if view not in keep)
     if dropped and len(keep) >= 3:
         views = keep
-        fit = fit_intrinsics(finder, keep, size, k3=k3)
-    rms, K, distortion, poses, sd, view_rms = fit
-    tilts = np.array([_tilt(rotation) for rotation in poses])
+        fit = fit_intrinsics(_points(finder, keep), size, options)
+    tilts = np.array([_tilt(rotation) for rotation in fit.rotations])
     coverage = _coverage(views, size)
-    holdout = _holdout(finder, views, size, k3=k3)
+    holdout = _holdout(finder, views, size, options)
     result = CameraCalibration(
         size,
-        K,
-        distortion,
-        sd,
-        rms,
-        {v.name: float(r) for v, r in zip(views, view_rms, strict=True)},
+        fit.K,
+        fit.lens,
+        fit.sd,
+        fit.rms,
+        {v.name: float(r) for v, r in zip(views, fit.view_rms, strict=True)},
         dropped,
         holdout,
         coverage,
@@ -232,25 +233,6 @@ def _judge(c: CameraCalibration) -> list[str]:
     return [text for good, text in checks if not good]
 
 
-def fit_intrinsics(
-    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool
-) -> tuple[Any, ...]:
-    """OpenCV's fit: rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each
-    view."""
-    objects = [finder.corners(view).astype(np.float32) for view in views]
-    images = [view.uv.astype(np.float32) for view in views]
-    flags = 0 if k3 else cv2.CALIB_FIX_K3
-    try:
-        rms, K, distortion, rotations, _, sd, _, view_rms = cv2.calibrateCameraExtended(
-            objects, images, size, np.eye(3), np.zeros(5), flags=flags
-        )
-    except cv2.error as error:
-        raise InputError(
-            f"no camera model fits these images: {error.err}", field="pictures"
-        ) from error
-    return float(rms), K, np.ravel(distortion)[:5], rotations, np.ravel(sd)[:9], np.ravel(view_rms)
-
-
 def _tilt(rotation: Array) -> float:
     """Angle between the board's normal and the camera's axis, deg."""
     return float(np.degrees(np.arccos(np.clip(abs(cv2.Rodrigues(rotation)[0][2, 2]), 0, 1))))
@@ -264,8 +246,12 @@ def _coverage(views: Sequence[BoardView], size: tuple[int, int]) -> float:
     return float(np.mean(counts > 0))
 
 
+def _points(finder: Finder, views: Sequence[BoardView]) -> Points:
+    return [(finder.corners(view), view.uv) for view in views]
+
+
 def _holdout(
-    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool
+    finder: Finder, views: Sequence[BoardView], size: tuple[int, int], options: LensFit
 ) -> float:
     """Return the rms error, px, of a camera in views that were not fitted.
 
@@ -278,42 +264,17 @@ def _holdout(
         outside = views[1 - first :: 2]
         if len(inside) < 3:
             return float("nan")
-        _, K, distortion, *_ = fit_intrinsics(finder, inside, size, k3=k3)
+        fit = fit_intrinsics(_points(finder, inside), size, options)
         for view in outside:
             corners = finder.corners(view)
-            rotation, shift = pose_of(corners, view.uv, K, distortion)
-            seen = cv2.projectPoints(corners, rotation, shift, K, distortion)[0].reshape(-1, 2)
+            seen = fit.project(corners, *fit.pose_of(corners, view.uv))
             squares.append(np.sum((seen - view.uv) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
-def pose_of(corners: Array, uv: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
-    """Compute the rotation vector and the translation, m, of a board.
-
-    Its `corners` (N, 3) m appear at `uv` (N, 2) px.
-    """
-    _, rotation, shift = cv2.solvePnP(corners, uv, K, distortion)
-    return rotation, shift
-
-
 def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
-    """The fields of a ROS camera_info file, as `optics.Camera.from_file` and ROS read them."""
-    projection = np.column_stack([c.K, np.zeros(3)])
-
-    def matrix(value: Array, rows: int) -> dict[str, Any]:
-        flat = np.ravel(value)
-        return {"rows": rows, "cols": len(flat) // rows, "data": [float(x) for x in flat]}
-
-    return {
-        "image_width": c.size[0],
-        "image_height": c.size[1],
-        "camera_name": name,
-        "camera_matrix": matrix(c.K, 3),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": matrix(c.distortion, 1),
-        "rectification_matrix": matrix(np.eye(3), 3),
-        "projection_matrix": matrix(projection, 3),
-    }
+    """Return the fields of a ROS camera_info file; see `mjtactile.core.camera_file`."""
+    return camera_file.camera_info(c.size, c.K, c.lens, name)
 
 
 def lens_part(c: CameraCalibration, stamp: CalibrationMetadata) -> LensCalibration:
@@ -324,14 +285,15 @@ def lens_part(c: CameraCalibration, stamp: CalibrationMetadata) -> LensCalibrati
         float(c.K[1, 1]),
         float(c.K[0, 2]),
         float(c.K[1, 2]),
-        tuple(float(k) for k in c.distortion),
+        c.lens.coefficients,
+        distortion_model=c.lens.model,
         stamp=stamp,
     )
 
 
 def report(c: CameraCalibration) -> dict[str, Any]:
     """Return the residuals and the data that they are based on."""
-    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+    names = ("fx", "fy", "cx", "cy", *c.lens.definition.coefficients)
     return {
         "views": len(c.view_rms),
         "dropped": list(c.dropped),

@@ -16,20 +16,14 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from mjtactile.calibrate.camera import (
-    CORNERS_MIN,
-    BoardView,
-    CameraCalibration,
-    calibrate_camera,
-    fit_intrinsics,
-    pose_of,
-)
+from mjtactile.calibrate.camera import CORNERS_MIN, BoardView, CameraCalibration, calibrate_camera
+from mjtactile.calibrate.intrinsics import DEFAULT, Intrinsics, LensFit, fit_intrinsics
 from mjtactile.core.errors import InputError
+from mjtactile.core.lens import PLUMB_BOB
 from mjtactile.core.types import Array
 from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity
@@ -80,41 +74,44 @@ class CircleFinder:
         i, j = np.divmod(view.ids, 2 * _HALF)
         return self.pitch * np.stack([i - _HALF, j - _HALF, np.zeros(len(i))], axis=1).astype(float)
 
-    def centred(self, view: BoardView, K: Array, distortion: Array) -> BoardView:
+    def centred(self, view: BoardView, fit: Intrinsics) -> BoardView:
         """Return the view with projected circle centers instead of ellipse centers.
 
-        The camera parameters must be approximately correct.
+        The fitted camera must be approximately correct.
         """
         centres = self.corners(view)
-        rotation, shift = pose_of(centres, view.uv, K, distortion)
+        pose = fit.pose_of(centres, view.uv)
         t = 2 * np.pi * np.arange(_RIM) / _RIM
         rim = centres[:, None] + self.radius * np.stack(
             [np.cos(t), np.sin(t), np.zeros(_RIM)], axis=1
         )
-        seen = cv2.projectPoints(rim.reshape(-1, 3), rotation, shift, K, distortion)[0].reshape(
-            -1, _RIM, 2
-        )
-        middle = cv2.projectPoints(centres, rotation, shift, K, distortion)[0].reshape(-1, 2)
+        seen = fit.project(rim.reshape(-1, 3), *pose).reshape(-1, _RIM, 2)
+        middle = fit.project(centres, *pose)
         return replace(view, uv=view.uv - (_centroid(seen) - middle))
 
 
 def calibrate_from_circles(
-    finder: CircleFinder, views: Sequence[BoardView], size: tuple[int, int], *, k3: bool = False
+    finder: CircleFinder,
+    views: Sequence[BoardView],
+    size: tuple[int, int],
+    options: LensFit = DEFAULT,
 ) -> CameraCalibration:
     """Run `calibrate_camera` on ellipse centers.
 
-    The model includes k3 if the caller requests it. It also includes k3 if the fitted value clearly
-    differs from zero. In that case the holdout error must not increase.
+    A plumb_bob lens includes k3 if the caller requests it. It also includes k3 if the fitted value
+    clearly differs from zero. In that case the holdout error must not increase.
     """
     raw = list(views)
+    full = replace(options, k3=options.model == PLUMB_BOB)
     for _ in range(_ROUNDS if len(raw) >= 3 else 0):
-        _, K, distortion, *_ = fit_intrinsics(finder, views, size, k3=True)
-        views = [finder.centred(view, K, distortion) for view in raw]
-    with_k3 = calibrate_camera(finder, views, size, k3=True)
-    if k3:
+        points = [(finder.corners(view), view.uv) for view in views]
+        fit = fit_intrinsics(points, size, full)
+        views = [finder.centred(view, fit) for view in raw]
+    with_k3 = calibrate_camera(finder, views, size, full)
+    if full == options:
         return with_k3
-    without = calibrate_camera(finder, views, size, k3=False)
-    plain = abs(with_k3.distortion[4]) > _PLAIN * with_k3.sd[8]
+    without = calibrate_camera(finder, views, size, options)
+    plain = abs(with_k3.lens.coefficients[4]) > _PLAIN * with_k3.sd[8]
     if plain and with_k3.holdout_px <= without.holdout_px:
         return with_k3
     return without

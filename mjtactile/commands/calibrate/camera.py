@@ -38,7 +38,7 @@ examples:
   mjtactile detect-circles photo.png --camera left.yaml --radius-mm 1.5
 
 Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS
-camera_info (plumb_bob). Both with verdict, reasons, date, versions, rms_px (corners, all
+camera_info. Both with verdict, reasons, date, versions, rms_px (corners, all
 images), holdout_px (in held-out images), view_rms_px of each image, sd of each parameter,
 coverage (fraction of the view), tilt_deg of each image, dropped images. Refused (exit code 1):
 fewer than 8 usable images, rms above 0.5 px, holdout above 0.7 px, sd of the focal length
@@ -64,6 +64,12 @@ ARGUMENTS = (
         "automatically where it is significant",
     ),
     arg.option(
+        "--lens",
+        "MODEL",
+        "lens model: plumb_bob, rational_polynomial, or equidistant for a fisheye",
+        "plumb_bob",
+    ),
+    arg.option(
         "--print", "FILE.png", "write the board as an image and exit", dest="print_to", type=Path
     ),
 )
@@ -71,8 +77,10 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.camera import camera_info, lens_part, report
+    from mjtactile.calibrate.intrinsics import LensFit
     from mjtactile.calibrate.result_io import stamp, stamp_of, write, write_yaml
 
+    lens = LensFit(options.lens, options.k3)
     if options.print_to is not None:
         return _print_board(options, _board(options))
     finder, calibrate = _method(options)
@@ -92,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
             views, size = _live(options, finder)
         else:
             views, size = _recorded(options.source, finder)
-        fit = calibrate(finder, views, size, k3=options.k3)
+        fit = calibrate(finder, views, size, lens)
     reasons = fit.reasons if goal is None else _fits(fit, goal.design)
     verdict = stamp("camera", reasons)
     info = camera_info(fit, path.stem)
