@@ -4,13 +4,17 @@ by the simulator *and* by sensing. Its parts: `mjtactile.core.sensor_parts`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import optics, resources
 from mjtactile.core.config_fields import ML, MM, file_path, part, read, text
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
@@ -27,6 +31,9 @@ from mjtactile.core.sensor_parts import (
 )
 from mjtactile.core.toml import Section, read_toml
 
+_RIM = 2 * np.pi * np.arange(16) / 16  # points on a marker's edge
+_NAMED_MAX = 5  # markers listed in a message
+_FARTHER = 1.005  # step of the search for a distance that shows all markers
 _FEWEST_MARKERS = 9  # that an outline must leave
 _SPLINE_NUMBERS_MAX = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
@@ -114,6 +121,19 @@ class SensorDesign:
         volume = self.frame.area * self.chamber.depth + self.chamber.extra_volume
         return volume if self.fiducials is None else volume + self.fiducials.volume(self)
 
+    def markers_outside_image(self) -> NDArray[np.int64]:
+        """Return the numbers of the flat membrane's markers that are not completely in the image.
+
+        Returns:
+            Indices into the marker layout; empty: all are visible.
+        """
+        camera = self.camera
+        edge = self.markers.radius * np.column_stack([np.cos(_RIM), np.sin(_RIM), 0 * _RIM])
+        p_CP = self.markers.p_SM[:, None] + edge - camera.p_SC
+        uv = optics.project(optics.Camera.from_design(camera, self.glass), p_CP)
+        inside = (uv > -0.5) & (uv < (camera.width - 0.5, camera.height - 0.5))
+        return np.flatnonzero(~inside.all(axis=(1, 2)))
+
     def validate(self, section: Section) -> None:
         """Check that the fields are physically consistent.
 
@@ -122,11 +142,12 @@ class SensorDesign:
 
         Raises:
             InputError: Markers overlap or leave the frame, the camera distance is smaller than the
-                chamber's depth, markers are brighter than the membrane, or fiducials are not
-                visible.
+                chamber's depth, markers are outside the image or brighter than the membrane, or
+                fiducials are not visible.
         """
         _check_markers(self, section)
         _check_depth(self, section)
+        _check_view(self, section)
         if self.leds.marker_dn >= self.leds.membrane_dn:
             raise section.fail("leds.marker_DN", "markers must be darker than the membrane")
         if self.fiducials is not None:
@@ -213,3 +234,39 @@ def _check_depth(design: SensorDesign, section: Section) -> None:
             f"{chamber.extra_volume / ML:g} leaves no gas in the chamber of {volume / ML:.3g} mL"
         )
         raise section.fail("chamber.extra_volume_mL", message)
+
+
+def _check_view(design: SensorDesign, section: Section) -> None:
+    """Check that the camera's image contains every marker of the flat membrane."""
+    outside = design.markers_outside_image()
+    if not len(outside):
+        return
+    camera = design.camera
+    places = ", ".join(
+        f"[{x / MM:.3g}, {y / MM:.3g}]"
+        for x, y, _ in design.markers.p_SM[outside[:_NAMED_MAX]].tolist()
+    )
+    more = ", ..." if len(outside) > _NAMED_MAX else ""
+    message = (
+        f"{camera.distance / MM:g} leaves {len(outside)} of {design.markers.count} markers outside "
+        f"the image of {camera.width} x {camera.height} pixels (at {places}{more} mm): "
+    )
+    distance = _distance_in_view(design)
+    if distance is None:
+        remedy = "no larger distance shows all: check fx_px, fy_px, cx_px, cy_px and distortion"
+    else:
+        enough = math.ceil(10 * distance / MM) / 10
+        remedy = f"all are inside from {enough:.1f} mm on, or with a shorter focal length"
+    raise section.fail("camera.distance_mm", message + remedy)
+
+
+def _distance_in_view(design: SensorDesign) -> float | None:
+    """Return a distance of the camera, m, at which all markers are in the image; None: none is."""
+    distance = design.camera.distance
+    limit = 10 * distance
+    while distance < limit:
+        distance *= _FARTHER
+        farther = replace(design, camera=replace(design.camera, distance=distance))
+        if not len(farther.markers_outside_image()):
+            return distance
+    return None

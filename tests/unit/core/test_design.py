@@ -150,3 +150,40 @@ def test_more_markers_than_sensing_has_memory_for_are_refused():
         replace(load_sensor("dense"), markers=markers).require_markers_that_fit()
     assert "\n" not in str(caught.value)
     load_sensor("dense").require_markers_that_fit()
+
+
+def near_camera(distance_mm, **camera):
+    """The table of `dense` with a thin chamber and its camera at another distance."""
+    table = tomllib.loads(DENSE.read_text())
+    table["chamber"]["depth_mm"] = 8.0
+    table["glass"]["distance_mm"] = 5.0
+    table["camera"] |= {"distance_mm": distance_mm, "distortion": [0.0] * 5} | camera
+    return table
+
+
+def test_markers_outside_the_image_are_named_with_the_distance_that_shows_all():
+    """The edge of a marker at y = 13 mm reaches v = 240 px at 13 * 600 / 240 = 32.5 mm; the glass
+    brings it nearer by 0.7 mm. At 28 mm all but the inner 7 x 7 markers are cut."""
+    with pytest.raises(InputError) as caught:
+        sensor_from_table(near_camera(28.0), name="near", source="near.toml")
+    message = str(caught.value)
+    for words in ("near.toml", "camera.distance_mm", "32 of 81 markers", "640 x 480", "[-16, -12]"):
+        assert words in message
+    distance = float(re.search(r"inside from (\S+) mm", message).group(1))
+    assert distance == pytest.approx(33.3, abs=0.3)
+    design = sensor_from_table(near_camera(distance), name="far", source="far.toml")
+    assert not len(design.markers_outside_image())
+
+
+def test_a_fisheye_sees_more_at_the_same_distance():
+    """At 17.1 mm behind the glass the edge at x = 17 mm is 45 degrees off the axis: 600 tan = 600 px,
+    395 atan = 309 px."""
+    fisheye = {"distortion_model": "equidistant", "distortion": [0.0] * 4, "fx_px": 395.0}
+    sensor_from_table(near_camera(17.8, fy_px=355.0, **fisheye), name="x", source="x.toml")
+    with pytest.raises(InputError, match="outside the image"):
+        sensor_from_table(near_camera(17.8), name="x", source="x.toml")
+
+
+def test_no_distance_helps_a_camera_that_looks_elsewhere():
+    with pytest.raises(InputError, match="no larger distance shows all: check fx_px"):
+        sensor_from_table(near_camera(40.0, cx_px=2000.0), name="x", source="x.toml")
