@@ -59,6 +59,9 @@ class ServoFault(DeviceError):
         self.servo = servo
 
 
+_TRIPPED = "bus watchdog (the host was silent for too long)"
+
+
 @dataclass
 class Servo:
     """One servo as last heard of, and the transactions with it alone."""
@@ -78,6 +81,7 @@ class Servo:
     current_limit_units: int = 1
     watchdog_units: int = 0
     faults: list[str] = field(default_factory=list)
+    _cleared: str = field(default="", init=False)
 
     @property
     def where(self) -> str:
@@ -228,17 +232,18 @@ class Servo:
         """Check the watchdog, which the state block does not contain.
 
         It may have tripped, or an unnoticed restart may have reset it to 0. A tripped watchdog is
-        cleared. Until then the servo accepts no goal, and the gripper could not retreat. Raises
-        BusError.
+        cleared. Until then the servo accepts no goal, and the gripper could not retreat. The fault
+        is then raised once, so that later states verify the retreat. Raises BusError.
         """
         register = self.model.table["Bus Watchdog"]
         reply = self.bus.read(self.id, register.address, register.size)
         if reply.alert:
             self.note_alert()
         elif reply.value(0, 1) == WATCHDOG_TRIPPED:
-            self._note_fault("bus watchdog (the host was silent for too long)")
+            self._note_fault(_TRIPPED)
             for value in (0, self.watchdog_units):
                 self.bus.write(self.id, register.address, register.size, value)
+            self._cleared = _TRIPPED
         elif reply.value(0, 1) != self.watchdog_units:
             self._note_fault("restart (its watchdog is off: did its voltage drop?)")
 
@@ -250,7 +255,10 @@ class Servo:
         """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a
         row."""
         if self.faults:
-            raise ServoFault(f"{self.where} reports {' and '.join(self.faults)}", self.id)
+            text = f"{self.where} reports {' and '.join(self.faults)}"
+            self.faults = [fault for fault in self.faults if fault != self._cleared]
+            self._cleared = ""
+            raise ServoFault(text, self.id)
         if self.failures >= failures_max:
             raise DeviceError(f"{self.where}: {self.last_failure} {self.failures} times in a row")
 
