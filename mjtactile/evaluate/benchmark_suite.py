@@ -1,8 +1,7 @@
 """`Suite`: fixed tasks, seeds and scoring, with the results of shipped controllers.
 
-It serves `mjtactile evaluate --suite v1`. A suite is a file, `models/suites/NAME.json`, written
-by `mjtactile bench tasks`. It stores the SHA-256 of the files behind its results, and the scoring
-version. No comparison is made if one of them differs.
+`mjtactile bench tasks` writes `models/suites/NAME.json`. It stores the SHA-256 of the files behind
+its results, and the scoring version. No comparison is made if one of them differs.
 """
 
 from __future__ import annotations
@@ -19,21 +18,13 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import store
 from mjtactile.evaluate.pool import HERE, Running
-from mjtactile.evaluate.run import evaluate
+from mjtactile.evaluate.run import common_settings, evaluate
 from mjtactile.evaluate.statistics import paired, summarise
 from mjtactile.evaluate.wilson import Line, wilson
 from mjtactile.runtime.task_scoring import VERSION
 
 FOLDER = "models/suites"
-_LETTERS = {
-    "held": "h",
-    "dropped": "d",
-    "crushed": "c",
-    "unsafe": "u",
-    "hung": "w",
-    "raised": "r",
-    "error": "e",
-}
+_LETTERS = dict(held="h", dropped="d", crushed="c", unsafe="u", hung="w", raised="r", error="e")
 _NONE = "."
 _ROUND = 5  # episodes of a task before the next one's turn
 _MEASURES = ("margin", "slip_mm", "impact_N_s", "release_delay_s")
@@ -45,7 +36,7 @@ class Suite:
 
     Attributes:
         name: Name of the file.
-        judge: Version of the scoring (`mjtactile.runtime.task_scoring`).
+        scoring_version: Version of the scoring (`mjtactile.runtime.task_scoring`).
         tasks: Names of tasks.
         objects: Objects, grasped in turn.
         seed: Seed of the first episode. Do not tune on these seeds; use `develop` instead.
@@ -57,7 +48,7 @@ class Suite:
     """
 
     name: str
-    judge: str
+    scoring_version: str
     tasks: Sequence[str]
     objects: Sequence[str]
     seed: int
@@ -69,19 +60,14 @@ class Suite:
 
     def scenario(self, task: str) -> Scenario:
         """Return the common scenario of all episodes of a task."""
-        return Scenario(
-            task=task, effects=self.effects, randomization=self.randomization, seed=self.seed
-        )
+        shared = {name: getattr(self, name) for name in ("effects", "randomization", "seed")}
+        return Scenario(task=task, **shared)
 
     def lines(self, task: str, controller: str) -> list[Line]:
         """Return the results of a shipped controller: episodes and outcomes."""
         words = {letter: word for word, letter in _LETTERS.items()}
-        outcomes = self.results[task][controller]["outcomes"]
-        return [
-            {"episode": k, "outcome": words[letter]}
-            for k, letter in enumerate(outcomes)
-            if letter != _NONE
-        ]
+        letters = enumerate(self.results[task][controller]["outcomes"])
+        return [{"episode": k, "outcome": words[char]} for k, char in letters if char != _NONE]
 
     def with_results(self, *folders: Path) -> Suite:
         """Return this suite with the results in `folders`, one subfolder per task."""
@@ -129,17 +115,14 @@ def load_suite(name_or_path: str | Path) -> Suite:
         suite = Suite(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"is not a suite of tasks: {error}", source=path) from error
-    if suite.judge != VERSION:
-        raise InputError(
-            f"was scored by version {suite.judge}, but this is version {VERSION}", source=path
-        )
+    if suite.scoring_version != VERSION:
+        what = f"was scored by version {suite.scoring_version}, but this is version {VERSION}"
+        raise InputError(what, source=path)
     now = _hashes(suite.tasks, suite.randomization)
-    changed = [name for name, known in suite.files.items() if now.get(name) != known]
+    changed = ", ".join(name for name, known in suite.files.items() if now.get(name) != known)
     if changed:
-        raise InputError(
-            f"its results belong to other versions of these files: {', '.join(changed)}",
-            source=path,
-        )
+        what = f"its results belong to other versions of these files: {changed}"
+        raise InputError(what, source=path)
     return suite
 
 
@@ -176,17 +159,13 @@ def run_round(
 ) -> None:
     """Run the missing episodes among the first `count` of each task; see `run_suite`."""
     for task in suite.tasks:
-        known = folder / task / store.MANIFEST
-        there = store.read_manifest(folder / task)["options"]["count"] if known.exists() else 0
-        running.say(f"{task}: {max(count, there)} episodes")
-        evaluate(
-            folder / task,
-            suite.scenario(task),
-            count=max(count, there),
-            controllers=controllers,
-            objects=suite.objects,
-            running=running,
-        )
+        own = folder / task
+        stored = 0
+        if (own / store.MANIFEST).exists():
+            stored = store.read_manifest(own)["options"]["count"]
+        settings = {"controllers": controllers, "objects": suite.objects, "running": running}
+        running.say(f"{task}: {max(count, stored)} episodes")
+        evaluate(own, suite.scenario(task), count=max(count, stored), **settings)
 
 
 def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
@@ -195,28 +174,18 @@ def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
     Raises InputError where they are of another scenario, or of other files, than the suite's.
     """
     own = folder / task
-    if not (own / store.MANIFEST).exists():
+    path = own / store.MANIFEST
+    if not path.exists():
         return []
     known = store.read_manifest(own)
     options = known["options"]
-    wanted = {
-        key: value
-        for key, value in suite.scenario(task).to_dict().items()
-        if key not in ("object", "controller")
-    }
-    if options["scenario"] != wanted or options["objects"] != list(suite.objects):
-        raise InputError(
-            f"does not belong to task {task} of suite {suite.name}", source=own / store.MANIFEST
-        )
-    changed = [
-        name
-        for name, expected_hash in suite.files.items()
-        if known["files"].get(name, expected_hash) != expected_hash
-    ]
+    expected = common_settings(suite.scenario(task))
+    if options["scenario"] != expected or options["objects"] != list(suite.objects):
+        raise InputError(f"does not belong to task {task} of suite {suite.name}", source=path)
+    files = suite.files.items()
+    changed = ", ".join(name for name, own in files if known["files"].get(name, own) != own)
     if changed:
-        raise InputError(
-            f"was run with a different {', '.join(changed)}", source=own / store.MANIFEST
-        )
+        raise InputError(f"was run with a different {changed}", source=path)
     return store.read_lines(own)
 
 
@@ -252,7 +221,8 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
         for name in suite.results.get(task, {}):
             known.setdefault(name, []).extend(_numbered(suite, place, suite.lines(task, name)))
     together = {name: _compared(name, lines, known) for name, lines in numbered.items()}
-    return {"suite": suite.name, "judge": suite.judge, "tasks": tasks, "together": together}
+    head = {"suite": suite.name, "scoring_version": suite.scoring_version}
+    return {**head, "tasks": tasks, "together": together}
 
 
 def _numbered(suite: Suite, place: int, lines: Sequence[Line]) -> list[Line]:
@@ -277,10 +247,10 @@ def _compared(
 def table(suite: Suite, result: Mapping[str, Any]) -> str:
     """A comparison as Markdown."""
     others = list(dict.fromkeys(name for own in suite.results.values() for name in own))
+    against = " | ".join(f"against `{name}`" for name in others)
     lines = [
         f"| {suite.name} | controller | held undamaged | grip force / minimum holding force | "
-        + " | ".join(f"against `{name}`" for name in others)
-        + " |",
+        f"{against} |",
         "|---" * (4 + len(others)) + "|",
     ]
     rows = dict(result["tasks"])
@@ -312,34 +282,26 @@ def share(held: int, of: int) -> str:
 
 
 def _difference(pair: Mapping[str, Any] | None) -> str:
-    """In points, with its interval, over the episodes that both came to the end of."""
+    """In points, with its interval, over the episodes that both completed."""
     if pair is None or not pair["episodes"]:
         return ""
-    low, high = pair["difference_interval"]
-    return (
-        f"{100 * pair['difference']:+.0f} ({100 * low:+.0f} to {100 * high:+.0f}) "
-        f"of {pair['episodes']}"
-    )
+    low, high = (100 * limit for limit in pair["difference_interval"])
+    return f"{100 * pair['difference']:+.0f} ({low:+.0f} to {high:+.0f}) of {pair['episodes']}"
 
 
 def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the stored results of one task."""
     summary = summarise(list(lines))["controllers"]
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for controller, group in summary.items():
-        own = {
-            line["episode"]: line["outcome"] for line in lines if line["controller"] == controller
-        }
-        letters = [_LETTERS[own[k]] if k in own else _NONE for k in range(max(own) + 1)]
-        medians = {name: group[name]["median"] for name in _MEASURES if name in group}
-        found[controller] = {
-            "outcomes": "".join(letters),
-            **{
-                name: float(f"{value:.3g}")
-                for name, value in medians.items()
-                if value is not None and math.isfinite(value)
-            },
-        }
+        mine = [line for line in lines if line["controller"] == controller]
+        own = {line["episode"]: _LETTERS[line["outcome"]] for line in mine}
+        letters = "".join(own.get(k, _NONE) for k in range(max(own) + 1))
+        found[controller] = {"outcomes": letters}
+        for name in _MEASURES:
+            median = group.get(name, {}).get("median")
+            if median is not None and math.isfinite(median):
+                found[controller][name] = float(f"{median:.3g}")
     return found
 
 

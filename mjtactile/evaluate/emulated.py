@@ -1,7 +1,4 @@
-"""Episodes on emulated rigs with the real drivers.
-
-They are scored with the emulated world's ground truth, which is not available to the drivers.
-"""
+"""Episodes on emulated rigs with the real drivers, scored with the world's ground truth."""
 
 from __future__ import annotations
 
@@ -63,11 +60,11 @@ def check(scenario: Scenario) -> bool:
 
 
 class TrueOutcome(Observer):
-    """Asks the emulated world once a cycle, from lifting on."""
+    """Ground truth of the emulated world, read once a cycle from lifting on."""
 
     def __init__(self, break_force: float):
         self._break_force = break_force
-        self._ask: Any = None
+        self._truth: Any = None
         self._start = 0.0
         self._last: Mapping[str, Any] = {}
         self._came_along = True
@@ -77,23 +74,23 @@ class TrueOutcome(Observer):
 
     def begin(self, session: Any) -> None:
         """Store the start height of the object."""
-        self._ask = session.rig.truth
-        self._start = float(self._ask()["object_height"])
+        self._truth = session.rig.truth
+        self._start = float(self._truth()["object_height"])
 
     def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:
         """Evaluate the ground truth of one cycle."""
         if cycle.sent.phase == "approach":
             return
-        self._last = self._ask()
+        self._last = self._truth()
         self._done = cycle.sent.phase == "done"
-        presses = [float(self._last["contact_1"]), float(self._last["contact_2"])]
-        self._peak = max(self._peak, *presses)
+        forces = [float(self._last["contact_1"]), float(self._last["contact_2"])]
+        self._peak = max(self._peak, *forces)
         if cycle.sent.phase == "hold":
-            self._held.append(sum(presses) / len(presses))
+            self._held.append(sum(forces) / len(forces))
             risen = float(self._last["object_height"]) - self._start
             self._came_along &= risen > _COMES_ALONG * float(self._last["lift_height"])
 
-    def judged(self, summary: Mapping[str, Any]) -> dict[str, Any]:
+    def score(self, summary: Mapping[str, Any]) -> dict[str, Any]:
         """Replace the controller's outcome in a run's summary by ground truth.
 
         Args:
@@ -113,8 +110,8 @@ class TrueOutcome(Observer):
             outcome = "crushed"
         hold = sum(self._held) / len(self._held) if self._held else None
         true = {"peak_force_true_N": self._peak, "hold_force_true_N": hold}
-        said = {"reason": ""} if outcome == "held" else {}
-        return dict(summary) | true | said | {"outcome": outcome}
+        reason = {"reason": ""} if outcome == "held" else {}
+        return dict(summary) | true | reason | {"outcome": outcome}
 
 
 def files(scenario: Scenario) -> list[Path]:

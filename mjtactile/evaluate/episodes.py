@@ -1,7 +1,6 @@
 """Episode: one grasp of one object with one seed by one controller, and its result line.
 
-A line does not depend on time, machine or parallel runs. Any number of workers gives the same
-lines.
+A line does not depend on time, machine or number of workers.
 """
 
 from __future__ import annotations
@@ -38,40 +37,25 @@ from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_object, seed_of
 
 STOPPED = ("unsafe", "hung", "raised")
-"""Controller failures that end a run early. "unsafe": the supervisor brought the gripper to its
-safe state. "hung": a step did not return, or the run exceeded its time. "raised": a step raised an
-exception."""
+"""Controller failures that end a run early: the supervisor stopped it, a step hung or raised."""
 OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
-"""Outcomes of an episode. An error is not the controller's fault (the simulation failed, an object
-does not fit) and not a failure."""
+"""Outcomes of an episode. An error (of the simulation, an object) is no failure of a controller."""
 RANDOM = "random"
 """Placeholder for an object: a different random one in each episode."""
-JUDGED = (
-    "margin_true",
-    "margin_above_2_true",
-    "margin_ready_true",
-    "impact_N_s_true",
-    "tilt_deg_true",
-    "release_delay_s_true",
+TASK_MEASURES = (
+    *("margin_true", "margin_above_2_true", "margin_ready_true"),
+    *("impact_N_s_true", "tilt_deg_true", "release_delay_s_true"),
 )
 """Ground-truth measures of a task; null if the task does not have the measure."""
 _KEPT = (
-    "outcome",
-    "peak_force_N",
-    "peak_force_true_N",
-    "hold_force_N",
-    "hold_force_true_N",
-    "slip_mm_true",
-    *JUDGED,
-    "frames",
-    "reason",
+    *("outcome", "peak_force_N", "peak_force_true_N", "hold_force_N", "hold_force_true_N"),
+    *("slip_mm_true", *TASK_MEASURES, "frames", "reason"),
 )
 
 
 @dataclass(frozen=True)
 class Episode:
-    """Episode `index` of an evaluation. The same index has the same object and seed for every
-    controller."""
+    """Episode `index` of an evaluation, with one object and seed for every controller."""
 
     index: int
     scenario: Scenario
@@ -156,17 +140,17 @@ def run_episode(
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:
             recorder.discard()  # it failed before it began
-    # A world occupies megabytes in a few hundred objects with cyclic references. Python would keep
-    # dozens of them without a collection. The remaining objects, mainly modules, stay; scanning
-    # them takes longer than scanning a world.
+    # A world occupies megabytes in a few hundred objects with cyclic references; Python would keep
+    # dozens of them. Scanning the other objects, mainly modules, takes longer: they are frozen.
     gc.collect()
-    _set_aside()
+    _freeze_remaining()
+    kept = [key for key in _KEPT if key not in TASK_MEASURES or key in summary]
     line: dict[str, Any] = {
         "episode": episode.index,
         "controller": episode.controller,
         "object": Path(scenario.object).stem.partition(":")[0],
         "seed": scenario.seed,
-        **{key: _json(summary.get(key)) for key in _KEPT if key not in JUDGED or key in summary},
+        **{key: _json(summary.get(key)) for key in kept},
         "time_s": facts.time,
         "phases": " > ".join(facts.phases),
     }
@@ -180,21 +164,21 @@ def run_episode(
 
 
 @cache
-def _set_aside() -> None:
-    """Once a process; to ask whether it was done takes as long as a collection."""
+def _freeze_remaining() -> None:
+    """Freeze once a process; `gc.get_freeze_count` takes as long as a collection."""
     gc.freeze()
 
 
 def _sampled_values(scenario: Scenario) -> dict[str, Any]:
-    """Return the values sampled by the seed: of a random object, and of the variation."""
+    """Return the values sampled by the seed: of a random object, the task, the randomization."""
     seed = seed_of(scenario.object)
-    thing = {} if seed is None else random_object(seed).values
+    values = {} if seed is None else dict(random_object(seed).values)
     if emulated.check(scenario):
-        return dict(thing)
+        return values
     file = load_sim_rig(scenario.rig)
-    task = load_task(scenario.task).draw(scenario.seed, len(file.fingers))
-    thing = thing | dict(task.values)
-    return thing | dict(draw(scenario.randomization, scenario.seed, scenario.design(), file).values)
+    values |= dict(load_task(scenario.task).draw(scenario.seed, len(file.fingers)).values)
+    sample = draw(scenario.randomization, scenario.seed, scenario.design(), file)
+    return values | dict(sample.values)
 
 
 def _run(
@@ -206,13 +190,13 @@ def _run(
             return run_grasp(scenario, observers, controller=controller, workers=0).summary()
         true = emulated.TrueOutcome(load_object(scenario.object).break_force)
         result = run_grasp(scenario, [true, *observers], controller=controller)
-        return true.judged(result.summary())
+        return true.score(result.summary())
     except Interrupted:
         raise
     except MjtactileError as error:
         return {"outcome": getattr(error, "kind", "error"), "reason": " ".join(str(error).split())}
     except Exception as error:  # noqa: BLE001
-        # a mistake of ours in one episode shall not end the others
+        # an internal error in one episode does not end the others
         last = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         where = f"{Path(last.filename).name}, line {last.lineno}"
@@ -236,7 +220,7 @@ class _Facts(Observer):
     sees = False
 
     def __init__(self) -> None:
-        self._begin = math.nan
+        self._start = math.nan
         self.break_force: float | None = None
         self.flags: Flags = {}
         self.phases: list[str] = []
@@ -254,16 +238,14 @@ class _Facts(Observer):
         self.flags = facts.get("flags", self.flags)
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        self._begin = cycle.time if math.isnan(self._begin) else self._begin
-        self.time = cycle.time - self._begin
-        pressed = max(truth.get("force_normal_true", [0.0]))
-        self.is_crushed |= self.break_force is not None and pressed > self.break_force
+        self._start = cycle.time if math.isnan(self._start) else self._start
+        self.time = cycle.time - self._start
+        force = max(truth.get("force_normal_true", [0.0]))
+        self.is_crushed |= self.break_force is not None and force > self.break_force
         if self.phases[-1:] != [cycle.sent.phase]:
             self.phases.append(cycle.sent.phase)
 
 
 def _json(value: Any) -> Any:
     """Return `value`, or None (null) if it is not finite."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -18,35 +18,24 @@ MEASURES = ("slip_mm", "force_error_N", "peak_to_break_ratio")
 
 
 def measures(line: Line) -> dict[str, float | None]:
-    """Return `MEASURES` of one episode.
-
-    They are true slip, force error during the hold, and true peak force over the breaking force.
-    """
-
-    def of(*keys: str) -> list[Any] | None:
-        values = [line.get(key) for key in keys]
-        return None if any(value is None for value in values) else values
-
-    force = of("hold_force_N", "hold_force_true_N")
-    peak = of("peak_force_true_N", "break_force_N")
+    """Return slip, force error in the hold, and peak over breaking force; None if unknown."""
+    force, force_true = line.get("hold_force_N"), line.get("hold_force_true_N")
+    peak, limit = line.get("peak_force_true_N"), line.get("break_force_N")
     return {
         "slip_mm": line.get("slip_mm_true"),
-        "force_error_N": None if force is None else force[0] - force[1],
-        "peak_to_break_ratio": None if peak is None else peak[0] / peak[1],
+        "force_error_N": None if force is None or force_true is None else force - force_true,
+        "peak_to_break_ratio": None if peak is None or limit is None else peak / limit,
     }
 
 
 def flat(line: Line) -> dict[str, float | str]:
-    """Return the randomized values of one episode, one number or word per name.
-
-    Components of vectors are separate entries. Lists are replaced by their length.
-    """
+    """Return the randomized values of one episode: numbers, words, vector components, counts."""
     values: dict[str, float | str] = {}
     for name, value in line.get("randomized", {}).items():
         if name.endswith("missing_markers"):
             values[name] = float(len(value))
         elif isinstance(value, list):
-            values |= {f"{name}.{'xyz'[k]}": float(one) for k, one in enumerate(value)}
+            values |= {f"{name}.{axis}": float(v) for axis, v in zip("xyz", value, strict=False)}
         else:
             values[name] = value
     return values
@@ -114,11 +103,10 @@ def _one(
 
 
 def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
-    """Return the p-value of the difference between failures and successes, and its kind.
+    """Return the p-value of the difference between failures and successes.
 
-    The test is made on the value and on its distance from the median. The distance shows failures
-    at both ends. The p-value is twice the smaller of the two. The second result is True for the
-    distance.
+    It is twice the smaller of two: of the value, and of its distance from the median, which shows
+    failures at both ends. The second result is True for the distance.
     """
     far = np.abs(numbers - np.median(numbers))
     plain = float(stats.mannwhitneyu(numbers[held], numbers[~held]).pvalue)
@@ -145,7 +133,11 @@ def _bins(
     """Each value by itself where they are few, else as many of the `pool` in each bin."""
     kinds = sorted(set(pool), key=str if words else float)  # type: ignore[arg-type]
     if words or len(kinds) <= _CATEGORIES:
-        return [_bin_of(kind, values, held) for kind in kinds if kind in values]
+        return [
+            {"value": kind} | _success(held[[value == kind for value in values]])
+            for kind in kinds
+            if kind in values
+        ]
     numbers = np.array(values, float)
     edges = np.unique(np.quantile(np.array(pool, float), np.linspace(0, 1, _BINS + 1)))
     number = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, len(edges) - 2)
@@ -153,21 +145,12 @@ def _bins(
     for k in range(len(edges) - 1):
         if (number == k).any():
             ends = {"from": float(f"{edges[k]:.4g}"), "to": float(f"{edges[k + 1]:.4g}")}
-            found.append(ends | _share(held[number == k]))
+            found.append(ends | _success(held[number == k]))
     return found
 
 
-def _bin_of(kind: float | str, values: Sequence[float | str], held: np.ndarray) -> dict[str, Any]:
-    """Return the success of the episodes with one sampled value."""
-    return {"value": kind} | _share(held[[value == kind for value in values]])
-
-
-def _share(held: np.ndarray) -> dict[str, Any]:
+def _success(held: np.ndarray) -> dict[str, Any]:
     count = int(held.sum())
-    of = len(held)
-    return {
-        "episodes": of,
-        "held": count,
-        "success": count / of,
-        "success_interval": list(wilson(count, of)),
-    }
+    total = len(held)
+    interval = list(wilson(count, total))
+    return dict(episodes=total, held=count, success=count / total, success_interval=interval)

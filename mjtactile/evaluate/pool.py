@@ -1,5 +1,4 @@
-"""Execution of the episodes: processes of this machine or the user's cluster, both by joblib
-(decision 18)."""
+"""Execution of the episodes by joblib: processes of this machine or a cluster (decision 18)."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ RunOne = Callable[[Episode], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Pool:
-    """`workers` processes here, or all that the dask cluster of `scheduler` ("tcp://host:8786")
-    has."""
+    """`workers` processes here, or all of the dask cluster of `scheduler` ("tcp://host:8786")."""
 
     backend: str = PROCESSES
     workers: int = 1
@@ -34,17 +32,15 @@ class Pool:
 
     @contextlib.contextmanager
     def open(self, maximum: int) -> Iterator[dict[str, Any]]:
-        """Yield joblib's arguments for at most `maximum` jobs. Raises InputError if the cluster is
-        not available."""
+        """Yield joblib's arguments for at most `maximum` jobs. Raises InputError."""
         if self.backend == DASK:
             with _dask(self.scheduler) as jobs:
                 yield {"n_jobs": max(1, min(jobs, maximum)), "pre_dispatch": "2*n_jobs"}
         elif self.backend == PROCESSES and not self.scheduler:
             yield {"n_jobs": max(1, min(self.workers, maximum)), "pre_dispatch": "n_jobs"}
         elif self.backend == PROCESSES:
-            raise InputError(
-                "applies to a cluster only", field="--scheduler", choices=[f"--backend {DASK}"]
-            )
+            choices = [f"--backend {DASK}"]
+            raise InputError("applies to a cluster only", field="--scheduler", choices=choices)
         else:
             raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
 
@@ -80,17 +76,14 @@ def _dask(scheduler: str) -> Iterator[int]:
     from joblib import parallel_config
 
     if not scheduler:
-        raise InputError(
-            "the address of the cluster is missing",
-            field="--backend",
-            choices=[f"--backend {DASK} --scheduler tcp://HOST:8786"],
-        )
+        choices = [f"--backend {DASK} --scheduler tcp://HOST:8786"]
+        what = "the address of the cluster is missing"
+        raise InputError(what, field="--backend", choices=choices)
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError(
-            f"needs pip install 'mjtactile[cluster]' ({error})", field="--backend"
-        ) from error
+        what = f"needs pip install 'mjtactile[cluster]' ({error})"
+        raise InputError(what, field="--backend") from error
     try:
         client = Client(scheduler, timeout=_CONNECT_TIME, set_as_default=True)
     except (OSError, ValueError, TypeError) as error:
@@ -113,23 +106,18 @@ def _line(episode: Episode, run: RunOne) -> dict[str, Any] | None:
 
 def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
     why = f" ({line['reason']})" if line["outcome"] == "error" and line["reason"] else ""
+    seconds = (of - done) / rate
+    left = f"{seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
     return (
         f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: "
-        f"{line['outcome']}{why}; {3600 * rate:.0f} per hour, {_left((of - done) / rate)} left"
+        f"{line['outcome']}{why}; {3600 * rate:.0f} per hour, {left} left"
     )
-
-
-def _left(seconds: float) -> str:
-    """Format a remaining time roughly."""
-    return f"{seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
 
 
 def run_all(
     missing: Sequence[Episode], kept: Store, pool: Pool, say: Say, run: RunOne = run_episode
 ) -> None:
-    """Run the `missing` episodes and store each line when its episode ends.
-
-    `run` computes the line, in another process.
+    """Run the `missing` episodes and store each line, which `run` computes in another process.
 
     Raises InputError if the cluster is not reachable. Raises DeviceError if a worker was killed or
     stopped, or if the disk is full. Completed lines are kept.

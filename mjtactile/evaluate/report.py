@@ -38,8 +38,7 @@ def page(
     worst: Sequence[Line],
     pictures: Mapping[str, Path | None],
 ) -> str:
-    """Return the page. It shows the `worst` episodes with their `pictures`, by controller and
-    episode number."""
+    """Return the page, with the `worst` episodes and their `pictures` by episode name."""
     summary = summarise(lines)
     parts = [
         _head(manifest, summary),
@@ -51,9 +50,8 @@ def page(
         _varied(summary),
         _worst(worst, pictures),
     ]
-    return document(
-        f"Evaluation: {_words(manifest['options']['controllers'])}", parts, style=_STYLE
-    )
+    title = f"Evaluation: {_words(manifest['options']['controllers'])}"
+    return document(title, parts, style=_STYLE)
 
 
 def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
@@ -61,17 +59,14 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     controllers = escape(_words(options["controllers"]))
     values = {key: value for key, value in options.items() if key != "scenario"}
     values |= options["scenario"]
-    said = ", ".join(
-        f"{key} {_words(value)}" for key, value in values.items() if value not in ("", None, {})
-    )
+    values = {key: value for key, value in values.items() if value not in ("", None, {})}
+    settings = ", ".join(f"{key} {_words(value)}" for key, value in values.items())
     versions = ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())
+    notes = fidelity_notes(summary).items()
     return (
         f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
-        f"<p>{escape(said)}<br>{escape(versions)}</p>"
-        + "".join(
-            f"<p>{name.capitalize()}: {escape(text)}.</p>"
-            for name, text in fidelity_notes(summary).items()
-        )
+        f"<p>{escape(settings)}<br>{escape(versions)}</p>"
+        + "".join(f"<p>{name.capitalize()}: {escape(text)}.</p>" for name, text in notes)
     )
 
 
@@ -84,54 +79,36 @@ def _success(summary: Mapping[str, Any]) -> str:
     for s, (name, mine) in enumerate(summary["controllers"].items()):
         for label, group in (("all", mine), *mine["objects"].items()):
             low, high = group["success_interval"]
-            ended = group["episodes"] > group["error"]
-            share = group["success"] if ended else 0.0
-            colour = svg.COLOURS[s % len(svg.COLOURS)]
+            is_rated = group["episodes"] > group["error"]
+            rate = group["success"] if is_rated else 0.0
             rows.append(
-                [
-                    escape(name),
-                    escape(label),
-                    group["episodes"],
-                    f"{100 * share:.1f} %" if ended else "-",
-                    f"{100 * low:.1f}-{100 * high:.1f} %",
-                    svg.interval_bar(low, share, high, colour),
-                    group["dropped"],
-                    group["crushed"],
-                    stopped_text(group),
-                    group["error"],
-                ]
+                {
+                    "controller": escape(name),
+                    "object": escape(label),
+                    "episodes": group["episodes"],
+                    "held": f"{100 * rate:.1f} %" if is_rated else "-",
+                    "95 % (Wilson)": f"{100 * low:.1f}-{100 * high:.1f} %",
+                    "": svg.interval_bar(low, rate, high, svg.colour(s)),
+                    "dropped": group["dropped"],
+                    "crushed": group["crushed"],
+                    "stopped": stopped_text(group),
+                    "errors": group["error"],
+                }
             )
-    head = [
-        "controller",
-        "object",
-        "episodes",
-        "held",
-        "95 % (Wilson)",
-        "",
-        "dropped",
-        "crushed",
-        "stopped",
-        "errors",
-    ]
+    head = list(rows[0]) if rows else []
     return (
-        "<h2>Success</h2>"
-        + table(head, rows)
-        + (
-            "<p>Stopped: the supervisor moved the gripper to its safe state, or the controller "
-            "hung or raised. Errors are not the controller's fault, and are not in the success "
-            "rates.</p>"
-        )
+        f"<h2>Success</h2>{table(head, [list(row.values()) for row in rows])}"
+        "<p>Stopped: the supervisor moved the gripper to its safe state, or the controller "
+        "hung or raised. Errors are not the controller's fault, and are not in the success "
+        "rates.</p>"
     )
 
 
 def _pairs(summary: Mapping[str, Any]) -> str:
     if not summary["paired"]:
         return ""
-    return (
-        "<h2>Comparison on the same episodes</h2><ul>"
-        + "".join(f"<li>{escape(pair_text(pair))}</li>" for pair in summary["paired"])
-        + "</ul>"
-    )
+    items = "".join(f"<li>{escape(pair_text(pair))}</li>" for pair in summary["paired"])
+    return f"<h2>Comparison on the same episodes</h2><ul>{items}</ul>"
 
 
 def _failures(lines: Sequence[Line]) -> str:
@@ -140,14 +117,8 @@ def _failures(lines: Sequence[Line]) -> str:
     for line in lines:
         if line["outcome"] != "held":
             reason = re.sub(r"-?\d[\d.e+-]*", "#", line["reason"] or "")
-            kind = (
-                line["controller"],
-                line["object"],
-                line["outcome"],
-                line.get("phases", ""),
-                reason,
-            )
-            kinds.setdefault(kind, []).append(line)
+            kind = line["controller"], line["object"], line["outcome"], line.get("phases", "")
+            kinds.setdefault((*kind, reason), []).append(line)
     if not kinds:
         return "<h2>Failures and errors</h2><p>None.</p>"
     rows = [
@@ -159,32 +130,21 @@ def _failures(lines: Sequence[Line]) -> str:
         ]
         for key, group in sorted(kinds.items(), key=lambda item: -len(item[1]))
     ]
-    return "<h2>Failures and errors</h2>" + table(
-        [
-            "controller",
-            "object",
-            "outcome",
-            "phases",
-            "reason (of the first)",
-            "episodes",
-            "rerun of the first",
-        ],
-        rows,
-        text=True,
-    )
+    head = ["controller", "object", "outcome", "phases", "reason (of the first)"]
+    head += ["episodes", "rerun of the first"]
+    return "<h2>Failures and errors</h2>" + table(head, rows, text=True)
 
 
 def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
-    """Return the episodes by flag of reduced simulation accuracy, with outcomes with and without
-    it."""
+    """Return the outcomes with and without each flag of reduced simulation accuracy."""
     reasons = merge_flags(read_flags(line.get("flags", {})) for line in lines)
     rows = []
     for name, mine in summary["controllers"].items():
-        for kind, one in mine["flags"].items():
-            episodes = one["with"]["episodes"]
+        for kind, groups in mine["flags"].items():
+            outcomes = [_outcomes(groups["with"]), _outcomes(groups["without"])]
             reason = escape(reasons.get(kind, ""))
-            went = [_went(one["with"]), _went(one["without"])]
-            rows.append([escape(name), escape(kind), episodes, *went, reason])
+            episodes = groups["with"]["episodes"]
+            rows.append([escape(name), escape(kind), episodes, *outcomes, reason])
     title = "<h2>Flags of reduced simulation accuracy</h2>"
     if not rows:
         return title + "<p>Nothing.</p>"
@@ -192,12 +152,11 @@ def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
     return title + table(head, rows, text=True)
 
 
-def _went(group: Mapping[str, Any]) -> str:
-    """The outcomes of some episodes in words."""
-    counts = {name: group[name] for name in OUTCOMES if group[name]}
+def _outcomes(group: Mapping[str, Any]) -> str:
+    counts = ", ".join(f"{group[name]} {name}" for name in OUTCOMES if group[name])
     low, high = group["success_interval"]
-    share = f"; {100 * low:.0f}-{100 * high:.0f} %" if group["episodes"] > group["error"] else ""
-    return (", ".join(f"{count} {name}" for name, count in counts.items()) or "none") + share
+    rate = f"; {100 * low:.0f}-{100 * high:.0f} %" if group["episodes"] > group["error"] else ""
+    return (counts or "none") + rate
 
 
 def _distributions(lines: Sequence[Line]) -> str:
@@ -210,48 +169,38 @@ def _distributions(lines: Sequence[Line]) -> str:
             if value is not None:
                 series[line["controller"]].append(value)
         marks = [(1.0, "breaks")] if measure == "peak_to_break_ratio" else []
-        figures.append(
-            _figure(
-                svg.histogram(series, label, marks),
-                "<br>".join(_quantiles(*one) for one in series.items()),
-            )
-        )
+        caption = "<br>".join(_quantiles(*item) for item in series.items())
+        figures.append(_figure(svg.histogram(series, label, marks), caption))
     return "<h2>Distributions</h2>" + _legend(names) + _grid(figures)
 
 
 def _quantiles(name: str, values: Sequence[float]) -> str:
     if not values:
         return f"{escape(name)}: -"
-    middle, maximum, high = (float(np.quantile(values, share)) for share in (0.5, 1.0, 0.95))
-    return f"{escape(name)}: median {middle:.3g}, 95 % below {high:.3g}, maximum {maximum:.3g}"
+    median, high, maximum = np.quantile(values, (0.5, 0.95, 1.0))
+    return f"{escape(name)}: median {median:.3g}, 95 % below {high:.3g}, maximum {maximum:.3g}"
 
 
 def _varied(summary: Mapping[str, Any]) -> str:
     """Success against each varied value; the order is that of the first controller."""
     controllers = summary["controllers"]
-    order = [one["name"] for mine in controllers.values() for one in mine["randomized"]]
-    found = {
-        name: {one["name"]: one for one in mine["randomized"]} for name, mine in controllers.items()
-    }
+    by_value: dict[str, dict[str, Any]] = {}
+    for name, group in controllers.items():
+        for result in group["randomized"]:
+            by_value.setdefault(result["name"], {})[name] = result
     figures = []
-    for value in dict.fromkeys(order):
-        mine = {name: own[value] for name, own in found.items() if value in own}
-        labels = list(dict.fromkeys(_bin(one) for own in mine.values() for one in own["bins"]))
-        series = {name: [_point(own, label) for label in labels] for name, own in mine.items()}
-        figures.append(_figure(svg.shares(labels, series), _caption(value, mine)))
+    for value, results in by_value.items():
+        labels = list(dict.fromkeys(_bin(b) for result in results.values() for b in result["bins"]))
+        series = {name: [_point(own, label) for label in labels] for name, own in results.items()}
+        figures.append(_figure(svg.fractions(labels, series), _caption(value, results)))
+    title = "<h2>Success against randomized values</h2>"
     if not figures:
-        return "<h2>Success against randomized values</h2><p>Nothing was randomized.</p>"
+        return f"{title}<p>Nothing was randomized.</p>"
+    more = ""
     if len(figures) > _SHOWN:
-        rest = (
-            f"<details><summary>{len(figures) - _SHOWN} "
-            f"more</summary>{_grid(figures[_SHOWN:])}</details>"
-        )
-    else:
-        rest = ""
-    return (
-        "<h2>Success against randomized "
-        f"values</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
-    )
+        summary_text = f"<summary>{len(figures) - _SHOWN} more</summary>"
+        more = f"<details>{summary_text}{_grid(figures[_SHOWN:])}</details>"
+    return f"{title}{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{more}"
 
 
 _HOW_VARIED = """<p>
@@ -266,40 +215,36 @@ def _grid(figures: Iterable[str]) -> str:
     return f'<div class="grid">{"".join(figures)}</div>'
 
 
-def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
+_SHORT = {"slip_mm": "slip", "force_error_N": "force", "peak_to_break_ratio": "peak"}
+
+
+def _caption(value: str, results: Mapping[str, Mapping[str, Any]]) -> str:
     parts = [f"<b>{escape(value)}</b>"]
-    for name, one in mine.items():
-        if one["p"] is None:
-            said = []
-        else:
-            said = [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
-        said += [
-            f"rho {short} {one['correlation'][measure]:+.2f}"
-            for measure, short in (
-                ("slip_mm", "slip"),
-                ("force_error_N", "force"),
-                ("peak_to_break_ratio", "peak"),
-            )
-            if abs(one["correlation"].get(measure, 0.0)) > 0.2
-        ]
-        text = (f"{escape(name)}: " if len(mine) > 1 else "") + ", ".join(said)
-        parts.append(f'<span class="out">{text}: stands out</span>' if one["stands_out"] else text)
+    for name, result in results.items():
+        facts = []
+        if result["p"] is not None:
+            facts = [f"p = {result['p']:.2g}{' (both ways)' if result['both_ways'] else ''}"]
+        correlations = {short: result["correlation"].get(key, 0.0) for key, short in _SHORT.items()}
+        facts += [f"rho {short} {r:+.2f}" for short, r in correlations.items() if abs(r) > 0.2]
+        text = (f"{escape(name)}: " if len(results) > 1 else "") + ", ".join(facts)
+        stands_out = result["stands_out"]
+        parts.append(f'<span class="out">{text}: stands out</span>' if stands_out else text)
     return "<br>".join(part for part in parts if part)
 
 
-def _bin(one: Mapping[str, Any]) -> str:
-    if "value" in one:
-        if isinstance(one["value"], float):
-            return f"{one['value']:.3g}"
-        return str(one["value"])
-    return f"{(one['from'] + one['to']) / 2:.2g}"
+def _bin(group: Mapping[str, Any]) -> str:
+    if "value" not in group:
+        return f"{(group['from'] + group['to']) / 2:.2g}"
+    value = group["value"]
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _point(own: Mapping[str, Any], label: str) -> tuple[float, float, float] | None:
-    one = next((one for one in own["bins"] if _bin(one) == label), None)
-    if one is None:
-        return None
-    return (one["success_interval"][0], one["success"], one["success_interval"][1])
+def _point(result: Mapping[str, Any], label: str) -> tuple[float, float, float] | None:
+    for group in result["bins"]:
+        if _bin(group) == label:
+            low, high = group["success_interval"]
+            return low, group["success"], high
+    return None
 
 
 def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
@@ -308,12 +253,8 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
         "the episodes closest to a failure by force or slip.</p>"
     ]
     for line in worst:
-        found = measures(line)
-        facts = [
-            f"{label} {value:.3g}"
-            for measure, label in _LABELS.items()
-            if (value := found[measure]) is not None
-        ]
+        values = {label: measures(line)[measure] for measure, label in _LABELS.items()}
+        facts = [f"{label} {value:.3g}" for label, value in values.items() if value is not None]
         facts += [escape(line["reason"])] if line["reason"] else []
         parts.append(
             f"<h3>{escape(line['controller'])}, {escape(line['object'])}, seed {line['seed']}: "
@@ -325,25 +266,21 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
         if picture is not None:
             uri = data_uri("image/png", picture.read_bytes())
             parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
-        drawn = ", ".join(f"{name} {value}" for name, value in line.get("randomized", {}).items())
-        if drawn:
-            parts.append(
-                f"<details><summary>sampled values</summary><p>{escape(drawn)}</p></details>"
-            )
+        sampled = ", ".join(f"{name} {value}" for name, value in line.get("randomized", {}).items())
+        if sampled:
+            title = "<summary>sampled values</summary>"
+            parts.append(f"<details>{title}<p>{escape(sampled)}</p></details>")
     return "\n".join(parts)
 
 
 def _legend(names: Sequence[str]) -> str:
     if len(names) < 2:
         return ""
-    return (
-        "<p>"
-        + " ".join(
-            f'<span style="color:{svg.COLOURS[k % len(svg.COLOURS)]}">&#9632; {escape(name)}</span>'
-            for k, name in enumerate(names)
-        )
-        + "</p>"
+    items = (
+        f'<span style="color:{svg.colour(k)}">&#9632; {escape(name)}</span>'
+        for k, name in enumerate(names)
     )
+    return f"<p>{' '.join(items)}</p>"
 
 
 def _figure(drawing: str, caption: str) -> str:

@@ -63,7 +63,7 @@ def evaluate(
         "controllers": list(controllers),
         "objects": list(objects),
         "shard": list(shard),
-        "scenario": _common(scenario),
+        "scenario": common_settings(scenario),
     }
     if only is not None:
         options["only"] = sorted(only)
@@ -74,22 +74,18 @@ def evaluate(
         episodes = [episode for episode in episodes if episode.index in set(only)]
     if record:
         episodes = [_recorded(episode, folder) for episode in episodes]
-    missing = _without_line(episodes, kept)
+    done = {(line["controller"], line["episode"]) for line in kept.lines}
+    missing = [one for one in episodes if (one.controller, one.index) not in done]
     if kept.lines:
-        running.say(
-            f"{len(episodes) - len(missing)} of {len(episodes)} episodes are already complete"
-        )
-    workers = _workers(scenario) if running.workers is None else running.workers
+        complete = len(episodes) - len(missing)
+        running.say(f"{complete} of {len(episodes)} episodes are already complete")
+    workers = running.workers
+    if workers is None:  # an emulated world, which keeps time, has all processors
+        workers = 1 if emulated.check(scenario) else platform_support.processors()
     pool = Pool(running.backend, workers, running.scheduler)
     run_all(missing, kept, pool, running.say, running.run_one)
     kept.finish()
     return summarise(kept.lines)
-
-
-def _without_line(episodes: Sequence[Episode], kept: store.Store) -> list[Episode]:
-    """The episodes that have no line yet."""
-    done = {(line["controller"], line["episode"]) for line in kept.lines}
-    return [episode for episode in episodes if (episode.controller, episode.index) not in done]
 
 
 def _recorded(episode: Episode, folder: Path) -> Episode:
@@ -97,48 +93,36 @@ def _recorded(episode: Episode, folder: Path) -> Episode:
     return replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
 
 
-def _workers(scenario: Scenario) -> int:
-    """Processes: one a processor; an emulated world, which keeps time, has them all."""
-    return 1 if emulated.check(scenario) else platform_support.processors()
-
-
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
-    """Write `report.html` of the evaluation in `folder`. Its worst episodes are run again for their
-    images."""
+    """Write `report.html` of an evaluation; its worst episodes are run again for their images."""
     known = store.read_manifest(folder)
     lines = store.read_lines(folder)
     pictures = {}
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
-        say(
-            f"image {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed "
-            f"{line['seed']}"
-        )
+        what = f"{line['controller']}, {line['object']}, seed {line['seed']}"
+        say(f"image {k} of {len(chosen)}: {what}")
         name = name_of(line["controller"], line["episode"])
-        pictures[name] = worst_episodes.draw(
-            _episode(known, line, folder / store.MANIFEST), folder / "worst" / name
-        )
+        episode = _episode(known, line, folder / store.MANIFEST)
+        pictures[name] = worst_episodes.draw(episode, folder / "worst" / name)
     path = folder / "report.html"
     with store.writing(path):
         path.write_text(report.page(known, lines, chosen, pictures), encoding="utf-8")
     return path
 
 
-def _common(scenario: Scenario) -> dict[str, Any]:
+def common_settings(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario settings common to all episodes; the seed is the first one's."""
-    said = scenario.to_dict()
-    return {key: value for key, value in said.items() if key not in ("object", "controller")}
+    settings = scenario.to_dict().items()
+    return {key: value for key, value in settings if key not in ("object", "controller")}
 
 
 def _episode(manifest: Mapping[str, Any], line: Mapping[str, Any], source: Path) -> Episode:
     """The episode of a line."""
     options = manifest["options"]
-    controller = next(
-        name for name in options["controllers"] if Path(name).stem == line["controller"]
-    )
+    controllers = [name for name in options["controllers"] if Path(name).stem == line["controller"]]
     scenario = scenario_from_table(options["scenario"], source, label="options.scenario")
-    episodes = plan(scenario, line["episode"] + 1, [controller], options["objects"])
-    return episodes[-1]
+    return plan(scenario, line["episode"] + 1, controllers[:1], options["objects"])[-1]
 
 
 def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[str, Any]:
@@ -152,21 +136,15 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
     parts = [store.read_manifest(folder) for folder in folders]
     for folder, part in zip(folders[1:], parts[1:], strict=True):
         for name in ("versions", "files", "options"):
-            first, other = (
-                {key: value for key, value in one[name].items() if key != "shard"}
-                for one in (parts[0], part)
-            )
-            if first != other:
-                raise InputError(
-                    f"its {name} differ from those of {folders[0]}", source=folder, field="--merge"
-                )
+            if parts[0][name] | {"shard": None} != part[name] | {"shard": None}:
+                what = f"its {name} differ from those of {folders[0]}"
+                raise InputError(what, source=folder, field="--merge")
     lines = _joined(folders)
     options = parts[0]["options"] | {"shard": [1, 1]}
     missing = _missing(options, lines)
     if missing and not partial:
-        raise InputError(
-            f"{missing_text(missing)}; --partial joins the available ones", field="--merge"
-        )
+        what = f"{missing_text(missing)}; --partial joins the available ones"
+        raise InputError(what, field="--merge")
     whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
@@ -182,11 +160,8 @@ def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
         for line in store.read_lines(folder):
             key = line["episode"], line["controller"]
             if lines.setdefault(key, line) != line:
-                raise InputError(
-                    f"episode {key[0]} of {key[1]} differs from the one in {homes[key]}",
-                    source=folder,
-                    field="--merge",
-                )
+                what = f"episode {key[0]} of {key[1]} differs from the one in {homes[key]}"
+                raise InputError(what, source=folder, field="--merge")
             homes.setdefault(key, folder)
     return lines
 
@@ -210,10 +185,7 @@ def missing_text(missing: Sequence[str]) -> str:
 
 
 def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str]) -> list[Path]:
-    """Return the files in use, each once.
-
-    Raises InputError if one is not available or not valid.
-    """
+    """Return the files in use, each once. Raises InputError if one is not available or valid."""
     from mjtactile.sim.effects.catalog import choose
     from mjtactile.sim.scenes.objects import load_object
     from mjtactile.sim.scenes.random_objects import seed_of
@@ -235,13 +207,13 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
     choose(scenario.design(), overrides=scenario.effects)
     variation = load_variation(scenario.randomization)
     load_task(scenario.task)
-    found = [resources.find(name, "controllers", ".py") for name in controllers]
-    found += [
-        resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None
-    ]
+    find = resources.find
+    objects = [name for name in named if seed_of(name) is None]
+    found = [find(name, "controllers", ".py") for name in controllers]
+    found += [find(name, "models/objects", ".xml") for name in objects]
     sensors = [scenario.sensor_name, *scenario.sensors.values()]
-    found += [resources.find(name, "models/sensors", ".toml") for name in sensors]
-    found += [*rig_files, resources.find(scenario.task, "models/tasks", ".toml")]
+    found += [find(name, "models/sensors", ".toml") for name in sensors]
+    found += [*rig_files, find(scenario.task, "models/tasks", ".toml")]
     if variation.path is not None:
         found.append(variation.path)
     return list(dict.fromkeys(found))

@@ -1,43 +1,42 @@
-"""Success fractions with their intervals, and the difference of two controllers over the same
-episodes."""
+"""Success rates with intervals, and the difference of two controllers on the same episodes."""
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, compress
+from operator import not_
 from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from mjtactile.core.fidelity_levels import LEFT_OUT, fidelity_notes
-from mjtactile.evaluate.episodes import JUDGED, OUTCOMES, STOPPED
+from mjtactile.evaluate.episodes import OUTCOMES, STOPPED, TASK_MEASURES
 from mjtactile.evaluate.parameter_sensitivity import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, wilson
 
 FORCES = {
     "peak_N": "peak_force_true_N",
     "hold_N": "hold_force_true_N",
-    **{name.removesuffix("_true"): name for name in JUDGED},
+    **{name.removesuffix("_true"): name for name in TASK_MEASURES},
 }
-"""Measures for controllers that hold every object.
-
-They are true peak and hold force on a finger, N, and the measures of the task.
-"""
+"""Measures of controllers that hold every object: true forces on a finger, N, and the task's."""
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     """Compare the success of two controllers over the episodes that both completed.
 
-    The result holds the success rate of `second` minus that of `first`. It includes the 95 %
-    interval (`paired_interval`) and the number of episodes with the same result. Further similar
-    episodes could exclude zero from the interval. The result also holds their number (None: no
-    difference).
+    The result holds the success rate of `second` minus that of `first`, its 95 % interval, the
+    number of episodes with the same result, and the number of further similar episodes that would
+    exclude zero from the interval (None: no difference).
     """
-    by_first = _held_by_episode(first)
-    by_second = _held_by_episode(second)
-    both = sorted(by_first.keys() & by_second.keys())
+    by_first, by_second = (
+        {line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
+        for lines in (first, second)
+    )
+    both = by_first.keys() & by_second.keys()
     n = len(both)
     only_first = sum(by_first[k] and not by_second[k] for k in both)
     only_second = sum(by_second[k] and not by_first[k] for k in both)
@@ -52,23 +51,14 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     }
 
 
-def _held_by_episode(lines: Iterable[Line]) -> dict[int, bool]:
-    """Return True or False (held or not) for each episode without an error."""
-    return {
-        line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"
-    }
-
-
 def paired_interval(only_first: float, only_second: float, n: float) -> tuple[float, float]:
-    """Compute the 95 % interval of the difference of two success rates.
+    """Compute the 95 % interval of the difference of two success rates over `n` episodes.
 
-    Both rates cover the same `n` episodes. Only the first held in `only_first` of them, and only
-    the second in `only_second`.
-
-    The method combines the exact limits of these two proportions (Clopper & Pearson, Biometrika 26,
-    1934). It uses their deviations and their correlation in a multinomial (Zou & Donner, Stat. Med.
-    27, 2008). By full enumeration, the coverage is 95 % or more from 24 episodes on (94 % for 8).
-    Normal approximations drop to 86 % when few episodes differ.
+    Only the first held in `only_first` of them, and only the second in `only_second`. The method
+    combines the exact limits of these two proportions (Clopper & Pearson, Biometrika 26, 1934) by
+    their deviations and their correlation in a multinomial (Zou & Donner, Stat. Med. 27, 2008). By
+    full enumeration, the coverage is 95 % or more from 24 episodes on (94 % for 8). Normal
+    approximations drop to 86 % when few episodes differ.
     """
     if not n:
         return -1.0, 1.0
@@ -76,15 +66,14 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
     c = only_second / n
     b_low, b_high = exact_limits(only_first, n)
     c_low, c_high = exact_limits(only_second, n)
-    together = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
-    down = _joined(c - c_low, b_high - b, together)
-    up = _joined(c_high - c, b - b_low, together)
+    correlation = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
+    down = _error_of_sum(c - c_low, b_high - b, correlation)
+    up = _error_of_sum(c_high - c, b - b_low, correlation)
     return max(c - b - down, -1.0), min(c - b + up, 1.0)
 
 
-def _joined(one: float, other: float, correlation: float) -> float:
-    """Return the error of a sum of two quantities with these errors and this correlation."""
-    return math.sqrt(one**2 + other**2 + 2 * correlation * one * other)
+def _error_of_sum(first: float, second: float, correlation: float) -> float:
+    return math.sqrt(first**2 + second**2 + 2 * correlation * first * second)
 
 
 def exact_limits(count: float, n: float) -> tuple[float, float]:
@@ -95,10 +84,7 @@ def exact_limits(count: float, n: float) -> tuple[float, float]:
 
 
 def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None:
-    """Return the number of further episodes that would exclude zero from `paired_interval`.
-
-    The proportions of the results are assumed constant.
-    """
+    """Return the number of further episodes, with constant proportions, that exclude zero."""
     if only_first == only_second:
         return None
 
@@ -110,56 +96,50 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None
     while not is_settled(maximum):
         minimum = maximum
         maximum = 2 * maximum
-    while maximum - minimum > 1:
-        middle = (minimum + maximum) // 2
-        if is_settled(middle):
-            maximum = middle
-        else:
-            minimum = middle
-    return maximum - n
+    return bisect_left(range(maximum), True, lo=minimum, key=is_settled) - n
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return the success of each controller, overall and by object, and all pairwise
-    differences."""
-    controllers = list(dict.fromkeys(line["controller"] for line in lines))
-    own = {name: [line for line in lines if line["controller"] == name] for name in controllers}
-    result: dict[str, Any] = {"episodes": len(lines), "controllers": {}, "paired": []}
-    for name, mine in own.items():
-        objects = list(dict.fromkeys(line["object"] for line in mine))
-        by_object = {}
-        for one in objects:
-            by_object[one] = _group([line for line in mine if line["object"] == one])
-        result["controllers"][name] = _group(mine) | {
-            "objects": by_object,
+    """Return each controller's success, overall and by object, and all pairwise differences."""
+    own = _lines_by("controller", lines)
+    controllers = {
+        name: _group(mine)
+        | {
+            "objects": {key: _group(group) for key, group in _lines_by("object", mine).items()},
             "randomized": against(mine, lines),
             "flags": _by_flag(mine),
         }
-    for first, second in combinations(controllers, 2):
-        difference = paired(own[first], own[second])
-        result["paired"].append({"first": first, "second": second, **difference})
+        for name, mine in own.items()
+    }
+    differences = [
+        {"first": first, "second": second, **paired(own[first], own[second])}
+        for first, second in combinations(own, 2)
+    ]
     left_out = [name for name in LEFT_OUT if any(line.get(name) is False for line in lines)]
+    result = {"episodes": len(lines), "controllers": controllers, "paired": differences}
     return result | dict.fromkeys(left_out, False)
 
 
+def _lines_by(key: str, lines: Iterable[Line]) -> dict[str, list[Line]]:
+    groups: dict[str, list[Line]] = {}
+    for line in lines:
+        groups.setdefault(line[key], []).append(line)
+    return groups
+
+
 def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
-    """Return outcomes with and without each flag of reduced simulation accuracy, and with any
-    flag."""
-    kinds = dict.fromkeys(kind for line in lines for kind in line.get("flags", {}))
-    found = {}
-    for kind in sorted(kinds):
-        found[kind] = _parted(lines, [kind in line.get("flags", {}) for line in lines])
+    """Return outcomes with and without each flag of reduced simulation accuracy, and any flag."""
+    flags = [line.get("flags", {}) for line in lines]
+    kinds = sorted({kind for own in flags for kind in own})
+    selections = {kind: [kind in own for own in flags] for kind in kinds}
     if kinds:
-        found["any"] = _parted(lines, [bool(line.get("flags")) for line in lines])
-    return found
-
-
-def _parted(lines: Sequence[Line], has: Sequence[bool]) -> dict[str, Any]:
-    """Outcomes of the lines that have something, and of the others."""
-    pairs = list(zip(lines, has, strict=True))
+        selections["any"] = [bool(own) for own in flags]
     return {
-        "with": _outcomes([line for line, one in pairs if one]),
-        "without": _outcomes([line for line, one in pairs if not one]),
+        kind: {
+            "with": _outcomes(list(compress(lines, has))),
+            "without": _outcomes(list(compress(lines, map(not_, has)))),
+        }
+        for kind, has in selections.items()
     }
 
 
@@ -185,10 +165,8 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
 def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
     """Return quantiles of the available values."""
     known = [value for value in values if value is not None]
-    shares = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
-    return {
-        name: float(np.quantile(known, share)) if known else None for name, share in shares.items()
-    }
+    levels = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
+    return {name: float(np.quantile(known, q)) if known else None for name, q in levels.items()}
 
 
 def table(summary: Mapping[str, Any]) -> str:
@@ -237,20 +215,17 @@ def _row(controller: str, label: str, group: Mapping[str, Any]) -> str:
 
 def _flags_text(group: Mapping[str, Any]) -> str:
     """Return the number of episodes with reduced simulation accuracy, by kind."""
-    flags = {kind: one["with"]["episodes"] for kind, one in group["flags"].items()}
-    flagged = flags.pop("any")
+    flags = {kind: groups["with"]["episodes"] for kind, groups in group["flags"].items()}
+    flagged = f"{flags.pop('any')} of {group['episodes']} episodes"
     kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
-    return (
-        f"{flagged} of {group['episodes']} episodes have flags of reduced simulation accuracy "
-        f"({kinds})"
-    )
+    return f"{flagged} have flags of reduced simulation accuracy ({kinds})"
 
 
 def stopped_text(group: Mapping[str, Any]) -> str:
     """Return the number of episodes stopped early, by kind: "3 (2 hung, 1 raised)"."""
     kinds = {kind: group.get(kind, 0) for kind in STOPPED}
-    said = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    return f"{sum(kinds.values())}" + (f" ({said})" if said else "")
+    detail = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    return f"{sum(kinds.values())}" + (f" ({detail})" if detail else "")
 
 
 def _texts(spread: Mapping[str, float | None], words: str) -> str:
@@ -269,7 +244,7 @@ def pair_text(pair: Mapping[str, Any]) -> str:
         settled = f"{more} more episodes like these would make it significant"
     better, other = pair["second"], pair["first"]
     difference = 100 * pair["difference"]
-    if difference < 0:  # who holds more comes first
+    if difference < 0:  # the controller that holds more comes first
         better, other = other, better
         difference, low, high = -difference, -high, -low
     return (

@@ -1,8 +1,7 @@
-"""Files of an evaluation: `manifest.json` with its settings, `episodes.jsonl` with one line per
-episode.
+"""Files of an evaluation: `manifest.json` with settings, `episodes.jsonl` with lines of episodes.
 
-A line is written when its episode ends. The file is sorted when all episodes are complete. An
-interruption loses only the episodes in progress.
+A line is written when its episode ends, and the file is sorted at the end. An interruption loses
+only the episodes in progress.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import json
 import platform
 import shlex
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,21 +29,16 @@ _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-hea
 
 
 def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any]:
-    """Return the data that the lines depend on: options, versions and SHA-256 of the files.
-
-    It also holds the shell command that repeats the run.
-    """
+    """Return the command, and what the lines depend on: options, versions, SHA-256 of files."""
     paths = list(files)
-    names = [path.name for path in paths]
+    count = Counter(path.name for path in paths)
+    keys = {path: path.name if count[path.name] == 1 else str(path) for path in paths}
     return {
         "command": command(options),
         "options": dict(options),
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
-        "files": {
-            path.name if names.count(path.name) == 1 else str(path): checksum(path)
-            for path in paths
-        },
+        "files": {keys[path]: checksum(path) for path in paths},
     }
 
 
@@ -74,12 +69,9 @@ def command(options: Mapping[str, Any]) -> str:
 
 
 class Store:
-    """Folder of one evaluation, opened for appending.
+    """Folder of one evaluation, opened for appending; with `resume`, it may hold its first part.
 
-    With `resume` it must hold the same evaluation, started earlier, with as many episodes or fewer.
-
-    Raises InputError if it holds another evaluation, or one and `resume` is False. Results without
-    a manifest also raise it, because their settings are unknown.
+    Raises InputError if it holds another evaluation, one without `resume`, or unknown results.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
@@ -87,9 +79,8 @@ class Store:
         self.lines = []
         known = folder / MANIFEST
         if known.exists() and not resume:
-            raise InputError(
-                "already holds an evaluation; --resume continues it", source=folder, field="--out"
-            )
+            message = "already holds an evaluation; --resume continues it"
+            raise InputError(message, source=folder, field="--out")
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
@@ -102,10 +93,8 @@ class Store:
 
     def add(self, line: dict[str, Any]) -> None:
         """Keep a line. Raises DeviceError where the disk does not take it."""
-        with (
-            writing(self.folder / EPISODES),
-            (self.folder / EPISODES).open("a", encoding="utf-8") as file,
-        ):
+        path = self.folder / EPISODES
+        with writing(path), path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         self.lines.append(line)
 
@@ -139,14 +128,14 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
-    """The lines of an evaluation; a last one that was cut off is left out. Raises InputError where
-    there are none."""
+    """The complete lines of an evaluation. Raises InputError where there are none."""
+    path = folder / EPISODES
     try:
-        text = (folder / EPISODES).read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=folder / EPISODES) from error
-    whole = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
-    return [_line(line, folder / EPISODES, number) for number, line in enumerate(whole, 1)]
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    complete = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
+    return [_line(line, path, number) for number, line in enumerate(complete, 1)]
 
 
 def _line(text: str, source: Path, number: int) -> dict[str, Any]:
@@ -161,14 +150,11 @@ def _line(text: str, source: Path, number: int) -> dict[str, Any]:
 
 
 def _refuse_unknown_files(folder: Path) -> None:
-    there = next((name for name in RESULTS if (folder / name).exists()), None)
-    if there is not None:
-        raise InputError(
-            f"holds {there} without the {MANIFEST} that describes it; it is kept: choose "
-            "another folder",
-            source=folder,
-            field="--out",
-        )
+    for name in RESULTS:
+        if (folder / name).exists():
+            action = "it is kept: choose another folder"
+            message = f"holds {name} without the {MANIFEST} that describes it; {action}"
+            raise InputError(message, source=folder, field="--out")
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -182,19 +168,14 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def _same(path: Path, what: Mapping[str, Any]) -> None:
     before = read_manifest(path.parent)
     now = json.loads(json.dumps(what))
-    counts = [one.get("options", {}).get("count", 0) for one in (before, now)]
-    if counts[0] < counts[1]:  # more of the same
-        before["options"]["count"] = counts[1]
+    old_count, count = (each.get("options", {}).get("count", 0) for each in (before, now))
+    if old_count < count:  # more of the same
+        before["options"]["count"] = count
     for part in (name for name in now if name != "command"):  # the options contain its parts
         if before.get(part) != now[part]:
+            names = [part]
             if isinstance(now[part], dict):
-                names = [
-                    name for name in now[part] if before.get(part, {}).get(name) != now[part][name]
-                ]
-            else:
-                names = [part]
-            raise InputError(
-                f"was started with different {part}: {', '.join(names) or part}",
-                source=path,
-                field="--resume",
-            )
+                old = before.get(part, {})
+                names = [name for name, value in now[part].items() if old.get(name) != value]
+            message = f"was started with different {part}: {', '.join(names) or part}"
+            raise InputError(message, source=path, field="--resume")

@@ -16,43 +16,40 @@ _TOP = 8
 _FAR = 1.6  # limit of the linear scale, as a multiple of the range of 97 % of the values
 
 
-def interval_bar(
-    low: float, share: float, high: float, colour: str = COLOURS[0], width: int = 220
-) -> str:
+def colour(number: int) -> str:
+    """Return the color of a series."""
+    return COLOURS[number % len(COLOURS)]
+
+
+def interval_bar(low: float, fraction: float, high: float, color: str, width: int = 220) -> str:
     """Plot a fraction between 0 and 1 and its interval on a line."""
-    x0, x, x1 = (round(width * value, 1) for value in (low, share, high))
+    x0, x, x1 = (round(width * value, 1) for value in (low, fraction, high))
     return (
         f'<svg width="{width}" height="14" viewBox="0 0 {width} 14"><rect y="5" width="{width}" '
-        'height="4" fill="#e6e6e6"/>'
-        f'<rect x="{x0}" y="3" width="{max(x1 - x0, 1)}" height="8" fill="{colour}" '
-        'opacity="0.35"/>'
-        f'<rect x="{max(x - 1.5, 0)}" y="0" width="3" height="14" fill="{colour}"/></svg>'
+        f'height="4" fill="#e6e6e6"/><rect x="{x0}" y="3" width="{max(x1 - x0, 1)}" height="8" '
+        f'fill="{color}" opacity="0.35"/><rect x="{max(x - 1.5, 0)}" y="0" width="3" height="14" '
+        f'fill="{color}"/></svg>'
     )
 
 
-def shares(
+def fractions(
     labels: Sequence[str], series: Mapping[str, Sequence[tuple[float, float, float] | None]]
 ) -> str:
-    """Plot the fractions (low, share, high) of each of `series` over the bins called `labels`."""
+    """Plot the fractions (low, value, high) of each of `series` over the bins called `labels`."""
     step = (_WIDTH - _LEFT - 6) / len(labels)
     parts = [_axes([(0.0, "0"), (0.5, "50"), (1.0, "100 %")])]
     for k, label in enumerate(labels):
-        x = _LEFT + (k + 0.5) * step
-        parts.append(
-            f'<text x="{x:.1f}" y="{_HEIGHT - 14}" text-anchor="middle">{html.escape(label)}</text>'
-        )
+        parts.append(_text(_LEFT + (k + 0.5) * step, _HEIGHT - 14, html.escape(label)))
     for s, points in enumerate(series.values()):
-        colour = COLOURS[s % len(COLOURS)]
         for k, point in enumerate(points):
             if point is None:
                 continue
             x = _LEFT + (k + 0.5 + 0.16 * (s - (len(series) - 1) / 2)) * step
-            low, share, high = (_y(value) for value in point)
+            low, fraction, high = (_y(value) for value in point)
             parts.append(
                 f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" '
-                f'stroke="{colour}" stroke-width="2" '
-                f'opacity="0.5"/><circle cx="{x:.1f}" cy="{share:.1f}" r="3.2" '
-                f'fill="{colour}"/>'
+                f'stroke="{colour(s)}" stroke-width="2" opacity="0.5"/>'
+                f'<circle cx="{x:.1f}" cy="{fraction:.1f}" r="3.2" fill="{colour(s)}"/>'
             )
     return _svg(parts)
 
@@ -60,14 +57,11 @@ def shares(
 def histogram(
     series: Mapping[str, Sequence[float]], unit: str, marks: Sequence[tuple[float, str]] = ()
 ) -> str:
-    """Render a histogram with 24 bins, one color for each of `series`.
+    """Render a histogram with 24 bins, one color for each of `series`; `marks`: labeled lines.
 
-    `marks` are labeled lines. A few values far above the others fall into the last bin, whose end
-    is labeled with their maximum.
+    A few values far above the others fall into the last bin, labeled with their maximum.
     """
-    everything = np.concatenate(
-        [np.asarray(values, float) for values in series.values()] or [np.zeros(0)]
-    )
+    everything = np.array([value for values in series.values() for value in values], float)
     if not len(everything):
         return "<p>no measured values</p>"
     low = float(everything.min())
@@ -88,54 +82,45 @@ def histogram(
     for s, count in enumerate(counts.values()):
         bars = "".join(
             f'<rect x="{_LEFT + k * wide / 24:.1f}" y="{_y(n / maximum):.1f}" '
-            f'width="{wide / 24 - 0.6:.1f}" '
-            f'height="{_y(0) - _y(n / maximum):.1f}"/>'
+            f'width="{wide / 24 - 0.6:.1f}" height="{_y(0) - _y(n / maximum):.1f}"/>'
             for k, n in enumerate(count)
             if n
         )
-        parts.append(f'<g fill="{COLOURS[s % len(COLOURS)]}" opacity="0.6">{bars}</g>')
-    for share, word, anchor in (
-        (0, f"{low:.3g}", "start"),
-        (0.5, f"{(low + high) / 2:.3g}", "middle"),
-        (1, end, "end"),
-    ):
-        parts.append(
-            f'<text x="{_LEFT + wide * share:.1f}" y="{_HEIGHT - 16}" '
-            f'text-anchor="{anchor}">{word}</text>'
-        )
-    parts.append(
-        f'<text x="{_LEFT + wide / 2:.1f}" y="{_HEIGHT - 4}" '
-        f'text-anchor="middle">{html.escape(unit)}</text>'
-    )
-    for value, word in marks:
+        parts.append(f'<g fill="{colour(s)}" opacity="0.6">{bars}</g>')
+    ticks = ((0, low, "start"), (0.5, (low + high) / 2, "middle"), (1, None, "end"))
+    for position, value, anchor in ticks:
+        tick = end if value is None else f"{value:.3g}"
+        parts.append(_text(_LEFT + wide * position, _HEIGHT - 16, tick, anchor))
+    parts.append(_text(_LEFT + wide / 2, _HEIGHT - 4, html.escape(unit)))
+    for value, label in marks:
         if low <= value <= high:
             x = _LEFT + wide * (value - low) / (high - low)
             parts.append(
-                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" '
-                f'y2="{_y(0)}" stroke="#b00020"/>'
+                f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{_y(0)}" stroke="#b00020"/>'
                 f'<text x="{x - 3:.1f}" y="{_TOP + 8}" text-anchor="end" '
-                f'fill="#b00020">{html.escape(word)}</text>'
+                f'fill="#b00020">{html.escape(label)}</text>'
             )
     return _svg(parts)
 
 
-def _y(share: float) -> float:
-    return _TOP + (1 - share) * (_HEIGHT - _BOTTOM - _TOP)
+def _y(fraction: float) -> float:
+    return _TOP + (1 - fraction) * (_HEIGHT - _BOTTOM - _TOP)
+
+
+def _text(x: float, y: int, text: str, anchor: str = "middle") -> str:
+    return f'<text x="{x:.1f}" y="{y}" text-anchor="{anchor}">{text}</text>'
 
 
 def _axes(ticks: Sequence[tuple[float, str]]) -> str:
     return "".join(
-        f'<line x1="{_LEFT}" x2="{_WIDTH - 6}" y1="{_y(share):.1f}" y2="{_y(share):.1f}" '
-        'stroke="#ddd"/>'
-        f'<text x="{_LEFT - 4}" y="{_y(share) + 3:.1f}" '
-        f'text-anchor="end">{word}</text>'
-        for share, word in ticks
+        f'<line x1="{_LEFT}" x2="{_WIDTH - 6}" y1="{_y(at):.1f}" y2="{_y(at):.1f}" stroke="#ddd"/>'
+        f'<text x="{_LEFT - 4}" y="{_y(at) + 3:.1f}" text-anchor="end">{label}</text>'
+        for at, label in ticks
     )
 
 
 def _svg(parts: Sequence[str]) -> str:
     return (
         f'<svg width="{_WIDTH}" height="{_HEIGHT}" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
-        'font-size="9" '
-        f'font-family="sans-serif">{"".join(parts)}</svg>'
+        f'font-size="9" font-family="sans-serif">{"".join(parts)}</svg>'
     )

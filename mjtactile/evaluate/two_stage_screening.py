@@ -1,5 +1,4 @@
-"""Two-stage evaluation: cheap screening, then relevant episodes at full fidelity: `evaluate
---screening-sample`.
+"""Two-stage evaluation (`--screening-sample`): relevant episodes again at full fidelity.
 
 The cheap level omits the membrane mesh and the sensing pipeline. All its failures, and a sample of
 the held episodes, are run again with the requested settings. Both strata together give the success
@@ -60,9 +59,8 @@ def screen(
         DeviceError: A worker was killed.
     """
     if "-mesh" in scenario.effects.split(","):
-        raise InputError(
-            "already omits the membrane mesh: nothing is left to screen", field="--effects"
-        )
+        what = "already omits the membrane mesh: nothing is left to screen"
+        raise InputError(what, field="--effects")
     both = {"count": count, "controllers": controllers, "objects": objects}
     cheap = replace(scenario, effects=cheap_effects(scenario.effects))
     running.say(f"screening: {count} episodes with --effects={cheap.effects}")
@@ -120,26 +118,23 @@ def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) ->
     cheap = {line["episode"]: line for line in screened if line["controller"] == name}
     whole = {line["episode"]: line for line in full if line["controller"] == name}
     held = {number for number, line in cheap.items() if line["outcome"] == "held"}
-    strata = {
-        key: _stratum([number for number in numbers if number in whole], cheap, whole)
-        for key, numbers in (("failed", sorted(cheap.keys() - held)), ("held", sorted(held)))
-    }
-    fails = len(cheap) - len(held)
-    holds = len(held)
-    low, high = strata["held"]["holds_interval"]
-    # all failures are run again; of the rest the sample speaks, within its exact limits
-    in_failed = strata["failed"]["holds"]
-    shares = [
-        (in_failed + holds * share) / max(len(cheap), 1)
-        for share in (strata["held"]["holds_share"], low, high)
-    ]
+    of_failed, of_held = (
+        _stratum([number for number in sorted(numbers) if number in whole], cheap, whole)
+        for numbers in (cheap.keys() - held, held)
+    )
+    # all failures are run again; the sample represents the others, within its exact limits
+    fraction, low, high = (
+        (of_failed["holds"] + len(held) * value) / max(len(cheap), 1)
+        for value in (of_held["holds_share"], *of_held["holds_interval"])
+    )
     return {
         "episodes": len(cheap),
-        "screened_held": holds,
-        "screened_failed": fails,
-        **{f"of_{key}": stratum for key, stratum in strata.items()},
-        "holds_share": shares[0],
-        "holds_interval": shares[1:],
+        "screened_held": len(held),
+        "screened_failed": len(cheap) - len(held),
+        "of_failed": of_failed,
+        "of_held": of_held,
+        "holds_share": fraction,
+        "holds_interval": [low, high],
     }
 
 
@@ -178,17 +173,14 @@ def table(result: Mapping[str, Any]) -> str:
         differ = failed["differ"] + held["differ"]
         low, high = exact_limits(differ, run_again) if run_again else (0.0, 1.0)
         lines.append(
-            f"| {name} | {one['episodes']} | {_share(one['screened_held'], one['episodes'])} | "
+            f"| {name} | {one['episodes']} | "
+            f"{100 * one['screened_held'] / max(one['episodes'], 1):.1f} % | "
             f"{_percent(one['holds_share'], *one['holds_interval'])} | {failed['holds']} of "
             f"{failed['run_again']} | {held['holds']} of {held['run_again']} | "
             f"{_percent(differ / max(run_again, 1), low, high)} |"
         )
     words = "95 % limits are exact; for episodes held in the screening, they come from the sample."
     return "\n".join([*lines, "", f"Screened with `--effects={result['level']}`. {words}", ""])
-
-
-def _share(count: int, of: int) -> str:
-    return f"{100 * count / max(of, 1):.1f} %"
 
 
 def _percent(share: float, low: float, high: float) -> str:

@@ -5,8 +5,8 @@ They are run again and recorded. The repeated run gives the same grasp.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import chain
+from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,7 @@ _SLIP = 5.0  # mm that are as bad as breaking
 def worst(lines: Sequence[Line], count: int) -> list[Line]:
     """Return the `count` worst lines: failures, then errors, then episodes closest to a failure.
 
-    The kinds (controller, object, outcome) alternate, so that a frequent kind does not hide the
-    others.
+    The kinds (controller, object, outcome) alternate, so that none hides the others.
     """
     chosen: list[Line] = []
     for rank in (2, 1, 0):
@@ -37,21 +36,11 @@ def worst(lines: Sequence[Line], count: int) -> list[Line]:
         for line in own:
             kind = (line["controller"], line["object"], line["outcome"])
             kinds.setdefault(kind, []).append(line)
-        if rank:
-            chosen += _in_turn(list(kinds.values()))
-        else:
-            chosen += chain.from_iterable(kinds.values())
-    return sorted(chosen[:count], key=_rank_and_badness, reverse=True)
-
-
-def _rank_and_badness(line: Line) -> tuple[int, float]:
-    return _RANKS[line["outcome"]], _badness(line)
-
-
-def _in_turn(kinds: Sequence[Sequence[Line]]) -> Iterator[Line]:
-    """The first of each kind, then the second of each, and so on."""
-    for k in range(max(map(len, kinds), default=0)):
-        yield from (kind[k] for kind in kinds if k < len(kind))
+        rows = zip_longest(*kinds.values()) if rank else kinds.values()  # the kinds in turn
+        chosen += [line for row in rows for line in row if line is not None]
+    return sorted(
+        chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True
+    )
 
 
 def _badness(line: Line) -> float:
@@ -63,10 +52,7 @@ def _badness(line: Line) -> float:
 
 
 def draw(episode: Episode, folder: Path) -> Path | None:
-    """Repeat the episode, record it into `folder` and plot its summary image there.
-
-    Returns None if there is no image.
-    """
+    """Repeat and record the episode; return its summary image in `folder`, None without one."""
     picture = folder / "summary.png"
     if picture.exists():
         return picture

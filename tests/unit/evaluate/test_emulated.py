@@ -10,7 +10,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import emulated
 
 
-def judged(heights, *, press=0.2, last="done", believed="not set down"):
+def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
     """Return the outcome of a run with the object at these heights, m: before the lift, lifted by
     40 mm, and set down."""
     moments = [
@@ -20,19 +20,23 @@ def judged(heights, *, press=0.2, last="done", believed="not set down"):
     true = emulated.TrueOutcome(break_force=1.0)
     true.begin(SimpleNamespace(rig=SimpleNamespace(truth=lambda: moments[0])))
     for phase, moment in (("approach", 0), ("hold", 1), (last, 2)):
-        true._ask = lambda moment=moment: moments[moment]
+        true._truth = lambda moment=moment: moments[moment]
         true.add(SimpleNamespace(sent=SimpleNamespace(phase=phase)))
-    return true.judged({"outcome": believed, "reason": "said"})
+    return true.score({"outcome": believed, "reason": "said"})
 
 
 def test_what_came_along_and_stands_again_was_held_whatever_is_believed():
-    found = judged((0.02, 0.06, 0.021))
+    found = outcome_of((0.02, 0.06, 0.021))
     assert found["outcome"] == "held" and found["reason"] == ""
     assert found["hold_force_true_N"] == pytest.approx(0.2)
-    assert judged((0.02, 0.03, 0.02), believed="held")["outcome"] == "dropped"  # it stayed behind
-    assert judged((0.02, 0.06, 0.06), believed="held")["outcome"] == "dropped"  # it does not stand
-    assert judged((0.02, 0.06, 0.02), last="abort")["outcome"] == "dropped"
-    assert judged((0.02, 0.06, 0.02), press=1.1)["outcome"] == "crushed"
+    assert (
+        outcome_of((0.02, 0.03, 0.02), believed="held")["outcome"] == "dropped"
+    )  # it stayed behind
+    assert (
+        outcome_of((0.02, 0.06, 0.06), believed="held")["outcome"] == "dropped"
+    )  # it does not stand
+    assert outcome_of((0.02, 0.06, 0.02), last="abort")["outcome"] == "dropped"
+    assert outcome_of((0.02, 0.06, 0.02), press=1.1)["outcome"] == "crushed"
 
 
 def test_what_no_emulated_world_does_is_refused():
