@@ -1,7 +1,7 @@
 """Episode to export: a recording, its sensors, and touches estimated again from its images.
 
-A recording contains the touch results, but no surface and no markers. If all images are available,
-the sensing pipeline processes them again. It adds surface and markers, like a replay.
+A recording contains no surface and no markers. If all images are available, the sensing pipeline
+processes them again, like a replay.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -48,11 +48,9 @@ _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 
 @dataclass(frozen=True, eq=False)
 class Perceived:
-    """One cycle of an episode.
+    """One cycle of an episode: the log's `row`, stored images, and re-estimated touches, if any.
 
-    It holds the `row` of the log (null: unknown) and the stored images with their `files`. It also
-    holds the re-estimated touch of each finger, () if not available, with the tracked `ellipses` in
-    the image. For a live simulated run it holds the current scene.
+    `ellipses` are the tracked ones of each image; `view` is the scene of a live simulated run.
     """
 
     time: float
@@ -65,11 +63,7 @@ class Perceived:
 
 
 class RecordedEpisode:
-    """A recording with its sensor's `design` and each finger's calibration (None: none was
-    measured).
-
-    Raises InputError for a recording without cycles.
-    """
+    """A recording with its `design` and calibrations. Raises InputError if it has no cycles."""
 
     def __init__(self, folder: Path):
         self.recording: Recording = load_recording(folder)
@@ -77,8 +71,7 @@ class RecordedEpisode:
             raise InputError("has no cycles to export", source=folder)
         self.design = _design(self.recording)
         self.estimate_difference = math.nan
-        """Largest difference between re-estimated and recorded normal forces over the cycles read
-        so far, N."""
+        """Largest difference of re-estimated and recorded normal forces, cycles read so far, N."""
         tables = self.recording.notes.get("calibration", {})
         self.calibrations: dict[str, Calibration | None] = {
             name: calibration_from_table(tables[name], str(folder)) if name in tables else None
@@ -115,8 +108,7 @@ class RecordedEpisode:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Metadata of the recording: header with versions and files, notes with calibrations,
-        problems."""
+        """Metadata of the recording: header with versions and files, notes, problems."""
         recording = self.recording
         return to_json(
             {
@@ -137,27 +129,19 @@ class RecordedEpisode:
 
     @property
     def files(self) -> dict[str, str]:
-        """Text of the sensor and rig files and of calibrations, by the name of the file to
-        write."""
-        kept = {
-            f"{kind}.toml": found["text"]
-            for kind, found in self.recording.header.get("files", {}).items()
-        }
-        notes = self.recording.notes.get("calibration", {})
-        return kept | {
-            f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes.items()
+        """Texts of the sensor and rig files and of calibrations, by file name."""
+        stored = self.recording.header.get("files", {}).items()
+        notes = self.recording.notes.get("calibration", {}).items()
+        return {f"{kind}.toml": file["text"] for kind, file in stored} | {
+            f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes
         }
 
     @property
     def references(self) -> dict[str, Path]:
         """The images that the references were taken from, by name."""
-        found = [
-            r.folder / name
-            for r in self.recording.references
-            for names in r.names
-            for name in names
-        ]
-        return {path.name: path for path in found if path.is_file()}
+        references = self.recording.references
+        paths = [r.folder / name for r in references for names in r.names for name in names]
+        return {path.name: path for path in paths if path.is_file()}
 
     def design_of(self, finger: str) -> SensorDesign:
         """The design with the lens that was measured of this finger."""
@@ -170,8 +154,7 @@ class RecordedEpisode:
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
         """`R_SC` (3, 3) and `p_SC` (3,), m, of each finger's camera.
 
-        The source is this recording's flat reference, otherwise the calibration, otherwise the
-        sensor file.
+        They are of the flat reference, otherwise of the calibration or the sensor file.
         """
         return self._camera_poses
 
@@ -190,18 +173,14 @@ class RecordedEpisode:
 
     @cached_property
     def _perceptions(self) -> tuple[StatefulPipeline, ...]:
-        """Sensing pipeline of each finger with the references of this recording.
-
-        () if the recording does not contain all of its images.
-        """
+        """Sensing pipelines of the fingers; () if the recording does not contain all images."""
         recording = self.recording
         if len(recording.references) != 2 or not all(map(len, recording.columns["images"])):
             return ()
         flat, rest = recording.references
         try:
-            return tuple(
-                self._perception(k, name, flat, rest) for k, name in enumerate(self.fingers)
-            )
+            fingers = enumerate(self.fingers)
+            return tuple(self._perception(k, name, flat, rest) for k, name in fingers)
         except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
             return ()
 
@@ -232,24 +211,17 @@ class RecordedEpisode:
         for k, images in enumerate(self.recording.images()):
             row = {key: columns[key][k] for key in self.keys}
             time = float(row["time"])
-            if self._perceptions:
-                touch = tuple(
-                    chain.perceive(image, time, reading)
-                    for chain, image, reading in zip(
-                        self._perceptions, images, self._readings(k), strict=True
-                    )
-                )
-            else:
-                touch = ()
-            for again, was in zip(touch, row["force_normal"], strict=False):
-                self.estimate_difference = float(
-                    np.fmax(self.estimate_difference, abs(again.force_normal - was))
-                )
-            files = tuple(folder / name for name in columns["images"][k])
-            ellipses = tuple(
-                followed(image, chain.state.tracks)
-                for chain, image in zip(self._perceptions, images, strict=False)
+            pairs = list(zip(self._perceptions, images, strict=False))
+            readings = self._readings(k)[: len(pairs)]
+            touch = tuple(
+                pipeline.perceive(image, time, reading)
+                for (pipeline, image), reading in zip(pairs, readings, strict=True)
             )
+            for estimate, recorded in zip(touch, row["force_normal"], strict=False):
+                difference = abs(estimate.force_normal - recorded)
+                self.estimate_difference = float(np.fmax(self.estimate_difference, difference))
+            files = tuple(folder / name for name in columns["images"][k])
+            ellipses = tuple(followed(image, own.state.tracks) for own, image in pairs)
             yield Perceived(time, row, images, files, touch, ellipses)
 
 
@@ -261,16 +233,26 @@ def find_episodes(path: Path) -> list[RecordedEpisode]:
     """
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
     if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
-        found = [path]
+        folders = [path]
     else:
-        found = sorted(log.parent for log in within.rglob(LOG))
-    if not found:
-        raise InputError(
-            "contains no recording; an evaluation keeps recordings with --record",
-            source=path,
-            field="RUN",
-        )
-    return [RecordedEpisode(folder) for folder in found]
+        folders = sorted(log.parent for log in within.rglob(LOG))
+    if not folders:
+        what = "contains no recording; an evaluation keeps recordings with --record"
+        raise InputError(what, source=path, field="RUN")
+    return [RecordedEpisode(folder) for folder in folders]
+
+
+def write_each(
+    episodes: Sequence[RecordedEpisode],
+    say: Callable[[str], None],
+    write_one: Callable[[int, RecordedEpisode], None],
+) -> dict[str, Any]:
+    """Write a file for each episode; return the number of episodes and frames."""
+    for k, episode in enumerate(episodes):
+        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
+        write_one(k, episode)
+    frames = sum(len(episode.recording) for episode in episodes)
+    return {"episodes": len(episodes), "frames": frames}
 
 
 def part_names(episode: RecordedEpisode, key: str) -> list[str]:
@@ -295,13 +277,10 @@ def meanings() -> dict[str, dict[str, str]]:
 
 
 def _design(recording: Recording) -> SensorDesign:
-    """Return the sensor design stored in the recording, otherwise that of the current sensor
-    file."""
-    kept = recording.header.get("files", {}).get("sensor")
-    if kept is None:
+    """Return the sensor design stored in the recording, otherwise that of the sensor file."""
+    stored = recording.header.get("files", {}).get("sensor")
+    if stored is None:
         return load_sensor(recording.header.get("sensor") or "dense")
-    return sensor_from_table(
-        tomllib.loads(kept["text"]),
-        name=Path(kept["name"]).stem,
-        source=str(recording.folder / LOG),
-    )
+    table = tomllib.loads(stored["text"])
+    name = Path(stored["name"]).stem
+    return sensor_from_table(table, name=name, source=str(recording.folder / LOG))

@@ -1,8 +1,6 @@
-"""Foxglove messages, written to a file or sent to an open viewer.
+"""Foxglove messages by foxglove-sdk, which has their schemas; to a file or an open viewer.
 
-It uses foxglove-sdk, which contains these schemas. The plain mcap package would require manually
-written schemas. Some data have no Foxglove schema: a wrench, a touch, a line of the log. They are
-JSON with a custom schema.
+A wrench, a touch and a line of the log have no Foxglove schema: they are JSON with their own.
 """
 
 from __future__ import annotations
@@ -62,8 +60,7 @@ class FoxgloveFile(FoxgloveSink):
 
 
 class FoxgloveServer(FoxgloveSink):
-    """A server on this computer, to which Foxglove connects. Raises InputError for a port that is
-    taken."""
+    """A server to which Foxglove connects. Raises InputError for a port that is taken."""
 
     forgets = True
 
@@ -107,19 +104,13 @@ def _schema(item: messages.Message) -> dict[str, Any]:
     """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
     what = meanings()
     if item.kind == "wrench":
-        fields = {
-            name: {"type": ["number", "null"], "description": unit}
-            for name, unit in _WRENCH.items()
-        }
+        kind = {"type": ["number", "null"]}
+        fields = {name: {**kind, "description": unit} for name, unit in _WRENCH.items()}
     else:
-        fields = {
-            key: {"description": f"{what[key]['unit']}: {what[key]['meaning']}"}
-            for key in item.value
-        }
-    stamp = {
-        "type": "object",
-        "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-    }
+        texts = {key: f"{what[key]['unit']}: {what[key]['meaning']}" for key in item.value}
+        fields = {key: {"description": text} for key, text in texts.items()}
+    integer = {"type": "integer"}
+    stamp = {"type": "object", "properties": {"sec": integer, "nsec": integer}}
     return {
         "title": f"mjtactile.{item.kind.capitalize()}",
         "type": "object",
@@ -133,12 +124,14 @@ def _stamp(item: messages.Message) -> Any:
     return Timestamp(*divmod(messages.nanoseconds(item.time), 10**9))
 
 
+def _header(item: messages.Message) -> dict[str, Any]:
+    return {"timestamp": _stamp(item), "frame_id": item.frame}
+
+
 def _image(item: messages.Message) -> Any:
     from foxglove.messages import CompressedImage
 
-    return CompressedImage(
-        timestamp=_stamp(item), frame_id=item.frame, data=messages.png_of(item), format="png"
-    )
+    return CompressedImage(**_header(item), data=messages.png_of(item), format="png")
 
 
 def _curves(item: messages.Message) -> Any:
@@ -147,20 +140,15 @@ def _curves(item: messages.Message) -> Any:
 
     curves: ImageCurves = item.value
     stamp = _stamp(item)
-    colour = {True: Color(**_rgba(TRUSTED)), False: Color(**_rgba(FLAGGED))}
-    return ImageAnnotations(
-        timestamp=stamp,
-        points=[
-            PointsAnnotation(
-                timestamp=stamp,
-                type=Type.LineLoop,
-                points=[Point2(x=x, y=y) for x, y in points],
-                outline_color=colour[trusted],
-                thickness=1.0,
-            )
-            for points, trusted in zip(curves.points.tolist(), curves.trusted.tolist(), strict=True)
-        ],
-    )
+    colors = {True: Color(**_rgba(TRUSTED)), False: Color(**_rgba(FLAGGED))}
+    shared = {"timestamp": stamp, "type": Type.LineLoop, "thickness": 1.0}
+    loops = [
+        PointsAnnotation(
+            points=[Point2(x=x, y=y) for x, y in points], outline_color=colors[trusted], **shared
+        )
+        for points, trusted in zip(curves.points.tolist(), curves.trusted.tolist(), strict=True)
+    ]
+    return ImageAnnotations(timestamp=stamp, points=loops)
 
 
 def _mesh(item: messages.Message) -> Any:
@@ -181,30 +169,22 @@ def _arrows(item: messages.Message) -> Any:
 
     arrows: Arrows = item.value
     colour = Color(**_rgba(arrows.rgba))
-    drawn = []
+    primitives = []
     for tail, vector in zip(arrows.tails, arrows.vectors, strict=True):
         length = float(np.linalg.norm(vector))
         width = min(_ARROW_WIDTH, length / 4)
-        drawn.append(
-            ArrowPrimitive(
-                pose=_pose(_along(vector), tail),
-                shaft_length=0.7 * length,
-                shaft_diameter=width,
-                head_length=0.3 * length,
-                head_diameter=2 * width,
-                color=colour,
-            )
-        )
-    return _entity(item, arrows=drawn)
+        shaft = {"shaft_length": 0.7 * length, "shaft_diameter": width}
+        head = {"head_length": 0.3 * length, "head_diameter": 2 * width}
+        pose = _pose(_along(vector), tail)
+        primitives.append(ArrowPrimitive(pose=pose, **shaft, **head, color=colour))
+    return _entity(item, arrows=primitives)
 
 
-def _entity(item: messages.Message, **drawn: Any) -> Any:
+def _entity(item: messages.Message, **shapes: Any) -> Any:
     """Return an entity of a 3D scene; it replaces the earlier one of the same topic."""
     from foxglove.messages import SceneEntity, SceneUpdate
 
-    entity = SceneEntity(
-        timestamp=_stamp(item), frame_id=item.frame, id=item.topic, frame_locked=True, **drawn
-    )
+    entity = SceneEntity(**_header(item), id=item.topic, frame_locked=True, **shapes)
     return SceneUpdate(entities=[entity])
 
 
@@ -227,8 +207,7 @@ def _camera(item: messages.Message) -> Any:
     c = item.value
     P = np.column_stack([c.K, np.zeros(3)])
     return CameraCalibration(
-        timestamp=_stamp(item),
-        frame_id=item.frame,
+        **_header(item),
         width=c.width,
         height=c.height,
         distortion_model=c.lens.definition.foxglove,
@@ -248,8 +227,7 @@ def _cloud(item: messages.Message) -> Any:
         for k, name in enumerate(cloud.names)
     ]
     return PointCloud(
-        timestamp=_stamp(item),
-        frame_id=item.frame,
+        **_header(item),
         pose=_pose(np.eye(3), np.zeros(3)),
         fields=fields,
         point_stride=8 * len(fields),
@@ -260,48 +238,41 @@ def _cloud(item: messages.Message) -> Any:
 def _joints(item: messages.Message) -> Any:
     from foxglove.messages import JointState, JointStates
 
-    def known(value: float) -> float | None:
-        return value if np.isfinite(value) else None
-
-    return JointStates(
-        timestamp=_stamp(item),
-        joints=[
-            JointState(
-                name=name, position=known(position), velocity=known(velocity), effort=known(effort)
-            )
-            for name, (position, velocity, effort) in item.value.items()
-        ],
-    )
+    keys = ("position", "velocity", "effort")
+    joints = []
+    for name, values in item.value.items():
+        known = {k: v if np.isfinite(v) else None for k, v in zip(keys, values, strict=True)}
+        joints.append(JointState(name=name, **known))
+    return JointStates(timestamp=_stamp(item), joints=joints)
 
 
 def _frames(item: messages.Message) -> Any:
-    from foxglove.messages import FrameTransform, FrameTransforms, Quaternion, Vector3
+    from foxglove.messages import FrameTransform, FrameTransforms
 
-    return FrameTransforms(
-        transforms=[
-            FrameTransform(
-                timestamp=_stamp(item),
-                parent_frame_id=t.parent,
-                child_frame_id=t.child,
-                translation=Vector3(**_xyz(t.p)),
-                rotation=Quaternion(**dict(zip("xyzw", messages.quaternion(t.R), strict=True))),
-            )
-            for t in item.value
-        ]
-    )
+    transforms = []
+    for t in item.value:
+        frames = {"parent_frame_id": t.parent, "child_frame_id": t.child}
+        pose = {"translation": _vector(t.p), "rotation": _quaternion(t.R)}
+        transforms.append(FrameTransform(timestamp=_stamp(item), **frames, **pose))
+    return FrameTransforms(transforms=transforms)
 
 
 def _pose(R: Array, p: Array) -> Any:
-    from foxglove.messages import Pose, Quaternion, Vector3
+    from foxglove.messages import Pose
 
-    return Pose(
-        position=Vector3(**_xyz(p)),
-        orientation=Quaternion(**dict(zip("xyzw", messages.quaternion(R), strict=True))),
-    )
+    return Pose(position=_vector(p), orientation=_quaternion(R))
 
 
-def _xyz(p: Array) -> dict[str, float]:
-    return {name: float(value) for name, value in zip("xyz", p, strict=True)}
+def _vector(p: Array) -> Any:
+    from foxglove.messages import Vector3
+
+    return Vector3(**dict(zip("xyz", map(float, p), strict=True)))
+
+
+def _quaternion(R: Array) -> Any:
+    from foxglove.messages import Quaternion
+
+    return Quaternion(**dict(zip("xyzw", messages.quaternion(R), strict=True)))
 
 
 def _json(item: messages.Message) -> Any:

@@ -23,12 +23,8 @@ from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import followed
 
 TARGETS = (
-    "rerun",
-    "rerun:FILE.rrd",
-    "rerun+http://HOST:9876/proxy",
-    "foxglove",
-    "foxglove:PORT",
-    "foxglove:FILE.mcap",
+    *("rerun", "rerun:FILE.rrd", "rerun+http://HOST:9876/proxy"),
+    *("foxglove", "foxglove:PORT", "foxglove:FILE.mcap"),
 )
 _MODULES = {"rerun": "rerun", "foxglove": "foxglove"}
 _WAITING = 8  # cycles that wait for the viewer
@@ -38,11 +34,7 @@ _logger = logging.getLogger(__name__)
 
 
 class Sink(Protocol):
-    """Destination of items.
-
-    `where` is the address or file to open. A sink that `forgets` shows a late viewer only later
-    items.
-    """
+    """Destination of items; `where`: address or file; `forgets`: late viewers miss old items."""
 
     where: str
     forgets: bool
@@ -115,19 +107,13 @@ class LiveView(Observer):
         """
         if self._thread is None or self.problem:
             return
-        chains = self._session.perceptions
-        tracks = [getattr(getattr(chain, "state", None), "tracks", None) for chain in chains]
-        drawn = all(image.pixels.size for image in cycle.images)
+        states = [getattr(own, "state", None) for own in self._session.perceptions]
+        tracks = [getattr(state, "tracks", None) for state in states]
         row = make_row(cycle, (), truth)
-        seen = Perceived(
-            cycle.time,
-            {key: value for key, value in row.items() if key not in ("kind", "images")},
-            cycle.images if drawn else (),
-            (),
-            cycle.touch,
-            tuple(map(followed, cycle.images, tracks)),
-            view,
-        )
+        row = {key: value for key, value in row.items() if key not in ("kind", "images")}
+        images = cycle.images if all(image.pixels.size for image in cycle.images) else ()
+        ellipses = tuple(map(followed, cycle.images, tracks))
+        seen = Perceived(cycle.time, row, images, (), cycle.touch, ellipses, view)
         try:
             self._queue.put(seen, block=self._patience > 0, timeout=self._patience)
         except queue.Full:
@@ -179,10 +165,10 @@ class LiveView(Observer):
         try:
             act()
         except Exception as error:  # noqa: BLE001
-            said = " ".join(f"{type(error).__name__}: {error}".split())
+            text = " ".join(f"{type(error).__name__}: {error}".split())
             if not self.problem:
-                _logger.warning("the viewer was disabled after an error: %s", said)
-            self.problem = self.problem or said
+                _logger.warning("the viewer was disabled after an error: %s", text)
+            self.problem = self.problem or text
 
 
 def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None:
@@ -197,7 +183,7 @@ def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None
 
 
 class _Running:
-    """A run that goes on, as exports see a recording."""
+    """A run in progress, as a `messages.Source`."""
 
     def __init__(self, session: Any):
         self._session = session
@@ -213,15 +199,12 @@ class _Running:
 
     @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
-        """R_SC and p_SC of each finger's camera, from its flat reference, otherwise from its sensor
-        file."""
+        """R_SC and p_SC of each finger's camera, of its flat reference or its sensor file."""
         poses = {}
-        for chain, name in zip(self._session.perceptions, self.fingers, strict=True):
-            flat = getattr(getattr(chain, "state", None), "flat", None)
-            if flat is None:
-                poses[name] = (np.eye(3), self._designs[name].camera.p_SC)
-            else:
-                poses[name] = (flat.R_SC, flat.p_SC)
+        for pipeline, name in zip(self._session.perceptions, self.fingers, strict=True):
+            flat = getattr(getattr(pipeline, "state", None), "flat", None)
+            nominal = (np.eye(3), self._designs[name].camera.p_SC)
+            poses[name] = nominal if flat is None else (flat.R_SC, flat.p_SC)
         return poses
 
 
@@ -233,11 +216,9 @@ def _design(finger: Any) -> SensorDesign:
 
 def _parsed(target: str) -> tuple[str, Path | str]:
     """The viewer, and its file, its address or port, "" for the usual one. Raises InputError."""
+    viewer, _, where = target.partition(":")
     if target.startswith("rerun+http"):
-        viewer = "rerun"
-        where = target
-    else:
-        viewer, _, where = target.partition(":")
+        viewer, where = "rerun", target
     if viewer not in _MODULES:
         raise InputError(f"{target!r} is not a viewer", field="--live", choices=TARGETS)
     if find_spec(_MODULES[viewer]) is None:

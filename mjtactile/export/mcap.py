@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.export import messages
-from mjtactile.export.episode import RecordedEpisode
+from mjtactile.export.episode import RecordedEpisode, write_each
 from mjtactile.export.foxglove_sink import FoxgloveFile
 from mjtactile.export.viewer_entities import rendered_items
 
@@ -16,13 +16,8 @@ from mjtactile.export.viewer_entities import rendered_items
 def write(
     episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Write `episode_000000.mcap` and so on into `out`; returns how many frames."""
-    frames = 0
-    for k, episode in enumerate(episodes):
-        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
-        _write_one(episode, out / f"episode_{k:06d}.mcap")
-        frames += len(episode.recording)
-    return {"episodes": len(episodes), "frames": frames}
+    """Write `episode_000000.mcap` and so on into `out`; returns the number of frames."""
+    return write_each(episodes, say, lambda k, own: _write_one(own, out / f"episode_{k:06d}.mcap"))
 
 
 def _write_one(episode: RecordedEpisode, path: Path) -> None:
@@ -38,24 +33,14 @@ def _write_one(episode: RecordedEpisode, path: Path) -> None:
 def _attach(episode: RecordedEpisode, writer: Any) -> None:
     """The recording's facts, files and reference images."""
     start = messages.nanoseconds(float(episode.recording.columns["time"][0]))
+    times = {"log_time": start, "create_time": start}
     facts = {
         key: value if isinstance(value, str) else json.dumps(value)
         for key, value in episode.facts.items()
     }
     writer.write_metadata("mjtactile", facts)
     for name, text in episode.files.items():
-        writer.attach(
-            log_time=start,
-            create_time=start,
-            name=name,
-            data=text.encode(),
-            media_type="application/json" if name.endswith(".json") else "application/toml",
-        )
+        kind = "application/json" if name.endswith(".json") else "application/toml"
+        writer.attach(**times, name=name, data=text.encode(), media_type=kind)
     for name, image in episode.references.items():
-        writer.attach(
-            log_time=start,
-            create_time=start,
-            name=name,
-            media_type="image/png",
-            data=image.read_bytes(),
-        )
+        writer.attach(**times, name=name, media_type="image/png", data=image.read_bytes())

@@ -17,10 +17,7 @@ FACING = {
     0: np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
     1: np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]),
 }
-"""R_GS of the two sensors of a pair, in the mounting of the shipped grippers.
-
-z points towards the other finger, y up.
-"""
+"""R_GS of the two sensors of a pair of the shipped grippers: z to the other finger, y up."""
 
 
 class Source(Protocol):
@@ -53,8 +50,7 @@ class Transform:
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """A message: `time` s on the rig's clock is when it was so; `frame` where its coordinates
-    are."""
+    """A message at `time`, s on the rig's clock; its coordinates are in `frame`."""
 
     topic: str
     kind: str
@@ -64,8 +60,7 @@ class Message:
 
 
 def items(episode: RecordedEpisode) -> Iterator[Message]:
-    """All messages of an episode; kinds: image, camera, wrench, touch, cloud, joints, frames,
-    static, cycle."""
+    """Yield all messages of an episode; `rosbag2` lists the kinds."""
     yield cameras(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
         yield from of_cycle(episode, seen)
@@ -85,10 +80,8 @@ def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
     for k, finger in enumerate(source.fingers):
         yield from _of_finger(source, seen, k, finger)
     row = seen.row
-    if "gripper_time" in row and np.isfinite(row["gripper_time"]):
-        state = float(row["gripper_time"])
-    else:
-        state = seen.time
+    gripper_time = float(row.get("gripper_time", np.nan))
+    state = gripper_time if np.isfinite(gripper_time) else seen.time
     joints = {
         "opening": (float(row["opening"]), float(row["speed"]), float(row["effort"])),
         "lift": (float(row["lift_height"]), float("nan"), float("nan")),
@@ -131,41 +124,22 @@ def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
     """Yield the membrane's surface, the force on each of its nodes if known, and the markers."""
     if touch.surface is not None:
         x, y = np.meshgrid(touch.surface.x, touch.surface.y)
-        yield (
-            "membrane",
-            Cloud(
-                ("x", "y", "z"), np.column_stack([x.ravel(), y.ravel(), touch.surface.z.ravel()])
-            ),
-        )
+        points = np.column_stack([x.ravel(), y.ravel(), touch.surface.z.ravel()])
+        yield "membrane", Cloud(("x", "y", "z"), points)
     if touch.traction is not None:
         x, y = np.meshgrid(touch.traction.x, touch.traction.y)
-        yield (
-            "traction",
-            Cloud(
-                ("x", "y", "z", "fx", "fy", "fz"),
-                np.column_stack(
-                    [x.ravel(), y.ravel(), np.zeros(x.size), touch.traction.force.reshape(-1, 3)]
-                ),
-            ),
-        )
+        force = touch.traction.force.reshape(-1, 3)
+        nodes = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size), force])
+        yield "traction", Cloud(("x", "y", "z", "fx", "fy", "fz"), nodes)
     if touch.markers is not None:
         m = touch.markers
         sd = np.sqrt(np.maximum(np.diagonal(m.cov_p, axis1=1, axis2=2), 0.0))
-        yield (
-            "markers",
-            Cloud(
-                ("x", "y", "z", "id", "nx", "ny", "nz", "sd_x", "sd_y", "sd_z"),
-                np.column_stack([m.p_SM, m.ids, m.n_S, sd]),
-            ),
-        )
+        names = ("x", "y", "z", "id", "nx", "ny", "nz", "sd_x", "sd_y", "sd_z")
+        yield "markers", Cloud(names, np.column_stack([m.p_SM, m.ids, m.n_S, sd]))
 
 
 def _frames(source: Source, seen: Perceived) -> Iterator[Transform]:
-    """Return the transforms of one cycle.
-
-    They are the gripper relative to its start, and the two sensors of a pair in it. In simulation
-    they include the object in the world, and with a scene also the sensors.
-    """
+    """Yield the poses of gripper (relative to its start) and sensors; simulated: of the object."""
     row = seen.row
     height = float(row["lift_height"])
     opening = float(row["opening"])
@@ -176,12 +150,8 @@ def _frames(source: Source, seen: Perceived) -> Iterator[Transform]:
             yield Transform("world", f"{finger}_sensor", R, p)
     elif len(source.fingers) == 2 and np.isfinite(opening):
         for k, side in enumerate((-1, 1)):
-            yield Transform(
-                "gripper",
-                f"{source.fingers[k]}_sensor",
-                FACING[k],
-                np.array([side * opening / 2, 0.0, 0.0]),
-            )
+            p = np.array([side * opening / 2, 0.0, 0.0])
+            yield Transform("gripper", f"{source.fingers[k]}_sensor", FACING[k], p)
     if "object_position_true" in row:
         w, x, y, z = np.asarray(row["object_quaternion_true"], float)
         R = np.array(

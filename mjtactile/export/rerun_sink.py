@@ -1,7 +1,4 @@
-"""Rerun's messages, and where they go: a file, or the viewer that is open.
-
-Frames are entities below each other, as Rerun's transforms go: `/world/left_sensor/left_camera`.
-"""
+"""Rerun's messages, to a file or a viewer; frames are nested: `/world/left_sensor/left_camera`."""
 
 from __future__ import annotations
 
@@ -117,23 +114,15 @@ class RerunSink:
 
     def _arrows(self, item: messages.Message) -> None:
         arrows: Arrows = item.value
-        drawn = self._rr.Arrows3D(
-            origins=arrows.tails,
-            vectors=arrows.vectors,
-            colors=_rgba(arrows.rgba),
-            radii=_ARROW_RADIUS,
-        )
-        self._send(self._in_frame(item), drawn)
+        style = {"colors": _rgba(arrows.rgba), "radii": _ARROW_RADIUS}
+        shape = self._rr.Arrows3D(origins=arrows.tails, vectors=arrows.vectors, **style)
+        self._send(self._in_frame(item), shape)
 
     def _camera(self, item: messages.Message) -> None:
         lens = item.value
-        place = self._place(item.frame)
-        pinhole = self._rr.Pinhole(
-            image_from_camera=lens.K,
-            resolution=[lens.width, lens.height],
-            image_plane_distance=0.01,
-        )
-        self._send(place, pinhole, static=True)
+        size = {"resolution": [lens.width, lens.height], "image_plane_distance": 0.01}
+        pinhole = self._rr.Pinhole(image_from_camera=lens.K, **size)
+        self._send(self._place(item.frame), pinhole, static=True)
 
     def _cloud(self, item: messages.Message) -> None:
         """Send the markers. The surface and arrows represent membrane and tractions."""
@@ -188,10 +177,9 @@ def to_file(sink: RerunSink, path: Path) -> None:
 
 
 def to_viewer(sink: RerunSink, url: str = "") -> None:
-    """Send the data of a sink to the viewer at `url`.
+    """Send the data of a sink to the viewer at `url`; "": the open local one, or a new one.
 
-    "" selects the open local viewer, or starts a new one. Raises InputError without a display for a
-    new one.
+    Raises InputError without a display for a new one.
     """
     if url:
         sink.stream.connect_grpc(url, default_blueprint=sink.blueprint())

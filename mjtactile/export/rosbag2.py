@@ -1,8 +1,4 @@
-"""ROS 2 bags, one per episode.
-
-They use standard messages where possible. Touches and commands are `mjtactile_msgs`. Each line of
-the log is JSON text.
-"""
+"""ROS 2 bags, one per episode: standard messages, `mjtactile_msgs`, and the log as JSON text."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.export import messages
-from mjtactile.export.episode import RecordedEpisode
+from mjtactile.export.episode import RecordedEpisode, write_each
 from mjtactile.recording.files import to_json
 
 PACKAGE = "mjtactile_msgs"
@@ -90,15 +86,9 @@ ament_package()
 def write(
     episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Write the bags `episode_000000` and so on, and the message package's source, into `out`;
-    returns how many frames."""
+    """Write the bags `episode_000000` and so on, and the message package's source, into `out`."""
     _write_package(out / PACKAGE)
-    frames = 0
-    for k, episode in enumerate(episodes):
-        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
-        _Bag(episode).write(out / f"episode_{k:06d}")
-        frames += len(episode.recording)
-    return {"episodes": len(episodes), "frames": frames}
+    return write_each(episodes, say, lambda k, own: _Bag(own).write(out / f"episode_{k:06d}"))
 
 
 def typestore() -> Any:
@@ -138,17 +128,10 @@ class _Bag:
             for item in self._items():
                 kind, make = self._make[item.kind]
                 if item.topic not in connections:
-                    connections[item.topic] = bag.add_connection(
-                        item.topic,
-                        kind,
-                        typestore=self._store,
-                        offered_qos_profiles=_quality(item.kind),
-                    )
-                bag.write(
-                    connections[item.topic],
-                    messages.nanoseconds(item.time),
-                    self._store.serialize_cdr(make(item), kind),
-                )
+                    settings = {"typestore": self._store, "offered_qos_profiles": _qos(item.kind)}
+                    connections[item.topic] = bag.add_connection(item.topic, kind, **settings)
+                data = self._store.serialize_cdr(make(item), kind)
+                bag.write(connections[item.topic], messages.nanoseconds(item.time), data)
             for name, value in self._episode.facts.items():
                 bag.set_custom_data(name, value if isinstance(value, str) else json.dumps(value))
         for name, text in self._episode.files.items():
@@ -159,14 +142,10 @@ class _Bag:
         recording = self._episode.recording
         for reference in recording.references:
             for k, finger in enumerate(self._episode.fingers):
+                topic = f"/{finger}/reference/{reference.stage}"
+                frame = f"{finger}_camera"
                 for image in reference.images(k) if reference.names else ():
-                    yield messages.Message(
-                        f"/{finger}/reference/{reference.stage}",
-                        "image",
-                        image.time,
-                        f"{finger}_camera",
-                        (image,),
-                    )
+                    yield messages.Message(topic, "image", image.time, frame, (image,))
         for item in messages.items(self._episode):
             yield item
             if item.kind == "cycle":
@@ -199,14 +178,8 @@ class _Bag:
 
     def _camera(self, item: messages.Message) -> Any:
         c = item.value
-        whole = self._of(
-            "sensor_msgs/msg/RegionOfInterest",
-            x_offset=0,
-            y_offset=0,
-            height=0,
-            width=0,
-            do_rectify=False,
-        )
+        size = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
+        whole = self._of("sensor_msgs/msg/RegionOfInterest", **size, do_rectify=False)
         return self._of(
             "sensor_msgs/msg/CameraInfo",
             header=self._header(item),
@@ -223,32 +196,22 @@ class _Bag:
         )
 
     def _vector(self, values: Any) -> Any:
-        return self._of(
-            "geometry_msgs/msg/Vector3",
-            **{name: float(v) for name, v in zip("xyz", values, strict=True)},
-        )
+        x, y, z = map(float, values)
+        return self._of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
     def _wrench(self, item: messages.Message) -> Any:
-        wrench = self._of(
-            "geometry_msgs/msg/Wrench",
-            force=self._vector(item.value[:3]),
-            torque=self._vector(item.value[3:]),
-        )
+        force, torque = self._vector(item.value[:3]), self._vector(item.value[3:])
+        wrench = self._of("geometry_msgs/msg/Wrench", force=force, torque=torque)
         return self._of("geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench)
 
     def _touch(self, item: messages.Message) -> Any:
         name = f"{PACKAGE}/msg/Touch"
-        fields = [
-            (field, kind) for field, kind in self._store.fielddefs[name][1] if field != "header"
-        ]
-        return self._of(
-            name,
-            header=self._header(item),
-            **{
-                field: _value(item.value.get(_RENAMED.get(field, field)), field, kind)
-                for field, kind in fields
-            },
-        )
+        values = {
+            field: _value(item.value.get(_RENAMED.get(field, field)), field, kind)
+            for field, kind in self._store.fielddefs[name][1]
+            if field != "header"
+        }
+        return self._of(name, header=self._header(item), **values)
 
     def _cloud(self, item: messages.Message) -> Any:
         cloud: messages.Cloud = item.value
@@ -271,47 +234,29 @@ class _Bag:
         )
 
     def _joints(self, item: messages.Message) -> Any:
-        position, velocity, effort = np.ascontiguousarray(
-            np.array(list(item.value.values()), float).T
-        )
-        return self._of(
-            "sensor_msgs/msg/JointState",
-            header=self._header(item),
-            name=list(item.value),
-            position=position,
-            velocity=velocity,
-            effort=effort,
-        )
+        states = np.ascontiguousarray(np.array(list(item.value.values()), float).T)
+        values = dict(zip(("position", "velocity", "effort"), states, strict=True))
+        head = {"header": self._header(item), "name": list(item.value)}
+        return self._of("sensor_msgs/msg/JointState", **head, **values)
 
     def _frames(self, item: messages.Message) -> Any:
-        def one(t: messages.Transform) -> Any:
-            q = self._of(
-                "geometry_msgs/msg/Quaternion",
-                **dict(zip("xyzw", map(float, messages.quaternion(t.R)), strict=True)),
-            )
-            transform = self._of(
-                "geometry_msgs/msg/Transform", translation=self._vector(t.p), rotation=q
-            )
-            return self._of(
-                "geometry_msgs/msg/TransformStamped",
-                header=self._header(item, t.parent),
-                child_frame_id=t.child,
-                transform=transform,
-            )
-
-        return self._of("tf2_msgs/msg/TFMessage", transforms=[one(t) for t in item.value])
+        transforms = []
+        for t in item.value:
+            x, y, z, w = map(float, messages.quaternion(t.R))
+            rotation = self._of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+            pose = {"translation": self._vector(t.p), "rotation": rotation}
+            transform = self._of("geometry_msgs/msg/Transform", **pose)
+            frames = {"header": self._header(item, t.parent), "child_frame_id": t.child}
+            stamped = "geometry_msgs/msg/TransformStamped"
+            transforms.append(self._of(stamped, **frames, transform=transform))
+        return self._of("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _command(self, item: messages.Message) -> Any:
         row: Mapping[str, Any] = item.value
-        return self._of(
-            f"{PACKAGE}/msg/Command",
-            header=self._header(item),
-            phase=str(row["phase"]),
-            **{
-                name: float(row[f"command_{name}"])
-                for name in ("opening", "force_limit", "lift_height")
-            },
-        )
+        names = ("opening", "force_limit", "lift_height")
+        values = {name: float(row[f"command_{name}"]) for name in names}
+        head = {"header": self._header(item), "phase": str(row["phase"])}
+        return self._of(f"{PACKAGE}/msg/Command", **head, **values)
 
     def _line(self, item: messages.Message) -> Any:
         return self._of("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
@@ -330,33 +275,18 @@ def _value(value: Any, field: str, kind: Any) -> Any:
     return float("nan") if value is None else float(value)
 
 
-def _quality(kind: str) -> Sequence[Any]:
-    """Static frames are handed to who comes late."""
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+def _qos(kind: str) -> Sequence[Any]:
+    """Return the quality of service: static frames are also sent to late subscribers."""
+    from rosbags import interfaces as ros
 
     if kind != "static":
         return ()
-    forever = QosTime(sec=2147483647, nsec=4294967295)
-    return (
-        Qos(
-            QosHistory.KEEP_LAST,
-            1,
-            QosReliability.RELIABLE,
-            QosDurability.TRANSIENT_LOCAL,
-            forever,
-            forever,
-            QosLiveliness.AUTOMATIC,
-            forever,
-            avoid_ros_namespace_conventions=False,
-        ),
-    )
+    forever = ros.QosTime(sec=2147483647, nsec=4294967295)
+    reliable = ros.QosReliability.RELIABLE
+    durable = ros.QosDurability.TRANSIENT_LOCAL
+    lively = ros.QosLiveliness.AUTOMATIC
+    last = ros.QosHistory.KEEP_LAST
+    return (ros.Qos(last, 1, reliable, durable, forever, forever, lively, forever, False),)
 
 
 def _write_package(folder: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.export.episode import RecordedEpisode
+from mjtactile.export.episode import RecordedEpisode, write_each
 from mjtactile.export.rerun_sink import RerunSink, to_file
 from mjtactile.export.viewer_entities import rendered_items
 
@@ -14,14 +14,13 @@ from mjtactile.export.viewer_entities import rendered_items
 def write(
     episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Write `episode_000000.rrd` and so on into `out`; returns how many frames."""
-    frames = 0
-    for k, episode in enumerate(episodes):
-        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
+    """Write `episode_000000.rrd` and so on into `out`; returns the number of frames."""
+
+    def write_one(k: int, episode: RecordedEpisode) -> None:
         sink = RerunSink(episode.fingers, pictured=False)
         to_file(sink, out / f"episode_{k:06d}.rrd")
         for item in rendered_items(episode):
             sink.log(item)
         sink.close()
-        frames += len(episode.recording)
-    return {"episodes": len(episodes), "frames": frames}
+
+    return write_each(episodes, say, write_one)

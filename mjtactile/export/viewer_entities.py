@@ -1,7 +1,4 @@
-"""Graphics of a cycle for a viewer, in addition to its data.
-
-They are fitted ellipses, membrane surfaces, force arrows and, for a simulated run, the scene.
-"""
+"""Graphics of a cycle for a viewer: ellipses, membranes, force arrows and a simulated scene."""
 
 from __future__ import annotations
 
@@ -148,10 +145,9 @@ def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
 
 
 def force_arrow(traction: Traction, surface: Surface) -> Arrows:
-    """Return an arrow of the net force on the membrane.
+    """Return an arrow of the net force on the membrane; none for an unknown or tiny force.
 
-    Its tip is the center of pressure, (x, y) = (-t_y, t_x) / f_z. There the force produces the
-    measured torque. There is no arrow for an unknown or tiny force.
+    Its tip is the center of pressure, (x, y) = (-t_y, t_x) / f_z.
     """
     force = traction.wrench[:3]
     if not np.isfinite(traction.wrench).all() or abs(force[2]) < 0.02:

@@ -28,9 +28,7 @@ def write(
     task: str | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Write all episodes into `out` and return the counts.
-
-    `crf` 0 is a lossless video. 18-30 is lossy and takes a tenth of the space.
+    """Write all episodes into `out` and return the counts; `crf`: 0 is lossless, 18-30 lossy.
 
     Raises InputError if the episodes are not compatible, or if requested images are missing.
     """
@@ -50,20 +48,12 @@ def write(
             for key, f in features.items()
             if f.dtype == "video"
         }
-        block, own = _episode(
-            episode, k, total, fps, tasks.index(task or episode.task), features, videos
-        )
-        place = writer.add(block)
-        rows.append(
-            _episode_row(
-                episode, k, len(episode.recording), total, task or episode.task, place, videos, fps
-            )
-            | {
-                f"stats/{name}/{kind}": value
-                for name, one in own.items()
-                for kind, value in one.items()
-            }
-        )
+        text = task or episode.task
+        block, own = _episode(episode, k, total, fps, tasks.index(text), features, videos)
+        row = _episode_row(episode, k, total, text, writer.add(block), videos, fps)
+        for name, values in own.items():
+            row |= {f"stats/{name}/{kind}": value for kind, value in values.items()}
+        rows.append(row)
         total += len(episode.recording)
         stats.append(own)
         _keep_files(out, k, episode)
@@ -81,31 +71,20 @@ def _check(
 ) -> None:
     """Raise InputError if `episode` is not compatible with the `first`."""
     folder = episode.recording.folder
+    other = first.recording.folder
     if round(episode.rate) != fps:
-        raise InputError(
-            f"has {episode.rate:.3g} cycles per second, but {first.recording.folder} has "
-            f"{first.rate:.3g}",
-            source=folder,
-        )
-    mine = features_of(episode, images)
-    if {k: f.info() for k, f in mine.items()} != {k: f.info() for k, f in features.items()}:
-        odd = sorted(set(mine) ^ set(features)) or [
-            k for k in mine if mine[k].info() != features[k].info()
-        ]
-        raise InputError(
-            f"has different columns than {first.recording.folder}: {', '.join(odd[:5])}",
-            source=folder,
-        )
-    if images != "none":
-        have = sum(len(names) > 0 for names in episode.recording.columns["images"])
-        if have < len(episode.recording):
-            raise InputError(
-                f"{have} of {len(episode.recording)} cycles have their images; record with "
-                "--frames all",
-                source=folder,
-                field="--images",
-                choices=["none"],
-            )
+        rates = f"has {episode.rate:.3g} cycles per second, but {other} has {first.rate:.3g}"
+        raise InputError(rates, source=folder)
+    mine = {k: f.info() for k, f in features_of(episode, images).items()}
+    infos = {k: f.info() for k, f in features.items()}
+    if mine != infos:
+        odd = sorted(mine.keys() ^ infos.keys()) or [k for k in mine if mine[k] != infos[k]]
+        raise InputError(f"has different columns than {other}: {', '.join(odd[:5])}", source=folder)
+    count = len(episode.recording)
+    stored = sum(len(names) > 0 for names in episode.recording.columns["images"])
+    if images != "none" and stored < count:
+        what = f"{stored} of {count} cycles have their images; record with --frames all"
+        raise InputError(what, source=folder, field="--images", choices=["none"])
 
 
 def _episode(
@@ -162,7 +141,6 @@ def _episode(
 def _episode_row(
     episode: RecordedEpisode,
     number: int,
-    length: int,
     first: int,
     task: str,
     place: tuple[int, int],
@@ -170,8 +148,8 @@ def _episode_row(
     fps: int,
 ) -> dict[str, Any]:
     header = episode.recording.header
-    notes = episode.recording.notes
-    row = {
+    length = len(episode.recording)
+    row: dict[str, Any] = {
         "episode_index": number,
         "tasks": [task],
         "length": length,
@@ -189,19 +167,12 @@ def _episode_row(
             f"videos/{key}/from_timestamp": 0.0,
             f"videos/{key}/to_timestamp": length / fps,
         }
-    names = {
-        key: None if (value := header.get(key)) is None else str(value)
-        for key in ("object", "sensor", "controller", "rig")
-    }
-    return (
-        row
-        | names
-        | {
-            "seed": header.get("seed"),
-            "outcome": notes.get("outcome"),
-            "flags": ", ".join(episode.recording.flags),
-        }
-    )
+    for key in ("object", "sensor", "controller", "rig"):
+        row[key] = None if (value := header.get(key)) is None else str(value)
+    row["seed"] = header.get("seed")
+    row["outcome"] = episode.recording.notes.get("outcome")
+    row["flags"] = ", ".join(episode.recording.flags)
+    return row
 
 
 def _keep_files(out: Path, number: int, episode: RecordedEpisode) -> None:
@@ -229,10 +200,8 @@ def _write_meta(
 
     meta = out / "meta"
     (meta / "episodes/chunk-000").mkdir(parents=True, exist_ok=True)
-    pq.write_table(
-        pa.Table.from_pylist([dict(row) for row in rows]),
-        meta / "episodes/chunk-000/file-000.parquet",
-    )
+    table = pa.Table.from_pylist([dict(row) for row in rows])
+    pq.write_table(table, meta / "episodes/chunk-000/file-000.parquet")
     _write_tasks(meta / "tasks.parquet", tasks)
     write_json(meta / "stats.json", statistics.combine(stats))
     infos = _infos(features, fps)
@@ -255,10 +224,8 @@ def _write_meta(
             "features": infos,
         },
     )
-    write_json(
-        meta / "mjtactile.json",
-        {"columns": meanings(), "episodes": [episode.facts for episode in episodes]},
-    )
+    facts = [episode.facts for episode in episodes]
+    write_json(meta / "mjtactile.json", {"columns": meanings(), "episodes": facts})
 
 
 def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
@@ -266,22 +233,16 @@ def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table(
-        {"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)}
-    )
+    indices = pa.array(range(len(tasks)), pa.int64())
+    table = pa.table({"task_index": indices, "task": pa.array(tasks)})
+    kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
     pandas = {
         "index_columns": ["task"],
         "column_indexes": [],
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "columns": [
-            {
-                "name": name,
-                "field_name": name,
-                "pandas_type": kind,
-                "numpy_type": own,
-                "metadata": None,
-            }
-            for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+            dict(zip(keys, (name, name, *types, None), strict=True)) for name, *types in kinds
         ],
     }
     pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), path)

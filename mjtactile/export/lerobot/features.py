@@ -9,7 +9,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,17 +24,15 @@ from mjtactile.recording.log_schema import TRUE
 IMAGES = {"video": ("video", 3), "png": ("image", 1), "none": ("", 0)}
 """Image storage: LeRobot's data type and the number of channels for a reader."""
 INDEX = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-_STATE = (
-    ("opening", "opening_m"),
-    ("speed", "speed_m_s"),
-    ("effort", "effort_N"),
-    ("lift_height", "lift_height_m"),
-)
-_ACTION = (
-    ("command_opening", "opening_m"),
-    ("command_force_limit", "force_limit_N"),
-    ("command_lift_height", "lift_height_m"),
-)
+_STATE = {
+    **{"opening": "opening_m", "speed": "speed_m_s"},
+    **{"effort": "effort_N", "lift_height": "lift_height_m"},
+}
+_ACTION = {
+    "command_opening": "opening_m",
+    "command_force_limit": "force_limit_N",
+    "command_lift_height": "lift_height_m",
+}
 _WRENCH = ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
 
 
@@ -57,8 +57,8 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     """The columns that `episode` gives."""
     wrench = [f"{finger}.{name}" for finger, name in product(episode.fingers, _WRENCH)]
     found = {
-        "observation.state": Feature("float32", [name for _, name in _STATE] + wrench, _state),
-        "action": Feature("float32", [name for _, name in _ACTION], _action),
+        "observation.state": Feature("float32", [*_STATE.values(), *wrench], _state),
+        "action": Feature("float32", list(_ACTION.values()), _action),
     }
     found |= _image_columns(episode, images)
     if episode.re_estimate:
@@ -70,14 +70,14 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
 
 def _state(seen: Perceived) -> Array:
     """Return the gripper state and the wrench on each finger."""
-    reported = [float(seen.row[key]) for key, _ in _STATE]
+    reported = [float(seen.row[key]) for key in _STATE]
     wrenches = np.array(list(seen.row["wrench"]), float)
     return np.concatenate([reported, np.ravel(wrenches)])
 
 
 def _action(seen: Perceived) -> Array:
     """Return the command."""
-    return np.array([float(seen.row[key]) for key, _ in _ACTION])
+    return np.array([float(seen.row[key]) for key in _ACTION])
 
 
 def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
@@ -85,36 +85,34 @@ def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     kind, channels = IMAGES[images]
     if not kind:
         return {}
+    first: tuple[Image, ...] = next((own for own in episode.recording.images() if own), ())
+    names = ["height", "width", "channels"]
     found = {}
-    for k, (finger, first) in enumerate(zip(episode.fingers, _first_images(episode), strict=False)):
-        found[f"observation.images.{finger}"] = Feature(
-            kind,
-            ["height", "width", "channels"],
-            lambda seen, k=k: seen.files[k],
-            (*first.pixels.shape, channels),
-        )
+    for k, (finger, image) in enumerate(zip(episode.fingers, first, strict=False)):
+        shape = (*image.pixels.shape, channels)
+        value = partial(_image_file, finger=k)
+        found[f"observation.images.{finger}"] = Feature(kind, names, value, shape)
     return found
+
+
+def _image_file(seen: Perceived, finger: int) -> Path:
+    return seen.files[finger]
 
 
 def _marker_columns(episode: RecordedEpisode) -> dict[str, Feature]:
     """Return the columns of each finger's marker positions."""
     count = episode.design.markers.count
     names = [f"{number}.{axis}_m" for number, axis in product(range(count), "xyz")]
-    found = {}
-    for k, finger in enumerate(episode.fingers):
-        found[f"observation.markers.{finger}"] = Feature(
-            "float32", names, lambda seen, k=k: _markers(seen, k, count)
+    return {
+        f"observation.markers.{finger}": Feature(
+            "float32", names, partial(_markers, finger=k, count=count)
         )
-    return found
-
-
-def _first_images(episode: RecordedEpisode) -> tuple[Image, ...]:
-    return next((images for images in episode.recording.images() if images), ())
+        for k, finger in enumerate(episode.fingers)
+    }
 
 
 def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
-    """Convert a column of the log: numbers to one feature, texts to one per finger, others to
-    JSON."""
+    """Convert a column of the log: numbers, text, or JSON for each finger."""
     name = f"{'truth' if key in TRUE else 'recorded'}.{key}"
     column = episode.recording.columns[key]
     if key not in LISTS and not np.prod(column.shape[1:]):

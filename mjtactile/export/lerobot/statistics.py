@@ -1,5 +1,4 @@
-"""Statistics for normalization: minimum, maximum, mean, standard deviation and quantiles per
-column."""
+"""Statistics of columns for normalization: range, mean, standard deviation and quantiles."""
 
 from __future__ import annotations
 
@@ -14,10 +13,7 @@ _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Compute the statistics of each column of (n, k) values.
-
-    Unknown values are skipped; a column of only unknown values is null.
-    """
+    """Compute the statistics of each column of (n, k) values without unknown ones; null if all."""
     known = np.isfinite(values)
     filled = np.where(known.any(axis=0), values, 0.0)
     found = {
@@ -35,8 +31,7 @@ def of_numbers(values: Array) -> dict[str, Any]:
 
 
 def of_images(values: Array, channels: int) -> dict[str, Any]:
-    """Compute the statistics of (n, h, w) gray levels 0-1, in the standard shape (channels, 1,
-    1)."""
+    """Compute the statistics of (n, h, w) gray levels 0-1, in the shape (channels, 1, 1)."""
     found = {
         "min": values.min(),
         "max": values.max(),
@@ -50,8 +45,7 @@ def of_images(values: Array, channels: int) -> dict[str, Any]:
 
 
 def combine(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Statistics of all episodes from those of each, weighted by their frames; quantiles are the
-    episodes' mean."""
+    """Combine the episodes' statistics, weighted by their frames; quantiles are their mean."""
 
     def join(key: str) -> dict[str, Any]:
         parts = [one[key] for one in stats]
