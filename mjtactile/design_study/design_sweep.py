@@ -176,10 +176,7 @@ def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
 
 
 def longest_lens(design: SensorDesign) -> float:
-    """Return the maximum factor on the focal length, with a pinhole model.
-
-    At this factor a flat marker reaches the image border.
-    """
+    """Return the pinhole model's maximum lens factor, with all flat markers in the image."""
     markers = design.markers
     camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius

@@ -1,5 +1,4 @@
-"""JSON output of `mjtactile design`: predicted performance of a file, or files that meet
-requirements."""
+"""JSON output of `mjtactile design`: performance of a file, or files that meet requirements."""
 
 from __future__ import annotations
 
@@ -21,18 +20,7 @@ Say = Callable[[str], None]
 def of_file(
     design: SensorDesign, force: float, *, check: int = 0, seed: int = 0, say: Say
 ) -> dict[str, Any]:
-    """Predict the performance of a file.
-
-    Args:
-        design: The sensor.
-        force: Indenting force, N.
-        check: Number of positions for the check in full simulation.
-        seed: Seed of these positions.
-        say: Called with progress messages.
-
-    Returns:
-        The JSON's object.
-    """
+    """Predict the performance at a `force`, N; `check`: positions checked in full simulation."""
     result = predict_file.as_table(predict_file.study(design, force, say=say))
     if check:
         result["checked"] = [_checked(design, check, seed, say)]

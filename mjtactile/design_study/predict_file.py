@@ -1,10 +1,9 @@
-"""Predicted performance of a sensor file: key figures, a map of the sensing surface, and the
-benefit of changes."""
+"""Predicted performance of a sensor file: key figures, a map, and the benefit of changes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,11 +37,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Picture:
-    """Use of the camera image: fractions of its width and height covered by the opening.
-
-    `longest_lens` is the maximum factor on the focal length until a marker leaves the image, flat
-    or inflated.
-    """
+    """Fractions of the image that the opening covers, and the maximum lens factor."""
 
     width_used: float
     height_used: float
@@ -51,8 +46,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Change:
-    """Effect of a change of the sensor file: its description `what`, and the score after it. None:
-    it cannot be built, or cannot be used for sensing."""
+    """Change of a file and its score; None: it cannot be built or used, for `why_not`."""
 
     what: str
     score: Score | None
@@ -61,11 +55,7 @@ class Change:
 
 @dataclass(frozen=True)
 class PredictionReport:
-    """Predicted performance of a sensor file.
-
-    It holds the `score` for an indenting `force`, N, and the map of its face. It also holds its
-    image and the effects of changes to the file.
-    """
+    """Predicted score at a `force`, N, map of the face, image use, effects of changes."""
 
     design: SensorDesign
     force: float
@@ -101,15 +91,17 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> P
         face.append(reacher.at(place, force))
     picture = picture_of(stand)
     changes = []
-    for what, changed in variants(design, picture.longest_lens):
+    for what, variant in variants(design, picture.longest_lens):
         say(f"effect of a change: {what}")
-        changes.append(_changed(what, changed, force))
+        try:
+            changes.append(Change(what, score(rebuilt(variant), force)))
+        except (InputError, MjtactileError) as error:
+            changes.append(Change(what, None, str(error)))
     return PredictionReport(design, force, own, tuple(face), picture, tuple(changes))
 
 
 def face_places(design: SensorDesign) -> list[Array]:
-    """Return the positions of the map, (2,) m each, row by row, in the rectangle around the
-    opening."""
+    """Return the map's positions (2,) m, row by row, in the rectangle around the opening."""
     lines = []
     for side in (design.frame.length, design.frame.width):
         half = max(side / 2 - _MARGIN, 0.0)
@@ -118,14 +110,7 @@ def face_places(design: SensorDesign) -> list[Array]:
 
 
 def picture_of(stand: VirtualBench) -> Picture:
-    """Evaluate the use of the camera image.
-
-    Args:
-        stand: The sensor.
-
-    Returns:
-        Fractions of width and height, and the longest lens.
-    """
+    """Evaluate the use of the camera image."""
     design = stand.design
     camera = Camera.from_design(design.camera, design.glass)
     sides = np.array([design.frame.length, design.frame.width]) / 2
@@ -172,6 +157,9 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
     markers = design.markers
     rows, columns = (round(_MORE * count) for count in (markers.rows, markers.columns))
     lens = min(_MORE, longest_lens)
+    longer = "a quarter more"
+    if lens < _MORE:
+        longer = f"{100 * (lens - 1):+.0f} %, the maximum for the image"
     stretch = membrane.pre_stretch + 0.05
     return [
         (
@@ -182,12 +170,7 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
             f"{columns} x {rows} markers (a quarter more each way, and as much smaller)",
             with_markers(design, rows, columns, extent_of(design), radius_fraction(design)),
         ),
-        (
-            f"focal length {lens * camera.fx:.0f} px ({_percent(lens)}, the maximum for the image)"
-            if lens < _MORE
-            else f"focal length {lens * camera.fx:.0f} px (a quarter more)",
-            scaled_lens(design, lens),
-        ),
+        (f"focal length {lens * camera.fx:.0f} px ({longer})", scaled_lens(design, lens)),
         (
             f"{round(_MORE * camera.width)} x {round(_MORE * camera.height)} pixels of the same "
             "view (a quarter more each way)",
@@ -208,53 +191,28 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
     ]
 
 
-def _changed(what: str, design: SensorDesign, force: float) -> Change:
-    try:
-        return Change(what, score(rebuilt(design), force))
-    except (InputError, MjtactileError) as error:
-        return Change(what, None, str(error))
-
-
-def _percent(factor: float) -> str:
-    return f"{100 * (factor - 1):+.0f} %"
-
-
 def as_table(given: PredictionReport) -> dict[str, Any]:
-    """The study as `mjtactile design --json` has it, lengths in mm, forces in N and mN.
-
-    Args:
-        given: The study.
-
-    Returns:
-        The JSON's object.
-    """
+    """Return the JSON object of `mjtactile design --json`; lengths in mm, forces in N and mN."""
+    changes = [
+        asdict(change) | {"reaches": None if change.score is None else change.score.table()}
+        for change in given.changes
+    ]
     return {
         "sensor": given.design.name,
         "force_N": given.force,
         "reaches": given.score.table(),
-        "picture": {
-            "width_used": given.picture.width_used,
-            "height_used": given.picture.height_used,
-            "longest_lens": given.picture.longest_lens,
-        },
+        "picture": asdict(given.picture),
         "face": [
             {
-                "x_mm": 1e3 * one.x,
-                "y_mm": 1e3 * one.y,
-                "felt_N": one.felt,
-                "force_sd_mN": 1e3 * one.force_sd,
-                "force_noise_mN": 1e3 * one.noise,
-                "place_sd_mm": 1e3 * one.place_sd,
-                "edge_sd_mm": 1e3 * one.edge_sd,
+                "x_mm": 1e3 * at.x,
+                "y_mm": 1e3 * at.y,
+                "felt_N": at.felt,
+                "force_sd_mN": 1e3 * at.force_sd,
+                "force_noise_mN": 1e3 * at.noise,
+                "place_sd_mm": 1e3 * at.place_sd,
+                "edge_sd_mm": 1e3 * at.edge_sd,
             }
-            for one in given.face
+            for at in given.face
         ],
-        "changes": [
-            {
-                "what": one.what,
-                "reaches": None if one.score is None else one.score.table(),
-                "why_not": one.why_not,
-            }
-            for one in given.changes
-        ],
+        "changes": [{key: own[key] for key in ("what", "reaches", "why_not")} for own in changes],
     }

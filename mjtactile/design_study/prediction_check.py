@@ -1,8 +1,4 @@
-"""Comparison of predictions with full simulation.
-
-A ball indents the sensor at random positions and depths. The sensing pipeline evaluates rendered
-images.
-"""
+"""Comparison of predictions with full simulation: a ball at random positions and depths."""
 
 from __future__ import annotations
 
@@ -89,14 +85,11 @@ def check(
         at = rng.uniform(-sides, sides)
         while design.frame.inside(at[None])[0] < _MARGIN - _SAME:
             at = rng.uniform(-sides, sides)
-        into = np.sort(rng.uniform(*_DEPTHS, depths))
-        plan = IndentationPlan(
-            Indenter("sphere", BALL_RADIUS), into.tolist(), (float(at[0]), float(at[1]))
-        )
+        steps = np.sort(rng.uniform(*_DEPTHS, depths)).tolist()
+        plan = IndentationPlan(Indenter("sphere", BALL_RADIUS), steps, (float(at[0]), float(at[1])))
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
-        found += [
-            one for step in result["steps"] if (one := _compared(reacher, at, step)) is not None
-        ]
+        compared = [_compared(reacher, at, step) for step in result["steps"]]
+        found += [one for one in compared if one is not None]
         say(f"position {number + 1} of {places}: {len(found)} indentations")
     return found
 

@@ -1,8 +1,4 @@
-"""Resolution of a sensor at one position.
-
-It consists of standard deviations. They apply to the force and its position, an edge's position,
-and a ball's radius.
-"""
+"""Resolution at one position: sd of force and its position, an edge's, and a ball's radius."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
 from mjtactile.design_study.virtual_bench import Coming, VirtualBench
-from mjtactile.quasistatic import obstacle
+from mjtactile.quasistatic import Obstacle, obstacle
 from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
@@ -24,8 +20,7 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES, ShapeModel
 from mjtactile.sensing.contact_shape.shape_result import reported_covariance
 
 EDGE_RADIUS = 2.5e-3
-"""Rounding radius of an edge, m; at a sharper edge the membrane separates before its faces
-start."""
+"""Rounding radius of an edge, m; a sharper edge would separate the membrane from its faces."""
 BALL_RADIUS = 4e-3
 """Radius of the indenting ball, m."""
 _ROUNDING = 0.5  # rounding radius as a fraction of the membrane's node spacing
@@ -140,21 +135,18 @@ class ResolutionPredictor:
     def _numbers_cov(
         self, family: ShapeModel, theta: Array, place: Array, force: float
     ) -> Array | None:
-        """Return the covariance (k, k) of the parameters of a shape loaded with a force.
-
-        It is the sensing pipeline's covariance for an image without misfit. It follows from the
-        derivatives of the markers' heights (docs/theory/contact_shape.md, Eq. F18-F20).
-        """
+        """Return the covariance (k, k) of a loaded shape's parameters (Eq. F18-F20)."""
         over = self._hint(place, force)
-        pressed = self.stand.press(
-            lambda height: family.build(theta, replace(over, height=height))[0], force
-        )
+
+        def obstacle_at(height: float) -> Obstacle:
+            return family.build(theta, replace(over, height=height))[0]
+
+        pressed = self.stand.press(obstacle_at, force)
         if pressed is None:
             return None
         hint = replace(over, height=pressed.height)
-        data = self._data(
-            Touch(0.0, 0.0, force, 0.0, True, markers=self.stand.detect_markers(pressed.state))
-        )
+        markers = self.stand.detect_markers(pressed.state)
+        data = self._data(Touch(0.0, 0.0, force, 0.0, True, markers=markers))
         prior = Prior(theta / family.sd, np.eye(len(theta)))
         problem = Problem(self._forward, family, hint, data, prior)
         try:

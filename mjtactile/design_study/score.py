@@ -19,8 +19,8 @@ MAX_RADIUS_SD = 0.25
 RANGE_RADIUS = 10e-3
 """Radius of the ball used for the maximum force, m."""
 # search range of the force: start, N, factor per step, number of steps
-_LEAST = 0.25
-_MORE = 1.25
+_MIN_FORCE = 0.25
+_FACTOR = 1.25
 _STEPS = 20
 _FELT_RIGHT = 0.1  # relative error limit at the largest force
 # fractions of half the opening: three positions, unaligned with markers and membrane nodes
@@ -56,10 +56,8 @@ class Score:
 
     def table(self) -> dict[str, float]:
         """Return the values by key, in the key's unit."""
-        return {
-            one.metadata["key"]: getattr(self, one.name) / one.metadata["unit"]
-            for one in fields(self)
-        }
+        items = [(each.metadata, getattr(self, each.name)) for each in fields(self)]
+        return {about["key"]: value / about["unit"] for about, value in items}
 
 
 def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = None) -> Score:
@@ -96,8 +94,7 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
 
 
 def smallest_radius(reacher: ResolutionPredictor, places: list[Array], force: float) -> float:
-    """Return the smallest tested radius, m, such that it and all larger ones can be measured; NaN:
-    none."""
+    """Return the smallest radius, m, from which on all can be measured; NaN: none."""
     smallest = math.nan
     for radius in reversed(RADII):
         sd = _rms([reacher.radius_sd(radius, place, force) for place in places])
@@ -116,11 +113,11 @@ def largest_force(stand: VirtualBench) -> float:
     lost = _STEPS
     while lost - held > 1:
         middle = (held + lost) // 2
-        if _within_tolerance(stand, _LEAST * _MORE**middle):
+        if _within_tolerance(stand, _MIN_FORCE * _FACTOR**middle):
             held = middle
         else:
             lost = middle
-    return math.nan if held < 0 else _LEAST * _MORE**held
+    return math.nan if held < 0 else _MIN_FORCE * _FACTOR**held
 
 
 def _within_tolerance(stand: VirtualBench, force: float) -> bool:

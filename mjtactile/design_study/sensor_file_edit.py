@@ -92,8 +92,7 @@ def scaled_lens(design: SensorDesign, factor: float) -> SensorDesign:
 
 
 def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
-    """The same view with `factor` times the pixels along each side; blur and noise of a pixel
-    stay."""
+    """Scale the pixels by `factor` per side, at the same view, blur and noise per pixel."""
     camera = design.camera
     width, height = (round(factor * side) for side in (camera.width, camera.height))
     by_x = width / camera.width
@@ -113,11 +112,7 @@ def scaled_pixels(design: SensorDesign, factor: float) -> SensorDesign:
 
 
 def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesign:
-    """Return the same sensor with another opening, m.
-
-    The markers keep their distance from the frame, and their density up to the rounding to whole
-    rows.
-    """
+    """Change the opening, m, at the same marker density and distance from the frame."""
     frame = design.frame
     markers = design.markers
     extent = extent_of(design)
@@ -137,8 +132,7 @@ def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesig
 
 
 def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:
-    """Return the same sensor with another image size; the lens and the field of view along x
-    stay."""
+    """Change the image size, at the same lens and field of view along x."""
     camera = design.camera
     scaled = scaled_pixels(design, width / camera.width).camera
     middle = height / camera.height * (camera.cy + 0.5) - 0.5

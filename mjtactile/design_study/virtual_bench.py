@@ -1,7 +1,4 @@
-"""Virtual test bench of a sensor file.
-
-It contains the quasi-static membrane, the camera's exact view, and the sensing pipeline at rest.
-"""
+"""Virtual test bench of a sensor file: quasi-static membrane, exact view, sensing pipeline."""
 
 from __future__ import annotations
 
@@ -47,11 +44,7 @@ Coming = Callable[[float], Obstacle]
 
 @dataclass(frozen=True, eq=False)
 class PredictedTouch:
-    """Result of the sensing pipeline for a membrane.
-
-    `touch` belongs to an image of the equilibrium. `state` is the state of the pipeline after
-    it.
-    """
+    """`touch` of an image of the equilibrium, and the pipeline's `state` after it."""
 
     touch: Touch
     state: PipelineState
@@ -95,16 +88,13 @@ class VirtualBench:
         state = self.chain.measure_flat_reference(self.chain.initial_state(), [flat])
         self.state = self.chain.measure_rest_reference(state, [rest], self.film.gauge_pressure)
 
-    def _require_all(self, seen: SyntheticEllipses, how: str) -> None:
+    def _require_all(self, seen: SyntheticEllipses, state: str) -> None:
         """Raise InputError if not all markers are in the image."""
         found = 0 if seen.ellipses is None else len(seen.ellipses)
         if found < self.circles:
-            raise InputError(
-                f"only {found} of {self.circles} circles lie completely in the image while "
-                f"the membrane is {how}",
-                source=self.design.name,
-                field="camera.fx_px",
-            )
+            count = f"only {found} of {self.circles} circles"
+            what = f"{count} lie completely in the image while the membrane is {state}"
+            raise InputError(what, source=self.design.name, field="camera.fx_px")
 
     @property
     def circles(self) -> int:
@@ -119,7 +109,6 @@ class VirtualBench:
         return self.state.reference
 
     # -- indentation
-    # --------------------------------------------------------------------------------
 
     def press(self, body: Coming, force: float) -> IndentedMembrane | None:
         """Lower an obstacle until it indents the membrane with a force.
@@ -162,11 +151,7 @@ class VirtualBench:
         return IndentedMembrane(state, low) if off < _OFF * force else None
 
     def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
-        """Solve for the membrane on an obstacle; None: no equilibrium found.
-
-        The start is a nearby state, then this state without its extrapolation, then the rest
-        state.
-        """
+        """Solve on an obstacle from `start`, without its trend, or from rest; None: no state."""
         starts = [start] if start is None else [start, replace(start, trend=None), None]
         for one in starts:
             try:
@@ -185,21 +170,16 @@ class VirtualBench:
         return float((self.film.rest.heights.ravel() - under).max())
 
     # -- markers and tactile estimates
-    # --------------------------------------------------------------------------------
 
     def poses(self, x: Array) -> tuple[Array, Array]:
-        """Return the positions and normals of the markers, each (N, 3) in S.
-
-        The membrane is displaced by `x` (3, nx, ny) m.
-        """
+        """Return the markers' positions and normals, (N, 3) in S, displaced by `x` (3, nx, ny)."""
         moved, by_x, by_y = self._by_node @ x.reshape(3, -1).T
         normal = np.cross(by_x + [1.0, 0.0, 0.0], by_y + [0.0, 1.0, 0.0])
         p_SM = self.design.markers.p_SM + moved
         return p_SM, normal / np.linalg.norm(normal, axis=1)[:, None]
 
     def heights(self, x: Array) -> Array:
-        """Return the heights (n, N) m of the markers for membranes displaced by `x` (n, 3, nx,
-        ny)."""
+        """Return the markers' heights (n, N), m, for displacements `x` (n, 3, nx, ny)."""
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
     def sight(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
@@ -214,12 +194,6 @@ class VirtualBench:
         """Run the sensing pipeline on a membrane in equilibrium.
 
         The second image is evaluated, since the covariance after a sudden load change is inflated.
-
-        Args:
-            film: Membrane in equilibrium.
-
-        Returns:
-            The touch and the pipeline's state.
         """
         state = self.state
         for number in (1, 2):
@@ -228,20 +202,12 @@ class VirtualBench:
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
     def noise(self, felt: PredictedTouch) -> Array:
-        """Return the covariance (3, 3) N^2 of the estimated force from pixel noise alone.
-
-        It is the scatter from image to image.
+        """Return the covariance (3, 3) N^2 of the force from pixel noise: image to image.
 
         The pipeline's tractions are linear in the whitened markers: traction = P^(1/2) half^T
         innovation^-1 y (docs/theory/membrane_inverse.md, Eq. F12). The covariance of y is the
         camera's error bound for the markers, whitened in the same manner. It applies to a single
         image. The pipeline's memory of the camera from earlier images reduces it by up to half.
-
-        Args:
-            felt: Result for one image.
-
-        Returns:
-            The covariance.
         """
         assert felt.touch.markers is not None
         gain = felt.shape.gain
@@ -253,8 +219,7 @@ class VirtualBench:
         return by_marker @ noise @ by_marker.T
 
     def level_noise(self) -> float:
-        """Return the standard deviation, N, of the running force level without contact, used to
-        detect light contacts."""
+        """Return the sd, N, of the running force level that detects light contacts."""
         blend = self.chain.settings.zero.blend
         one = math.sqrt(self.noise(self.estimate_touch(self.film.rest))[2, 2])
         return one * math.sqrt(blend / (2 - blend))

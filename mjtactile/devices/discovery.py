@@ -85,9 +85,7 @@ def serial_ports(
 def servos_at(
     port: str, bauds: Iterable[int] | None = None, *, reply_time: float | None = None
 ) -> tuple[int, Mapping[int, str]]:
-    """The first baud rate at which servos answer, and their models by id; none at (0, {}).
-
-    Raises DeviceError for a port that cannot be opened or goes away."""
+    """Return the first baud rate at which servos answer, and their models by id, or (0, {})."""
     for baud in bauds or BAUDS:
         bus = DynamixelBus(port, baud, reply_timeout=reply_time or _REPLY_TIME)
         try:
@@ -105,8 +103,7 @@ def servos_at(
 
 
 def valve_board_at(port: str) -> str:
-    """Return the self-description of the valve board at a port; "" without an answer. Raises
-    DeviceError for a port that cannot be opened."""
+    """Return the self-description of the valve board at a port; "" without an answer."""
     line = open_port(port, VALVE_BAUD)
     heard = bytearray()
     try:

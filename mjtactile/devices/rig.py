@@ -146,8 +146,7 @@ def _check_pace(rig_file: RigFile) -> None:
 
 
 def _pressure_range(rig_file: RigFile, boards: Sequence[ValveBoard]) -> tuple[float, float] | None:
-    """Return the pressure range that all chambers support, Pa; None without valves or pressure
-    sensors."""
+    """Return the pressure range of all chambers, Pa; None without valves or sensors."""
     if not boards or not all(board.has_sensors for board in boards):
         return None
     return 0.0, min(valve.pressure_max for valve in rig_file.valves)

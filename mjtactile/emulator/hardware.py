@@ -62,7 +62,6 @@ class EmulatedHardware:
             self.valve.close()
 
     # -- chambers, as the valve board moves them
-    # ------------------------------------------------------------------
 
     def connect(self, channel: int, supply_gauge: float) -> None:
         self._shared[f"supply_{channel}"] = supply_gauge
@@ -75,7 +74,6 @@ class EmulatedHardware:
         return self._shared[f"pressure_{channel}"]
 
     # -- inside
-    # --------------------------------------------------------------------------------
 
     def _build_servo(self, servo_id: int, model: str, angle: float) -> EmulatedServo:
         emulator = self._rig_file.emulator or EmulatorConfig()

@@ -15,10 +15,7 @@ TRIPPED = 0xFF  # "Bus Watchdog"
 
 
 class Registers:
-    """All registers of one model.
-
-    The subclass implements the effects of a write and the measurements before a read.
-    """
+    """All registers of one model; the subclass implements effects and measurements."""
 
     def __init__(self, model: str):
         self._table = ct.control_table(model)
@@ -74,8 +71,7 @@ class Registers:
         return 0, bytes(self._memory[self._where(a)] for a in range(address, address + size))
 
     def write(self, address: int, data: bytes, *, ram_only: bool = False) -> int:
-        """Write one or several consecutive registers, all or none. Return the error number of the
-        status packet."""
+        """Write consecutive registers, all or none; return the status packet's error number."""
         fields, error = self._checked(address, data)
         if ram_only and any(field.address < ct.EEPROM_END for field, _ in fields):
             error = ACCESS_ERROR  # "Only the RAM area can be modified", Secondary(Shadow) ID(12)
@@ -88,8 +84,7 @@ class Registers:
         self.set(name, value)
 
     def _checked(self, address: int, data: bytes) -> tuple[list[tuple[ct.TableEntry, int]], int]:
-        """The registers that a write would change, with their values, and the error that it would
-        get."""
+        """Return the registers that a write would change, their values, and its error."""
         fields, error = self._parse(address, data)
         for field, value in fields:
             error = error or self._check(field, value)

@@ -90,7 +90,6 @@ class EmulatedServo(ServoRegisters):
         self._publish()
 
     # -- instructions
-    # --------------------------------------------------------------------------------
 
     def is_silent(self, now: float) -> bool:
         return now < self._silent_until
@@ -123,8 +122,7 @@ class EmulatedServo(ServoRegisters):
             return 0
 
     def back_up(self, option: int, now: float) -> int:
-        """ "Control Table Backup": 1 stores, 2 restores and reboots; "works properly only if Torque
-        Enable … is set as '0'"."""
+        """ "Control Table Backup": 1 stores, 2 restores and reboots, with torque off only."""
         with self._lock:
             if (
                 self.get("Torque Enable")
@@ -146,7 +144,6 @@ class EmulatedServo(ServoRegisters):
             return 0
 
     # -- life
-    # --------------------------------------------------------------------------------
 
     def raise_error(self, bits: int) -> None:
         """Latch a hardware error; torque goes off if the Shutdown register names it."""
@@ -161,8 +158,7 @@ class EmulatedServo(ServoRegisters):
             self._power_up()
 
     def check_watchdog(self, now: float) -> None:
-        """Trip if no packet arrived within the bus watchdog's time; it "monitors … when Torque
-        Enable(64) is '1'"."""
+        """Trip if torque is on and no packet arrived within the bus watchdog's time."""
         with self._lock:
             watchdog = self.get("Bus Watchdog")
             if self.tripped:
@@ -230,10 +226,7 @@ class EmulatedServo(ServoRegisters):
         return self.model.ampere_per_unit * self._torque_per_A
 
     def _planned(self) -> float:
-        """Return the current profile angle, rad.
-
-        Without a profile this is the goal itself ("Profile not used (Step Instruction)").
-        """
+        """Return the profile's angle, rad; without a profile, the goal ("Step Instruction")."""
         if self.get("Profile Velocity"):
             return self._path.angle
         return self._angle(self.get_signed("Goal Position"))
@@ -264,8 +257,7 @@ class EmulatedServo(ServoRegisters):
         self.follow_load(self.angle + step, step / period, 0.0, period)
 
     def follow_load(self, angle: float, speed: float, torque: float, period: float) -> None:
-        """Set the shaft state from the mechanism: angle, rad, speed, rad/s, and motor torque, N
-        m."""
+        """Set the shaft's angle, rad, speed, rad/s, and torque, N m, from the mechanism."""
         with self._lock:
             self.angle = angle
             self.speed = speed

@@ -50,10 +50,7 @@ class ServoBus:
         self._port.close()
 
     def is_busy(self) -> bool:
-        """Return True if received bytes are not processed yet.
-
-        A slow emulator process must not count as silence of the host.
-        """
+        """Return True if received bytes are not processed yet: the host is not silent."""
         return self._port.has_input
 
     def _receive(self, data: bytes) -> None:
@@ -69,10 +66,7 @@ class ServoBus:
                 self._send(answer, len(data), baud)
 
     def answer(self, packet: p2.Instruction, now: float, baud: int | None = None) -> bytes:
-        """Return the servos' reply to one packet, b"" without a reply.
-
-        All servos receive the packet if `baud` is None.
-        """
+        """Return the servos' reply to a packet, or b""; `baud` None: all receive it."""
         mute = int(self._faults.get("servo_silent")) or None
         awake = [
             s
@@ -101,8 +95,7 @@ class ServoBus:
         return answer
 
     def _single(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
-        """Carry out and answer, from the id that was asked: a new one counts from the next packet
-        on."""
+        """Carry out and answer from the old id; a new id applies from the next packet on."""
         asked = servo.id
         level = servo.get("Status Return Level")
         error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
@@ -127,7 +120,6 @@ class ServoBus:
         return answer
 
     # -- several servos in one packet; a broken one is ignored as a whole
-    # --------------------------------------------
 
     def _sync_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         return self._read_each(_same_block(parameters), awake)
@@ -138,8 +130,7 @@ class ServoBus:
     def _read_each(
         self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
     ) -> bytes:
-        """ "Each device individually returns Status Packet"; one that is not there is missing, and
-        no other."""
+        """ "Each device individually returns Status Packet"; a missing one sends none."""
         answer = b""
         for servo_id, address, size in blocks:
             for servo in awake:
@@ -156,10 +147,7 @@ class ServoBus:
     def _read_fast(
         self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
     ) -> bytes:
-        """Return one packet to which each servo appends its part.
-
-        The packet ends at the first missing servo.
-        """
+        """Return one packet of each servo's part; it ends at the first missing servo."""
         by_id = {servo.id: servo for servo in awake}
         if self._faults.occurs("servo_drop"):
             return b""

@@ -36,7 +36,6 @@ class ServoRegisters(Registers):
         raise NotImplementedError
 
     # -- registers
-    # --------------------------------------------------------------------------------
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
         with self._lock:
@@ -57,10 +56,7 @@ class ServoRegisters(Registers):
             return error
 
     def act(self) -> int:
-        """Execute the registered write.
-
-        "Action has been used without Reg Write" is an instruction error.
-        """
+        """Execute the registered write; without one, it is an instruction error."""
         with self._lock:
             if self._registered is None:
                 return INSTRUCTION_ERROR
@@ -89,7 +85,6 @@ class ServoRegisters(Registers):
         self.set("Goal Position", self._ticks())
 
     # -- values
-    # --------------------------------------------------------------------------------
 
     def _defaults(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
         for field in self._table.fields.values():
@@ -124,8 +119,7 @@ class ServoRegisters(Registers):
 
     @property
     def _homing(self) -> int:
-        """Offset added to the actual position, ticks (Homing Offset(20)). Too large offsets have no
-        effect in mode 3."""
+        """Homing Offset(20), ticks, in use; too large ones have no effect in mode 3."""
         offset = self.get_signed("Homing Offset")
         if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX:
             return 0

@@ -48,8 +48,7 @@ TO_WORLD = (
 
 
 class SharedState:
-    """Named values in a file descriptor (`system.memory_file`); `state["opening"]` reads and
-    writes."""
+    """Named values in a file descriptor (`system.memory_file`), by `state["opening"]`."""
 
     def __init__(self, descriptor: int, names: Sequence[str] = (*FROM_WORLD, *TO_WORLD)):
         os.ftruncate(descriptor, mmap.PAGESIZE)

@@ -70,10 +70,7 @@ def unframed(line: bytes) -> str | None:
 
 
 class Chambers(Protocol):
-    """Chambers driven by the board.
-
-    `connect` joins a chamber to a supply (Pa), `seal` closes it, `pressure` reads it.
-    """
+    """Chambers driven by the board: connected to a supply (Pa), sealed, measured."""
 
     def connect(self, channel: int, supply_gauge: float) -> None: ...
     def seal(self, channel: int) -> None: ...
@@ -142,10 +139,7 @@ class ValveFirmware:
             self.hold = 0.0
 
     def tick(self, now: float, period: float) -> None:
-        """Advance by `period` s.
-
-        Vent on a missing heartbeat, a failed sensor or an excess pressure.
-        """
+        """Advance by `period` s; vent on a missing heartbeat, failed sensor or high pressure."""
         with self._lock:
             if self._faults.get("valve_restart"):
                 self._faults.set("valve_restart", 0)

@@ -142,10 +142,7 @@ class EmulatedWorld:
         self._flagged |= self.scene.flags.keys()
 
     def _drive_jaws(self, goal: float, force: float) -> None:
-        """Drive the jaws to the requested opening.
-
-        Without torque, gear friction holds the jaws in position unless a larger force acts.
-        """
+        """Drive the jaws to the opening; without torque, gear friction holds them."""
         opening = self.scene.opening
         if not math.isnan(goal) and force > 0:
             self._rest_opening = None
@@ -204,10 +201,7 @@ class EmulatedWorld:
 
 
 class Cameras:
-    """Thread that renders the marker poses and streams the images.
-
-    It drops an image if rendering is late.
-    """
+    """Thread that renders and streams the images; it drops one if rendering is late."""
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
         emulator = options.rig_file.emulator or EmulatorConfig()

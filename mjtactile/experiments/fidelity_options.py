@@ -14,8 +14,7 @@ from mjtactile.sim.sensor.effect_switches import set_design
 def effects_of(
     design: SensorDesign, object_name: str, accuracy: str, overrides: str
 ) -> tuple[str, float, list[dict[str, Any]]]:
-    """The object's name, the force error asked for, N, and a row for each effect. Raises
-    InputError."""
+    """Return object, required force error, N, and a row per effect. Raises InputError."""
     grasped = load_object(object_name)
     films = bool(accuracy) and quasistatic_is_valid(design, grasped, overrides)
     fidelity = _fidelity(accuracy, films)
@@ -36,8 +35,7 @@ def effects_of(
 def simulation_of(
     design: SensorDesign, accuracy: str, overrides: str
 ) -> tuple[SensorDesign, dict[str, Any]]:
-    """The sensor with its effects switched; and effects, mesh and time step of a world without an
-    object. Raises InputError."""
+    """Return the sensor with its effects, and effects, mesh and time step of its world."""
     fidelity = _fidelity(accuracy)
     effects = choose(design, force_error=_force_error(fidelity), overrides=overrides).on
     how = {} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep}

@@ -53,8 +53,7 @@ class _Cycle:
 
 
 class StageWorld:
-    """Test sensor on its stand, with readings of its camera, pressure sensor and stage load
-    cell."""
+    """Test sensor on its stand, with camera, pressure sensor and the stage's load cell."""
 
     def __init__(self, specimen: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
         """`world` goes to `PressWorld`, such as the mesh."""
@@ -100,10 +99,7 @@ def record_stage(
     say: Say = lambda _: None,
     **world: Any,
 ) -> int:
-    """Record references and `seconds` s of the stage's moves; return the number of cycles.
-
-    With a `load_cell` the recording contains its reading at the end of each hold.
-    """
+    """Record references and `seconds` s of moves, with a load cell; return the cycles."""
     bench = StageWorld(specimen, stage, seed=seed, **world)
     recorder.note(fingers=["left"], stage=stage.note())
     say("reference: flat, valve open")

@@ -22,8 +22,7 @@ _GAUGE_SD = 5.0  # noise of the pressure sensor, Pa, as of a rig without a calib
 
 
 class View:
-    """Camera, pressure sensor (`gauge`) and perception of the sensor in `world`; perception assumes
-    `design`."""
+    """Camera, pressure sensor and pipeline of the sensor in `world`, assuming `design`."""
 
     def __init__(
         self,
@@ -87,8 +86,7 @@ class TestBench:
         self._rest_height = 0.0
 
     def zero(self, *, sealed: bool = True) -> None:
-        """Take both references: flat with the valve open to the air, then inflated to the supply,
-        sealed or not."""
+        """Take both references: flat and vented, then inflated to the supply."""
         take_references(self.world, [self._view], self.design.chamber.supply_gauge, sealed=sealed)
         surface = self.touch().surface
         self._rest_height = float(surface.z.max()) if surface is not None else 0.0
@@ -102,8 +100,7 @@ class TestBench:
         return self._view.touch()
 
     def load_cell(self) -> float:
-        """Normal force, N, that a load cell behind the indenter's face reads, also while the drive
-        moves."""
+        """Return the normal force, N, of a load cell behind the indenter, also in motion."""
         return -float(ground_truth.contact_force(self.world, 0)[2])
 
     def look(self, images: int = 1) -> dict[str, float]:

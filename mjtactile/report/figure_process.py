@@ -46,10 +46,7 @@ def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
 
 
 class FigureWriter:
-    """Callable like `mjtactile.report.summary_figure.write_figure` that uses a worker process.
-
-    Without a worker, or if the worker has failed, it plots in this process.
-    """
+    """`write_figure` in a worker process; in this process without a worker."""
 
     def __init__(self, worker: WorkerProcess | None):
         self._worker = worker

@@ -10,10 +10,7 @@ from typing import Any
 
 
 def new_figure(name: str, size: tuple[float, float], dpi: int = 110) -> Any:
-    """Create a figure of `size` inches without a window, for the file `name`.
-
-    Without matplotlib it returns None and prints a warning on stderr.
-    """
+    """Create a figure of `size` inches; None, with a warning, without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

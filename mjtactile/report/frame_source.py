@@ -25,8 +25,7 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 
 @dataclass(frozen=True, eq=False)
 class NamedImage:
-    """`name` of the image, its pixels (H, W) or (H, W, 3) as stored, None when it cannot be
-    read."""
+    """Name and pixels (H, W) or (H, W, 3) of an image, None when it cannot be read."""
 
     name: str
     pixels: NDArray | None
@@ -129,6 +128,5 @@ def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses | None) -> N
 
 
 def _fixed(uv: NDArray, zoom: int) -> NDArray[np.int32]:
-    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay
-    centres."""
+    """Convert pixels to OpenCV's fixed point (4 bits) in the enlarged image."""
     return np.rint(((uv + 0.5) * zoom - 0.5) * 16).astype(np.int32)

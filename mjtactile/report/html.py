@@ -28,10 +28,7 @@ def document(title: str, body: Iterable[str], *, style: str = "") -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, text: bool = False) -> str:
-    """Return a table from HTML cells and a plain-text `head`.
-
-    If `text` is True, all cells are left-aligned.
-    """
+    """Return a table of HTML cells with a plain `head`; `text`: all cells left-aligned."""
     body = "".join("<tr>" + "".join(f"<td>{value}</td>" for value in row) + "</tr>" for row in rows)
     first = f"<tr>{''.join(f'<th>{escape(word)}</th>' for word in head)}</tr>" if head else ""
     return f"<table{' class=text' if text else ''}>{first}{body}</table>"

@@ -24,10 +24,7 @@ _TOO_LARGE = 3.0
 
 
 def find_ellipses(image: Image) -> Ellipses:
-    """Return the ellipses in the image, or the synthetic ones that replace them.
-
-    The edge of a round frame, which is a circle around all of them, is excluded.
-    """
+    """Return the ellipses in the image without a round frame's edge, or the synthetic ones."""
     if isinstance(image, SyntheticEllipses) and image.ellipses is not None:
         return image.ellipses
     found = detect(image)
@@ -42,18 +39,14 @@ def find_ellipses(image: Image) -> Ellipses:
 
 
 def followed(image: Image, tracks: Tracks | None) -> Ellipses | None:
-    """Return the ellipses of `tracks` if they are from this image and complete.
-
-    A new search takes a hundred times as long.
-    """
+    """Return the ellipses of `tracks` if they are from this image and complete."""
     if tracks is None or tracks.time != image.time or len(tracks.fit.center) < tracks.count:
         return None
     return as_ellipses(tracks.fit, np.full(tracks.count, "ok", dtype="<U24"))
 
 
 def with_ellipses(image: Image, width: int, ellipses: Ellipses | None = None) -> NDArray[np.uint8]:
-    """The image `width` pixels wide, blue, green, red (h, w, 3); ellipses green where they are
-    trusted, red where not."""
+    """Return a color image `width` px wide with trusted (green) and other (red) ellipses."""
     ellipses = find_ellipses(image) if ellipses is None else ellipses
     pixels = image.pixels if image.pixels.size else np.full(_NO_PIXELS, _PAPER, np.uint8)
     scale = width / pixels.shape[1]

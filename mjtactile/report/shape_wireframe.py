@@ -43,8 +43,7 @@ def lines_of(shape: ContactShape) -> list[Array]:
 
 
 def directions_of(shape: ContactShape) -> tuple[float, float]:
-    """Return the directions of the two arcs, rad from x: along the smaller curvature, and
-    across."""
+    """Return both arcs' directions, rad from x: along the smaller curvature and across."""
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     return angle, angle + math.pi / 2
 
@@ -61,11 +60,7 @@ def _arc(curvature: float) -> tuple[Array, Array]:
 
 
 def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
-    """Cut the simulated scene with the planes of a contact shape's arcs.
-
-    Returns segments (n, 2, 3), m, in S. They are for figures only, since sensing has no access to
-    the scene.
-    """
+    """Cut the simulated scene along the arcs: segments (n, 2, 3), m, in S, for figures."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return np.zeros((0, 2, 3))
     corners_O = (view.things() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
@@ -78,8 +73,7 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
 
 
 def _cut(corners: Array, turn: float) -> Array:
-    """Pieces (n, 2, 3) of triangles (m, 3, 3) in the upright plane through the origin that goes
-    `turn` rad from x."""
+    """Cut triangles (m, 3, 3) with the upright plane `turn` rad from x: (n, 2, 3)."""
     off = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
     crossed = np.flatnonzero(off.min(axis=1) * off.max(axis=1) < 0)
     corners = corners[crossed]

@@ -43,11 +43,7 @@ class SceneCamera(Protocol):
 def render_scene(
     axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
 ) -> None:
-    """Render the scene around the sensors, with an arrow for the estimated force of each finger in
-    contact.
-
-    Each arrow has the color of its finger.
-    """
+    """Render the sensors' surroundings, with an arrow of each finger's estimated force."""
     middle, half, axes_PW = _framing(view)
     image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
@@ -75,8 +71,7 @@ def render_scene(
 
 
 def picture_of(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
-    """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make
-    edges smooth."""
+    """Render the scene, (*size, 3) from 0 to 1; `samples` per pixel side smooth edges."""
     middle, half, axes_PW = _framing(view)
     corners, rgba = view.triangles()
     rows, columns = size
@@ -139,8 +134,7 @@ def image_axes(p_WS: Array) -> Array:
 
 
 def rasterise(corners: Array, rgb: Array, size: tuple[int, int]) -> Array:
-    """An image (*size, 3) of triangles (n, 3, 3), right, up, towards the viewer; its width goes
-    from -1 to 1."""
+    """Render triangles (n, 3, 3): right, up, towards the viewer; the width is -1 to 1."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     # both sides are visible

@@ -99,10 +99,7 @@ def session_of(recording: Recording) -> Session | None:
 
 
 def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:
-    """Estimate the contact shape of each finger in all cycles from their images.
-
-    A cycle takes a few tenths of a second.
-    """
+    """Estimate each finger's contact shape in all cycles, some tenths of a second each."""
     session = session_of(recording)
     if session is None:
         return list(strip)

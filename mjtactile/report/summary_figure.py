@@ -53,11 +53,7 @@ def write_figure(
     summary: Mapping[str, Any],
     scene: SceneCamera | None = None,
 ) -> None:
-    """Write the figure of a run to `path` (PNG).
-
-    `snapshot` is the cycle with the images, surfaces and `scene` to show. Raises MjtactileError if
-    matplotlib is not installed.
-    """
+    """Write a run's figure (PNG) at the cycle `snapshot`. Raises MjtactileError."""
     figure_class, canvas_class = import_matplotlib()
     fingers = 1 if snapshot is None else len(snapshot.touch)
     columns = fingers + (scene is not None)
@@ -104,8 +100,7 @@ def write_figure(
 def _plot_finger(
     figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: SceneCamera | None
 ) -> None:
-    """One finger's image above its surface in `place`, a column of a grid; without an image, its
-    touch alone."""
+    """Plot one finger's image, if there is one, above its surface, in a grid column."""
     image = snapshot.images[finger]
     touch = snapshot.touch[finger]
     if isinstance(image, SyntheticTouch):
@@ -122,10 +117,7 @@ def _plot_finger(
 
 
 def import_matplotlib() -> tuple[Any, Any]:
-    """The figure and the canvas class; no pyplot, so no display and no global state.
-
-    Raises MjtactileError where it is not installed.
-    """
+    """Import figure and canvas, without pyplot's global state. Raises MjtactileError."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -160,8 +152,7 @@ def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
 
 
 def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
-    """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left
-    pixel."""
+    """Plot the image with the ellipses; pixel (0, 0) is the top-left pixel's center."""
     height, width = image.pixels.shape
     if image.pixels.size:
         axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
@@ -281,8 +272,7 @@ def _tractions(touch: Touch) -> Array:
 
 
 def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
-    """Return positions (n, 3), mm, on the membrane, and tractions (n, 3), Pa, in the contact
-    area."""
+    """Return positions (n, 3), mm, and tractions (n, 3), Pa, in the contact area."""
     stress = _tractions(touch)
     size = np.linalg.norm(stress, axis=-1)
     keep = np.zeros(size.shape, dtype=bool)
@@ -308,8 +298,7 @@ def _plot_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) ->
 
 
 def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:
-    """Estimated (line, with a band of two sd) and true (dashed) normal force per finger, phases
-    shaded and named."""
+    """Plot estimated (line, 2 sd) and true (dashed) normal forces, with phases."""
     time = recording.columns["time"]
     axes.set_xlabel("time [s]")
     axes.set_ylabel("normal force per finger [N]")
@@ -347,10 +336,7 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
 
 
 def _sample_break_force(axes: Any, force: Any, top: float) -> float:
-    """Plot a line at the break force of the object and return the new upper limit.
-
-    A note replaces the line if it is so high that it would flatten the curves.
-    """
+    """Plot the break force, or a note if it is too high; return the upper limit."""
     if not isinstance(force, (int, float)) or not np.isfinite(force):
         return top
     if force > 2.5 * top:

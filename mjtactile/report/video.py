@@ -98,10 +98,7 @@ def write_video(
 
 
 def is_own(path: Path) -> bool:
-    """Return True if an earlier run wrote the video, so that it may be replaced.
-
-    For .gif and .webp this is False, since they carry no note.
-    """
+    """Return True if an earlier run wrote the .mp4; .gif and .webp carry no note."""
     try:
         import av
 
@@ -158,8 +155,7 @@ class _Film:
         return np.vstack(parts)
 
     def _bodies_at(self, row: int) -> Pixels:
-        """Return the row of cross sections of the estimated contact shapes, below the camera
-        images."""
+        """Return the row of cross sections of the shapes, below the camera images."""
         if row == self._bodies[0] and self._bodies[1] is not None:
             return self._bodies[1]
         view = self._view_at(float(self._time[row]))

@@ -47,11 +47,7 @@ Raises DeviceError or SimulationError if a rig differs so much that it cannot wo
 
 @dataclass(frozen=True)
 class TestedParameter:
-    """A cause with its `amounts` on each finger, SI, their standard deviations and its explained
-    fraction.
-
-    The explained fraction includes the nuisance parameters.
-    """
+    """Cause with `amounts` per finger, SI, their sd, and explained fraction, in all."""
 
     cause: DiscrepancyParameter
     amounts: tuple[float, ...]
@@ -201,10 +197,7 @@ class _Checked:
 
 
 def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
-    """Return True if a cause explains enough to be reported, both simulated and in the linear fit.
-
-    `left` is the fraction that the nuisance parameters alone leave unexplained.
-    """
+    """Return True if a cause explains enough, both simulated and in the linear fit."""
     explains = min(best.explains, linear.explains) >= _MIN_EXPLAINED
     return explains and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * left)
 
@@ -217,11 +210,7 @@ def _checked(
     simulate: Simulate,
     time: Array,
 ) -> _Checked:
-    """Run the simulator with the cause, and rescale its amount once.
-
-    The response is not exactly linear. The second run uses the amount that fits the difference
-    best.
-    """
+    """Simulate the cause, and again with the amount that fits the difference best."""
     best = _Checked(one, here, 0.0)
     one = _on_each_finger(one, allowed, there, here, simulate, time)
     for _ in range(2):
@@ -249,10 +238,7 @@ def _on_each_finger(
     simulate: Simulate,
     time: Array,
 ) -> TestedParameter:
-    """Fit the amounts per finger from the effect of each finger's amount on all fingers.
-
-    The fingers are coupled: a force that one of them loses is carried by the other.
-    """
+    """Fit each finger's amount with its effect on all fingers, which share forces."""
     fingers = there.fingers
     if one.cause.on != "sensor" or fingers < 2:
         return one
@@ -345,8 +331,7 @@ def _tried(
 def _solve(
     difference: Array, columns: Array, beside: Mapping[str, tuple[Array, float]]
 ) -> tuple[Array, dict[str, float], Array]:
-    """Return the amounts of `columns`, the nuisance parameters with the remainder, and the amounts'
-    standard deviations."""
+    """Return amounts of `columns`, nuisance parameters with remainder, and amounts' sd."""
     names = list(beside)
     allowed = [beside[name][0] for name in names]
     J = np.column_stack([columns, *allowed]) if allowed else columns

@@ -163,10 +163,7 @@ ON_STAGE = ("sensor", "stage")
 
 
 def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[DiscrepancyParameter, ...]:
-    """Return the causes that apply to a recording of a stage, or else of a gripper.
-
-    `names` restricts them to the named causes, if it is not empty.
-    """
+    """Return the (named) causes that apply to a recording of a stage or a gripper."""
     places = ON_STAGE if staged else IN_STOCK
     return tuple(
         cause for cause in CAUSES if cause.on in places and (not names or cause.name in names)

@@ -139,11 +139,7 @@ def _legend(shadow: SimComparison) -> str:
 
 
 def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
-    """Return the plotted curve of a kind (t,).
-
-    It is the normal force, N, or the pressure, Pa. The third kind is the rms distance of the
-    markers from the recorded ones, um.
-    """
+    """Return a curve (t,): normal force, N, pressure, Pa, or marker distance (rms), um."""
     if kind == "force":
         return -signals.force[:, finger, 2]
     if kind == "pressure":

@@ -94,10 +94,7 @@ def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | No
 
 
 def recorded(episode: RecordedEpisode) -> Signals:
-    """Return the signals of a recording, estimated again from its images if all are available.
-
-    Otherwise the forces are those that were estimated during the recording.
-    """
+    """Return a recording's signals, estimated again from its images if available."""
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
     gathered = CollectedSignals(counts)
     rows = []

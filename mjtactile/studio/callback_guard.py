@@ -10,8 +10,7 @@ from typing import Any
 
 
 def guarded(handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Return a handler that reports exceptions to its plugin's `complain` and keeps the viewer
-    alive."""
+    """Return a handler that passes exceptions to its plugin's `complain`."""
 
     @functools.wraps(handler)
     def call(self: Any, event: Any) -> Any:

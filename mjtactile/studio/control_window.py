@@ -161,8 +161,7 @@ class ControlWindow(plugin.ViewerPlugin):
             show.wish = now
 
     def _build_next(self) -> None:
-        """Build the controls for another object, seed, accuracy and effects, which need a new
-        world."""
+        """Build the controls for object, seed, accuracy and effects of the next world."""
         if not imgui.CollapsingHeader("another run"):
             return
         now = self._next
@@ -181,8 +180,7 @@ class ControlWindow(plugin.ViewerPlugin):
             imgui.TreePop()
 
     def _build_effects(self) -> None:
-        """List the active effects for the object and accuracy, with their costs; a click overrides
-        one."""
+        """List the effects for object and accuracy, with costs; a click overrides one."""
         now = self._next
         for name, on, text, why in _effects(now.sensor, now.object, now.accuracy, now.effects):
             changed, _ = imgui.Checkbox(f"{name}###{name}", on)
@@ -203,8 +201,7 @@ class ControlWindow(plugin.ViewerPlugin):
 
 
 def toggled(overrides: str, name: str, on: bool) -> str:
-    """`overrides` ("auto" or "+a,-b") with an effect forced, or no longer forced where it was to
-    the contrary."""
+    """Return `overrides` ("auto" or "+a,-b") with an effect forced, or no longer."""
     parts = {
         part.strip()[1:]: part.strip()[0]
         for part in overrides.split(",")
@@ -221,8 +218,7 @@ def toggled(overrides: str, name: str, on: bool) -> str:
 def _effects(
     sensor: str, object_name: str, accuracy: str, overrides: str
 ) -> tuple[tuple[str, bool, str, str], ...]:
-    """Return, for each switchable effect, its name, state, costs with and without it, and the
-    reason."""
+    """Return name, state, costs with and without, and reason of each switchable effect."""
     _, _, rows = effects_of(load_sensor(sensor), object_name, accuracy, overrides)
     return tuple(
         (str(row["effect"]), bool(row["on"]), _price(row), str(row["why"]))

@@ -35,8 +35,7 @@ class ManualGoal:
     force: float = math.nan
 
     def command(self, observation: Observation) -> Command:
-        """One cycle's step towards it. The phase and the controller's notebook stay, so that it can
-        go on from there."""
+        """Return one cycle's step to the goal, with the phase and notebook of the controller."""
         last = observation.command
         period = observation.period
         return replace(

@@ -37,10 +37,7 @@ _EVERY = 0.05  # maximum period between transmitted states without a change, s
 def launch_window(
     config: viewer_protocol.ViewerConfig, plugins: list[Any]
 ) -> viewer_handle.ViewerHandle:
-    """Call `launch_native.launch`.
-
-    Raises MjtactileError, with a remedy, if there is no display or no graphics support.
-    """
+    """Call `launch_native.launch`. Raises MjtactileError without a display or graphics."""
     instead = "omit --native, and open the printed address"
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise MjtactileError(
@@ -132,8 +129,7 @@ def _run(show: SessionBridge) -> None:
 
 
 def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, show: SessionBridge) -> None:
-    """Studio's simulation loop. A state is sent when it is new, and now and then: the viewer
-    computes a frame of each."""
+    """Run Studio's simulation loop; new states, and some repeated ones, are sent."""
     try:
         sent = 0.0
         with handle:

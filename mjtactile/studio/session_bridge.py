@@ -44,16 +44,14 @@ class RestartRequested(SimulationError):
 
 @dataclass(frozen=True)
 class ChamberReadings:
-    """Gauge pressures, Pa, and temperatures, K, of the chambers of a simulated rig, one per
-    finger."""
+    """Gauge pressures, Pa, and temperatures, K, of simulated chambers, one per finger."""
 
     pressure: tuple[float, ...] = ()
     temperature: tuple[float, ...] = ()
 
 
 class SessionBridge(Observer):
-    """An observer of `run_grasp`; its `take_over` wraps the controller. `scenario` is the next
-    run's."""
+    """Observer of `run_grasp`; `take_over` wraps the controller of `scenario`."""
 
     def __init__(
         self, scenario: Scenario | None = None, say: Callable[[str], None] = lambda _: None
@@ -165,8 +163,7 @@ class SessionBridge(Observer):
         return 0.0 if self.pull is None else float(np.linalg.norm(self.pull[:, :3], axis=1).max())
 
     def ask(self, task: Task) -> None:
-        """Queue `task` for the session's thread, which executes it at the next stop of simulated
-        time."""
+        """Queue `task` for the session's thread, at the next stop of simulated time."""
         self._tasks.put(task)
 
     def step(self) -> None:
@@ -217,10 +214,7 @@ class SessionBridge(Observer):
             self.message(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:
-        """Abandon a simulated world after a request to close or restart.
-
-        On a real rig, the supervisor first lowers and opens the gripper.
-        """
+        """Abandon a simulated world; on a real rig, lower and open the gripper first."""
         if not (self.restart.is_set() or self.closed.is_set()):
             return
         if self.session is None or self.may_pause:
@@ -309,11 +303,7 @@ def _rest(session: Session, finger: int) -> Surface | None:
 
 
 def _poses(cycle: Cycle, view: Any) -> list[Pose]:
-    """Return the poses of the fingers.
-
-    Without a scene, the fingers are placed around the center, at the gripper's opening, facing
-    inward.
-    """
+    """Return the fingers' poses; without a scene, around the center, facing inward."""
     if view is not None:
         return [Pose(p, R) for p, R in zip(view.p_WS, view.R_WS, strict=True)]
     opening, height = np.nan_to_num([cycle.gripper.opening, cycle.gripper.lift_height]).tolist()

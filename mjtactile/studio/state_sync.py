@@ -71,8 +71,7 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
 
 
 class StateSync(plugin.SimPlugin):
-    """Transfer of the session's state. Without a scene, Studio's scene holds only the estimated
-    membranes."""
+    """Transfer of the session's state; without a scene, of the estimated membranes."""
 
     def __init__(self, show: SessionBridge):
         self.show = show

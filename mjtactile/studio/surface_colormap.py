@@ -26,10 +26,7 @@ _PER_NEWTON = 90.0  # length of the image's shear arrow, px/N
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A value at each node (ny, nx) of a membrane.
-
-    `kind` is one of KINDS, in m or Pa; `x` (nx,) and `y` (ny,) are in m in S.
-    """
+    """Values at nodes (ny, nx) of a membrane, of a `kind` in KINDS; `x`, `y` in m in S."""
 
     kind: str
     x: Array

@@ -24,8 +24,7 @@ _IDLE = 1e-3  # sleep time, s, which lets the viewer's thread run
 
 
 class UserFingers:
-    """A source of moments: the newest image and touch of each finger, which another thread
-    steps."""
+    """Source of snapshots: newest image and touch of fingers that another thread steps."""
 
     def __init__(self, fingers: Sequence[SimFinger]):
         self._fingers = fingers

@@ -57,8 +57,7 @@ _FLIPS = {"left-right": 1, "top-bottom": 0, "both": -1}
 
 @dataclass
 class CameraCounters:
-    """Counts of received images, missing images (by their time), and repeated images with identical
-    pixels."""
+    """Counts of received, missing (by their time) and repeated (identical) images."""
 
     pictures: int = 0
     dropped: int = 0
@@ -110,8 +109,7 @@ class OpenCvCamera:
         self._await_first()
 
     def read(self) -> Image:
-        """Return the newest image; its `time` is the capture time, monotonic s. Raises DeviceError
-        for an outdated image."""
+        """Return the newest image, with its monotonic capture time, s. Raises DeviceError."""
         with self._condition:
             image = self._newest
             fresh = self._fresh_time
@@ -131,8 +129,7 @@ class OpenCvCamera:
         return image
 
     def wait_newer(self, than: float, timeout: float) -> bool:
-        """Wait for an image captured after `than` s. Return False if none arrives within `timeout`
-        s."""
+        """Wait for an image captured after `than` s; False if none arrives in `timeout` s."""
         with self._condition:
             return self._condition.wait_for(
                 lambda: (
@@ -154,7 +151,6 @@ class OpenCvCamera:
         self._capture.release()
 
     # -- settings
-    # --------------------------------------------------------------------------------
 
     def _open(self) -> Capture:
         config = self.config
@@ -220,7 +216,6 @@ class OpenCvCamera:
             )
 
     # -- the reader
-    # --------------------------------------------------------------------------------
 
     def _read_loop(self) -> None:
         failures = 0
@@ -281,11 +276,7 @@ class OpenCvCamera:
         del self.counters.intervals[:-1000]
 
     def _capture_time(self, arrival: float) -> float:
-        """Return the capture time of a frame.
-
-        It is the kernel time (V4L2 stamps on the monotonic clock), or the arrival minus the
-        stream's known delay.
-        """
+        """Return the kernel's V4L2 time, or the arrival minus the stream's known delay."""
         if self.config.timestamps == "arrival":
             return arrival - self.config.delay
         kernel = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)

@@ -82,8 +82,7 @@ def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, 
 def _entries(
     number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
 ) -> Iterator[bytes]:
-    """Yield the kernel's answers for index 0, 1, … until there are no more; `head` follows the
-    index."""
+    """Yield the kernel's answers for index 0, 1, … to the last; `head` follows the index."""
     for index in range(_MOST):
         data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
         try:
@@ -119,10 +118,7 @@ def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl)
 
 
 def _stable_path(root: Path, device: Path) -> str:
-    """Return a device name that persists when the camera is plugged in again.
-
-    Two cameras of the same kind without serial numbers differ by their sockets.
-    """
+    """Return a persistent device name: by serial number, or else by socket."""
     for folder in ("by-id", "by-path"):
         names = [
             link

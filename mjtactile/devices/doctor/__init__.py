@@ -72,8 +72,7 @@ def examine(
 
 
 def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
-    """Report a torque per ampere outside of the servo model's range. Forces would have the same
-    error."""
+    """Report a torque per ampere outside of the servo model's range."""
     for servo in rig_file.gripper.servos:
         model = MODELS.get(servo.model)
         if model is None or servo.torque_per_A is None:
@@ -140,8 +139,7 @@ def _plugged_in() -> Iterator[Finding]:
 
 
 def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
-    """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves
-    every valve vented."""
+    """Check handshake, limits and a reading of each valve, which stays vented."""
     if not rig_file.valves:
         return
     try:

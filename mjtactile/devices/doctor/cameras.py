@@ -24,8 +24,7 @@ ViewCheck = Callable[[str, SensorDesign, Image], Iterable[Finding]]
 
 
 def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) -> Iterator[Finding]:
-    """Check a camera: settings by read-back, then rate, age and jitter over two seconds, then the
-    image content."""
+    """Check a camera: settings, then rate, age and jitter over two seconds, then the image."""
     what = f"camera {config.finger}"
     try:
         camera = OpenCvCamera(config)

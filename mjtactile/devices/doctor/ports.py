@@ -11,8 +11,7 @@ from mjtactile.rig.doctor_finding import Finding
 
 
 def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
-    """Check that the port exists and is accessible, and that it does not delay received data by 16
-    ms."""
+    """Check that the port is accessible and does not delay received data by 16 ms."""
     if "://" in path:
         return
     if not Path(path).exists():

@@ -151,8 +151,7 @@ def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Find
 
 
 def _search_servos(config: BusConfig) -> Iterator[Finding]:
-    """Search for servos with other ids and baud rates after none has answered. This takes some
-    seconds; pings change nothing."""
+    """Search for servos with other ids and baud rates by pings; this takes some seconds."""
     bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
     with contextlib.suppress(DeviceError):
         baud, found = servos_at(config.port, bauds, reply_time=config.reply_timeout)

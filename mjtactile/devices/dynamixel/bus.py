@@ -52,8 +52,7 @@ _STATUS_ERRORS = {
 
 
 class BusError(DeviceError):
-    """One transaction failed; `servo` is the id, `reason` one of "no reply", "corrupt", "short",
-    "refused", "lost"."""
+    """Failed transaction of a `servo`: "no reply", "corrupt", "short", "refused" or "lost"."""
 
     def __init__(self, message: str, *, servo: int | None, reason: str):
         super().__init__(message)
@@ -63,8 +62,7 @@ class BusError(DeviceError):
 
 @dataclass(frozen=True)
 class Reply:
-    """Data of one servo's reply and whether it raised its alert bit (a hardware error is
-    latched)."""
+    """Data of one servo's reply; `alert`: it has latched a hardware error."""
 
     data: bytes
     alert: bool
@@ -75,8 +73,7 @@ class Reply:
 
 
 class DynamixelBus:
-    """A bus at `port`; safe to use from several threads. Raises DeviceError when the port is not
-    there or taken."""
+    """Thread-safe bus at `port`. Raises DeviceError when the port is missing or taken."""
 
     def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
         """Open the bus.
@@ -103,8 +100,7 @@ class DynamixelBus:
                 self._port.closePort()
 
     def ping(self, servo: int) -> tuple[int, int]:
-        """Return model number and firmware version of one servo. Raises BusError if it does not
-        answer."""
+        """Return model number and firmware version of a servo. Raises BusError."""
         with self._transaction(servo):
             packet = self._exchange(servo, [1], reply=3)
             return packet.value(0, 2), packet.value(2, 1)
@@ -121,8 +117,7 @@ class DynamixelBus:
             )
 
     def write(self, servo: int, address: int, size: int, value: int) -> bool:
-        """Write one register and wait for the servo's status; returns its alert bit. Raises
-        BusError."""
+        """Write one register and return the alert bit of the status. Raises BusError."""
         data = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
         with self._transaction(servo):
             return self._exchange(servo, [3, *_bytes_of_word(address), *data], reply=0).alert
@@ -158,8 +153,7 @@ class DynamixelBus:
     def request_many(
         self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
     ) -> None:
-        """The question of `read_many`: the servos answer into the port's buffer. Raises BusError
-        when the port fails."""
+        """Send the request of `read_many`; the replies arrive in the port's buffer."""
         with self._transaction(None):
             result = self._packets.syncReadTx(
                 self._port, address, size, list(servos), len(servos), fast
@@ -182,7 +176,6 @@ class DynamixelBus:
             return replies, failures
 
     # -- inside
-    # --------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _transaction(self, servo: int | None, *, again: bool = False) -> Iterator[None]:
@@ -213,10 +206,7 @@ class DynamixelBus:
                 self._port.is_using = False
 
     def _drain(self) -> None:
-        """Discard late replies by reading until the bus is quiet.
-
-        A late reply would otherwise be taken as the answer to the next request.
-        """
+        """Discard late replies, which the next request would take as its own."""
         deadline = scaled_clock.monotonic() + _DRAIN_MAX
         while (
             scaled_clock.monotonic() < deadline
@@ -226,8 +216,7 @@ class DynamixelBus:
                 break
 
     def _exchange(self, servo: int, body: list[int], *, reply: int) -> Reply:
-        """Send one instruction and return the parameters of its status packet, which must have
-        `reply` bytes."""
+        """Send one instruction; return its reply, which must have `reply` bytes."""
         length = len(body) + 2
         packet = [0, 0, 0, 0, servo, length & 0xFF, length >> 8, *body, 0, 0]
         result = self._packets.txPacket(self._port, packet)
@@ -291,11 +280,7 @@ class DynamixelBus:
     def _receive_fast(
         self, servos: Sequence[int], size: int
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """Receive one packet with the replies of all servos.
-
-        It holds (error, id, data, CRC) for each servo. Only the last CRC is checked; it covers
-        all.
-        """
+        """Receive one packet of (error, id, data, CRC) per servo; the last CRC covers all."""
         packet, result = self._packets.rxPacket(self._port, True)
         if result == COMM_SUCCESS and len(packet) != 8 + (size + 4) * len(servos):
             result = COMM_RX_CORRUPT

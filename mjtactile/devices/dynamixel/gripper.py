@@ -92,11 +92,9 @@ class DynamixelGripper:
         self._keeper.start()
 
     # -- the rig's protocol
-    # --------------------------------------------------------------------------------
 
     def request_state(self) -> None:
-        """Request the state of all servos now; `state` collects the replies. Raises DeviceError
-        when the port is lost."""
+        """Request the state of all servos, for `state`. Raises DeviceError."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             self._request_all()
@@ -167,8 +165,7 @@ class DynamixelGripper:
 
     @property
     def positions(self) -> dict[int, tuple[int, float]]:
-        """Last reported position in ticks within the gripper's turn, and current, A, of each jaw
-        servo by id."""
+        """Last position, ticks within the gripper's turn, and current, A, of jaw servos by id."""
         turns = {jaw.config.id: jaw.revolution_offset_ticks for jaw in self.geometry.servos}
         return {i: (servo.ticks + turns[i], servo.current) for i, servo in self._jaws.items()}
 
@@ -206,7 +203,6 @@ class DynamixelGripper:
                 raise DeviceError(text)
 
     # -- connecting
-    # --------------------------------------------------------------------------------
 
     def _find_place(self, servo: Servo, ticks: int) -> None:
         """Determine the servo's turn from the possible range of its jaw."""
@@ -243,15 +239,13 @@ class DynamixelGripper:
         return int(min(max(1, units), servo.model.current_max_units))
 
     def _first_current(self, servo: Servo) -> int:
-        """Return the current limit until the first command. A lift must carry its gripper; jaws get
-        the gentle force limit."""
+        """Return the current limit until the first command: a lift must carry its gripper."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             return jaw.current_units(self._force_limit, servo.ticks)
         return servo.current_limit_units
 
     # -- every cycle
-    # --------------------------------------------------------------------------------
 
     def _request_all(self) -> None:
         """Ask all servos in one transaction, unless they have been asked and not been heard."""
@@ -305,8 +299,7 @@ class DynamixelGripper:
                 servo.poll()
 
     def _send_goals(self) -> None:
-        """One sync write of goal current, velocity, profile and position; goals are never written
-        partly."""
+        """Write goal current, velocity, profile and position in one sync write."""
         self._bus_time = scaled_clock.monotonic()
         blocks = {
             s.id: s.goal_current_units.to_bytes(2, "little")
@@ -317,15 +310,13 @@ class DynamixelGripper:
         self.bus.write_many(_GOAL_START, blocks)
 
     def _arm(self) -> None:
-        """Set the bus watchdogs and the host timeout to the rig file's values at the first
-        command."""
+        """Set bus watchdogs and host timeout to the rig file's values at the first command."""
         if self._silence != self._bus_config.host_timeout:
             for servo in self._servos.values():
                 servo.set_watchdog(self._bus_config.watchdog)
             self._silence = self._bus_config.host_timeout
 
     # -- the lift
-    # --------------------------------------------------------------------------------
 
     def _command_lift(self, height: float) -> float:
         config = self._lift_config
@@ -339,19 +330,16 @@ class DynamixelGripper:
         return height
 
     def _lift_height(self) -> float:
-        """Return the height of the gripper above its start, m. Without a lift servo: the commanded
-        height."""
+        """Return the gripper's height above its start, m; commanded without a lift servo."""
         if self._lift_config.kind == "servo":
             servo = self._servos[self._lift_config.id]
             return (servo.ticks - self._lift_zero_ticks) / TICKS_PER_RAD * self._lift_config.per_rad
         return self._lift_goal
 
     # -- staying alive
-    # --------------------------------------------------------------------------------
 
     def _keep_alive(self) -> None:
-        """Feed the bus watchdog between the loop's calls, but only while the loop lives: see
-        `BusConfig.host_timeout`."""
+        """Feed the bus watchdog while the loop lives: see `BusConfig.host_timeout`."""
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:

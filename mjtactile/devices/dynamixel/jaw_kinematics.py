@@ -50,10 +50,7 @@ class JawServo:
         return -current * self.torque_per_A / self.slope(ticks)
 
     def current_units(self, force: float, ticks: float) -> int:
-        """Return the goal current, in the model's units, for `force` N at the jaw.
-
-        It is 0 for zero force. Otherwise it is at least 1 and at most the model's limit.
-        """
+        """Return the goal current of `force` N in model units: 0, or 1 to the model's limit."""
         if force == 0:
             return 0
         ampere = abs(force * self.slope(ticks)) / self.torque_per_A

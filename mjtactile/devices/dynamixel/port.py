@@ -19,8 +19,7 @@ _WRITE_TIME = 0.5
 
 
 class Port(PortHandler):
-    """The SDK's port: exclusive, on the monotonic clock, with its own time-out, waiting without
-    spinning."""
+    """The SDK's port: exclusive, monotonic, with its own time-out, waiting without spinning."""
 
     def __init__(self, name: str, reply_timeout: float):
         super().__init__(name)
@@ -72,8 +71,7 @@ class Port(PortHandler):
 
 
 class PacketHandler(Protocol2PacketHandler):
-    """Packet handler of the SDK with in-place byte stuffing, also at several positions in a
-    packet."""
+    """Packet handler of the SDK with in-place byte stuffing, also several times in a packet."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:
         length = packet[5] | packet[6] << 8

@@ -88,7 +88,6 @@ class Servo:
         return f"servo {self.id} on {self.bus.name}"
 
     # -- registers
-    # --------------------------------------------------------------------------------
 
     def get(self, name: str) -> int:
         """Read one register. Raises BusError."""
@@ -98,8 +97,7 @@ class Servo:
         )
 
     def _ask(self, question: Callable[[], _Answer]) -> _Answer:
-        """Return the answer to a query without side effects, repeated if the reply is lost. Raises
-        BusError."""
+        """Return the answer to a query, repeated if the reply is lost. Raises BusError."""
         for attempt in range(_READ_ATTEMPTS):
             try:
                 return question()
@@ -109,8 +107,7 @@ class Servo:
         raise AssertionError
 
     def set(self, name: str, value: int) -> None:
-        """Write a register and read it back. EEPROM is spared when it has the value already. Raises
-        DeviceError."""
+        """Write a register, unless it has the value already, and read it back."""
         register = self.model.table[name]
         unsigned = value & ((1 << 8 * register.size) - 1)
         if register.address < EEPROM_END and self.get(name) == unsigned:
@@ -125,11 +122,9 @@ class Servo:
             raise DeviceError(f"{self.where}: {name} was set to {value} but reads {found}")
 
     # -- connecting
-    # --------------------------------------------------------------------------------
 
     def check_identity(self, baud: int) -> None:
-        """Reject a model other than the file's, a latched error, or settings that change the
-        meaning of values."""
+        """Reject another model, a latched error, or settings that change values' meaning."""
         try:
             number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
@@ -207,7 +202,6 @@ class Servo:
         self.set("Bus Watchdog", self.watchdog_units)
 
     # -- every cycle
-    # --------------------------------------------------------------------------------
 
     def accept(self, reply: Reply) -> None:
         """Note one reply to a read of the state block."""
@@ -252,8 +246,7 @@ class Servo:
             self.faults.append(fault)
 
     def raise_fault(self, failures_max: int) -> None:
-        """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a
-        row."""
+        """Raise ServoFault, or DeviceError for `failures_max` lost replies in a row."""
         if self.faults:
             text = f"{self.where} reports {' and '.join(self.faults)}"
             self.faults = [fault for fault in self.faults if fault != self._cleared]
@@ -263,11 +256,9 @@ class Servo:
             raise DeviceError(f"{self.where}: {self.last_failure} {self.failures} times in a row")
 
     # -- ending
-    # --------------------------------------------------------------------------------
 
     def torque_off(self) -> str:
-        """Switch the torque off, with retries after a lost reply; return "" when confirmed, else
-        the error."""
+        """Switch the torque off, with retries; return "" when confirmed, else the error."""
         address = self.model.table["Torque Enable"].address
         reason = ""
         for _ in range(_OFF_ATTEMPTS):
@@ -286,8 +277,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class ServoReport:
-    """State reported by a servo: voltage, V, temperature, degrees Celsius, latched errors in words
-    ("" for none), `settings` of `REQUIRED`."""
+    """Voltage, V, temperature, degrees Celsius, latched errors, `settings` of `REQUIRED`."""
 
     id: int
     model: str
@@ -328,8 +318,7 @@ def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
 
 
 def read_setting(bus: DynamixelBus, servo: int, model: ServoModel, name: str) -> int:
-    """One register, signed where it is wide; 0 for one that this firmware does not have yet. Raises
-    BusError."""
+    """Read one register, signed where it is wide; 0 if the firmware does not have it."""
     register = model.table[name]
     for attempt in range(_READ_ATTEMPTS):
         try:

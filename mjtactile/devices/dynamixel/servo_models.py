@@ -58,8 +58,7 @@ class ServoModel:
         return load_table(self.name.lower().replace("-", "_"))
 
     def watchdog_stops(self, firmware: int) -> bool:
-        """Return True if the bus watchdog of this firmware stops the motor. One known firmware
-        reports the trip but continues to turn."""
+        """Return False for the one firmware whose bus watchdog trips, but lets the motor turn."""
         return "330" not in self.name or firmware not in _WATCHDOG_STOPS_NOTHING
 
 
@@ -102,8 +101,7 @@ NO_CURRENT_CONTROL: Mapping[int, str] = {
 
 
 def require_model(number: int, where: str) -> ServoModel:
-    """Return the model with this number. Raises DeviceError for a model without force limit or with
-    unknown units."""
+    """Return the model with this number. Raises DeviceError without force limit or units."""
     if number in NO_CURRENT_CONTROL:
         raise DeviceError(
             f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot "
@@ -119,8 +117,7 @@ def require_model(number: int, where: str) -> ServoModel:
 
 @functools.cache
 def load_table(stem: str) -> Mapping[str, Register]:
-    """Registers by name from the SDK's `<stem>.model`. Raises DeviceError when the SDK does not
-    ship it."""
+    """Read registers by name from the SDK's `<stem>.model`. Raises DeviceError."""
     # located, not imported: only its tables are required
     package = importlib.util.find_spec("dynamixel_easy_sdk")
     folders = [] if package is None else list(package.submodule_search_locations or [])

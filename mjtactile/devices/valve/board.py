@@ -47,10 +47,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class ValveReading:
-    """One reply of the board, with the monotonic time of the request, s.
-
-    `fault` is the reason why the board vented by itself; "" if it did not.
-    """
+    """Reply of the board and its request time, s; `fault`: why it vented by itself, or ""."""
 
     is_open: bool
     gauge_pressure: float | None
@@ -98,11 +95,9 @@ class ValveBoard:
         self._thread.start()
 
     # -- interface for the valves
-    # --------------------------------------------------------------------------------
 
     def set(self, channel: int, pressure: float) -> None:
-        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when
-        the board does not obey."""
+        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError."""
         self._forget_aim(channel)
         self._command(f"set {channel} {round(pressure)}", channel)
 
@@ -112,8 +107,7 @@ class ValveBoard:
         self._command(f"seal {channel}", channel)
 
     def vent(self, channel: int) -> None:
-        """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does
-        not obey."""
+        """Open to the air, which also acknowledges a fault. Raises DeviceError."""
         self._forget_aim(channel)
         self._command(f"vent {channel}", channel)
 
@@ -133,8 +127,7 @@ class ValveBoard:
         self._wake.set()
 
     def reading(self, channel: int) -> ValveReading:
-        """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it
-        has been silent."""
+        """Return the heartbeat's newest reading without waiting. Raises DeviceError."""
         now = scaled_clock.monotonic()
         before = self._last_call
         if now - before > _SILENCE:  # the heartbeat had been let die
@@ -147,15 +140,13 @@ class ValveBoard:
         return reading
 
     def measure(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
-        """Query the board, with a wait of at most `disk_wait_time` s (None: a command's time).
-        Raises DeviceError."""
+        """Query the board within `disk_wait_time` s (None: a command's time)."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             return self._with_retry(lambda: self._read(channel, disk_wait_time))
 
     def close(self, *, quiet: bool = False) -> None:
-        """Vent every channel, even after a failure of one, then release the port. Raises
-        DeviceError for channels that did not vent."""
+        """Vent every channel, even after a failure, and release the port."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -376,8 +367,7 @@ class ValveBoard:
 
 
 class _NoReply(DeviceError):
-    """Missing readable reply within the time limit: the command may or may not have been
-    received."""
+    """Missing reply: the command may or may not have been received."""
 
 
 def open_port(port: str, baud: int) -> serial.SerialBase:

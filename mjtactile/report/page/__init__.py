@@ -137,10 +137,7 @@ def _words(value: Any, unit: str) -> str:
 
 
 def _fingers(recording: Recording) -> str:
-    """Return the table of the time that each finger reported sticking, incipient and full slip.
-
-    It also contains the time without an estimate.
-    """
+    """Return the table of each finger's time of sticking, partial and full slip, or unknown."""
     if len(recording) < 2 or "slip_state" not in recording.columns:
         return ""
     period = float(np.median(np.diff(recording.column("time")[:, 0])))
@@ -209,8 +206,7 @@ def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
 
 
 def _simulated(recording: Recording) -> str:
-    """Return the tables of enabled and disabled effects with reason and cost, and randomized
-    values."""
+    """Return the tables of effects with reason and cost, and of randomized values."""
     how = recording.notes.get("simulated")
     if not isinstance(how, Mapping):
         return ""

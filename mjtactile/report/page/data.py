@@ -79,8 +79,7 @@ def _wrench_true(recording: Recording) -> Array:
 def page_data(
     recording: Recording, strip: Sequence[tuple[Seen, Any]], snapshot: Seen | None = None
 ) -> dict[str, Any]:
-    """Everything that the scripts need; `strip` are cycles with their scenes (None: none),
-    `snapshot` the one to show first."""
+    """Return the scripts' data; `strip`: cycles with scenes, `snapshot`: the first shown."""
     every = math.ceil(len(strip) * recording.width / _PICTURES) or 1
     moments = strip[::every]
     touches = [touch for cycle, _ in moments for touch in cycle.touch]
