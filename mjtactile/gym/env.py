@@ -8,7 +8,7 @@ supervisor and limits act between action and gripper.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -97,45 +97,28 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         task: str = "lift",
         reward: str = "outcome",
     ):
+        modes = self.metadata["render_modes"]
         if reward not in ("outcome", "progress"):
-            raise InputError(
-                f"{reward!r}", source="Grasp-v0", field="reward", choices=["outcome", "progress"]
-            )
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(
-                f"{render_mode!r}",
-                source="Grasp-v0",
-                field="render_mode",
-                choices=self.metadata["render_modes"],
-            )
+            raise _refusal(f"{reward!r}", "reward", ["outcome", "progress"])
+        if render_mode not in (None, *modes):
+            raise _refusal(f"{render_mode!r}", "render_mode", modes)
         self.render_mode = render_mode
         self._kind = observation
         self._limit = time_limit
         self._pays_progress = reward == "progress"
-        self._come = 0.0
-        self.scenario = scenario or Scenario(
-            object=object,
-            sensor=sensor,
-            rig=rig,
-            randomization=randomization,
-            effects=effects,
-            accuracy=accuracy,
-            task=task,
-        )
+        self._max_progress = 0.0
+        world: Any = {"object": object, "sensor": sensor, "rig": rig, "task": task}
+        levels: Any = {"randomization": randomization, "effects": effects, "accuracy": accuracy}
+        self.scenario = scenario or Scenario(**world, **levels)
         self._session: Session | None = None
         self._restart: Restart | None = None
         self._cycle: Any = None  # before the first reset
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
-        self._pictures = "images" in self._rig.scene.effects
+        self._has_images = "images" in self._rig.scene.effects
         self._left_out = dict.fromkeys(disabled_effects(self._rig.scene.effects), False)
-        if observation == "image" and not self._pictures:
-            raise InputError(
-                "no image is rendered",
-                source="Grasp-v0",
-                field="observation",
-                choices=["wrench", "markers"],
-            )
+        if observation == "image" and not self._has_images:
+            raise _refusal("no image is rendered", "observation", ["wrench", "markers"])
         self.observation_space = space_of(observation, designs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
@@ -160,14 +143,12 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._score = GraspScore(rig.scene, TaskScorer.of(self._scenario_of(self._seed), rig))
         rig.scene.after_each_stretch(self._score.after_stretch, self._score.due)
         self._over = False
-        self._come = 0.0
+        self._max_progress = 0.0
         assert self._session is not None
-        perceivers = Perceivers(
-            self._session.perceptions, [finger.name for finger in rig.fingers], threads=0
-        )
-        self._cycle = ControlCycle.begin(
-            rig, perceivers, Supervisor(rig.period), _Cycles(self._score)
-        )
+        names = [finger.name for finger in rig.fingers]
+        perceivers = Perceivers(self._session.perceptions, names, threads=0)
+        observer = _CycleObserver(self._score)
+        self._cycle = ControlCycle.begin(rig, perceivers, Supervisor(rig.period), observer)
         self._start = self._cycle.now
         self._look()
         self._opening = max(self._seen.gripper.opening, 1e-6)
@@ -192,24 +173,16 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             outcome = "dropped" if self._score.lost else "error"
             self._problem = " ".join(str(error).split())
         outcome = outcome or self._outcome()
-        truncated = (
-            outcome == "error"
-            or not outcome
-            and rig.clock.now() - self._start >= self._limit - rig.period / 2
-        )
+        is_late = rig.clock.now() - self._start >= self._limit - rig.period / 2
+        truncated = outcome == "error" or (not outcome and is_late)
         self._over = bool(outcome) or truncated
         info = self._info() | ({"outcome": outcome or "out of time"} if self._over else {})
-        return (
-            self._shown(),
-            REWARDS.get(outcome, 0.0) + (self._progress() if self._pays_progress else 0.0),
-            bool(outcome) and outcome != "error",
-            truncated,
-            info,
-        )
+        reward = REWARDS.get(outcome, 0.0) + (self._progress() if self._pays_progress else 0.0)
+        return self._shown(), reward, bool(outcome) and outcome != "error", truncated, info
 
     def render(self) -> Array | None:
         """The cameras' images side by side (h, w, 3) uint8."""
-        if self.render_mode is None or self._cycle is None or not self._pictures:
+        if self.render_mode is None or self._cycle is None or not self._has_images:
             return None
         grey = np.concatenate([image.pixels for image in self._cycle.images], axis=1)
         return np.repeat(grey[..., None], 3, axis=2)
@@ -228,11 +201,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return self._session.rig
 
     def _scenario_of(self, seed: int) -> Scenario:
-        """The one of an episode; of "random" it is that of the seed, as `evaluate` has it."""
-        thing = self.scenario.object
-        return replace(
-            self.scenario, seed=seed, object=f"random:{seed}" if thing == RANDOM else thing
-        )
+        """Return the scenario of an episode; a "random" object is that of the seed."""
+        name = self.scenario.object
+        name = f"{name}:{seed}" if name == RANDOM else name
+        return replace(self.scenario, seed=seed, object=name)
 
     def _build(self, seed: int) -> None:
         """Build a new world and take the references; keep its state for a fast reset."""
@@ -240,12 +212,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = build_rig(self._scenario_of(seed))
         if rig.scene is None:
             rig.close()
-            raise InputError(
-                f"the rig {self.scenario.rig!r} is not a simulated rig",
-                source="Grasp-v0",
-                field="rig",
-                choices=SIMULATES,
-            )
+            text = f"the rig {self.scenario.rig!r} is not a simulated rig"
+            raise _refusal(text, "rig", SIMULATES)
         if rig.touch_is_synthetic:  # a thread would cost more than it saves
             rig.clock.step_in_turn()
         self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes)
@@ -272,13 +240,13 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         touched = all(touch.touching for touch in self._seen.touch)
         if phase not in PROGRESS or not (touched or phase in _TOUCHLESS):
             return 0.0
-        if phase in _AFTER_HOLDING and self._come < PROGRESS["lower"][0]:
+        if phase in _AFTER_HOLDING and self._max_progress < PROGRESS["lower"][0]:
             return 0.0  # an empty gripper that was raised also goes through lowering and release
-        begin, more = PROGRESS[phase]
-        come = begin + more * min(max(self._fraction_of(phase), 0.0), 1.0)
-        farther = max(come - self._come, 0.0)
-        self._come += farther
-        return farther
+        start, increase = PROGRESS[phase]
+        progress = start + increase * min(max(self._fraction_of(phase), 0.0), 1.0)
+        gain = max(progress - self._max_progress, 0.0)
+        self._max_progress += gain
+        return gain
 
     def _fraction_of(self, phase: str) -> float:
         """Return the completed fraction of the phase."""
@@ -287,8 +255,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if phase == "approach":
             return 1 - gripper.opening / self._opening
         if phase in ("lift", "lower"):
-            risen = gripper.lift_height / goal.lift_height
-            return risen if phase == "lift" else 1 - risen
+            raised = gripper.lift_height / goal.lift_height
+            return raised if phase == "lift" else 1 - raised
         last = self._cycle.last
         if phase == "hold":
             return last.memory.get("phase_time", 0.0) / max(goal.hold_time, 1e-9)
@@ -330,7 +298,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         }
 
 
-class _Cycles(Observer):
+class _CycleObserver(Observer):
     """Observer that reports the image times to the score."""
 
     def __init__(self, score: GraspScore):
@@ -338,3 +306,7 @@ class _Cycles(Observer):
 
     def on_images(self) -> None:
         self._score.start_cycle()
+
+
+def _refusal(text: str, field: str, choices: Collection[str]) -> InputError:
+    return InputError(text, source="Grasp-v0", field=field, choices=choices)

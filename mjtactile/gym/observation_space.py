@@ -28,30 +28,16 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
         return vector
     sizes = {(d.markers.count, d.camera.height, d.camera.width) for d in designs}
     if len(sizes) > 1:
-        raise InputError(
-            "the fingers have different sensors, whose observations cannot be stacked",
-            source="Grasp-v0",
-            field="observation",
-            choices=["wrench"],
-        )
+        text = "the fingers have different sensors, whose observations cannot be stacked"
+        raise InputError(text, source="Grasp-v0", field="observation", choices=["wrench"])
     ((count, height, width),) = sizes
-    if kind == "markers":
-        shape = (len(designs), count)
-        return gymnasium.spaces.Dict(
-            {
-                "wrench": vector,
-                "seen": gymnasium.spaces.MultiBinary(shape),
-                "markers": gymnasium.spaces.Box(
-                    -_MARKER_REACH, _MARKER_REACH, (*shape, 3), np.float32
-                ),
-            }
-        )
-    return gymnasium.spaces.Dict(
-        {
-            "wrench": vector,
-            "image": gymnasium.spaces.Box(0, 255, (len(designs), height, width), np.uint8),
-        }
-    )
+    if kind == "image":
+        images = gymnasium.spaces.Box(0, 255, (len(designs), height, width), np.uint8)
+        return gymnasium.spaces.Dict({"wrench": vector, "image": images})
+    shape = (len(designs), count)
+    markers = gymnasium.spaces.Box(-_MARKER_REACH, _MARKER_REACH, (*shape, 3), np.float32)
+    seen = gymnasium.spaces.MultiBinary(shape)
+    return gymnasium.spaces.Dict({"wrench": vector, "seen": seen, "markers": markers})
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:

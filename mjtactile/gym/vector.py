@@ -65,11 +65,11 @@ class ThreadedVectorEnv(SyncVectorEnv):
     def _together(self, jobs: Iterable[Callable[[], None]]) -> None:
         """Run all jobs, distributed over the threads, and raise the first error of any job."""
         every = list(jobs)
-        shares = [every[k :: self._threads] for k in range(self._threads)]
-        begun = [self._pool.submit(_in_turn, share) for share in shares[1:]]
-        _in_turn(shares[0])
-        for one in begun:
-            one.result()
+        own, *others = (every[k :: self._threads] for k in range(self._threads))
+        futures = [self._pool.submit(_run_all, part) for part in others]
+        _run_all(own)
+        for future in futures:
+            future.result()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close all simulations and stop the threads."""
@@ -77,7 +77,7 @@ class ThreadedVectorEnv(SyncVectorEnv):
         self._pool.shutdown()
 
 
-def _in_turn(jobs: Iterable[Callable[[], None]]) -> None:
+def _run_all(jobs: Iterable[Callable[[], None]]) -> None:
     for job in jobs:
         job()
 

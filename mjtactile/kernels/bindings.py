@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import math
 import re
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -67,14 +66,13 @@ def words(call: Callable[..., Any]) -> np.ndarray:
 
     They are integers, bit patterns of floats, and addresses. The caller must keep `call`.
     """
-    given = call.fixed  # type: ignore[attr-defined]
-    return np.array([_word(value) for value in given], np.int64)
-
-
-def _word(value: Any) -> int:
-    if isinstance(value, float):
-        return struct.unpack("<q", struct.pack("<d", value))[0]
-    return 0 if value is None else int(value)
+    return np.array(
+        [
+            np.float64(value).view(np.int64) if isinstance(value, float) else int(value or 0)
+            for value in call.fixed  # type: ignore[attr-defined]
+        ],
+        np.int64,
+    )
 
 
 def band_stride(width: int) -> int:
@@ -173,13 +171,8 @@ class _Kernel:
 
     def call(self, *values: Any) -> Any:
         held: list[Any] = []
-        sizes = self.sizes(*values)
-        return self.function(
-            *[
-                one(value, size, held)
-                for one, value, size in zip(self.convert, values, sizes, strict=True)
-            ]
-        )
+        given = zip(self.convert, values, self.sizes(*values), strict=True)
+        return self.function(*[convert(value, size, held) for convert, value, size in given])
 
     def bind(self, values: Sequence[Any]) -> Callable[..., Any]:
         later = [place for place, value in enumerate(values) if value is ...]
@@ -223,10 +216,8 @@ class _Kernel:
         copies: list[Any] = []
         address = self.convert[place](value, size, copies)
         if copies:
-            raise TypeError(
-                f"{self.declaration.name}: a {value.dtype} array of shape {value.shape} "
-                f"would have to be copied for {argument.name}"
-            )
+            array = f"a {value.dtype} array of shape {value.shape}"
+            raise TypeError(f"{self.declaration.name}: {argument.name} needs a copy of {array}")
         return address
 
     def _raise_code(self, code: int, _function: Any, _arguments: Any) -> int:
@@ -245,16 +236,10 @@ _Converter = Callable[[Any, float, list[Any]], Any]
 
 def _converter(function: str, argument: KernelArgument) -> _Converter:
     if not argument.shape:
-        return _as_is
-    what = f"{function}: {argument.name}"
-    dtype = _DTYPES[argument.kind]
-    if argument.written:
-        return _written(what, argument, dtype)
-    return _read(what, argument, dtype)
-
-
-def _as_is(value: Any, _size: float, _held: list[Any]) -> Any:
-    return value
+        return lambda value, _size, _held: value
+    name = f"{function}: {argument.name}"
+    convert = _written if argument.written else _read
+    return convert(name, argument, _DTYPES[argument.kind])
 
 
 def _read(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
@@ -281,12 +266,8 @@ def _written(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter
     def address(value: Any, size: float, _held: list[Any]) -> Any:
         if value is None:
             return _null(what, argument)
-        if not (
-            isinstance(value, np.ndarray)
-            and value.dtype == dtype
-            and value.flags.c_contiguous
-            and value.flags.writeable
-        ):
+        is_valid = isinstance(value, np.ndarray) and value.dtype == dtype
+        if not (is_valid and value.flags.c_contiguous and value.flags.writeable):
             raise TypeError(f"{what} must be a writable C-contiguous array of {dtype}")
         if value.size != size:
             raise ValueError(_wrong_size(what, argument, value, size))

@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mujoco
 
@@ -107,22 +108,11 @@ def attach(
             source="attach",
             field="mesh",
         )
-    placed = attach_membrane(
-        spec,
-        design,
-        site=site,
-        prefix=prefix,
-        mesh=mesh,
-        mass=mass,
-        contact=contact,
-        effects={*effects, Effect.CHAIN},
-    )
+    options: Any = {"prefix": prefix, "mesh": mesh, "mass": mass, "contact": contact}
+    on = {*effects, Effect.CHAIN}
+    membrane = attach_membrane(spec, design, site=site, effects=on, **options)
+    # stage "none": MuJoCo fills the others with zeros in every step
+    kind: Any = {"type": mujoco.mjtSensor.mjSENS_USER, "needstage": mujoco.mjtStage.mjSTAGE_NONE}
     for name, size in OUTPUTS.items():
-        # stage "none": MuJoCo fills the others with zeros in every step
-        spec.add_sensor(
-            name=prefix + name,
-            type=mujoco.mjtSensor.mjSENS_USER,
-            dim=size,
-            needstage=mujoco.mjtStage.mjSTAGE_NONE,
-        )
-    return AttachedSensor(placed)
+        spec.add_sensor(name=prefix + name, dim=size, **kind)
+    return AttachedSensor(membrane)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 
 import mujoco
@@ -14,16 +15,56 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
 from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
-from mjtactile.plugin.rest_calibration import at_rest
 from mjtactile.rig.finger import Finger
+from mjtactile.runtime.references import take_references
+from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
-from mjtactile.sim.attach import Attachment
+from mjtactile.sim.attach import Attachment, attach_membrane, configure_options
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.checked_stepper import Stepper
-from mjtactile.sim.devices import SimValve
+from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.fast_step import advance
+from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.contact_loads import membrane_wrench
 from mjtactile.sim.sensor.sensor_types import AnySensor
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Reference state of a sensor with a sealed chamber and no contact.
+
+    `displacements` (3 k,), m, frame S, are those of the interior mesh vertices. The pipeline's
+    `state` holds both references.
+    """
+
+    displacements: Array
+    gauge_pressure: float
+    chain: SensingPipeline
+    state: PipelineState
+
+
+@lru_cache(maxsize=64)
+def at_rest(
+    design: SensorDesign, mesh: tuple[int, int], effects: frozenset[str], seed: int
+) -> Rest:
+    """Inflate one sensor alone and take its references. Raises DeviceError if that fails."""
+    spec = mujoco.MjSpec()
+    configure_options(spec)
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    site = spec.worldbody.add_site()
+    attachment = attach_membrane(spec, design, site=site, mesh=mesh, effects=effects)
+    world = World(spec, [attachment])
+    sensor = world.sensors[0]
+    clock = SimClock(world)
+    finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
+    perception = StatefulPipeline.of(design)
+    flat, rest = take_references([finger], clock)
+    perception.measure_flat_reference(flat.images[0])
+    perception.measure_rest_reference(rest.images[0], finger.pressure(rest.gauge_pressure[0]))
+    clock.close()
+    return Rest(sensor.displacements, sensor.gauge_pressure, perception.chain, perception.state)
+
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` added by `attach`, with their numbers of values."""
@@ -60,12 +101,10 @@ class SimFinger:
         self._membrane = membrane
         self._model = model
         self._data = data
-        self._seed = int(
-            np.random.SeedSequence([seed, *membrane.prefix.encode()]).generate_state(1)[0]
-        )
-        self._outputs = [
-            _address(model, membrane.prefix + name, size) for name, size in OUTPUTS.items()
-        ]
+        sequence = np.random.SeedSequence([seed, *membrane.prefix.encode()])
+        self._seed = int(sequence.generate_state(1)[0])
+        prefix = membrane.prefix
+        self._outputs = [_address(model, prefix + name, size) for name, size in OUTPUTS.items()]
         self.reset()
 
     # -- outputs -----------------------------------------------------------------------------------
@@ -105,7 +144,7 @@ class SimFinger:
     @property
     def seen(self) -> SensorReading:
         """All results of the newest image as one object, safe to read from other threads."""
-        return self._seen
+        return self._reading
 
     @property
     def gauge_pressure(self) -> float:
@@ -183,9 +222,8 @@ class SimFinger:
         self._stepper.after_step()
         if self._time > self._next_image - self._model.opt.timestep / 2:
             self._look()
-            self._next_image += self._period * max(
-                1, math.ceil((self._time - self._next_image) / self._period)
-            )
+            periods = max(1, math.ceil((self._time - self._next_image) / self._period))
+            self._next_image += self._period * periods
         self._write()
 
     @property
@@ -197,13 +235,9 @@ class SimFinger:
         reading = self._finger.pressure_reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)
         reference = self._perception.state.reference
-        self._seen = SensorReading(
-            self._image,
-            self._touch,
-            None if reference is None else reference.surface,
-            self.gauge_pressure,
-            self.sensor.temperature,
-        )
+        rest = None if reference is None else reference.surface
+        gas = (self.gauge_pressure, self.sensor.temperature)
+        self._reading = SensorReading(self._image, self._touch, rest, *gas)
         self._write()
 
     def _write(self) -> None:
@@ -211,12 +245,9 @@ class SimFinger:
         touch = self._touch
         known = self._touch.status == "ok"
         wrench = touch.traction.wrench if known and touch.traction is not None else math.nan
-        for place, value in zip(
-            self._outputs,
-            (wrench, self.gauge_pressure, touch.touching if known else math.nan),
-            strict=True,
-        ):
-            self._data.sensordata[place] = value
+        values = (wrench, self.gauge_pressure, touch.touching if known else math.nan)
+        for address, value in zip(self._outputs, values, strict=True):
+            self._data.sensordata[address] = value
 
     def _require_time(self, slack: float = 0.0) -> None:
         """Raise InputError unless this finger has gone with the scene, up to `slack` s."""
