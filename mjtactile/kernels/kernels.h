@@ -264,33 +264,33 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
    fields are in `pool`.
 
    Compute the heights of the obstacles' lower sides over `places`; infinite where there is none. */
-int64_t film_heights(const double *numbers /* 19 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
+int64_t qs_obstacle_heights(const double *numbers /* 19 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
 /* Compute the band of the Cholesky `factor` of the stiffness at displacements `x`, over a gas with
    constant `pressure`. The unknowns x, y and height of a node are together. */
-int64_t film_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                        const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
                        double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
 /* Compute the in-plane displacements due to in-plane unit forces with that factor: x and y of each
    inner node alternate. */
-int64_t film_compliance(int64_t columns, int64_t rows,
+int64_t qs_compliance(int64_t columns, int64_t rows,
                         const double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */, int64_t roomy,
                         double *room /* roomy */,
                         double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */);
-int64_t film_room(const double *numbers /* 19 */); /* number of doubles of `room` for a solution */
+int64_t qs_workspace_size(const double *numbers /* 19 */); /* number of doubles of `room` for a solution */
 /* number of floats of `kept`, shared by all solutions of a membrane */
-int64_t film_kept(const double *numbers /* 19 */);
+int64_t qs_factors_size(const double *numbers /* 19 */);
 /* Compute `kept`: factors of the membrane's stiffness without contact, in the plane and of the
    heights, at displacements `x`. */
-int64_t film_keep(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_factorize(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
                   float *kept /* keeping */);
 /* Find the equilibria of environments `begin` to `end` - 1, each with `settings`
    (see qs_workspace.h) and obstacles. In and out: displacements `x` and contact forces `force`
    along -z, from the start to the equilibrium; `trend`, the previous change of both, replaced by
    the present one. Out: `found`, see qs_workspace.h. */
-int64_t film_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
@@ -299,7 +299,7 @@ int64_t film_solve(const double *numbers /* 19 */, const double *law /* 11 */, i
 /* Find the equilibria of those `environments` that no thread has taken yet. `next` counts them for
    all threads; each thread has its own `room`. The start is `from_...`, or the state without
    contact if that is NULL or did not converge. */
-int64_t film_share(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_solve_batch(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                    const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                    double *room /* roomy */, int64_t environments, int64_t *next /* 1 */,
                    const double *settings /* environments, 6 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
@@ -312,11 +312,11 @@ int64_t film_share(const double *numbers /* 19 */, const double *law /* 11 */, i
                    double *found /* environments, 14 */);
 /* Update a quasi-static membrane in a moving scene (sim/sensor/quasistatic_sensor.py). `given`,
    `memory`: see qs_friction.h. Inputs are the poses of MuJoCo's bodies and geoms. Out: obstacles
-   `body` in the frame of the MuJoCo body `carrier`; the equilibrium as in film_solve, or by a
+   `body` in the frame of the MuJoCo body `carrier`; the equilibrium as in qs_solve, or by a
    linear spring after small motions; sticking and sliding. `touched`: nodes of the sticking
    stiffness, and nodes in contact at the last solution. `before`: x and y of that solution, then
    workspace. */
-int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
@@ -328,31 +328,31 @@ int64_t film_follow(const double *numbers /* 19 */, const double *law /* 11 */, 
                     double *memory /* 69 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
 /* Compute the generalized forces `push` of this membrane on MuJoCo's degrees of freedom, and the
    `hold` on a free body (see qs_joint_forces.c). Returns 1 if there is contact. */
-int64_t film_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
+int64_t qs_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                   int64_t nv, double *push /* nv */, double *hold /* 43 */);
 /* Add the `pushes` of all membranes to the forces `applied` by others, and the damping of `holds`
    to `undamped` (sim/sensor/quasistatic_forces.py). */
-int64_t film_add(int64_t nv, int64_t films, const double *pushes /* films, nv */, const double *holds /* films, 43 */, double step,
+int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, nv */, const double *holds /* membranes, 43 */, double step,
                  const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */, double *left /* nv */,
                  double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
 /* Run up to `count` steps (sim/batched_quasistatic_step.py). `told`: number of steps done; number
    of steps in which the solver ran out of iterations; 1 if a degree of freedom is too fast; 1 if a
    membrane did not converge. The last two end the run. `mujoco`: addresses of mj_kinematics,
-   mj_step, model and data. `follows`: arguments of film_follow and the address of its flag for
-   applied forces. `pushes`: arguments of film_push and the addresses of its row in the arguments of
-   film_add. `adds`: arguments of film_add. `goals`: current and requested opening, current and
+   mj_step, model and data. `follows`: arguments of qs_follow and the address of its flag for
+   applied forces. `pushes`: arguments of qs_push and the addresses of its row in the arguments of
+   qs_add. `adds`: arguments of qs_add. `goals`: current and requested opening, current and
    requested lift, m; maximum change of the opening goal per step, its maximum lead over the jaws,
    maximum change of the lift goal per step; opening at qpos 0. */
-int64_t film_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, double step, int64_t films,
-                   const int64_t *follows /* films, 34 */, const int64_t *pushes /* films, 19 */, const int64_t *adds /* 12 */,
+int64_t qs_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, double step, int64_t membranes,
+                   const int64_t *follows /* membranes, 34 */, const int64_t *pushes /* membranes, 19 */, const int64_t *adds /* 12 */,
                    double *goals /* 8 */, int64_t reads, const int64_t *read /* reads */, const double *per /* reads */, int64_t nq,
                    const double *qpos /* nq */, int64_t drives, const int64_t *control /* drives */,
                    const double *affine /* drives, 3 */, int64_t nu, double *ctrl /* nu */, int64_t nv, const double *qvel /* nv */,
                    int64_t movers, const int64_t *mover /* movers */, const double *hurry /* movers */, int64_t iterations,
-                   const int32_t *solver_iterations /* 20 */, double *wrenches /* count, films, 6 */, int64_t *told /* 4 */);
+                   const int32_t *solver_iterations /* 20 */, double *wrenches /* count, membranes, 6 */, int64_t *told /* 4 */);
 /* Sample the wrench `felt` that a sensing chain would estimate for a true `wrench`, and its
    covariance `cov` (sim/synthetic_touch.py). `table` at each `load`: mean, standard deviation, that
    of the independent part and the reported one (6 each); fractions of outliers and of unknown
@@ -364,20 +364,20 @@ int64_t draw_errors(int64_t loads, const double *load /* loads */, const double 
                     const double *spread /* 6, 6 */, const double *reported_correlation /* 6, 6 */, const double *settings /* 5 */,
                     const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
                     double *felt /* 6 */, double *cov /* 6, 6 */);
-int64_t film_derive_room(const double *numbers /* 19 */);
+int64_t qs_sensitivities_size(const double *numbers /* 19 */);
 /* Compute the derivatives of an equilibrium `x`, `force` by `changes` of its obstacles. `body`: the
    present obstacles, then those after each change, by `steps`. Out: derivatives of displacements,
-   forces and the results of film_solve. Returns 1 if the membrane is not in equilibrium on these
+   forces and the results of qs_solve. Returns 1 if the membrane is not in equilibrium on these
    obstacles. */
-int64_t film_derive(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
+int64_t qs_sensitivities(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,
                     double *by_force /* changes, columns, rows */, double *by_detection /* changes, 14 */);
-/* Approximate film_derive for heights and forces only, at a fifth of the cost: by a height step of
+/* Approximate qs_sensitivities for heights and forces only, at a fifth of the cost: by a height step of
    the solver, without in-plane displacements. */
-int64_t film_answer(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_approximate_sensitivities(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 6 */,
                     int64_t bodies, int64_t changes, const double *body /* 1 + changes, bodies, 20 */, int64_t pooled,
                     const double *pool /* pooled or NULL */, const double *steps /* changes */, const double *x /* 3, columns, rows */,

@@ -6,9 +6,9 @@
 #define NEAR_SINGULAR 1e-7
 #define MOST_LEARNT 10 /* maximum coefficient of a previous step; above it, steps are not mixed */
 
-long film_learn_room(long all) { return (2 * MEMORY + 2) * all; }
+long qs_anderson_size(long all) { return (2 * MEMORY + 2) * all; }
 
-Learnt film_learn_in(long all, long places, float **room) {
+Learnt qs_anderson_in(long all, long places, float **room) {
     Learnt l = {.all = all, .places = places};
     l.steps = *room, l.changes = l.steps + MEMORY * all, l.last = l.changes + MEMORY * all, l.now = l.last + all;
     *room = l.now + all;
@@ -55,9 +55,9 @@ static int mix(Learnt *l) {
     return 1;
 }
 
-int film_learn(Learnt *l, int fresh) {
+int qs_anderson_update(Learnt *l, int fresh) {
     if (fresh) {
-        film_forget(l);
+        qs_anderson_reset(l);
     } else {
         float *change = l->changes + l->newest * l->all;
         for (long k = 0; k < l->all; k++) change[k] = l->now[k] - l->last[k];

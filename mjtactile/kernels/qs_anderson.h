@@ -1,6 +1,6 @@
 /* Anderson mixing of the solver's steps (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
-#ifndef MJTACTILE_FILM_LEARN_H
-#define MJTACTILE_FILM_LEARN_H
+#ifndef MJTACTILE_QS_ANDERSON_H
+#define MJTACTILE_QS_ANDERSON_H
 
 #define MEMORY 4 /* previous steps that determine the next one */
 
@@ -11,12 +11,12 @@ typedef struct {
     float *steps, *changes, *last, *now;
 } Learnt;
 
-long film_learn_room(long all);
-Learnt film_learn_in(long all, long places, float **room);
-static inline void film_forget(Learnt *l) { l->known = l->newest = 0; }
+long qs_anderson_size(long all);
+Learnt qs_anderson_in(long all, long places, float **room);
+static inline void qs_anderson_reset(Learnt *l) { l->known = l->newest = 0; }
 /* Replace the present step `now` by the step that would have ended in equilibrium if the last steps
    had changed in proportion. It is stored as such; `last` keeps the original. `fresh`: ignore
    previous steps. Returns 1 if both differ. */
-int film_learn(Learnt *l, int fresh);
+int qs_anderson_update(Learnt *l, int fresh);
 
 #endif

@@ -14,7 +14,7 @@ static void begin_at(double *to, const double *from, long size) {
     else memset(to, 0, size * sizeof *to);
 }
 
-int64_t film_share(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
+int64_t qs_solve_batch(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t *next, const double *settings,
                    int64_t bodies, const double *body, int64_t pooled, const double *pool, const double *from_x,
                    const double *from_force, const double *from_trend, const double *from_found, double *x, double *force,
@@ -27,8 +27,8 @@ int64_t film_share(const double *numbers, const double *law, int64_t columns, in
         begin_at(x + e * 3 * nodes, known ? own(from_x, e, 3 * nodes) : rest, 3 * nodes);
         begin_at(force + e * nodes, known ? own(from_force, e, nodes) : 0, nodes);
         begin_at(trend + e * 4 * nodes, known ? own(from_trend, e, 4 * nodes) : 0, 4 * nodes);
-        const int64_t code = film_solve(numbers, law, columns, rows, keeping, kept, rest, roomy, room, 1, 0, 1,
-                                        settings + e * (long)(sizeof(Settings) / sizeof(double)), bodies, body + e * bodies * FILM_BODY,
+        const int64_t code = qs_solve(numbers, law, columns, rows, keeping, kept, rest, roomy, room, 1, 0, 1,
+                                        settings + e * (long)(sizeof(Settings) / sizeof(double)), bodies, body + e * bodies * QS_OBSTACLE,
                                         pooled, pool, x + e * 3 * nodes, force + e * nodes, trend + e * 4 * nodes, found + e * FOUND);
         if (code < 0) return code;
     }

@@ -7,7 +7,7 @@
    together. */
 static long place_of(long in_plane) { return 3 * (in_plane / 2) + in_plane % 2; }
 
-int64_t film_compliance(int64_t columns, int64_t rows, const double *factor, int64_t roomy, double *room, double *compliance) {
+int64_t qs_compliance(int64_t columns, int64_t rows, const double *factor, int64_t roomy, double *room, double *compliance) {
     const long inner = (columns - 2) * (rows - 2), all = 3 * inner, count = 2 * inner, width = 3 * rows - 1;
     Lanes *x = (Lanes *)room;
     if (roomy < LANES * all) return REFUSED;

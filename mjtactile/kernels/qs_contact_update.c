@@ -21,41 +21,41 @@
 /* margin around the contact, nodes: for the height correction and for edges next to it */
 #define ROUND_ABOUT 1
 
-long film_seen_size(const Film *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + FILM_FLOORS * FILM_PLANES; }
+long qs_lowest_size(const Membrane *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES; }
 
-Seen film_seen_in(const Film *f, double **room) {
+Seen qs_lowest_in(const Membrane *f, double **room) {
     const long n = f->count;
     Seen s = {.floors = -1};
-    s.obstacle = film_take(room, n), s.level = film_take(room, n), s.slope = film_take(room, 2 * n), s.lower = film_take(room, n);
-    s.away = film_take(room, 2 * n), s.edge = film_take(room, 4 * n), s.spring = film_take(room, 4 * n);
-    s.along_x = film_take(room, n), s.along_y = film_take(room, n), s.cell = film_take(room, n);
-    s.planes = film_take(room, FILM_FLOORS * FILM_PLANES);
+    s.obstacle = qs_take(room, n), s.level = qs_take(room, n), s.slope = qs_take(room, 2 * n), s.lower = qs_take(room, n);
+    s.away = qs_take(room, 2 * n), s.edge = qs_take(room, 4 * n), s.spring = qs_take(room, 4 * n);
+    s.along_x = qs_take(room, n), s.along_y = qs_take(room, n), s.cell = qs_take(room, n);
+    s.planes = qs_take(room, QS_FLOORS * QS_PLANES);
     /* lines are multiples of eight */
-    s.touching = (uint8_t *)film_take(room, n / 8), s.wanted = (uint8_t *)film_take(room, n / 8);
+    s.touching = (uint8_t *)qs_take(room, n / 8), s.wanted = (uint8_t *)qs_take(room, n / 8);
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
     return s;
 }
 
-void film_pad(const Film *f, long fields, const double *from, double *to) {
+void qs_pad(const Membrane *f, long fields, const double *from, double *to) {
     memset(to, 0, fields * f->count * sizeof *to);
     for (long i = 0; i < fields * f->columns; i++) memcpy(to + i * f->line, from + i * f->rows, f->rows * sizeof *to);
 }
 
-void film_unpad(const Film *f, long fields, const double *from, double *to) {
+void qs_unpad(const Membrane *f, long fields, const double *from, double *to) {
     for (long i = 0; i < fields * f->columns; i++) memcpy(to + i * f->rows, from + i * f->line, f->rows * sizeof *to);
 }
 
 /* -- obstacles --------------------------------------------------------------------------------- */
 
-static int any_thin(const Film *f, const Bodies *bodies) {
+static int any_thin(const Membrane *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
-        if (film_body_of(bodies, b)->least < most(f->dx, f->dy)) return 1;
+        if (qs_obstacle_at(bodies, b)->least < most(f->dx, f->dy)) return 1;
     return 0;
 }
 
 /* Measure the extent of an obstacle along an axis from a point on it, below and above, up to one
    spacing. `parts` counts fractions of the spacing. */
-static void reaches_along(const Film *f, const Bodies *bodies, double x, double y, int axis, int parts[2]) {
+static void reaches_along(const Membrane *f, const Bodies *bodies, double x, double y, int axis, int parts[2]) {
     const double step[2] = {axis ? 0 : f->dx / (2. * THIN + 1), axis ? f->dy / (2. * THIN + 1) : 0};
     double height, slope[2];
     for (int end = 0; end < 2; end++) {
@@ -72,7 +72,7 @@ static void reaches_along(const Film *f, const Bodies *bodies, double x, double 
    across which it is thin. The end of an obstacle that continues to the next node is an edge.
    Returns the axis along which it was found, 1 or 2, or 0. `taken`: axes along which the previous
    node already has it. `away`: offset of its center, spacings. */
-static int see_between(const Film *f, const Bodies *bodies, double x, double y, int taken,
+static int see_between(const Membrane *f, const Bodies *bodies, double x, double y, int taken,
                        double *height, double slope[2], double *away) {
     int found = 0;
     for (int axis = 0; axis < 2; axis++) {
@@ -99,13 +99,13 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
 /* Return 1 if there is only one obstacle and its lower side bends in one direction only. */
 static int is_one_convex(const Bodies *bodies) {
     if (bodies->count != 1) return 0;
-    const int kind = (int)film_body_of(bodies, 0)->kind;
+    const int kind = (int)qs_obstacle_at(bodies, 0)->kind;
     return kind != BODY_TRIANGLES && kind != BODY_HEIGHTS;
 }
 
 /* Return 1 if a convex obstacle is a plane that slopes along an axis, across all points that
    see_ridge samples. This holds if three of them are on a line. */
-static int slopes_evenly(const Film *f, const Bodies *bodies, double x, double y, int axis) {
+static int slopes_evenly(const Membrane *f, const Bodies *bodies, double x, double y, int axis) {
     double at[3], by[2];
     const double wide = (THIN + 2) / (2. * THIN + 1) * (axis ? f->dy : f->dx);
     for (int k = 0; k < 3; k++)
@@ -115,7 +115,7 @@ static int slopes_evenly(const Film *f, const Bodies *bodies, double x, double y
 
 /* Find a ridge or a tip that passes through a node's cell next to the node. The membrane meets it
    there, with zero slope across it. Returns the axes. */
-static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, int taken,
+static int see_ridge(const Membrane *f, const Bodies *bodies, double x, double y, int taken,
                      double *height, double slope[2]) {
     const int convex = is_one_convex(bodies);
     int found = 0;
@@ -135,7 +135,7 @@ static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, in
     return found;
 }
 
-void see_touch(const Film *f, const double *force, Seen *seen) {
+void see_touch(const Membrane *f, const double *force, Seen *seen) {
     long *box = seen->box;
     box[0] = f->columns, box[1] = 0, box[2] = f->rows, box[3] = 0;
     for (long i = 0; i < f->columns; i++)
@@ -150,7 +150,7 @@ void see_touch(const Film *f, const double *force, Seen *seen) {
 
 /* Extend the box to all nodes that may be under an obstacle, for any position between their
    neighbors. */
-static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
+static void grow_box(const Membrane *f, const Obstacle *b, long box[4]) {
     const double reach = b->reach + f->numbers.half_thickness, sides[2] = {f->numbers.length_x, f->numbers.length_y}, by[2] = {f->dx, f->dy};
     const long counts[2] = {f->columns, f->rows};
     for (int c = 0; c < 2; c++) {
@@ -162,25 +162,25 @@ static void grow_box(const Film *f, const FilmBody *b, long box[4]) {
 
 /* Remove an obstacle that was moved under a node if the next node in its direction has it: this is
    its end. */
-static void drop_ends(const Film *f, Seen *seen) {
+static void drop_ends(const Membrane *f, Seen *seen) {
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
             const int axis = seen->away[k] != 0 ? 0 : 1;
             const double away = seen->away[axis * f->count + k];
             if (away == 0) continue;
-            const long next = k + film_next(f, 2 * axis + (away < 0));
+            const long next = k + qs_next(f, 2 * axis + (away < 0));
             if (next < 0 || next >= f->count || isinf(seen->obstacle[next]) || seen->away[axis * f->count + next] != 0) continue;
             seen->obstacle[k] = seen->level[k] = INFINITY, seen->edge[k] = 0, seen->away[axis * f->count + k] = 0;
         }
 }
 
-static void see_nothing(const Film *f, Seen *seen) {
+static void see_nothing(const Membrane *f, Seen *seen) {
     memset(seen->edge, 0, f->count * sizeof *seen->edge);
     for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
 }
 
-void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
+void look_narrowly(const Membrane *f, const Bodies *bodies, Seen *seen) {
     const long ends[4] = {0, f->columns, 0, f->rows};
     /* a sharp obstacle is also thin */
     if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return;
@@ -193,7 +193,7 @@ void look_narrowly(const Film *f, const Bodies *bodies, Seen *seen) {
 }
 
 /* Compute the in-plane positions of the nodes of line `i` in the box. */
-static void place_nodes(const Film *f, const double *x, const Seen *seen, long i, double *at_x, double *at_y) {
+static void place_nodes(const Membrane *f, const double *x, const Seen *seen, long i, double *at_x, double *at_y) {
     for (long j = seen->box[2]; j < seen->box[3]; j++) {
         at_x[j] = (double)i * f->dx - f->numbers.length_x / 2 + x[i * f->line + j];
         at_y[j] = (double)j * f->dy - f->numbers.length_y / 2 + x[f->count + i * f->line + j];
@@ -202,8 +202,8 @@ static void place_nodes(const Film *f, const double *x, const Seen *seen, long i
 
 /* Mark the nodes at which obstacles are evaluated: nodes in contact, nodes that may soon be, and
    their neighbors, for curvature and edges. */
-static void want_nodes(const Film *f, const double *x, Seen *seen) {
-    double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
+static void want_nodes(const Membrane *f, const double *x, Seen *seen) {
+    double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
     const double *z = x + 2 * f->count;
     memset(seen->wanted, 0, f->count);
     for (long i = seen->box[0]; i < seen->box[1]; i++) {
@@ -219,11 +219,11 @@ static void want_nodes(const Film *f, const double *x, Seen *seen) {
 }
 
 /* Compute the heights of all obstacles at the present positions of the nodes. */
-void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen) {
+void see_bodies(const Membrane *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
     int sharp = 0;
-    for (long b = 0; b < bodies->count; b++) sharp |= film_body_of(bodies, b)->least == 0;
-    for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, film_body_of(bodies, b), seen->box);
+    for (long b = 0; b < bodies->count; b++) sharp |= qs_obstacle_at(bodies, b)->least == 0;
+    for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, qs_obstacle_at(bodies, b), seen->box);
     if (!seen->narrow) see_nothing(f, seen);
     const int all = thin || seen->floors < 0; /* thin obstacles may be between nodes */
     if (!all) want_nodes(f, x, seen);
@@ -252,14 +252,14 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Seen *seen
     if (thin) drop_ends(f, seen);
 }
 
-static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
+static int on_a_body(const Membrane *f, const Bodies *bodies, double x, double y) {
     double height, slope[2];
     return !lowest(f, bodies, x, y, &height, slope);
 }
 
 /* Return the inclination of a thin obstacle: its drift across an axis per distance along it,
    spacings per spacing. */
-static double lean_of(const Film *f, const Bodies *bodies, const double at[2], int axis) {
+static double lean_of(const Membrane *f, const Bodies *bodies, const double at[2], int axis) {
     const double spacing[2] = {f->dx, f->dy};
     double lean = 0, ends = 0;
     int across[2];
@@ -279,13 +279,13 @@ static double lean_of(const Film *f, const Bodies *bodies, const double at[2], i
 
 /* Find the edges of obstacles between a node on an obstacle and its neighbors at +x, -x, +y and -y
    that are not: the fraction of the distance. It is negative if both are on an obstacle. */
-void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Seen *seen) {
+void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k, int halves, Seen *seen) {
     const long count = f->count, i = k / f->line, j = k % f->line;
     const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + seen->away[k],
                           j * f->dy - f->numbers.length_y / 2 + x[count + k] + seen->away[count + k]};
     const int thin = any_thin(f, bodies);
     for (int side = 0; side < 4; side++) {
-        const long other = k + film_next(f, side);
+        const long other = k + qs_next(f, side);
         seen->edge[side * count + k] = -1;
         if (isfinite(seen->obstacle[other]) || !on_a_body(f, bodies, at[0], at[1])) continue;
         double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
@@ -308,15 +308,15 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
     }
 }
 
-double rises_over_edge(const Film *f, const Seen *seen, const double *z, long k, int side) {
+double rises_over_edge(const Membrane *f, const Seen *seen, const double *z, long k, int side) {
     const double along = side < 2 ? seen->slope[k] * f->dx : seen->slope[f->count + k] * f->dy;
-    return z[k + film_next(f, side)] - z[k] - (side % 2 ? -along : along);
+    return z[k + qs_next(f, side)] - z[k] - (side % 2 ? -along : along);
 }
 
 /* Compute the edge springs. The membrane bends over an edge a fraction s of the spacing beyond the
    last node on the obstacle. It rises to the next node over the remaining 1 - s and pulls more by
    that ratio. The spring acts in addition to the membrane. */
-double find_springs(const Film *f, const double *z, Seen *seen) {
+double find_springs(const Membrane *f, const double *z, Seen *seen) {
     double which = 0;
     memset(seen->spring, 0, 4 * f->count * sizeof *seen->spring);
     for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++) {
@@ -335,7 +335,7 @@ double find_springs(const Film *f, const double *z, Seen *seen) {
 
 /* Compute the obstacle heights from the last slopes. `level` is a height minus the contribution of
    its slopes. */
-void follow_bodies(const Film *f, const double *x, Seen *seen) {
+void follow_bodies(const Membrane *f, const double *x, Seen *seen) {
     for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++)
         seen->obstacle[k] = seen->level[k] + seen->slope[k] * x[k] + seen->slope[f->count + k] * x[f->count + k];
 }
@@ -343,7 +343,7 @@ void follow_bodies(const Film *f, const double *x, Seen *seen) {
 /* Compute the height correction for round obstacles. A membrane that bends only at its nodes is
    held off a round obstacle, and the excess is subtracted. Next to an obstacle's end, its curvature
    is unknown. */
-void lower_round_bodies(const Film *f, Seen *seen) {
+void lower_round_bodies(const Membrane *f, Seen *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
     memset(seen->lower, 0, f->count * sizeof *seen->lower);
@@ -360,11 +360,11 @@ void lower_round_bodies(const Film *f, Seen *seen) {
         }
 }
 
-static int is_rim(const Film *f, long i, long j) {
+static int is_rim(const Membrane *f, long i, long j) {
     return f->inside ? f->inside[i * f->rows + j] == 0 : i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1;
 }
 
-int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
+int against_the_frame(const Membrane *f, const Settings *set, const Seen *seen) {
     const double *h = seen->obstacle;
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
@@ -375,7 +375,7 @@ int against_the_frame(const Film *f, const Settings *set, const Seen *seen) {
     return CONVERGED;
 }
 
-void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
+void gas_of(const Membrane *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
     *pressure = set->gas, *stiffness = 0;
     if (!set->sealed) return;
     const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.polytropic_exponent);
@@ -384,7 +384,7 @@ void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, 
 
 /* Compute the wrench about the origin of S and the contact area. Each node contributes its cell
    times the ratio of its force to the force of full contact. */
-void add_up(const Film *f, const double *x, const double *force,
+void add_up(const Membrane *f, const double *x, const double *force,
                    double *found, const Seen *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;

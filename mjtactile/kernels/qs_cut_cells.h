@@ -4,8 +4,8 @@
    outline is asymmetric; the number of groups; for each node 1 if it is free, 0 if it is fixed next
    to a free node, -1 if it is farther out; for each node 1 if the cell that begins at it is whole;
    groups of eight triangles. */
-#ifndef MJTACTILE_FILM_CUT_H
-#define MJTACTILE_FILM_CUT_H
+#ifndef MJTACTILE_QS_CUT_CELLS_H
+#define MJTACTILE_QS_CUT_CELLS_H
 #include "band_cholesky_f64.h"
 #include "quasistatic.h"
 
@@ -15,6 +15,6 @@
    0 for none. */
 typedef struct { double area[LANES], by_x[3][LANES], by_y[3][LANES], node[3][LANES], link[3][LANES]; } CutGroup;
 
-static inline const CutGroup *film_cut(const Film *film, long group) { return (const CutGroup *)film->cuts + group; }
+static inline const CutGroup *qs_cut_group(const Membrane *membrane, long group) { return (const CutGroup *)membrane->cuts + group; }
 
 #endif

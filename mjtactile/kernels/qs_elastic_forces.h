@@ -9,22 +9,22 @@
 typedef struct { REAL C11, C22, C12, root, S11, S22, S12; } TYPE(Strained);
 
 typedef struct {
-    REAL lambda2, modulus, poisson, middle, per_unit, law[FILM_LAW], over_x, over_y;
+    REAL lambda2, modulus, poisson, middle, per_unit, law[QS_LAW], over_x, over_y;
 } TYPE(Numbers);
 
-INLINE TYPE(Numbers) TYPE(numbers_of)(const Film *f) {
-    const FilmNumbers *o = &f->numbers;
+INLINE TYPE(Numbers) TYPE(numbers_of)(const Membrane *f) {
+    const MembraneNumbers *o = &f->numbers;
     TYPE(Numbers) n = {.lambda2 = (REAL)o->lambda2, .modulus = (REAL)o->modulus, .poisson = (REAL)o->poisson,
                        .middle = (REAL)o->law_middle, .per_unit = (REAL)o->law_per_unit, .over_x = (REAL)(1 / f->dx),
                        .over_y = (REAL)(1 / f->dy)};
-    for (int k = 0; k < FILM_LAW; k++) n.law[k] = (REAL)f->law[k];
+    for (int k = 0; k < QS_LAW; k++) n.law[k] = (REAL)f->law[k];
     return n;
 }
 
 INLINE REAL TYPE(law_at)(const TYPE(Numbers) *o, REAL root) {
     const REAL t = (root - o->middle) * o->per_unit;
-    REAL q = o->law[FILM_LAW - 1];
-    for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
+    REAL q = o->law[QS_LAW - 1];
+    for (int k = QS_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
     return q;
 }
 
@@ -105,7 +105,7 @@ INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], c
     TYPE(Corner) c = {.S11 = weight * s.S11, .S22 = weight * s.S22, .S12 = weight * s.S12, .turn = g1[0] * g2[1] - g1[1] * g2[0]};
     c.tension = (c.S11 * C11 + c.S22 * C22 + 2 * c.S12 * C12) * s.root / 2;
     c.area = weight / s.root, c.root = s.root;
-    if (parts & FILM_LINKS) {
+    if (parts & QS_LINKS) {
         const REAL fair = (REAL)LEAST_TENSION * (c.tension > 0 ? c.tension : 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
         c.xx = by * (c.S11 > fair ? c.S11 : fair) * o->over_x * o->over_x;
         c.yy = by * (c.S22 > fair ? c.S22 : fair) * o->over_y * o->over_y;
@@ -114,9 +114,9 @@ INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], c
 }
 
 /* Compute the cells between a line and the next. */
-INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean, int parts) {
+INLINE void TYPE(see_cells)(const Membrane *f, const TYPE(Lines) *l, int neo_hookean, int parts) {
     const TYPE(Numbers) o = TYPE(numbers_of)(f);
-    const int first = parts & FILM_PLANE ? 0 : 2, last = parts & FILM_HEIGHTS ? 3 : 2;
+    const int first = parts & QS_PLANE ? 0 : 2, last = parts & QS_HEIGHTS ? 3 : 2;
     const long line = f->line;
     VECTORS
     for (long j = 0; j < line; j++) {
@@ -137,7 +137,7 @@ INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean
             l->left.force[k][j] += o.over_y * ((ll.S22 + hl.S22) * left[k] + ll.S12 * low[k] + hl.S12 * high[k]);
             l->right.force[k][j] = o.over_y * ((lr.S22 + hr.S22) * right[k] + lr.S12 * low[k] + hr.S12 * high[k]);
         }
-        if (parts & FILM_PLANE) {
+        if (parts & QS_PLANE) {
             /* volume of a corner: its height times its projected area */
             const REAL wx = weight * o.over_x, wy = weight * o.over_y;
             const REAL zll = l->along[0].z[j], zhl = l->along[0].z[j + 1], zlr = l->along[1].z[j], zhr = l->along[1].z[j + 1];
@@ -159,36 +159,36 @@ INLINE void TYPE(see_cells)(const Film *f, const TYPE(Lines) *l, int neo_hookean
         const REAL root_low = ll.root < lr.root ? ll.root : lr.root, root_high = hl.root < hr.root ? hl.root : hr.root;
         const REAL root = root_low < root_high ? root_low : root_high;
         l->root[j] = weight > 0 && root < l->root[j] ? root : l->root[j];
-        if (parts & FILM_LINKS) {
+        if (parts & QS_LINKS) {
             l->low.link[j] = ll.xx + lr.xx, l->high.link[j] = hl.xx + hr.xx;
             l->left.link[j] += ll.yy + hl.yy, l->right.link[j] = lr.yy + hr.yy;
         }
     }
 }
 
-static void TYPE(see_heights)(const Film *f, const TYPE(Lines) *l) {
-    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS);
-    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS);
+static void TYPE(see_heights)(const Membrane *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, QS_HEIGHTS);
+    else TYPE(see_cells)(f, l, 0, QS_HEIGHTS);
 }
 
-static void TYPE(see_links)(const Film *f, const TYPE(Lines) *l) {
-    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS | FILM_LINKS);
-    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS | FILM_LINKS);
+static void TYPE(see_links)(const Membrane *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, QS_HEIGHTS | QS_LINKS);
+    else TYPE(see_cells)(f, l, 0, QS_HEIGHTS | QS_LINKS);
 }
 
-static void TYPE(see_plane)(const Film *f, const TYPE(Lines) *l) {
-    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_PLANE);
-    else TYPE(see_cells)(f, l, 0, FILM_PLANE);
+static void TYPE(see_plane)(const Membrane *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, QS_PLANE);
+    else TYPE(see_cells)(f, l, 0, QS_PLANE);
 }
 
-static void TYPE(see_all)(const Film *f, const TYPE(Lines) *l) {
-    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, FILM_HEIGHTS | FILM_PLANE | FILM_LINKS);
-    else TYPE(see_cells)(f, l, 0, FILM_HEIGHTS | FILM_PLANE | FILM_LINKS);
+static void TYPE(see_all)(const Membrane *f, const TYPE(Lines) *l) {
+    if (f->numbers.neo_hookean != 0) TYPE(see_cells)(f, l, 1, QS_HEIGHTS | QS_PLANE | QS_LINKS);
+    else TYPE(see_cells)(f, l, 0, QS_HEIGHTS | QS_PLANE | QS_LINKS);
 }
 
 /* Compute the forces on a line's nodes from its edges: incoming minus outgoing. Edges across the
    line are stored for the line behind. */
-INLINE void TYPE(gather)(const Film *f, REAL *restrict before, const REAL *restrict low, const REAL *restrict high,
+INLINE void TYPE(gather)(const Membrane *f, REAL *restrict before, const REAL *restrict low, const REAL *restrict high,
                          const REAL *restrict along, REAL *restrict to) {
     const long line = f->line;
     VECTORS
@@ -211,7 +211,7 @@ INLINE TYPE(Vector) TYPE(vector_of)(const double *from) {
     return __builtin_convertvector(here, TYPE(Vector));
 }
 
-INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGroup *cut, const double *x, int parts, TYPE(Borne) *to,
+INLINE void TYPE(see_group)(const Membrane *f, const TYPE(Numbers) *o, const CutGroup *cut, const double *x, int parts, TYPE(Borne) *to,
                             SheetSums *sums, double *tension, double *area) {
     const TYPE(Vector) weight = TYPE(vector_of)(cut->area);
     TYPE(Vector) bx[3], by[3], g1[3], g2[3], mean = 0 * weight, root;
@@ -233,8 +233,8 @@ INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGrou
     TYPE(Vector) S11, S22, S12;
     if (f->numbers.neo_hookean != 0) {
         const TYPE(Vector) t = (root - o->middle) * o->per_unit;
-        TYPE(Vector) q = 0 * t + o->law[FILM_LAW - 1];
-        for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
+        TYPE(Vector) q = 0 * t + o->law[QS_LAW - 1];
+        for (int k = QS_LAW - 2; k >= 0; k--) q = q * t + o->law[k];
         S11 = M - M * q * C22, S22 = M - M * q * C11, S12 = M * q * C12;
     } else {
         const TYPE(Vector) E11 = (C11 - 1) / 2, E22 = (C22 - 1) / 2;
@@ -247,13 +247,13 @@ INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGrou
         *tension += (double)stressed[n], *area += (double)(weight[n] / root[n]), sums->volume += (double)bulge[n];
     }
     for (int a = 0; a < 3; a++) {
-        for (int k = parts & FILM_PLANE ? 0 : 2; k < 3; k++)
+        for (int k = parts & QS_PLANE ? 0 : 2; k < 3; k++)
             to->elastic[a][k] = (S11 * g1[k] + S12 * g2[k]) * bx[a] + (S22 * g2[k] + S12 * g1[k]) * by[a];
         to->gradient[a][0] = weight * mean * (g2[1] * bx[a] - g1[1] * by[a]);
         to->gradient[a][1] = weight * mean * (g1[0] * by[a] - g2[0] * bx[a]);
         to->gradient[a][2] = weight * turn / 3;
     }
-    if (!(parts & FILM_HEIGHTS)) return;
+    if (!(parts & QS_HEIGHTS)) return;
     const TYPE(Vector) flat = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
     TYPE(Vector) xx, yy;
     for (int n = 0; n < LANES; n++) {
@@ -264,31 +264,31 @@ INLINE void TYPE(see_group)(const Film *f, const TYPE(Numbers) *o, const CutGrou
         to->link[a] = -flat * (xx * bx[a] * bx[(a + 1) % 3] + yy * by[a] * by[(a + 1) % 3]);
 }
 
-static void TYPE(see_cuts)(const Film *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to,
+static void TYPE(see_cuts)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to,
                            SheetSums *sums, double *tension, double *area) {
     const TYPE(Numbers) o = TYPE(numbers_of)(f);
     const long count = f->count;
-    const int low = parts & FILM_PLANE ? 0 : 2, high = parts & FILM_HEIGHTS ? 3 : 2;
+    const int low = parts & QS_PLANE ? 0 : 2, high = parts & QS_HEIGHTS ? 3 : 2;
     for (long g = 0; g < f->groups; g++) {
-        const CutGroup *cut = film_cut(f, g);
+        const CutGroup *cut = qs_cut_group(f, g);
         TYPE(Borne) borne;
         TYPE(see_group)(f, &o, cut, x, parts, &borne, sums, tension, area);
         for (int n = 0; n < LANES; n++)
             for (int a = 0; a < 3; a++) {
                 const long node = (long)cut->node[a][n];
                 for (int k = low; k < high && node; k++) to->elastic[k * count + node] += borne.elastic[a][k][n];
-                for (int k = parts & FILM_PLANE ? 0 : 2; k < 3 && node; k++) to->gradient[k * count + node] += borne.gradient[a][k][n];
+                for (int k = parts & QS_PLANE ? 0 : 2; k < 3 && node; k++) to->gradient[k * count + node] += borne.gradient[a][k][n];
                 const long link = (long)cut->link[a][n] / 2, line = link / f->line;
-                if (!link || !(parts & FILM_HEIGHTS) || line < first || line > last) continue;
+                if (!link || !(parts & QS_HEIGHTS) || line < first || line > last) continue;
                 if ((long)cut->link[a][n] % 2) to->along_y[link] += borne.link[a][n];
                 else if (line < last) to->along_x[link] += borne.link[a][n];
             }
     }
 }
 
-SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to) {
+SheetSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to) {
     const long line = f->line, count = f->count;
-    REAL numbers[LINES * (FILM_MOST_LINE + 16)];
+    REAL numbers[LINES * (QS_MAX_LINE + 16)];
     TYPE(Room) room = {numbers, line};
     memset(numbers, 0, LINES * (line + 16) * sizeof *numbers);
     TYPE(Lines) l;
@@ -315,14 +315,14 @@ SheetSums TYPE(film_sheet)(const Film *f, const double *x, int parts, long first
         TYPE(see_edges)(at, next, 1 / f->dx, 0, lambda2, line, &l.across);
         TYPE(see_edges)(next, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
         const int links = i >= first && i < last;
-        if ((parts & FILM_PLANE) && (parts & FILM_HEIGHTS)) TYPE(see_all)(f, &l);
-        else if (parts & FILM_PLANE) TYPE(see_plane)(f, &l);
+        if ((parts & QS_PLANE) && (parts & QS_HEIGHTS)) TYPE(see_all)(f, &l);
+        else if (parts & QS_PLANE) TYPE(see_plane)(f, &l);
         else if (links) TYPE(see_links)(f, &l);
         else TYPE(see_heights)(f, &l);
         const long here = i * line;
-        for (int k = parts & FILM_PLANE ? 0 : 2; k < (parts & FILM_HEIGHTS ? 3 : 2); k++)
+        for (int k = parts & QS_PLANE ? 0 : 2; k < (parts & QS_HEIGHTS ? 3 : 2); k++)
             TYPE(gather)(f, l.before.force[k], l.low.force[k], l.high.force[k], l.left.force[k], to->elastic + k * count + here);
-        for (int k = 0; k < 2 && parts & FILM_PLANE; k++)
+        for (int k = 0; k < 2 && parts & QS_PLANE; k++)
             TYPE(gather)(f, l.before.volume[k], l.low.volume[k], l.high.volume[k], l.left.volume[k], to->gradient + k * count + here);
         REAL *restrict by_height = to->gradient + 2 * count + here;
         REAL bulge = 0;

@@ -24,7 +24,7 @@
 #define BOUNDS 7
 
 /* Return the grid without padding: Python's fields have nodes only. */
-static Film plain(Film f) {
+static Membrane plain(Membrane f) {
     f.rows = (long)f.numbers.nodes_y, f.columns = (long)f.numbers.nodes_x, f.count = f.columns * f.rows;
     f.inner_rows = f.rows - 2, f.inner = (f.columns - 2) * f.inner_rows;
     return f;
@@ -58,7 +58,7 @@ static long look(long geoms, const int64_t *geom, const int64_t *body_of, const 
     double lowest = INFINITY;
     *near = 0, *moved = 0;
     for (long k = 0; k < geoms; k++) {
-        double off[3], at[3], turned[9], *row = rows + FILM_BODY * k;
+        double off[3], at[3], turned[9], *row = rows + QS_OBSTACLE * k;
         for (int i = 0; i < 3; i++) off[i] = geom_xpos[3 * geom[k] + i] - p[i];
         into(R, off, at);
         if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= bounds[BOUNDS * k]) {
@@ -77,7 +77,7 @@ static long look(long geoms, const int64_t *geom, const int64_t *body_of, const 
 
 /* Compute the stiffness of the contact nodes, which move as one rigid set, against x, y and
    rotation about `middle`. Returns 1 if memory runs out. */
-static int find_grip(const Film *f, const double *x, const double *force, const double *compliance, const double *middle, uint8_t *held,
+static int find_grip(const Membrane *f, const double *x, const double *force, const double *compliance, const double *middle, uint8_t *held,
                      Memory *m) {
     long count = 0, *node = malloc(f->inner * sizeof *node);
     if (!node) return 1;
@@ -123,7 +123,7 @@ static int find_grip(const Film *f, const double *x, const double *force, const 
 
 /* Compute center and radius of the contact, and the in-plane displacement `shift` (2) of its nodes
    since the last solution. */
-static void find_middle(const Film *f, const double *x, const double *force, const double *x_before, const uint8_t *before,
+static void find_middle(const Membrane *f, const double *x, const double *force, const double *x_before, const uint8_t *before,
                         Memory *m, double shift[2]) {
     double sum[3] = {0}, total = 0, kept = 0;
     shift[0] = shift[1] = 0;
@@ -150,7 +150,7 @@ static void find_middle(const Film *f, const double *x, const double *force, con
 /* Update the contact after a solution: its center, `shift` as in `find_middle`, and the sticking
    stiffness. The latter is updated if enough nodes differ from those of `touched` (2, count): nodes
    of the last sticking stiffness, and of the last solution. Returns 1 if memory runs out. */
-static int hold_anew(const Film *f, const Given *g, const double *x, const double *force, const double *compliance, double *x_before,
+static int hold_anew(const Membrane *f, const Given *g, const double *x, const double *force, const double *compliance, double *x_before,
                      uint8_t *touched, Memory *m, double shift[2]) {
     uint8_t *was = touched + f->count;
     long differ = 0, count = 0;
@@ -188,11 +188,11 @@ static void release(Memory *m) {
 
 /* Return 1 if all obstacles are above the membrane: their bounding boxes, which rotate with them,
    are above its highest node. */
-static int is_clear(const Film *f, const double *x, long geoms, const double *body, const double *bounds) {
+static int is_clear(const Membrane *f, const double *x, long geoms, const double *body, const double *bounds) {
     double top = 0;
     for (long k = 0; k < f->count; k++) top = most(top, x[2 * f->count + k]);
     for (long k = 0; k < geoms; k++) {
-        const double *row = body + FILM_BODY * k, *up = row + 10, *box = bounds + BOUNDS * k + 1;
+        const double *row = body + QS_OBSTACLE * k, *up = row + 10, *box = bounds + BOUNDS * k + 1;
         if (row[13] >= AWAY) continue;
         double bottom = row[15];
         for (int i = 0; i < 3; i++) bottom += up[i] * box[i] - fabs(up[i]) * box[3 + i];
@@ -201,13 +201,13 @@ static int is_clear(const Film *f, const double *x, long geoms, const double *bo
     return 1;
 }
 
-int64_t film_follow(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
+int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                     const double *rest, int64_t roomy, double *room, const double *settings, int64_t geoms, double *body,
                     int64_t pooled, const double *pool, double *x, double *force, double *trend, double *found, const double *given,
                     const double *compliance, int64_t carrier, int64_t nbody, const double *xpos, const double *xmat, int64_t ngeom,
                     const double *geom_xpos, const double *geom_xmat, const int64_t *geom, const int64_t *body_of,
                     const double *bounds, double *memory, uint8_t *touched, double *before) {
-    const Film f = plain(film_of(numbers, law));
+    const Membrane f = plain(qs_membrane(numbers, law));
     const Given *g = (const Given *)given;
     Memory *m = (Memory *)memory;
     const double *R = xmat + 9 * carrier, *p = xpos + 3 * carrier;
@@ -244,7 +244,7 @@ int64_t film_follow(const double *numbers, const double *law, int64_t columns, i
         memcpy(kept_x, x, 3 * f.count * sizeof *x), memcpy(kept_force, force, f.count * sizeof *x);
         double kept_found[FOUND];
         memcpy(kept_found, found, sizeof kept_found);
-        const int64_t code = film_solve(numbers, law, columns, rows, keeping, kept, rest, roomy, room, 1, 0, 1, settings, geoms, body, pooled,
+        const int64_t code = qs_solve(numbers, law, columns, rows, keeping, kept, rest, roomy, room, 1, 0, 1, settings, geoms, body, pooled,
                                         pool, x, force, trend, found);
         if (code < 0) return code;
         m->status = found[STATUS], m->solved = 1;

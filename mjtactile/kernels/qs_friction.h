@@ -1,6 +1,6 @@
 /* State and inputs of a quasi-static membrane in a moving scene, and rotations of its frame. */
-#ifndef MJTACTILE_FILM_HOLD_H
-#define MJTACTILE_FILM_HOLD_H
+#ifndef MJTACTILE_QS_FRICTION_H
+#define MJTACTILE_QS_FRICTION_H
 
 /* State between updates, all doubles. sim/sensor/quasistatic_gas.py has the indices. */
 typedef struct {

@@ -16,7 +16,7 @@ typedef struct { long count; const double *c, *a, *b; } Planes;
 
 /* Compute the three numbers of an obstacle's plane (n, d) in S. Returns the direction in which it
    faces. */
-static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbers) {
+static int plane_in_sensor(const Obstacle *b, const double *plane, double *numbers) {
     double n[3];
     for (int k = 0; k < 3; k++) n[k] = b->R[3 * k] * plane[0] + b->R[3 * k + 1] * plane[1] + b->R[3 * k + 2] * plane[2];
     const double inside = plane[3] + n[0] * b->p[0] + n[1] * b->p[1] + n[2] * b->p[2];
@@ -27,54 +27,54 @@ static int plane_in_sensor(const FilmBody *b, const double *plane, double *numbe
 }
 
 /* Write the number of planes in each direction, in multiples of four, and then the planes. */
-static void make_faces(const FilmBody *b, const double *rows, double *out) {
-    const long count = (long)b->number, stride = film_faces_stride(b);
+static void make_faces(const Obstacle *b, const double *rows, double *out) {
+    const long count = (long)b->number, stride = qs_faces_stride(b);
     long filled = 0;
     double numbers[3];
-    for (int way = 0; way < FILM_WAYS; way++) {
+    for (int way = 0; way < QS_DIRECTIONS; way++) {
         const long first = filled;
         for (long i = 0; i < count; i++) {
             if (plane_in_sensor(b, rows + 4 * i, numbers) != way) continue;
-            for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = numbers[k];
+            for (int k = 0; k < 3; k++) out[QS_SIDE + k * stride + filled] = numbers[k];
             filled++;
         }
-        for (; (filled - first) % FILM_SIDE; filled++) /* repeat the last plane */
-            for (int k = 0; k < 3; k++) out[FILM_SIDE + k * stride + filled] = out[FILM_SIDE + k * stride + filled - 1];
+        for (; (filled - first) % QS_SIDE; filled++) /* repeat the last plane */
+            for (int k = 0; k < 3; k++) out[QS_SIDE + k * stride + filled] = out[QS_SIDE + k * stride + filled - 1];
         out[way] = (double)(filled - first);
     }
 }
 
-void film_faces(const Bodies *bodies, double *faces) {
+void qs_faces(const Bodies *bodies, double *faces) {
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = film_body_of(bodies, b);
+        const Obstacle *one = qs_obstacle_at(bodies, b);
         if (one->kind == BODY_CONVEX) make_faces(one, bodies->pool + (long)one->first, faces);
-        faces += film_faces_of(one);
+        faces += qs_faces_of(one);
     }
 }
 
 /* Return the maximum of planes over a position, or with `sign` -1 the negative minimum; `which` is
    the index of that plane. */
 static double largest(Planes planes, double sign, double x, double y, long *which) {
-    double top[FILM_SIDE], at[FILM_SIDE];
-    for (int k = 0; k < FILM_SIDE; k++) top[k] = -INFINITY, at[k] = 0;
-    for (long first = 0; first < planes.count; first += FILM_SIDE)
-        for (int k = 0; k < FILM_SIDE; k++) {
+    double top[QS_SIDE], at[QS_SIDE];
+    for (int k = 0; k < QS_SIDE; k++) top[k] = -INFINITY, at[k] = 0;
+    for (long first = 0; first < planes.count; first += QS_SIDE)
+        for (int k = 0; k < QS_SIDE; k++) {
             const double own = sign * (planes.c[first + k] + planes.a[first + k] * x + planes.b[first + k] * y);
             at[k] = own > top[k] ? (double)first : at[k];
             top[k] = own > top[k] ? own : top[k];
         }
     int lane = 0;
-    for (int k = 1; k < FILM_SIDE; k++)
+    for (int k = 1; k < QS_SIDE; k++)
         if (top[k] > top[lane]) lane = k;
     *which = (long)at[lane] + lane;
     return top[lane];
 }
 
-int film_faces_height(const Film *f, const FilmBody *b, const double *faces, double x, double y, double *height, double slope[2]) {
-    const long stride = film_faces_stride(b);
-    const double *c = faces + FILM_SIDE;
-    Planes planes[FILM_WAYS];
-    for (int way = 0; way < FILM_WAYS; way++) {
+int qs_faces_height(const Membrane *f, const Obstacle *b, const double *faces, double x, double y, double *height, double slope[2]) {
+    const long stride = qs_faces_stride(b);
+    const double *c = faces + QS_SIDE;
+    Planes planes[QS_DIRECTIONS];
+    for (int way = 0; way < QS_DIRECTIONS; way++) {
         planes[way] = (Planes){(long)faces[way], c, c + stride, c + 2 * stride};
         c += planes[way].count;
     }
@@ -82,6 +82,6 @@ int film_faces_height(const Film *f, const FilmBody *b, const double *faces, dou
     const double z = largest(planes[DOWN], 1, x, y, &lowest);
     if (isinf(z) || z >= -largest(planes[UP], -1, x, y, &other) || largest(planes[NEITHER], -1, x, y, &other) > 0) return 1;
     slope[0] = planes[DOWN].a[lowest], slope[1] = planes[DOWN].b[lowest];
-    *height = z - f->numbers.half_thickness * film_farther_along_z(slope);
+    *height = z - f->numbers.half_thickness * qs_farther_along_z(slope);
     return 0;
 }

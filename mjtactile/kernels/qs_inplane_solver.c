@@ -13,28 +13,28 @@ enum { EVEN, ODD };
 /* nodes of half a line, unknowns, panels and their height */
 typedef struct { long half, order, panels, height; } Halves;
 
-static Halves halves_of(const Film *f) {
+static Halves halves_of(const Membrane *f) {
     Halves h = {.half = f->lopsided ? f->inner_rows : (f->inner_rows + 1) / 2};
     h.order = (f->columns - 2) * 2 * h.half;
     h.panels = (h.order + PANEL - 1) / PANEL, h.height = panels_height(2 * h.half + 3);
     return h;
 }
 
-long film_plane_size(const Film *f) {
+long qs_inplane_size(const Membrane *f) {
     const Halves h = halves_of(f);
     return 2 * h.panels * PANEL * h.height;
 }
 
 static long apart_of(const Halves *h) { return h->panels * PANEL + h->height; }
 
-long film_plane_room(const Film *f) {
+long qs_inplane_workspace_size(const Membrane *f) {
     const Halves h = halves_of(f);
     return 2 * apart_of(&h);
 }
 
 /* Return the index of a node's displacement along `axis` among the unknowns of the even or odd
    part. `share` is its factor. */
-static long unknown_of(const Film *f, const Halves *h, long node, int axis, int kind, double *share) {
+static long unknown_of(const Membrane *f, const Halves *h, long node, int axis, int kind, double *share) {
     const long i = node / f->line, j = node % f->line, mirrored = f->lopsided ? f->rows : f->rows - 1 - j;
     const int odd = axis == 0 ? kind == ODD : kind == EVEN;
     *share = f->lopsided ? kind == EVEN : j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
@@ -42,26 +42,26 @@ static long unknown_of(const Film *f, const Halves *h, long node, int axis, int 
 }
 
 /* Add the even or odd part of the in-plane stiffness of a pair of nodes. */
-static void add_pair(const Film *f, const Halves *h, const Stencil *s, int pair, long node, int kind, float *factor) {
-    const long ends[2] = {node, node + film_pair(f, pair)};
+static void add_pair(const Membrane *f, const Halves *h, const Stencil *s, int pair, long node, int kind, float *factor) {
+    const long ends[2] = {node, node + qs_pair_offset(f, pair)};
     for (int end = 0; end < (pair == PAIR_OWN ? 1 : 2); end++)
         for (int k = 0; k < 2; k++)
             for (int l = 0; l < 2; l++) {
                 double share[2];
                 const long row = unknown_of(f, h, ends[end], end ? l : k, kind, share);
                 const long column = unknown_of(f, h, ends[pair == PAIR_OWN ? 0 : !end], end ? k : l, kind, share + 1);
-                const double value = share[0] * share[1] * (double)film_block(s, pair, k, l, node);
+                const double value = share[0] * share[1] * (double)qs_block(s, pair, k, l, node);
                 if (row >= column) factor[column * h->height + row - column / PANEL * PANEL] += (float)value;
             }
 }
 
-int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
+int qs_inplane_factor(const Membrane *f, const Stencil *s, float *factor) {
     const Halves h = halves_of(f);
     const long size = h.panels * PANEL * h.height;
     memset(factor, 0, 2 * size * sizeof *factor);
     for (long node = 0; node < f->count; node++)
-        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
-            if (film_inner(f, node + film_pair(f, pair)) < 0) continue;
+        for (int pair = 0; pair < PAIRS && qs_inner(f, node) >= 0; pair++) {
+            if (qs_inner(f, node + qs_pair_offset(f, pair)) < 0) continue;
             add_pair(f, &h, s, pair, node, EVEN, factor), add_pair(f, &h, s, pair, node, ODD, factor + size);
         }
     for (int kind = EVEN; kind <= ODD; kind++)
@@ -73,7 +73,7 @@ int film_plane_factor(const Film *f, const Stencil *s, float *factor) {
     return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
 }
 
-static void solve_whole(const Film *f, const Halves *h, const float *factor, float *residual, float *x) {
+static void solve_whole(const Membrane *f, const Halves *h, const float *factor, float *residual, float *x) {
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < f->rows - 1; j++)
             for (int axis = 0; axis < 2; axis++) x[2 * ((i - 1) * h->half + j - 1) + axis] = residual[axis * f->count + i * f->line + j];
@@ -83,7 +83,7 @@ static void solve_whole(const Film *f, const Halves *h, const float *factor, flo
             for (int axis = 0; axis < 2; axis++) residual[axis * f->count + i * f->line + j] = x[2 * ((i - 1) * h->half + j - 1) + axis];
 }
 
-void film_plane_solve(const Film *f, const float *factor, float *residual, float *room) {
+void qs_inplane_solve(const Membrane *f, const float *factor, float *residual, float *room) {
     const Halves h = halves_of(f);
     const long size = h.panels * PANEL * h.height, apart = apart_of(&h), count = f->count;
     const int middle = f->inner_rows % 2;

@@ -17,23 +17,23 @@
 #define SHORT 2e-4         /* height step below which nodes may be released, m */
 #define FINE 1e-8          /* tolerance below which double precision is used, m */
 
-static long doubles_of(const Film *f) { return film_seen_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
+static long doubles_of(const Membrane *f) { return qs_lowest_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
 
-static long floats_of(const Film *f) {
-    return (3 + 3 + 1 + 1 + 3 + 1 + 1 + 1 + 1 + 2 + 4) * f->count + film_plane_room(f) + film_heights_room(f) +
-           film_learn_room(4 * f->count);
+static long floats_of(const Membrane *f) {
+    return (3 + 3 + 1 + 1 + 3 + 1 + 1 + 1 + 1 + 2 + 4) * f->count + qs_inplane_workspace_size(f) + qs_normal_workspace_size(f) +
+           qs_anderson_size(4 * f->count);
 }
 
-long film_room_of(const Film *f) { return doubles_of(f) + floats_of(f) / 2 + 1; }
+long qs_workspace_size_of(const Membrane *f) { return doubles_of(f) + floats_of(f) / 2 + 1; }
 
-int64_t film_room(const double *numbers) {
-    const Film f = film_of(numbers, 0);
-    return film_room_of(&f);
+int64_t qs_workspace_size(const double *numbers) {
+    const Membrane f = qs_membrane(numbers, 0);
+    return qs_workspace_size_of(&f);
 }
 
-int64_t film_kept(const double *numbers) {
-    const Film f = film_of(numbers, 0);
-    return film_heights_size(&f) + 2 * ((film_plane_size(&f) + 1) / 2);
+int64_t qs_factors_size(const double *numbers) {
+    const Membrane f = qs_membrane(numbers, 0);
+    return qs_normal_size(&f) + 2 * ((qs_inplane_size(&f) + 1) / 2);
 }
 
 static float *take_floats(float **from, long n) {
@@ -42,13 +42,13 @@ static float *take_floats(float **from, long n) {
     return here;
 }
 
-Work film_work_in(const Film *f, const RestHeights *rest, const float *plane_factor, double *room) {
+Work qs_work_in(const Membrane *f, const RestHeights *rest, const float *plane_factor, double *room) {
     const long n = f->count;
     Work w = {.plane_factor = plane_factor};
-    w.seen = film_seen_in(f, &room);
-    w.x = film_take(&room, 3 * n + 8), w.force = film_take(&room, n);
+    w.seen = qs_lowest_in(f, &room);
+    w.x = qs_take(&room, 3 * n + 8), w.force = qs_take(&room, n);
     memset(w.x, 0, (3 * n + 8) * sizeof *w.x);
-    w.fine.elastic = film_take(&room, 3 * n), w.fine.gradient = film_take(&room, 3 * n);
+    w.fine.elastic = qs_take(&room, 3 * n), w.fine.gradient = qs_take(&room, 3 * n);
     w.fine.along_x = w.seen.along_x, w.fine.along_y = w.seen.along_y;
     float *floats = (float *)room;
     w.fast.elastic = take_floats(&floats, 3 * n), w.fast.gradient = take_floats(&floats, 3 * n);
@@ -57,9 +57,9 @@ Work film_work_in(const Film *f, const RestHeights *rest, const float *plane_fac
     w.moved = take_floats(&floats, n), w.pushed = take_floats(&floats, n), w.plane = take_floats(&floats, 2 * n);
     w.whole.area_by = take_floats(&floats, n), w.whole.volume_by = take_floats(&floats, n);
     w.whole.y1 = take_floats(&floats, n), w.whole.y2 = take_floats(&floats, n);
-    w.plane_room = take_floats(&floats, film_plane_room(f));
-    w.heights = film_heights_in(f, rest, &floats);
-    w.learnt = film_learn_in(4 * n, 3 * n, &floats);
+    w.plane_room = take_floats(&floats, qs_inplane_workspace_size(f));
+    w.heights = qs_normal_in(f, rest, &floats);
+    w.learnt = qs_anderson_in(4 * n, 3 * n, &floats);
     return w;
 }
 
@@ -69,13 +69,13 @@ static double dot(const float *a, const float *b, long n) {
     return (double)sum;
 }
 
-void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
+void see_sheet(const Membrane *f, const Settings *set, int parts, Work *w) {
     const long n = f->count, first = w->heights.first, last = w->heights.last, line = f->line;
-    const long from = parts == FILM_PLANE ? 0 : 2 * n, to = parts == FILM_PLANE ? 2 * n : 3 * n;
+    const long from = parts == QS_PLANE ? 0 : 2 * n, to = parts == QS_PLANE ? 2 * n : 3 * n;
     const int fine = set->tolerance < FINE;
-    if (parts == FILM_HEIGHTS) memset(w->seen.along_x, 0, n * sizeof(double)), memset(w->seen.along_y, 0, n * sizeof(double));
-    if (fine) w->sums = film_sheet(f, w->x, FILM_ALL, first, last, &w->fine);
-    else w->sums = film_sheetFloat(f, w->x, parts, first, last, &w->fast);
+    if (parts == QS_HEIGHTS) memset(w->seen.along_x, 0, n * sizeof(double)), memset(w->seen.along_y, 0, n * sizeof(double));
+    if (fine) w->sums = qs_elastic(f, w->x, QS_ALL, first, last, &w->fine);
+    else w->sums = qs_elasticFloat(f, w->x, parts, first, last, &w->fast);
     gas_of(f, set, w->sums.volume, &w->pressure, &w->gas_stiffness);
     if (fine) {
         for (long k = from; k < to; k++) w->residual[k] = (float)(w->fine.elastic[k] - w->pressure * w->fine.gradient[k]);
@@ -83,7 +83,7 @@ void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
         const float pressure = (float)w->pressure;
         for (long k = from; k < to; k++) w->residual[k] = w->fast.elastic[k] - pressure * w->fast.gradient[k];
     }
-    if (parts == FILM_PLANE) return;
+    if (parts == QS_PLANE) return;
     for (long k = 0; k < n; k++) {
         w->pulls[k] = fine ? (float)w->fine.elastic[2 * n + k] : w->fast.elastic[2 * n + k];
         w->swells[k] = fine ? (float)w->fine.gradient[2 * n + k] : w->fast.gradient[2 * n + k];
@@ -93,7 +93,7 @@ void see_sheet(const Film *f, const Settings *set, int parts, Work *w) {
     for (long k = first * line; first < last && k < most(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
 }
 
-void check_image(const Film *f, const Bodies *bodies, double lifted, int step, Work *w) {
+void check_image(const Membrane *f, const Bodies *bodies, double lifted, int step, Work *w) {
     if (step < LOOKS) {
         see_bodies(f, bodies, w->x, &w->seen);
         for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)
@@ -108,7 +108,7 @@ void check_image(const Film *f, const Bodies *bodies, double lifted, int step, W
 
 /* -- heights ----------------------------------------------------------------------------------- */
 
-int widen_window(const Film *f, double near, Work *w) {
+int widen_window(const Membrane *f, double near, Work *w) {
     const double *z = w->x + 2 * f->count;
     long first = f->columns, last = -1;
     for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++) {
@@ -124,9 +124,9 @@ int widen_window(const Film *f, double near, Work *w) {
     return 1;
 }
 
-static int is_free(const Film *f, long node) { return film_free(f, node / f->line, node % f->line); }
+static int is_free(const Membrane *f, long node) { return qs_free(f, node / f->line, node % f->line); }
 
-void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
+void stiffen_edges(const Membrane *f, const double *z, double by, Work *w) {
     const Seen *s = &w->seen;
     float *residual = w->residual + 2 * f->count;
     for (long k = s->box[0] * f->line; k < s->box[1] * f->line; k++) {
@@ -138,21 +138,21 @@ void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
             const float force = (float)(-spring * rises_over_edge(f, s, z, k, side));
             *links[side] += spring;
             residual[k] += force;
-            if (is_free(f, k + film_next(f, side))) residual[k + film_next(f, side)] -= force;
+            if (is_free(f, k + qs_next(f, side))) residual[k + qs_next(f, side)] -= force;
         }
     }
 }
 
-int prepare_heights(const Film *f, const double *z, Work *w) {
+int prepare_heights(const Membrane *f, const double *z, Work *w) {
     Whole *all = &w->whole;
     const float over_tension = (float)(1 / most(w->sums.tension, 1e-3));
     for (long k = 0; k < f->count; k++) all->area_by[k] = w->pulls[k] * over_tension, all->volume_by[k] = w->swells[k];
     all->tension = f->numbers.tension_slope / f->numbers.opening, all->gas = w->gas_stiffness;
     w->heights.scale = (float)w->sums.tension / *w->heights.rest->tension;
-    return film_heights_factor(f, z, &w->seen, &w->heights);
+    return qs_normal_factor(f, z, &w->seen, &w->heights);
 }
 
-void step_heights(const Film *f, const double *z, int fresh, Work *w) {
+void step_heights(const Membrane *f, const double *z, int fresh, Work *w) {
     Whole *all = &w->whole;
     const long n = f->count;
     const uint8_t *touching = w->seen.touching;
@@ -161,20 +161,20 @@ void step_heights(const Film *f, const double *z, int fresh, Work *w) {
     const double c1 = all->tension, c2 = all->gas;
     for (long k = 0; k < n; k++) w->moved[k] = touching[k] ? (float)(w->seen.obstacle[k] - w->seen.lower[k] - z[k]) : 0;
     memset(w->pushed, 0, n * sizeof *w->pushed);
-    film_heights_times(f, z, &w->seen, &w->heights, 0, w->moved, w->pushed);
+    qs_normal_times(f, z, &w->seen, &w->heights, 0, w->moved, w->pushed);
     const float held_1 = (float)(c1 * dot(all->area_by, w->moved, n)), held_2 = (float)(c2 * dot(all->volume_by, w->moved, n));
     for (long k = 0; k < n; k++)
         y0[k] = touching[k] ? 0 : -(residual[k] + w->pushed[k] + held_1 * all->area_by[k] + held_2 * all->volume_by[k]);
     if (fresh)
         for (long k = 0; k < n; k++) y1[k] = touching[k] ? 0 : all->area_by[k], y2[k] = touching[k] ? 0 : all->volume_by[k];
-    film_heights_solve(f, fresh ? 3 : 1, &w->heights);
+    qs_normal_solve(f, fresh ? 3 : 1, &w->heights);
     if (fresh) memcpy(all->y1, y1, n * sizeof *y1), memcpy(all->y2, y2, n * sizeof *y2);
     const double m11 = 1 + c1 * dot(all->area_by, all->y1, n), m12 = c1 * dot(all->area_by, all->y2, n);
     const double m21 = c2 * dot(all->volume_by, all->y1, n), m22 = 1 + c2 * dot(all->volume_by, all->y2, n);
     const double r1 = c1 * dot(all->area_by, y0, n), r2 = c2 * dot(all->volume_by, y0, n), det = m11 * m22 - m12 * m21;
     const float t1 = (float)((r1 * m22 - r2 * m12) / det), t2 = (float)((m11 * r2 - m21 * r1) / det);
     for (long k = 0; k < n; k++) w->moved[k] = touching[k] ? w->moved[k] : y0[k] - t1 * all->y1[k] - t2 * all->y2[k];
-    film_heights_times(f, z, &w->seen, &w->heights, 1, w->moved, w->pushed);
+    qs_normal_times(f, z, &w->seen, &w->heights, 1, w->moved, w->pushed);
     const float all_1 = (float)(c1 * dot(all->area_by, w->moved, n)), all_2 = (float)(c2 * dot(all->volume_by, w->moved, n));
     for (long k = 0; k < n; k++)
         w->pushed[k] = touching[k] ? -(residual[k] + w->pushed[k] + all_1 * all->area_by[k] + all_2 * all->volume_by[k]) : 0;
@@ -193,14 +193,14 @@ double largest_of(const float *values, long n) {
 
 /* Update the nodes in contact from the heights, and after a step also from the contact forces.
    Returns 1 if the set changed. */
-static int decide_contact(const Film *f, const Bodies *bodies, double loose, int after_step, int may_release, Work *w) {
+static int decide_contact(const Membrane *f, const Bodies *bodies, double loose, int after_step, int may_release, Work *w) {
     const double *z = w->x + 2 * f->count;
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
     Seen *s = &w->seen;
     int changed = 0;
     for (long i = most(s->box[0], 1); i < least(s->box[1], f->columns - 1); i++)
         for (long k = i * f->line + s->box[2]; k < i * f->line + s->box[3]; k++) {
-            if (!film_free(f, i, k % f->line)) continue;
+            if (!qs_free(f, i, k % f->line)) continue;
             const double over = z[k] + (after_step ? (double)w->moved[k] : 0) - s->obstacle[k] + s->lower[k];
             const double force = after_step ? (double)w->pushed[k] : w->force[k];
             const int touches = s->touching[k] ? isfinite(over) && (!may_release || force > released) : over > attached;
@@ -211,12 +211,12 @@ static int decide_contact(const Film *f, const Bodies *bodies, double loose, int
     return changed;
 }
 
-int settle_heights(const Film *f, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *w,
+int settle_heights(const Membrane *f, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *w,
                           int *changed) {
     const double *z = w->x + 2 * f->count;
     int other = decide_contact(f, bodies, loose, 0, 1, w);
     for (int sets = 0; sets < most_sets; sets++) {
-        if (widen_window(f, 0, w)) see_sheet(f, set, FILM_HEIGHTS, w), first = 1;
+        if (widen_window(f, 0, w)) see_sheet(f, set, QS_HEIGHTS, w), first = 1;
         const double pulling = find_springs(f, z, &w->seen);
         stiffen_edges(f, z, 1, w);
         const int fresh = first || other || pulling != w->pulled;
@@ -235,11 +235,11 @@ int settle_heights(const Film *f, const Settings *set, const Bodies *bodies, dou
 
 /* -- in the plane ------------------------------------------------------------------------------ */
 
-double step_plane(const Film *f, Work *w) {
+double step_plane(const Membrane *f, Work *w) {
     const long n = f->count;
     for (long c = 0; c < 2; c++)
         for (long k = 0; k < n; k++) w->plane[c * n + k] = (float)(w->force[k] * w->seen.slope[c * n + k]) - w->residual[c * n + k];
-    film_plane_solve(f, w->plane_factor, w->plane, w->plane_room);
+    qs_inplane_solve(f, w->plane_factor, w->plane, w->plane_room);
     const double largest = largest_of(w->plane, 2 * n);
     if (largest > LONGEST_SHIFT)
         for (long k = 0; k < 2 * n; k++) w->plane[k] *= (float)(LONGEST_SHIFT / largest);

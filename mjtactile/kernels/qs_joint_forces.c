@@ -67,7 +67,7 @@ static void hold_of(const Given *g, const Memory *m, long dof, const double *R_S
     for (int i = 0; i < 6; i++) hold[37 + i] /= g->step;
 }
 
-int64_t film_push(const double *given, const double *memory, int64_t carrier, int64_t nbody,
+int64_t qs_push(const double *given, const double *memory, int64_t carrier, int64_t nbody,
                   const int32_t *parent, const int32_t *joints, const int32_t *first, int64_t njnt, const int32_t *type,
                   const int32_t *dof, const double *anchor, const double *axis, const double *xpos, const double *xmat, int64_t nv,
                   double *push, double *hold) {
@@ -96,21 +96,21 @@ int64_t film_push(const double *given, const double *memory, int64_t carrier, in
     return 1;
 }
 
-/* Add the forces (films, nv) and holds (films, 43) of all membranes to `applied` and `damping`
+/* Add the forces (membranes, nv) and holds (membranes, 43) of all membranes to `applied` and `damping`
    (nv). */
-int64_t film_add(int64_t nv, int64_t films, const double *pushes, const double *holds, double step, const double *inertia,
+int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes, const double *holds, double step, const double *inertia,
                  const double *velocity, double *base, double *left, double *applied, const double *undamped, double *damping) {
     /* forces were written by others */
     if (memcmp(applied, left, nv * sizeof *left)) memcpy(base, applied, nv * sizeof *base);
     memcpy(applied, base, nv * sizeof *base);
     memcpy(damping, undamped, nv * sizeof *damping);
-    for (long k = 0; k < films; k++)
+    for (long k = 0; k < membranes; k++)
         for (long i = 0; i < nv; i++) applied[i] += pushes[k * nv + i];
-    for (long k = 0; k < films; k++) {
+    for (long k = 0; k < membranes; k++) {
         const long dof = (long)holds[43 * k] - 1;
         long first = 1, count = 0;
         double K[36] = {0}, against[6] = {0};
-        for (long l = 0; l < films; l++) {
+        for (long l = 0; l < membranes; l++) {
             if ((long)holds[43 * l] - 1 != dof) continue;
             if (l < k) first = 0;
             count++;

@@ -1,6 +1,6 @@
 /* Lowest obstacle over a position. */
-#ifndef MJTACTILE_FILM_LOWEST_H
-#define MJTACTILE_FILM_LOWEST_H
+#ifndef MJTACTILE_QS_LOWEST_OBSTACLE_H
+#define MJTACTILE_QS_LOWEST_OBSTACLE_H
 #include <math.h>
 
 #include "qs_workspace.h"
@@ -8,15 +8,15 @@
 
 /* Compute the lowest height, and its slopes, of all obstacles over a position. Returns 1 if there
    is none. */
-static inline int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {
+static inline int lowest(const Membrane *f, const Bodies *bodies, double x, double y, double *height, double slope[2]) {
     double found = INFINITY, at, by[2] = {0, 0};
     const double *next = bodies->faces;
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = film_body_of(bodies, b);
+        const Obstacle *one = qs_obstacle_at(bodies, b);
         const double *faces = next && one->kind == BODY_CONVEX ? next : 0;
-        if (faces) next += film_faces_of(one);
+        if (faces) next += qs_faces_of(one);
         if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
-        const int off = faces ? film_faces_height(f, one, faces, x, y, &at, by) : film_body_height(f, one, bodies->pool, x, y, &at, by);
+        const int off = faces ? qs_faces_height(f, one, faces, x, y, &at, by) : qs_obstacle_height(f, one, bodies->pool, x, y, &at, by);
         if (off || at >= found) continue;
         found = at, slope[0] = by[0], slope[1] = by[1];
     }

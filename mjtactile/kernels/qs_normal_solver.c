@@ -10,17 +10,17 @@
 #define LEAST_SCALE 0.1f
 
 /* a line is a whole number of panels, and reaches the next */
-static long height_of(const Film *f) { return f->line + PANEL; }
+static long height_of(const Membrane *f) { return f->line + PANEL; }
 
-long film_heights_size(const Film *f) { return 8 + f->count * height_of(f) + f->count * f->line; }
+long qs_normal_size(const Membrane *f) { return 8 + f->count * height_of(f) + f->count * f->line; }
 
-RestHeights film_heights_at(const Film *f, float *kept) {
+RestHeights qs_heights_at(const Membrane *f, float *kept) {
     return (RestHeights){.tension = kept, .factor = kept + 8, .left = kept + 8 + f->count * height_of(f)};
 }
 
-long film_heights_room(const Film *f) { return f->count * height_of(f) + 6 * (f->count + height_of(f)); }
+long qs_normal_workspace_size(const Membrane *f) { return f->count * height_of(f) + 6 * (f->count + height_of(f)); }
 
-Heights film_heights_in(const Film *f, const RestHeights *rest, float **room) {
+Heights qs_normal_in(const Membrane *f, const RestHeights *rest, float **room) {
     Heights h = {.rest = rest, .apart = f->count + height_of(f), .scale = 1};
     h.window = *room, h.solved = h.window + f->count * height_of(f), h.mirrored = h.solved + 3 * h.apart;
     *room = h.mirrored + 3 * h.apart;
@@ -31,7 +31,7 @@ Heights film_heights_in(const Film *f, const RestHeights *rest, float **room) {
 /* Return the additional stiffness of a curved membrane against further bending. It must stretch, as
    a shell does: Y (k_x l_y^2 + k_y l_x^2)^2 for a wave (l_x, l_y) of length one on curvatures k.
    Here it is the mean over all waves. It accelerates convergence and does not affect the result. */
-static double shell_at(const Film *f, const double *z, long k) {
+static double shell_at(const Membrane *f, const double *z, long k) {
     const double bend_x = (z[k + f->line] + z[k - f->line] - 2 * z[k]) / square(f->dx);
     const double bend_y = (z[k + 1] + z[k - 1] - 2 * z[k]) / square(f->dy);
     return SHELL * f->numbers.shell * f->dx * f->dy * (square(bend_x) + square(bend_y)) / 2;
@@ -42,11 +42,11 @@ static double shell_at(const Film *f, const double *z, long k) {
    column of its own. */
 typedef struct { double before, behind, own; } Shares;
 
-static int is_free(const Film *f, const uint8_t *touching, long i, long j) {
-    return film_free(f, i, j) && !touching[i * f->line + j];
+static int is_free(const Membrane *f, const uint8_t *touching, long i, long j) {
+    return qs_free(f, i, j) && !touching[i * f->line + j];
 }
 
-static void put_line(const Film *f, const double *z, const Seen *seen, long i, Shares share, int last, float *block) {
+static void put_line(const Membrane *f, const double *z, const Seen *seen, long i, Shares share, int last, float *block) {
     const long line = f->line, height = height_of(f);
     memset(block, 0, line * height * sizeof *block);
     for (long j = 0; j < line; j++) {
@@ -63,14 +63,14 @@ static void put_line(const Film *f, const double *z, const Seen *seen, long i, S
     }
 }
 
-int film_heights_rest(const Film *f, const double *x, const SheetFields *fields, RestHeights *rest) {
+int qs_normal_remainder(const Membrane *f, const double *x, const SheetFields *fields, RestHeights *rest) {
     const long line = f->line, height = height_of(f), per_line = line / PANEL;
     const double *z = x + 2 * f->count;
     uint8_t nothing_touches[f->count];
     memset(nothing_touches, 0, f->count);
     const Seen seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = nothing_touches};
     memset(fields->along_x, 0, f->count * sizeof *fields->along_x), memset(fields->along_y, 0, f->count * sizeof *fields->along_y);
-    *rest->tension = (float)film_sheet(f, x, FILM_ALL, 0, f->columns - 1, fields).tension;
+    *rest->tension = (float)qs_elastic(f, x, QS_ALL, 0, f->columns - 1, fields).tension;
     for (long i = 0; i < f->columns; i++) put_line(f, z, &seen, i, (Shares){1, 1, 1}, i == f->columns - 1, rest->factor + i * line * height);
     for (long i = 0; i < f->columns; i++) {
         float *block = rest->factor + i * line * height, *left = rest->left + i * line * line;
@@ -80,7 +80,7 @@ int film_heights_rest(const Film *f, const double *x, const SheetFields *fields,
             const long k = i * line + j, down = j / PANEL * PANEL;
             for (long r = j; r < line; r++) left[j * line + r] = block[j * height + r - down];
             left[j * line + j] -= (float)(fields->along_x[k] + (fields->along_y[k] + fields->along_y[k - 1] + shell_at(f, z, k)) / 2);
-            if (film_free(f, i, j + 1)) left[j * line + j + 1] += (float)(fields->along_y[k] / 2);
+            if (qs_free(f, i, j + 1)) left[j * line + j + 1] += (float)(fields->along_y[k] / 2);
         }
         for (long r = f->rows - 1; r < line; r++)
             for (long j = 0; j < line; j++) left[j * line + r] = 0;
@@ -90,7 +90,7 @@ int film_heights_rest(const Film *f, const double *x, const SheetFields *fields,
     return 0;
 }
 
-int film_heights_factor(const Film *f, const double *z, const Seen *seen, Heights *h) {
+int qs_normal_factor(const Membrane *f, const double *z, const Seen *seen, Heights *h) {
     const long line = f->line, height = height_of(f), first = h->first, last = h->last;
     const int at_left = first > 0, at_right = last < f->columns - 1;
     h->scale = h->scale > LEAST_SCALE ? h->scale : LEAST_SCALE;
@@ -114,7 +114,7 @@ int film_heights_factor(const Film *f, const double *z, const Seen *seen, Height
 }
 
 /* Rotate line `i` of all right-hand sides by half a turn, to or from its place in `mirrored`. */
-static void turn_line(const Film *f, const Heights *h, int many, long i, int back, int adds) {
+static void turn_line(const Membrane *f, const Heights *h, int many, long i, int back, int adds) {
     for (int m = 0; m < many; m++) {
         float *one = h->solved + m * h->apart + i * f->line;
         float *other = h->mirrored + m * h->apart + (f->columns - 1 - i) * f->line;
@@ -130,7 +130,7 @@ static void scale(long n, int many, long apart, float by, float *x) {
         for (long k = 0; k < n; k++) x[m * apart + k] *= by;
 }
 
-void film_heights_solve(const Film *f, int many, Heights *h) {
+void qs_normal_solve(const Membrane *f, int many, Heights *h) {
     const long line = f->line, per_line = line / PANEL, height = height_of(f), first = h->first, last = h->last;
     const long behind = f->columns - 1 - last, apart = h->apart;
     const float *rest = h->rest->factor, over = 1 / h->scale;
@@ -149,11 +149,11 @@ void film_heights_solve(const Film *f, int many, Heights *h) {
     for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 1, 0);
 }
 
-void film_heights_times(const Film *f, const double *z, const Seen *seen, const Heights *h, int touching, const float *what, float *out) {
+void qs_normal_times(const Membrane *f, const double *z, const Seen *seen, const Heights *h, int touching, const float *what, float *out) {
     const long line = f->line;
     for (long i = most(h->first, 1); i <= least(h->last, f->columns - 2); i++)
         for (long k = i * line + 1; k < i * line + f->rows - 1; k++) {
-            if (seen->touching[k] != touching || (f->inside && !film_free(f, i, k - i * line))) continue;
+            if (seen->touching[k] != touching || (f->inside && !qs_free(f, i, k - i * line))) continue;
             double sum = shell_at(f, z, k) * what[k];
             sum += seen->along_x[k] * (what[k] - what[k + line]) + seen->along_x[k - line] * (what[k] - what[k - line]);
             sum += seen->along_y[k] * (what[k] - what[k + 1]) + seen->along_y[k - 1] * (what[k] - what[k - 1]);

@@ -2,19 +2,19 @@
    have the present stiffness. Lines to the left and right have that without contact, scaled by the
    tension ratio and factored once from the left. Without contact, the membrane is symmetric under
    half a turn, so that this factor also serves the right side. */
-#ifndef MJTACTILE_FILM_HEIGHTS_H
-#define MJTACTILE_FILM_HEIGHTS_H
+#ifndef MJTACTILE_QS_NORMAL_SOLVER_H
+#define MJTACTILE_QS_NORMAL_SOLVER_H
 #include "qs_workspace.h"
 
 /* Membrane without contact: its tension, its factor by lines, and for each line the remainder of
    its stiffness after elimination of the lines before. */
 typedef struct { float *tension, *factor, *left; } RestHeights;
 
-long film_heights_size(const Film *film);
-RestHeights film_heights_at(const Film *film, float *kept);
-/* Factor the stiffness at `x`; `fields` is workspace for `film_sheet`. Returns 1 if it is not
+long qs_normal_size(const Membrane *membrane);
+RestHeights qs_heights_at(const Membrane *membrane, float *kept);
+/* Factor the stiffness at `x`; `fields` is workspace for `qs_elastic`. Returns 1 if it is not
    positive definite. */
-int film_heights_rest(const Film *film, const double *x, const SheetFields *fields, RestHeights *rest);
+int qs_normal_remainder(const Membrane *membrane, const double *x, const SheetFields *fields, RestHeights *rest);
 
 /* Window: lines `first` to `last`, between which links in `along_x` and `along_y` of Seen apply.
    `scale`: tension over that without contact. `solved` (3, apart): right-hand sides over all nodes,
@@ -25,14 +25,14 @@ typedef struct {
     float scale, *window, *solved, *mirrored;
 } Heights;
 
-long film_heights_room(const Film *film);
-Heights film_heights_in(const Film *film, const RestHeights *rest, float **room);
-int film_heights_factor(const Film *film, const double *z, const Seen *seen, Heights *heights);
+long qs_normal_workspace_size(const Membrane *membrane);
+Heights qs_normal_in(const Membrane *membrane, const RestHeights *rest, float **room);
+int qs_normal_factor(const Membrane *membrane, const double *z, const Seen *seen, Heights *heights);
 /* Solve for 1 or 3 right-hand sides, which are zero at fixed nodes. */
-void film_heights_solve(const Film *film, int many, Heights *heights);
+void qs_normal_solve(const Membrane *membrane, int many, Heights *heights);
 /* Multiply the stiffness by `what` on lines of the window, for nodes in contact (`touching` 1) or
    all others (0). */
-void film_heights_times(const Film *film, const double *z, const Seen *seen, const Heights *heights, int touching, const float *what,
+void qs_normal_times(const Membrane *membrane, const double *z, const Seen *seen, const Heights *heights, int touching, const float *what,
                         float *out);
 
 #endif

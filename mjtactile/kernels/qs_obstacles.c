@@ -22,7 +22,7 @@ typedef struct { double from[3], along[3]; } Line;
 
 static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-static Line line_in_body(const FilmBody *b, double x, double y) {
+static Line line_in_body(const Obstacle *b, double x, double y) {
     Line line;
     const double at[3] = {x - b->p[0], y - b->p[1], -b->p[2]};
     for (int k = 0; k < 3; k++) {
@@ -34,7 +34,7 @@ static Line line_in_body(const FilmBody *b, double x, double y) {
 
 /* Compute the slopes of a surface whose outward normal `n` (obstacle's frame) points down. Returns
    1 if it does not. */
-static int slopes_of(const FilmBody *b, const double *n, double slope[2]) {
+static int slopes_of(const Obstacle *b, const double *n, double slope[2]) {
     double world[3];
     for (int k = 0; k < 3; k++) world[k] = dot3(b->R + 3 * k, n);
     if (!(world[2] < 0)) return 1;
@@ -68,7 +68,7 @@ static int side(double radius, double half, const Line *line, double *t, double 
     return 0;
 }
 
-static int capsule(const FilmBody *b, double out, const Line *line, double *t, double *n) {
+static int capsule(const Obstacle *b, double out, const Line *line, double *t, double *n) {
     double radius = b->sizes[0] + out, half = b->sizes[1];
     if (!side(radius, half, line, t, n)) return 0;
     double found = INFINITY;
@@ -84,7 +84,7 @@ static int capsule(const FilmBody *b, double out, const Line *line, double *t, d
     return isinf(found);
 }
 
-static int ellipsoid(const FilmBody *b, const Line *line, double *t, double *n) {
+static int ellipsoid(const Obstacle *b, const Line *line, double *t, double *n) {
     Line scaled;
     for (int k = 0; k < 3; k++) scaled.from[k] = line->from[k] / b->sizes[k], scaled.along[k] = line->along[k] / b->sizes[k];
     const double a = dot3(scaled.along, scaled.along), c = dot3(scaled.from, scaled.from) - 1;
@@ -109,7 +109,7 @@ static void keep_lower(double t_new, const double *n_new, double *t, double *n) 
     for (int k = 0; k < 3; k++) n[k] = n_new[k];
 }
 
-static int cylinder(const FilmBody *b, const Line *line, double *t, double *n) {
+static int cylinder(const Obstacle *b, const Line *line, double *t, double *n) {
     double found = INFINITY, t_part, n_part[3];
     if (!side(b->sizes[0], b->sizes[1], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
     for (int end = -1; end <= 1; end += 2)
@@ -120,7 +120,7 @@ static int cylinder(const FilmBody *b, const Line *line, double *t, double *n) {
 
 /* Intersect a line with a cone. Its tip is at the origin and it opens towards +z: radius sizes[0]
    at height sizes[1]. */
-static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
+static int cone(const Obstacle *b, const Line *line, double *t, double *n) {
     const double wide = b->sizes[0] / b->sizes[1], *o = line->from, *d = line->along;
     const double w2 = wide * wide;
     double found = INFINITY, t_part, n_part[3];
@@ -174,7 +174,7 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
     return beside[0] < 0 || !(enter[lane] < leave[0]) || isinf(enter[lane]);
 }
 
-static int box(const FilmBody *b, const Line *line, double *t, double *n) {
+static int box(const Obstacle *b, const Line *line, double *t, double *n) {
     double rows[24] = {0};
     for (int k = 0; k < 6; k++) rows[4 * k + k / 2] = k % 2 ? 1 : -1, rows[4 * k + 3] = b->sizes[k / 2];
     return planes(rows, 6, line, t, n);
@@ -182,7 +182,7 @@ static int box(const FilmBody *b, const Line *line, double *t, double *n) {
 
 /* Intersect a line with z >= (k_x x^2 + k_y y^2) / 2 in the obstacle's frame. The sizes are k_x,
    k_y and the reach. */
-static int quadric(const FilmBody *b, const Line *line, double *t, double *n) {
+static int quadric(const Obstacle *b, const Line *line, double *t, double *n) {
     const double kx = b->sizes[0], ky = b->sizes[1], *o = line->from, *d = line->along;
     const double a = (kx * d[0] * d[0] + ky * d[1] * d[1]) / 2, c = (kx * o[0] * o[0] + ky * o[1] * o[1]) / 2 - o[2];
     const double h = (kx * o[0] * d[0] + ky * o[1] * d[1] - d[2]) / 2;
@@ -196,7 +196,7 @@ static int quadric(const FilmBody *b, const Line *line, double *t, double *n) {
 
 /* Return the distance to a flat disc of radius sizes[0] and half height sizes[1] whose rims are
    rounded by sizes[2]. The normal is in `n`. */
-static double rounded_disc(const FilmBody *b, const double *x, double *n) {
+static double rounded_disc(const Obstacle *b, const double *x, double *n) {
     const double r = hypot(x[0], x[1]), round = b->sizes[2];
     const double across = r - (b->sizes[0] - b->sizes[2]), up = fabs(x[2]) - (b->sizes[1] - b->sizes[2]);
     const double out_r = most(across, 0), out_z = most(up, 0), out = hypot(out_r, out_z);
@@ -207,7 +207,7 @@ static double rounded_disc(const FilmBody *b, const double *x, double *n) {
 
 /* Intersect a line with the disc. The distance along a line is convex: Newton steps from outside
    reach the surface and never pass it. */
-static int disc(const FilmBody *b, const Line *line, double *t, double *n) {
+static int disc(const Obstacle *b, const Line *line, double *t, double *n) {
     const double reach = b->sizes[0] + b->sizes[1];
     double x[3];
     *t = -dot3(line->from, line->along) - reach;
@@ -248,36 +248,36 @@ static int triangles(const double *corners, long count, const Line *line, double
 
 /* Interpolate heights at the membrane's own nodes bilinearly. Values that are not finite mean no
    obstacle. */
-static int heights(const Film *film, const double *field, double x, double y, double *t, double slope[2]) {
-    const double at_x = (x + film->numbers.length_x / 2) / film->dx, at_y = (y + film->numbers.length_y / 2) / film->dy;
-    const long i = (long)clip(floor(at_x), 0, film->columns - 2), j = (long)clip(floor(at_y), 0, film->rows - 2);
-    const double *here = field + i * film->rows + j, u = at_x - i, v = at_y - j;
-    const double a = here[0], b = here[film->rows], c = here[1], d = here[film->rows + 1];
+static int heights(const Membrane *membrane, const double *field, double x, double y, double *t, double slope[2]) {
+    const double at_x = (x + membrane->numbers.length_x / 2) / membrane->dx, at_y = (y + membrane->numbers.length_y / 2) / membrane->dy;
+    const long i = (long)clip(floor(at_x), 0, membrane->columns - 2), j = (long)clip(floor(at_y), 0, membrane->rows - 2);
+    const double *here = field + i * membrane->rows + j, u = at_x - i, v = at_y - j;
+    const double a = here[0], b = here[membrane->rows], c = here[1], d = here[membrane->rows + 1];
     if (!isfinite(a + b + c + d)) { /* next to an edge, use the nearest node */
-        const double nearest = here[(u > 0.5) * film->rows + (v > 0.5)];
+        const double nearest = here[(u > 0.5) * membrane->rows + (v > 0.5)];
         *t = nearest, slope[0] = slope[1] = 0;
         return !isfinite(nearest);
     }
     *t = (1 - u) * ((1 - v) * a + v * c) + u * ((1 - v) * b + v * d);
-    slope[0] = ((1 - v) * (b - a) + v * (d - c)) / film->dx, slope[1] = ((1 - u) * (c - a) + u * (d - b)) / film->dy;
+    slope[0] = ((1 - v) * (b - a) + v * (d - c)) / membrane->dx, slope[1] = ((1 - u) * (c - a) + u * (d - b)) / membrane->dy;
     return 0;
 }
 
 /* Return the slope beyond which an obstacle counts as ended: at a flank that a membrane meets only
    at its edge, and at a rim whose radius is below the spacing. */
-static double steepest_of(const Film *film, const FilmBody *b) {
+static double steepest_of(const Membrane *membrane, const Obstacle *b) {
     switch ((int)b->kind) {
-    case BODY_DISC: return b->sizes[2] < most(film->dx, film->dy) ? SHARP : INFINITY;
+    case BODY_DISC: return b->sizes[2] < most(membrane->dx, membrane->dy) ? SHARP : INFINITY;
     case BODY_BOX: case BODY_CYLINDER: return FLANK;
     default: return INFINITY;
     }
 }
 
-int film_body_height(const Film *film, const FilmBody *b, const double *pool, double x, double y, double *height,
+int qs_obstacle_height(const Membrane *membrane, const Obstacle *b, const double *pool, double x, double y, double *height,
                      double slope[2]) {
     static const double origin[3] = {0};
     double t, n[3];
-    const double out = film->numbers.half_thickness;
+    const double out = membrane->numbers.half_thickness;
     const Line line = line_in_body(b, x, y);
     const double *own = pool ? pool + (long)b->first : 0;
     int missed, exact = 0; /* exact: `out` is already included */
@@ -296,26 +296,26 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
         n[0] = n[1] = 0, n[2] = line.along[2] > 0 ? -1 : 1;
         t = -line.from[2] / line.along[2], missed = !isfinite(t);
         break;
-    default: missed = heights(film, own, x, y, &t, slope);
-        if (!missed) *height = t - out * film_farther_along_z(slope);
+    default: missed = heights(membrane, own, x, y, &t, slope);
+        if (!missed) *height = t - out * qs_farther_along_z(slope);
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
-    if (square(slope[0]) + square(slope[1]) > square(steepest_of(film, b))) return 1;
-    *height = exact ? t : t - out * film_farther_along_z(slope);
+    if (square(slope[0]) + square(slope[1]) > square(steepest_of(membrane, b))) return 1;
+    *height = exact ? t : t - out * qs_farther_along_z(slope);
     return 0;
 }
 
-int64_t film_heights(const double *numbers, int64_t bodies, const double *body, int64_t pooled, const double *pool, int64_t count,
+int64_t qs_obstacle_heights(const double *numbers, int64_t bodies, const double *body, int64_t pooled, const double *pool, int64_t count,
                      const double *places, double *out) {
     (void)pooled;
-    const Film film = film_of(numbers, 0);
+    const Membrane membrane = qs_membrane(numbers, 0);
     for (long i = 0; i < count; i++) {
         out[i] = INFINITY;
         for (long k = 0; k < bodies; k++) {
             double height, slope[2];
-            const FilmBody *one = (const FilmBody *)(body + k * FILM_BODY);
-            if (!film_body_height(&film, one, pool, places[2 * i], places[2 * i + 1], &height, slope))
+            const Obstacle *one = (const Obstacle *)(body + k * QS_OBSTACLE);
+            if (!qs_obstacle_height(&membrane, one, pool, places[2 * i], places[2 * i + 1], &height, slope))
                 out[i] = least(out[i], height);
         }
     }

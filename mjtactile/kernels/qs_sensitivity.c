@@ -20,9 +20,9 @@
 /* factor on this distance behind a thin obstacle, which is moved under nodes */
 #define BEHIND_MOST 10
 
-int64_t film_derive_room(const double *numbers) {
-    const Film f = film_of(numbers, 0);
-    return film_tangent_room(&f);
+int64_t qs_sensitivities_size(const double *numbers) {
+    const Membrane f = qs_membrane(numbers, 0);
+    return qs_tangent_size(&f);
 }
 
 /* -- obstacles --------------------------------------------------------------------------------- */
@@ -30,7 +30,7 @@ int64_t film_derive_room(const double *numbers) {
 /* Compute the effect of the obstacles on nodes (4, count), on the lines near them: forces, and
    distance of nodes in contact from their obstacle. Returns the force on nodes without an
    obstacle. */
-static double press(const Film *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
+static double press(const Membrane *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
     Seen *w = &t->seen;
     const long count = f->count;
     double missed = 0;
@@ -53,7 +53,7 @@ static double press(const Film *f, const Bodies *bodies, const double *x, const 
         for (int side = 0; side < 4; side++) {
             if (w->spring[side * count + k] == 0) continue;
             const double pull = w->spring[side * count + k] * rises_over_edge(f, w, x + 2 * count, k, side);
-            out[2 * count + k] -= pull, out[2 * count + k + film_next(f, side)] += pull;
+            out[2 * count + k] -= pull, out[2 * count + k + qs_next(f, side)] += pull;
         }
     }
     return missed;
@@ -61,7 +61,7 @@ static double press(const Film *f, const Bodies *bodies, const double *x, const 
 
 /* Return 1 if the obstacles do not match the equilibrium: away from the nodes that carry its force,
    or behind it. */
-static int is_elsewhere(const Film *f, const double *x, const double *force, double missed, const Tangent *t) {
+static int is_elsewhere(const Membrane *f, const double *x, const double *force, double missed, const Tangent *t) {
     const double *z = x + 2 * f->count;
     double total = 0, off = ELSEWHERE * missed, deepest = 0;
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
@@ -72,7 +72,7 @@ static int is_elsewhere(const Film *f, const double *x, const double *force, dou
 }
 
 /* Move the membrane near obstacles by `step` of the change found so far in lane `lane`. */
-static void move(const Film *f, const double *x, const double *force, double step, int lane, Tangent *t) {
+static void move(const Membrane *f, const double *x, const double *force, double step, int lane, Tangent *t) {
     const long count = f->count, from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 3; c++)
         for (long k = c * count + from; k < c * count + to; k++) t->x[k] = x[k] + step * (double)t->found[k][lane];
@@ -81,7 +81,7 @@ static void move(const Film *f, const double *x, const double *force, double ste
 
 typedef struct { Bodies bodies; double step; } Change;
 
-static void find_residuals(const Film *f, const Change *change, int lane, const double *x, const double *force, Tangent *t) {
+static void find_residuals(const Membrane *f, const Change *change, int lane, const double *x, const double *force, Tangent *t) {
     move(f, x, force, change->step, lane, t), press(f, &change->bodies, t->x, t->force, t, t->pressed_on);
     const long from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 4; c++)
@@ -93,14 +93,14 @@ static void find_residuals(const Film *f, const Change *change, int lane, const 
 
 /* Solve for the next displacements, `given`, from the residuals `rhs` of the free unknowns, and add
    them to `found`. Heights in contact follow the slopes. */
-static void solve(const Film *f, Tangent *t) {
+static void solve(const Membrane *f, Tangent *t) {
     const long count = f->count;
     const double *v = t->fields.gradient;
     Lanes swells = {0};
     memset(t->rhs + 3 * f->inner, 0, (rows_of(f) - 3 * f->inner) * sizeof *t->rhs);
-    panels_solve_eight(panels_of(f), panels_height(FILM_WIDTH(f)), t->band, t->rhs);
+    panels_solve_eight(panels_of(f), panels_height(QS_WIDTH(f)), t->band, t->rhs);
     for (long k = 0; k < count; k++) {
-        const long m = film_inner(f, k);
+        const long m = qs_inner(f, k);
         if (m < 0) continue;
         Eight here[3], bulges = {0};
         for (int c = 0; c < 3; c++) here[c] = t->rhs[3 * m + c];
@@ -118,7 +118,7 @@ static void solve(const Film *f, Tangent *t) {
 }
 
 /* Do one sweep: solve for the present residuals. */
-static void sweep(const Film *f, Tangent *t, int last) {
+static void sweep(const Membrane *f, Tangent *t, int last) {
     const long count = f->count, first = first_line(f, &t->seen), behind = behind_lines(f, &t->seen);
     const uint8_t *touching = t->seen.touching;
     const double *v = t->fields.gradient;
@@ -129,10 +129,10 @@ static void sweep(const Film *f, Tangent *t, int last) {
         t->given[2 * count + k] = off, t->found[2 * count + k] += off;
         t->swells += v[2 * count + k] * __builtin_convertvector(off, Lanes);
     }
-    film_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), film_tangent_springs(f, t, t->given, t->residual);
+    qs_stencil_times(f, &t->stiffness, first, behind, t->given, t->borne), qs_tangent_springs(f, t, t->given, t->residual);
     const Eight gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = 0; k < count; k++) {
-        const long m = film_inner(f, k);
+        const long m = qs_inner(f, k);
         if (m < 0) continue;
         Eight row[3];
         for (int c = 0; c < 3; c++) {
@@ -146,7 +146,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
     memset(t->given, 0, 3 * count * sizeof *t->given);
     solve(f, t);
     const long from = last ? (long)most(first - 1, 0) : 0, to = last ? (long)least(behind + 1, f->columns) : f->columns;
-    film_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), film_tangent_springs(f, t, t->given, t->residual);
+    qs_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), qs_tangent_springs(f, t, t->given, t->residual);
     const Eight last_gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = first * f->line; k < behind * f->line; k++) {
         const long z = 2 * count + k;
@@ -155,7 +155,7 @@ static void sweep(const Film *f, Tangent *t, int last) {
 }
 
 /* Return the projected area of a node's cell, m^2, at the present displacements. */
-static double cell_of(const Film *f, const double *x, long k) {
+static double cell_of(const Membrane *f, const double *x, long k) {
     double cell = 0;
     for (int corner = 0; corner < 4; corner++) {
         const int side_x = corner / 2 ? -1 : 1, side_y = corner % 2 ? -1 : 1;
@@ -170,7 +170,7 @@ static double cell_of(const Film *f, const double *x, long k) {
 }
 
 /* Compute the sums (FOUND) for a membrane at `x` on the last evaluated obstacles. */
-static void find_sums(const Film *f, const double *x, const double *force, Tangent *t, double *found) {
+static void find_sums(const Membrane *f, const double *x, const double *force, Tangent *t, double *found) {
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++)
         if (t->seen.touching[k]) t->seen.cell[k] = cell_of(f, x, k);
     add_up(f, x, force, found, &t->seen);
@@ -178,7 +178,7 @@ static void find_sums(const Film *f, const double *x, const double *force, Tange
 
 /* Compute the derivatives of these sums by lane `lane` of the result, given the change of the
    tension. */
-static void sums_by(const Film *f, const Change *change, int lane, double tension, const double *x, const double *force, Tangent *t,
+static void sums_by(const Membrane *f, const Change *change, int lane, double tension, const double *x, const double *force, Tangent *t,
                     double *by) {
     double found[FOUND] = {0};
     const double bulge = t->swells[lane], pressure = -t->gas_stiffness * bulge;
@@ -192,7 +192,7 @@ static void sums_by(const Film *f, const Change *change, int lane, double tensio
 
 /* Write lanes of the result in Python's layout: displacements (many, 3, nodes) and forces
    (many, nodes). */
-static void handover(const Film *f, const Eight *found, long many, double *by_x, double *by_force) {
+static void handover(const Membrane *f, const Eight *found, long many, double *by_x, double *by_force) {
     const long nodes = f->columns * f->rows;
     for (int c = 0; c < 4; c++)
         for (long i = 0; i < f->columns; i++)
@@ -205,11 +205,11 @@ static void handover(const Film *f, const Eight *found, long many, double *by_x,
 
 /* Evaluate the equilibrium: contact, pressure, tension, and their dependence on displacements.
    Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
-static int begin(const Film *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
+static int begin(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
     see_touch(f, force, &t->seen), look_narrowly(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
-    const SheetSums sums = film_sheet(f, x, FILM_ALL, 0, f->columns - 1, &t->fields);
+    const SheetSums sums = qs_elastic(f, x, QS_ALL, 0, f->columns - 1, &t->fields);
     t->tension = sums.tension;
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
     /* default for nodes in contact exactly at the edge of their obstacle */
@@ -224,26 +224,26 @@ static int begin(const Film *f, const Settings *set, const Bodies *bodies, const
     return SWEEPS;
 }
 
-int64_t film_derive(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t roomy, double *room,
+int64_t qs_sensitivities(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t roomy, double *room,
                     const double *settings, int64_t bodies, int64_t changes, const double *body, int64_t pooled,
                     const double *pool, const double *steps, const double *at, const double *pressed, double *by_x,
                     double *by_force, double *by_detection) {
-    const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows || roomy < film_tangent_room(&f)) return REFUSED;
+    const Membrane f = qs_membrane(numbers, law);
+    if (columns != f.columns || rows != f.rows || roomy < qs_tangent_size(&f)) return REFUSED;
     (void)pooled;
-    Tangent t = film_tangent_in(&f, room);
+    Tangent t = qs_tangent_in(&f, room);
     const Bodies base = {.count = bodies, .body = body, .pool = pool};
     const long count = f.count, nodes = columns * rows;
-    film_pad(&f, 3, at, t.at), film_pad(&f, 1, pressed, t.pressed);
+    qs_pad(&f, 3, at, t.at), qs_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
     const int sweeps = begin(&f, (const Settings *)settings, &base, x, force, &t);
     if (!sweeps) return 1;
-    if (film_tangent_make(&f, &base, x, force, &t)) return NOT_DEFINITE;
+    if (qs_tangent_make(&f, &base, x, force, &t)) return NOT_DEFINITE;
     for (long first = 0; first < changes; first += AT_ONCE) {
         const long many = changes - first < AT_ONCE ? changes - first : AT_ONCE;
         Change change[AT_ONCE];
         for (long a = 0; a < many; a++)
-            change[a] = (Change){{bodies, body + (1 + first + a) * bodies * FILM_BODY, pool, 0}, steps[first + a]};
+            change[a] = (Change){{bodies, body + (1 + first + a) * bodies * QS_OBSTACLE, pool, 0}, steps[first + a]};
         memset(t.found, 0, 4 * count * sizeof *t.found), memset(t.borne, 0, 3 * count * sizeof *t.borne), t.swells -= t.swells;
         for (int k = 1; k <= sweeps; k++) {
             for (long a = 0; a < many; a++) find_residuals(&f, change + a, (int)a, x, force, &t);

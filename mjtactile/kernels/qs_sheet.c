@@ -21,19 +21,19 @@
 /* minimum stress in the stiffness of the steps, fraction of the mean of both directions */
 #define LEAST_TENSION 0.3
 
-Film film_of(const double *numbers, const double *law) {
-    Film film = {.law = law};
-    memcpy(&film.numbers, numbers, sizeof film.numbers);
-    film.columns = (long)film.numbers.nodes_x, film.rows = (long)film.numbers.nodes_y;
-    film.inner_rows = film.rows - 2, film.inner = (film.columns - 2) * film.inner_rows;
-    film.line = (film.rows + 7) / 8 * 8, film.count = film.columns * film.line;
-    film.dx = film.numbers.length_x / (film.columns - 1), film.dy = film.numbers.length_y / (film.rows - 1);
-    const double *cut = (const double *)(uintptr_t)film.numbers.cut;
-    if (!cut) return film;
-    const long nodes = film.columns * film.rows;
-    film.lopsided = cut[0] != 0, film.groups = (long)cut[1];
-    film.inside = cut + 2, film.whole = film.inside + nodes, film.cuts = film.whole + nodes;
-    return film;
+Membrane qs_membrane(const double *numbers, const double *law) {
+    Membrane membrane = {.law = law};
+    memcpy(&membrane.numbers, numbers, sizeof membrane.numbers);
+    membrane.columns = (long)membrane.numbers.nodes_x, membrane.rows = (long)membrane.numbers.nodes_y;
+    membrane.inner_rows = membrane.rows - 2, membrane.inner = (membrane.columns - 2) * membrane.inner_rows;
+    membrane.line = (membrane.rows + 7) / 8 * 8, membrane.count = membrane.columns * membrane.line;
+    membrane.dx = membrane.numbers.length_x / (membrane.columns - 1), membrane.dy = membrane.numbers.length_y / (membrane.rows - 1);
+    const double *cut = (const double *)(uintptr_t)membrane.numbers.cut;
+    if (!cut) return membrane;
+    const long nodes = membrane.columns * membrane.rows;
+    membrane.lopsided = cut[0] != 0, membrane.groups = (long)cut[1];
+    membrane.inside = cut + 2, membrane.whole = membrane.inside + nodes, membrane.cuts = membrane.whole + nodes;
+    return membrane;
 }
 
 #define REAL double

@@ -1,6 +1,6 @@
 /* Elastic response of the membrane, at one point and as a whole. */
-#ifndef MJTACTILE_FILM_SHEET_H
-#define MJTACTILE_FILM_SHEET_H
+#ifndef MJTACTILE_QS_SHEET_H
+#define MJTACTILE_QS_SHEET_H
 #include "quasistatic.h"
 
 /* Response to a deformation (3, count): `elastic` (3, count) forces, the volume's `gradient`
@@ -16,8 +16,8 @@ typedef struct { double volume, area, tension, least_turn, least_root; } SheetSu
 /* Requested parts of forces and gradients: of heights, of in-plane displacements. Other parts are
    not written, except for the volume's gradient by heights. `x` has room for one node behind its
    last. */
-enum { FILM_HEIGHTS = 1, FILM_PLANE = 2, FILM_LINKS = 4, FILM_ALL = 3 };
-SheetSums film_sheet(const Film *film, const double *x, int parts, long first, long last, const SheetFields *to);
-SheetSums film_sheetFloat(const Film *film, const double *x, int parts, long first, long last, const SheetFieldsFloat *to);
+enum { QS_HEIGHTS = 1, QS_PLANE = 2, QS_LINKS = 4, QS_ALL = 3 };
+SheetSums qs_elastic(const Membrane *membrane, const double *x, int parts, long first, long last, const SheetFields *to);
+SheetSums qs_elasticFloat(const Membrane *membrane, const double *x, int parts, long first, long last, const SheetFieldsFloat *to);
 
 #endif

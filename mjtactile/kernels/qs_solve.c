@@ -37,7 +37,7 @@
 
 /* Extrapolate the last change of the membrane, `trend` (4, nodes) of displacements and forces, by
    the ratio that fits the motion of the obstacles in contact. */
-static void go_on(const Film *f, const double *trend, Work *w) {
+static void go_on(const Membrane *f, const double *trend, Work *w) {
     const long n = f->count, nodes = f->columns * f->rows;
     const Seen *s = &w->seen;
     double along = 0, trends = 0, gaps = 0;
@@ -62,7 +62,7 @@ static void go_on(const Film *f, const double *trend, Work *w) {
 }
 
 /* Write padded fields in Python's layout, and their change into `change`. */
-static void handover(const Film *f, long fields, const double *from, double *to, double *change) {
+static void handover(const Membrane *f, long fields, const double *from, double *to, double *change) {
     for (long i = 0; i < fields * f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
             const double value = from[i * f->line + j];
@@ -72,7 +72,7 @@ static void handover(const Film *f, long fields, const double *from, double *to,
 
 /* Do one step of heights and in-plane displacements. Returns the larger of both, or NaN. `wider`:
    the window has changed. */
-static double step_both(const Film *f, const Settings *set, const Bodies *bodies, int step, int wider, Work *w, double *lift,
+static double step_both(const Membrane *f, const Settings *set, const Bodies *bodies, int step, int wider, Work *w, double *lift,
                         int *changed) {
     const long n = f->count;
     const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
@@ -84,20 +84,20 @@ static double step_both(const Film *f, const Settings *set, const Bodies *bodies
         z[k] += (double)w->moved[k], w->force[k] = (double)w->pushed[k];
     }
     *lift = largest_of(w->moved, n);
-    see_sheet(f, set, FILM_PLANE, w);
+    see_sheet(f, set, QS_PLANE, w);
     const double shift = step_plane(f, w);
     for (long k = 0; k < 2 * n; k++) now[k] = w->plane[k], w->x[k] += (double)w->plane[k];
     return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
 }
 
 /* Iterate to equilibrium. Returns a status. */
-static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found,
+static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found,
                         Work *w) {
     const long n = f->count;
     double last_before = FIRST_STEP, lift;
     int far = 0;
     Learnt *l = &w->learnt;
-    film_forget(l);
+    qs_anderson_reset(l);
     /* a second attempt uses all lines; a window requires symmetry under half a turn */
     const int narrow = trend && !f->lopsided;
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
@@ -110,7 +110,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
         /* the window of a first step has no factor yet, even if it is complete and nothing is in
            contact */
         const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
-        see_sheet(f, set, FILM_HEIGHTS, w);
+        see_sheet(f, set, QS_HEIGHTS, w);
         if (w->sums.least_turn < LEAST_TURN) return INVERTED;
         if (!isfinite(w->sums.area)) return NUMERICAL_FAILURE;
         int changed = 0;
@@ -124,7 +124,7 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
         const double shrinks = clip(last / last_before, far ? LEAST_SHARE_FAR : LEAST_SHARE, 0.9);
         if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
         last_before = last;
-        if (!film_learn(l, changed)) continue;
+        if (!qs_anderson_update(l, changed)) continue;
         for (long k = 0; k < 3 * n; k++) w->x[k] += (double)(l->now[k] - l->last[k]);
         for (long k = 0; k < n; k++)
             w->force[k] = w->seen.touching[k] ? w->force[k] + (double)(l->now[3 * n + k] - l->last[3 * n + k]) : 0;
@@ -134,8 +134,8 @@ static int come_to_rest(const Film *f, const Settings *set, const Bodies *bodies
 
 /* Solve after a jump that was too large: start without contact, and bring the obstacles in by
    smaller jumps. */
-static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
-    film_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
+static int come_from_rest(const Membrane *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
+    qs_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
     see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
@@ -148,7 +148,7 @@ static int come_from_rest(const Film *f, const Settings *set, const Bodies *bodi
 }
 
 /* Check that a result is within the model's range. Returns a status. */
-static int can_be(const Film *f, const Bodies *bodies, const Work *w) {
+static int can_be(const Membrane *f, const Bodies *bodies, const Work *w) {
     if (f->numbers.neo_hookean != 0 && (w->sums.least_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
     return goes_through(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
 }
@@ -157,33 +157,33 @@ static int can_be(const Film *f, const Bodies *bodies, const Work *w) {
 static long most_faces(const double *body, long from, long to) {
     long found = 0;
     for (long b = from; b < to; b++) {
-        const long own = film_faces_of((const FilmBody *)body + b);
+        const long own = qs_faces_of((const Obstacle *)body + b);
         if (own > found) found = own;
     }
     return found;
 }
 
-int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
+int64_t qs_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
                    double *force, double *trend, double *found) {
-    const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows || f.line > FILM_MOST_LINE || keeping < film_kept(numbers)) return REFUSED;
-    if (roomy < film_room_of(&f) || begin < 0 || end > environments) return REFUSED;
+    const Membrane f = qs_membrane(numbers, law);
+    if (columns != f.columns || rows != f.rows || f.line > QS_MAX_LINE || keeping < qs_factors_size(numbers)) return REFUSED;
+    if (roomy < qs_workspace_size_of(&f) || begin < 0 || end > environments) return REFUSED;
     (void)pooled;
     const long n = f.count, nodes = columns * rows;
-    const RestHeights at_rest = film_heights_at(&f, (float *)kept);
-    Work w = film_work_in(&f, &at_rest, kept + film_heights_size(&f), room);
+    const RestHeights at_rest = qs_heights_at(&f, (float *)kept);
+    Work w = qs_work_in(&f, &at_rest, kept + qs_normal_size(&f), room);
     const long faced = bodies * most_faces(body, begin * bodies, end * bodies);
     double *faces = faced ? malloc(faced * sizeof *faces) : 0;
     if (faced && !faces) return NO_MEMORY;
     for (long e = begin; e < end; e++) {
         double *own_x = x + e * 3 * nodes, *own_force = force + e * nodes, *own_trend = trend + e * 4 * nodes, *own = found + e * FOUND;
-        const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool, faces};
-        if (faces) film_faces(&own_bodies, faces);
+        const Bodies own_bodies = {bodies, body + e * bodies * QS_OBSTACLE, pool, faces};
+        if (faces) qs_faces(&own_bodies, faces);
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
-        film_pad(&f, 3, own_x, w.x), film_pad(&f, 1, own_force, w.force);
+        qs_pad(&f, 3, own_x, w.x), qs_pad(&f, 1, own_force, w.force);
         int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
         if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
         if (set->again && (status == TUNNELLING || status == NOT_CONVERGED || status == INVERTED || status == NUMERICAL_FAILURE))

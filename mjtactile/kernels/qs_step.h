@@ -1,6 +1,6 @@
 /* Solution step of a membrane: workspace, heights, and in-plane displacements. */
-#ifndef MJTACTILE_FILM_STEP_H
-#define MJTACTILE_FILM_STEP_H
+#ifndef MJTACTILE_QS_STEP_H
+#define MJTACTILE_QS_STEP_H
 #include "qs_normal_solver.h"
 #include "qs_anderson.h"
 #include "qs_inplane_solver.h"
@@ -27,31 +27,31 @@ typedef struct {
     SheetSums sums;
 } Work;
 
-long film_room_of(const Film *film); /* number of doubles of workspace */
-Work film_work_in(const Film *film, const RestHeights *rest, const float *plane_factor, double *room);
+long qs_workspace_size_of(const Membrane *membrane); /* number of doubles of workspace */
+Work qs_work_in(const Membrane *membrane, const RestHeights *rest, const float *plane_factor, double *room);
 /* Compute the forces on the nodes, of heights or in the plane, and related quantities. */
-void see_sheet(const Film *film, const Settings *set, int parts, Work *work);
+void see_sheet(const Membrane *membrane, const Settings *set, int parts, Work *work);
 /* Evaluate the obstacles at the nodes, shifted up by `lifted` m. */
-void check_image(const Film *film, const Bodies *bodies, double lifted, int step, Work *work);
+void check_image(const Membrane *membrane, const Bodies *bodies, double lifted, int step, Work *work);
 /* Extend the window to the lines around nodes that are, or will soon be, in contact. Returns 0 if
    all of them are in the window already. */
-int widen_window(const Film *film, double near, Work *work);
+int widen_window(const Membrane *membrane, double near, Work *work);
 /* Add the edge springs to residual and links; `by` -1 removes them. */
-void stiffen_edges(const Film *film, const double *z, double by, Work *work);
+void stiffen_edges(const Membrane *membrane, const double *z, double by, Work *work);
 /* Prepare a height step, except for its residual. */
-int prepare_heights(const Film *film, const double *z, Work *work);
+int prepare_heights(const Membrane *membrane, const double *z, Work *work);
 /* Compute the height step `moved`, and the resulting contact forces `pushed`. `fresh`: the factor
    is new. */
-void step_heights(const Film *film, const double *z, int fresh, Work *work);
+void step_heights(const Membrane *membrane, const double *z, int fresh, Work *work);
 /* Update heights and contact with the present stiffness of the membrane; repeat while the nodes in
    contact change. */
-int settle_heights(const Film *film, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *work,
+int settle_heights(const Membrane *membrane, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *work,
                    int *changed);
 /* Return the largest absolute value of `n` values, a multiple of eight; NaN if any is not
    finite. */
 double largest_of(const float *values, long n);
 /* Compute the in-plane step (2, count) in `plane`; return its largest value. Frictionless: contact
    forces are along the obstacle's normal. */
-double step_plane(const Film *film, Work *work);
+double step_plane(const Membrane *membrane, Work *work);
 
 #endif

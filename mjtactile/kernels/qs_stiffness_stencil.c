@@ -16,9 +16,9 @@ typedef struct {
     Eight tension_by[2][3];  /* derivatives of the mean tension */
 } Corner;
 
-long film_stencil_size(const Film *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
+long qs_stencil_size(const Membrane *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
 
-Stencil film_stencil_in(const Film *f, float **room) {
+Stencil qs_stencil_in(const Membrane *f, float **room) {
     Stencil s = {.apart = f->count + LANES};
     for (int pair = 0; pair < PAIRS; pair++) s.block[pair] = *room, *room += 9 * s.apart;
     s.tension_by = *room, *room += 3 * s.apart;
@@ -39,17 +39,17 @@ static Eight eight_at(const double *from) { return eight_of(lanes_at(from)); }
 static void add_at(float *to, Eight value) { EIGHT(to) += value; }
 
 /* Return c/det C of the law, and its slope by 1 / sqrt(det C). */
-static Eight law_and_slope(const Film *f, Eight root, Eight *slope) {
+static Eight law_and_slope(const Membrane *f, Eight root, Eight *slope) {
     const Eight t = (root - (float)f->numbers.law_middle) * (float)f->numbers.law_per_unit;
-    Eight value = (float)f->law[FILM_LAW - 1] - 0 * t, by = 0 * t;
-    for (int k = FILM_LAW - 2; k >= 0; k--) by = by * t + value, value = value * t + (float)f->law[k];
+    Eight value = (float)f->law[QS_LAW - 1] - 0 * t, by = 0 * t;
+    for (int k = QS_LAW - 2; k >= 0; k--) by = by * t + value, value = value * t + (float)f->law[k];
     *slope = by * (float)f->numbers.law_per_unit;
     return value;
 }
 
 /* Compute the law at a corner: stress times thickness `S` (11, 22, 12), and its derivatives `D` by
    strains e11, e22 and 2 e12 (Eq. F10). */
-static void strain(const Film *f, Corner *c, Eight weight) {
+static void strain(const Membrane *f, Corner *c, Eight weight) {
     const float M = (float)f->numbers.modulus, nu = (float)f->numbers.poisson, l = (float)f->numbers.lambda2;
     Eight C[3] = {0}, S[3], D[3][3], root;
     for (int k = 0; k < 3; k++) C[0] += l * c->g[0][k] * c->g[0][k], C[1] += l * c->g[1][k] * c->g[1][k], C[2] += l * c->g[0][k] * c->g[1][k];
@@ -110,7 +110,7 @@ static void add_block(const Stencil *to, int pair, long node, int turned, Eight 
 }
 
 /* Add corner (ci, cj) of the cells from (i, j) on. */
-static void add_corner(const Film *f, const double *x, double pressure, long i, long j, int ci, int cj, const Stencil *to) {
+static void add_corner(const Membrane *f, const double *x, double pressure, long i, long j, int ci, int cj, const Stencil *to) {
     const long count = f->count, line = f->line, node = (i + ci) * line + j + cj;
     const long end[2] = {(i + 1 - ci) * line + j + cj, (i + ci) * line + j + 1 - cj};
     Corner c = {.over = {(float)((ci ? -1 : 1) / f->dx), (float)((cj ? -1 : 1) / f->dy)}, .height = eight_of(lanes_at(x + 2 * count + node))};
@@ -163,13 +163,13 @@ static void between_corners(const CutGroup *cut, const Corner *c, double pressur
     block[2][0] -= third * (c->g[1][1] * other[0] - c->g[0][1] * other[1]), block[2][1] -= third * (c->g[0][0] * other[1] - c->g[1][0] * other[0]);
 }
 
-static void add_entries(const Film *f, const Stencil *to, long node, long other, const Eight block[3][3], int lane) {
+static void add_entries(const Membrane *f, const Stencil *to, long node, long other, const Eight block[3][3], int lane) {
     for (int pair = 0; pair < PAIRS; pair++)
-        for (int k = 0; k < 3 && other == node + film_pair(f, pair); k++)
+        for (int k = 0; k < 3 && other == node + qs_pair_offset(f, pair); k++)
             for (int m = 0; m < 3; m++) to->block[pair][(3 * k + m) * to->apart + node] += block[k][m][lane];
 }
 
-static void add_cuts(const Film *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
+static void add_cuts(const Membrane *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
     Corner c = {.over = {0}};
     Lanes g[2][3] = {{{0}}}, height = {0}; /* differences of large numbers for small triangles */
     for (int a = 0; a < 3; a++)
@@ -197,15 +197,15 @@ static void add_cuts(const Film *f, const double *x, double pressure, const CutG
     }
 }
 
-void film_stencil(const Film *f, const double *x, double pressure, const Stencil *to) {
-    memset(to->block[0], 0, film_stencil_size(f) * sizeof *to->block[0]);
+void qs_stencil(const Membrane *f, const double *x, double pressure, const Stencil *to) {
+    memset(to->block[0], 0, qs_stencil_size(f) * sizeof *to->block[0]);
     for (long i = 0; i < f->columns - 1; i++)
         for (long j = 0; j < f->line; j += LANES)
             for (int corner = 0; corner < 4; corner++) add_corner(f, x, pressure, i, j, corner / 2, corner % 2, to);
-    for (long g = 0; g < f->groups; g++) add_cuts(f, x, pressure, film_cut(f, g), to);
+    for (long g = 0; g < f->groups; g++) add_cuts(f, x, pressure, qs_cut_group(f, g), to);
 }
 
-void film_stencil_times(const Film *f, const Stencil *s, long first, long last, const Eight *restrict what, Eight *restrict to) {
+void qs_stencil_times(const Membrane *f, const Stencil *s, long first, long last, const Eight *restrict what, Eight *restrict to) {
     const long count = f->count, apart = s->apart;
     for (long node = first * f->line; node < last * f->line; node++) {
         if (node % f->line >= f->rows) continue;
@@ -214,7 +214,7 @@ void film_stencil_times(const Film *f, const Stencil *s, long first, long last, 
         for (int k = 0; k < 3; k++)
             for (int m = 0; m < 3; m++) sum[k] += s->block[PAIR_OWN][(3 * k + m) * apart + node] * own[m];
         for (int pair = PAIR_UP; pair < PAIRS; pair++) {
-            const long other = node + film_pair(f, pair);
+            const long other = node + qs_pair_offset(f, pair);
             if (other >= count) continue;
             const float *block = s->block[pair] + node;
             Eight there[3], back[3];
@@ -230,15 +230,15 @@ void film_stencil_times(const Film *f, const Stencil *s, long first, long last, 
     }
 }
 
-void film_stencil_band(const Film *f, const Stencil *s, double *band) {
-    const long stride = BAND_STRIDE(FILM_WIDTH(f));
+void qs_stencil_band(const Membrane *f, const Stencil *s, double *band) {
+    const long stride = BAND_STRIDE(QS_WIDTH(f));
     memset(band, 0, 3 * f->inner * stride * sizeof *band);
     for (long node = 0; node < f->count; node++)
-        for (int pair = 0; pair < PAIRS && film_inner(f, node) >= 0; pair++) {
-            const long first = 3 * film_inner(f, node), other = 3 * film_inner(f, node + film_pair(f, pair));
+        for (int pair = 0; pair < PAIRS && qs_inner(f, node) >= 0; pair++) {
+            const long first = 3 * qs_inner(f, node), other = 3 * qs_inner(f, node + qs_pair_offset(f, pair));
             for (int k = 0; k < 3 && other >= 0; k++)
                 for (int l = pair == PAIR_OWN ? k : 0; l < 3; l++)
-                    band[(first + k) * stride + other + l - first - k] = film_block(s, pair, k, l, node);
+                    band[(first + k) * stride + other + l - first - k] = qs_block(s, pair, k, l, node);
         }
     for (long k = 0; k < 3 * f->inner; k++) /* a node fixed by an outline has a row of its own */
         if (band[k * stride] == 0) band[k * stride] = 1;

@@ -20,19 +20,19 @@ static double number(int64_t word) {
 #define AT(type, k) ((type *)(intptr_t)w[k])
 
 static int64_t follow(const int64_t *w) {
-    return film_follow(AT(double, 0), AT(double, 1), w[2], w[3], w[4], AT(float, 5), AT(double, 6), w[7], AT(double, 8), AT(double, 9),
+    return qs_follow(AT(double, 0), AT(double, 1), w[2], w[3], w[4], AT(float, 5), AT(double, 6), w[7], AT(double, 8), AT(double, 9),
                        w[10], AT(double, 11), w[12], AT(double, 13), AT(double, 14), AT(double, 15), AT(double, 16), AT(double, 17),
                        AT(double, 18), AT(double, 19), w[20], w[21], AT(double, 22), AT(double, 23), w[24], AT(double, 25),
                        AT(double, 26), AT(int64_t, 27), AT(int64_t, 28), AT(double, 29), AT(double, 30), AT(uint8_t, 31),
                        AT(double, 32));
 }
 static int64_t push(const int64_t *w) {
-    return film_push(AT(double, 0), AT(double, 1), w[2], w[3], AT(int32_t, 4), AT(int32_t, 5), AT(int32_t, 6), w[7], AT(int32_t, 8),
+    return qs_push(AT(double, 0), AT(double, 1), w[2], w[3], AT(int32_t, 4), AT(int32_t, 5), AT(int32_t, 6), w[7], AT(int32_t, 8),
                      AT(int32_t, 9), AT(double, 10), AT(double, 11), AT(double, 12), AT(double, 13), w[14], AT(double, 15),
                      AT(double, 16));
 }
 static int64_t add(const int64_t *w) {
-    return film_add(w[0], w[1], AT(double, 2), AT(double, 3), number(w[4]), AT(double, 5), AT(double, 6), AT(double, 7), AT(double, 8),
+    return qs_add(w[0], w[1], AT(double, 2), AT(double, 3), number(w[4]), AT(double, 5), AT(double, 6), AT(double, 7), AT(double, 8),
                     AT(double, 9), AT(double, 10), AT(double, 11));
 }
 
@@ -49,7 +49,7 @@ static void drive(double *goals, int64_t reads, const int64_t *read, const doubl
         ctrl[control[k]] = affine[3 * k] + affine[3 * k + 1] * goals[OPENING_GOAL] + affine[3 * k + 2] * goals[LIFT_GOAL];
 }
 
-int64_t film_steps(int64_t count, const int64_t *mujoco, double time, double step, int64_t films, const int64_t *follows,
+int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step, int64_t membranes, const int64_t *follows,
                    const int64_t *pushes, const int64_t *adds, double *goals, int64_t reads, const int64_t *read, const double *per,
                    int64_t nq, const double *qpos, int64_t drives, const int64_t *control, const double *affine, int64_t nu,
                    double *ctrl, int64_t nv, const double *qvel, int64_t movers, const int64_t *mover, const double *hurry,
@@ -62,14 +62,14 @@ int64_t film_steps(int64_t count, const int64_t *mujoco, double time, double ste
         drive(goals, reads, read, per, qpos, drives, control, affine, ctrl);
         kinematics(model, data);
         int64_t adding = 0;
-        for (int64_t f = 0; f < films; f++) {
+        for (int64_t f = 0; f < membranes; f++) {
             const int64_t *w = follows + FOLLOW * f;
             const int64_t *p = pushes + PUSH * f;
             ((double *)(intptr_t)w[18])[6] = time; /* `time` of Given */
             const int64_t code = follow(w);
             if (code < 0) return code;
             const double *memory = (const double *)(intptr_t)w[30];
-            memcpy(wrenches + 6 * (films * i + f), memory + 1, 6 * sizeof *wrenches);
+            memcpy(wrenches + 6 * (membranes * i + f), memory + 1, 6 * sizeof *wrenches);
             if (memory[20] > 0) told[BROKE] = 1;
             const int64_t now = push(p);
             int64_t *const pushing = AT(int64_t, 33);

@@ -1,8 +1,8 @@
 /* Tangent of a membrane in equilibrium: stiffness of the membrane minus that of the gas, with the
    heights in contact eliminated by the obstacles' slopes, factored once. Also the fields in which
    changes of obstacles are solved (qs_sensitivity.c). */
-#ifndef MJTACTILE_FILM_TANGENT_H
-#define MJTACTILE_FILM_TANGENT_H
+#ifndef MJTACTILE_QS_TANGENT_H
+#define MJTACTILE_QS_TANGENT_H
 #include "qs_stiffness_stencil.h"
 #include "qs_workspace.h"
 #include "band_cholesky_f32.h"
@@ -30,21 +30,21 @@ typedef struct {
     double sums[FOUND];                 /* sums at equilibrium */
 } Tangent;
 
-static inline long panels_of(const Film *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
-static inline long band_of(const Film *f) { return panels_of(f) * PANEL * panels_height(FILM_WIDTH(f)); }
-static inline long rows_of(const Film *f) { return panels_of(f) * PANEL + panels_height(FILM_WIDTH(f)); }
+static inline long panels_of(const Membrane *f) { return (3 * f->inner + PANEL - 1) / PANEL; }
+static inline long band_of(const Membrane *f) { return panels_of(f) * PANEL * panels_height(QS_WIDTH(f)); }
+static inline long rows_of(const Membrane *f) { return panels_of(f) * PANEL + panels_height(QS_WIDTH(f)); }
 
 /* Return the range of lines on and next to which obstacles are evaluated. */
-static inline long first_line(const Film *f, const Seen *s) { return s->box[0] < s->box[1] ? (long)most(s->box[0] - 1, 0) : f->columns; }
-static inline long behind_lines(const Film *f, const Seen *s) { return (long)least(s->box[1] + 1, f->columns); }
+static inline long first_line(const Membrane *f, const Seen *s) { return s->box[0] < s->box[1] ? (long)most(s->box[0] - 1, 0) : f->columns; }
+static inline long behind_lines(const Membrane *f, const Seen *s) { return (long)least(s->box[1] + 1, f->columns); }
 
-long film_tangent_room(const Film *film);
-Tangent film_tangent_in(const Film *film, double *room);
+long qs_tangent_size(const Membrane *membrane);
+Tangent qs_tangent_in(const Membrane *membrane, double *room);
 /* Assemble and factor the tangent at `x` under `force`, with known pressure, slopes and springs.
    Returns nonzero if it is not positive definite. */
-int film_tangent_make(const Film *film, const Bodies *bodies, const double *x, const double *force, Tangent *t);
-/* Add the forces of edge springs due to `what`, as film_stencil_times does for the membrane;
+int qs_tangent_make(const Membrane *membrane, const Bodies *bodies, const double *x, const double *force, Tangent *t);
+/* Add the forces of edge springs due to `what`, as qs_stencil_times does for the membrane;
    heights only. */
-void film_tangent_springs(const Film *film, const Tangent *t, const Eight *what, Eight *to);
+void qs_tangent_springs(const Membrane *membrane, const Tangent *t, const Eight *what, Eight *to);
 
 #endif

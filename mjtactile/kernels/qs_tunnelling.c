@@ -15,7 +15,7 @@
 /* Return 1 if an obstacle is behind the membrane, by more than `behind` spacings, over a position
    in the cell of node `k`. The membrane is taken as flat there, and no obstacle is below
    `floor`. */
-static int is_behind(const Film *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
+static int is_behind(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
                      double behind) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
     const double spacing = most(f->dx, f->dy);
@@ -36,9 +36,9 @@ static int is_behind(const Film *f, const Bodies *bodies, const double *x, const
 }
 
 /* Check the centers of the cells. */
-static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+static int goes_through_a_cell(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
     const long first = seen->box[2], last = (long)least(seen->box[3], f->rows - 1);
-    double at_x[FILM_MOST_LINE], at_y[FILM_MOST_LINE], floor[FILM_MOST_LINE];
+    double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
     for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++) {
         for (long j = first; j < last; j++) {
             const double *x0 = x + i * f->line + j, *x1 = x0 + f->line, *y0 = x0 + f->count, *y1 = x1 + f->count;
@@ -55,9 +55,9 @@ static int goes_through_a_cell(const Film *f, const Bodies *bodies, const double
 }
 
 /* Check the ends of the obstacles. */
-static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+static int goes_through_at_an_end(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
     for (long b = 0; b < bodies->count; b++) {
-        const FilmBody *one = film_body_of(bodies, b);
+        const Obstacle *one = qs_obstacle_at(bodies, b);
         const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
         for (int end = half > 0 ? -1 : 1; end <= 1; end++) {
             const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
@@ -72,6 +72,6 @@ static int goes_through_at_an_end(const Film *f, const Bodies *bodies, const dou
     return 0;
 }
 
-int goes_through(const Film *f, const Bodies *bodies, const double *x, const Seen *seen) {
+int goes_through(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
     return goes_through_a_cell(f, bodies, x, seen) || goes_through_at_an_end(f, bodies, x, seen);
 }

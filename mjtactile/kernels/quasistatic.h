@@ -4,13 +4,13 @@
    inner nodes. Displacements are three fields: along x, along y, and the height. Python's fields
    have nodes only. In the kernels, lines along y are padded to whole vectors with nodes that do not
    exist and do not move. */
-#ifndef MJTACTILE_FILM_H
-#define MJTACTILE_FILM_H
+#ifndef MJTACTILE_QUASISTATIC_H
+#define MJTACTILE_QUASISTATIC_H
 #include <math.h>
 #include <stdint.h>
 
-#define FILM_MOST_LINE 400
-#define FILM_LAW 11 /* number of coefficients of the law's polynomial, lowest power first */
+#define QS_MAX_LINE 400
+#define QS_LAW 11 /* number of coefficients of the law's polynomial, lowest power first */
 
 typedef struct {
     double length_x, length_y, nodes_x, nodes_y;
@@ -26,10 +26,10 @@ typedef struct {
     double half_thickness, depth;
     double opening;                          /* area of the frame's opening, m^2 */
     double cut; /* address of the cells that an outline cuts (qs_cut_cells.h); 0: rectangle */
-} FilmNumbers;
+} MembraneNumbers;
 
 typedef struct {
-    FilmNumbers numbers;
+    MembraneNumbers numbers;
     const double *law;
     /* over all nodes, for an outline: see qs_cut_cells.h; 0: rectangle */
     const double *inside, *whole;
@@ -40,13 +40,13 @@ typedef struct {
     long inner_rows, inner;   /* numbers of inner nodes along y and in total */
     long line, count;         /* nodes of a padded line; of all lines */
     double dx, dy;
-} Film;
+} Membrane;
 
-Film film_of(const double *numbers, const double *law);
+Membrane qs_membrane(const double *numbers, const double *law);
 
-static inline int film_free(const Film *film, long i, long j) { /* 1 if node (i, j) is free */
-    const int within = i > 0 && i < film->columns - 1 && j > 0 && j < film->rows - 1;
-    return within && (!film->inside || film->inside[i * film->rows + j] > 0);
+static inline int qs_free(const Membrane *membrane, long i, long j) { /* 1 if node (i, j) is free */
+    const int within = i > 0 && i < membrane->columns - 1 && j > 0 && j < membrane->rows - 1;
+    return within && (!membrane->inside || membrane->inside[i * membrane->rows + j] > 0);
 }
 
 /* One obstacle, as Python passes it. */
@@ -56,24 +56,24 @@ typedef struct {
     double first, number;
     double least;                      /* minimum width, m */
     double reach;                      /* maximum distance from p, m */
-} FilmBody;
-#define FILM_BODY 20
+} Obstacle;
+#define QS_OBSTACLE 20
 
 enum { BODY_SPHERE, BODY_CAPSULE, BODY_ELLIPSOID, BODY_CYLINDER, BODY_BOX, BODY_PLANE, BODY_QUADRIC, BODY_DISC, BODY_CONE,
        BODY_CONVEX, BODY_TRIANGLES, BODY_HEIGHTS };
 
-#define FILM_STEEPEST 4.0 /* ratio of distances at a slope of 75 degrees */
+#define QS_STEEPEST 4.0 /* ratio of distances at a slope of 75 degrees */
 
 /* Return the ratio of a distance along z to the distance across a slope. It is limited: on steeper
    slopes the membrane meets the surface from the side. */
-static inline double film_farther_along_z(const double slope[2]) {
+static inline double qs_farther_along_z(const double slope[2]) {
     const double farther = sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
-    return farther < FILM_STEEPEST ? farther : FILM_STEEPEST;
+    return farther < QS_STEEPEST ? farther : QS_STEEPEST;
 }
 
 /* Compute the height of the obstacle's lower side over (x, y), minus the membrane's half thickness,
    and its slopes. Returns 1, without a height, if the obstacle is not over that position. */
-int film_body_height(const Film *film, const FilmBody *body, const double *pool, double x, double y, double *height,
+int qs_obstacle_height(const Membrane *membrane, const Obstacle *body, const double *pool, double x, double y, double *height,
                      double slope[2]);
 
 #endif

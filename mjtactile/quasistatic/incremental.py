@@ -58,8 +58,8 @@ class IncrementalMembrane:
         given = (self.settings, len(rows), rows, pooled, pool)
         state = (self.x, self.force, self.trend, self.found)
         self.arguments = (*fixed, *given, *state)
-        """Arguments of `film_follow` for this membrane."""
-        self._solve = bound("film_solve", *fixed, 1, 0, 1, *given, *state)
+        """Arguments of `qs_follow` for this membrane."""
+        self._solve = bound("qs_solve", *fixed, 1, 0, 1, *given, *state)
 
     def rest_on(self, gas: float, sealed: bool, exponent: float) -> MembraneStatus:
         """Solve for the equilibrium on the obstacles; without convergence `x` is invalid.
@@ -97,7 +97,7 @@ class IncrementalMembrane:
         heights = np.empty(len(places))
         pooled = 0 if self.pool is None else self.pool.size
         given = (len(self.rows), self.rows, pooled, self.pool, len(places), places)
-        kernel("film_heights")(self.numbers, *given, heights)
+        kernel("qs_obstacle_heights")(self.numbers, *given, heights)
         return max(-float(heights.min()), 0.0)
 
     def doubt(self) -> float:

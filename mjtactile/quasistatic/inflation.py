@@ -95,4 +95,4 @@ def _keep(film: QuasistaticMembrane, x: Array) -> None:
     """Factors of the stiffness at displacements `x`, for all solutions that follow."""
     fixed = (film._numbers, film._law, *film.grid)
     given = (x, film._room.size, film._room, film._kept.size, film._kept)
-    kernel("film_keep")(*fixed, *given)
+    kernel("qs_factorize")(*fixed, *given)

@@ -95,8 +95,8 @@ class QuasistaticMembrane:
         membrane_parameters = (*sides, *self.grid, stretch, *law, *tensions)
         self._numbers = np.array([*membrane_parameters, *gas, *depths, opening, 0.0])
         self._point_at_cut()
-        self._room = np.empty(kernel("film_room")(self._numbers))
-        self._kept = np.empty(kernel("film_kept")(self._numbers), np.float32)
+        self._room = np.empty(kernel("qs_workspace_size")(self._numbers))
+        self._kept = np.empty(kernel("qs_factors_size")(self._numbers), np.float32)
         self._rest = np.zeros((3, *self.grid))
         self._rooms: list[Array] = []  # of a batch's threads
         self._derive_room = np.empty(0)  # made when it is first asked for
@@ -116,7 +116,7 @@ class QuasistaticMembrane:
 
     def _bind(self) -> None:
         later = (1, 0, 1, *[...] * 9)
-        self._solve_one = bound("film_solve", *self._fixed(self._room), *later)
+        self._solve_one = bound("qs_solve", *self._fixed(self._room), *later)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name != "_solve_one"}
@@ -228,7 +228,7 @@ class QuasistaticMembrane:
         given = (count, taken, settings, len(rows) // count, rows, pooled, pool, *start)
         fields = (made.x, made.force, made.trend, made.found)
         # checked once, before the others wake: each would hold Python's lock for a twentieth of all
-        share = bound("film_share", *self._fixed(self._room)[:-1], ..., *given, *fields)
+        share = bound("qs_solve_batch", *self._fixed(self._room)[:-1], ..., *given, *fields)
         at_once(threads, lambda k: share(self._rooms[k]))
         return made
 
@@ -382,7 +382,7 @@ class QuasistaticMembrane:
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)
-        kernel("film_heights")(
+        kernel("qs_obstacle_heights")(
             self._numbers, len(rows), rows, pooled, pool, len(where), where, heights
         )
         return heights

@@ -114,14 +114,14 @@ def derived(
     Raises InputError if the state is close to instability, or belongs to other obstacles.
     """
     if not film._derive_room.size:
-        film._derive_room = np.empty(kernel("film_derive_room")(film._numbers))
+        film._derive_room = np.empty(kernel("qs_sensitivities_size")(film._numbers))
     room, count = film._derive_room, len(by)
     by_x, by_force = np.empty((count, 3, *film.grid)), np.empty((count, *film.grid))
     by_detection = np.empty((count, FOUND))
     settings = np.array([film._gas, film.sealed, 0.0, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
     given = _given(state, rows, pool, by)
-    if _ask("film_derive", *fixed, *given, by_x, by_force, by_detection):
+    if _ask("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
         raise InputError("is not an equilibrium on these obstacles", field="state")
     picked = (by_detection[:, place] for place in (PRESSURE, VOLUME, AREA))
     return SolutionSensitivities(by_x, by_force, by_detection[:, WRENCH], *picked)
@@ -140,7 +140,7 @@ def answered(
     settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, film._kept.size, film._kept)
     given = _given(state, rows, pool, by)
-    _ask("film_answer", *fixed, film._room.size, film._room, settings, *given, by_z, by_force)
+    _ask("qs_approximate_sensitivities", *fixed, film._room.size, film._room, settings, *given, by_z, by_force)
     return by_z, by_force
 
 

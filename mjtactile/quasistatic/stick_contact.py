@@ -26,7 +26,7 @@ def compliance_of(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
     count = 2 * len(band) // 3
     workspace = np.empty(8 * len(band))
     compliance = np.empty((count, count))
-    kernel("film_compliance")(*film.grid, band, workspace.size, workspace, compliance)
+    kernel("qs_compliance")(*film.grid, band, workspace.size, workspace, compliance)
     return compliance
 
 
@@ -35,7 +35,7 @@ def stiffness_band(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
     columns, rows = film.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
     given = (state.x, state.gauge_pressure, film._room.size, film._room)
-    kernel("film_stiffness")(film._numbers, film._law, *film.grid, *given, band)
+    kernel("qs_stiffness")(film._numbers, film._law, *film.grid, *given, band)
     return band
 
 

@@ -77,7 +77,7 @@ class QuasistaticStepper:
         controls = (len(ids), ids, np.ascontiguousarray(drive.affine, float))
         state = (model.nv, data.qvel, len(movers), np.ascontiguousarray(movers, np.int64))
         self._run = bound(
-            "film_steps",
+            "qs_steps",
             *(..., mujoco_addresses, ..., float(model.opt.timestep), *membranes, self._goals),
             *(*opening, model.nq, data.qpos, *controls, model.nu, data.ctrl),
             *(*state, self._limits, int(model.opt.iterations), data.solver_niter),

@@ -54,7 +54,7 @@ class QuasistaticForces:
         self._add()
 
     def words(self) -> Array:
-        """Return the arguments (12,) of `film_add`; valid until another owner joins."""
+        """Return the arguments (12,) of `qs_add`; valid until another owner joins."""
         assert self._add is not None
         return words(self._add)
 
@@ -67,7 +67,7 @@ class QuasistaticForces:
         rows = (model.nv, len(self._owners), self._forces, self._holds)
         damping = (self._undamped, model.dof_damping.reshape(-1))
         self._add = bound(
-            "film_add",
+            "qs_add",
             *(*rows, float(model.opt.timestep), model.dof_M0, data.qvel),
             *(self._base, self._left, data.qfrc_applied, *damping),
         )

@@ -111,7 +111,7 @@ class QuasistaticSensor(BaseSensor):
         bodies = (model.nbody, data.xpos, data.xmat)
         contact_geoms = (data.geom_xpos, data.geom_xmat, geoms.ids, geoms.bodies, geoms.bounds)
         self._follow = bound(
-            "film_follow",
+            "qs_follow",
             *(*self._live.arguments, self._given, self._sticking.compliance),
             *(self.body_id, *bodies, model.ngeom, *contact_geoms),
             *(self._numbers, self._touched, self._before),
@@ -119,7 +119,7 @@ class QuasistaticSensor(BaseSensor):
         tree = (model.nbody, model.body_parentid, model.body_jntnum, model.body_jntadr)
         joints = (model.njnt, model.jnt_type, model.jnt_dofadr, data.xanchor, data.xaxis)
         self._find_push = bound(
-            "film_push",
+            "qs_push",
             *(self._given, self._numbers, self.body_id, *tree, *joints, *bodies[1:]),
             *(model.nv, self._force, self._hold),
         )
@@ -186,22 +186,22 @@ class QuasistaticSensor(BaseSensor):
         self._qs_gas.trap(gauge_pressure, self.time)
         self._look()
 
-    # -- for a kernel that goes on by itself (`film_stepper`)
+    # -- for a kernel that continues by itself (`QuasistaticStepper`)
 
     def hold_gas(self) -> bool:
         """Treat the gas as sealed for some steps; False while the valve is open."""
         return self._qs_gas.hold(self.time)
 
     def follow_message(self) -> Array:
-        """Return the arguments (34,) of `film_follow` and the address of its flag."""
+        """Return the arguments (34,) of `qs_follow` and the address of its flag."""
         return np.append(words(self._follow), self._pushing.ctypes.data)
 
     def push_message(self) -> Array:
-        """Return the arguments (19,) of `film_push` and the addresses of its two results."""
+        """Return the arguments (19,) of `qs_push` and the addresses of its two results."""
         return np.concatenate([words(self._find_push), self._pushes.addresses(self._number)])
 
     def add_messages(self) -> Array:
-        """Return the arguments (12,) of `film_add`."""
+        """Return the arguments (12,) of `qs_add`."""
         return self._pushes.words()
 
     # -- present state

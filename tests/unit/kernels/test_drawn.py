@@ -32,9 +32,9 @@ TOGETHER = {
     "inverse_step": lambda n: {"r": 3 * n["markers"]},
     "border_moments": lambda n: {"all": 3 * n["n"]},
 }
-# Numbers of the `film_` kernels are positions of obstacles in a pool: tests/unit/quasistatic
+# Numbers of the `qs_` kernels are positions of obstacles in a pool: tests/unit/quasistatic
 # supplies obstacles.
-DRAWN = [name for name in declarations() if not name.startswith("film_")]
+DRAWN = [name for name in declarations() if not name.startswith("qs_")]
 # no list of MuJoCo's here
 NO_CONTACTS = {"contacts": 0, "list": 0}
 
