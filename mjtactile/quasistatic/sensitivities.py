@@ -140,7 +140,8 @@ def answered(
     settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
     fixed = (film._numbers, film._law, *film.grid, film._kept.size, film._kept)
     given = _given(state, rows, pool, by)
-    _ask("qs_approximate_sensitivities", *fixed, film._room.size, film._room, settings, *given, by_z, by_force)
+    workspace = (film._room.size, film._room)
+    _ask("qs_approximate_sensitivities", *fixed, *workspace, settings, *given, by_z, by_force)
     return by_z, by_force
 
 
