@@ -1,7 +1,7 @@
 """Discretization errors in `bench quasistatic`: narrow obstacles at random positions.
 
 The reference is a finer grid. The test checks the reported discretization error of a state's force
-(`MembraneSolution.doubt`).
+(`MembraneSolution.relative_force_error`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> di
         )
     return {
         "force_error": state.force_normal / reference.force_normal - 1,
-        "doubt": state.doubt,
+        "doubt": state.relative_force_error,
         "area_error": state.area / reference.area - 1,
         "relative_area_error": state.relative_area_error,
     }

@@ -186,7 +186,7 @@ class SimFinger:
         self._perception = StatefulPipeline(rest.chain, rest.state)
         self._stepper = Stepper(self._model, self._data, [self.sensor])
         self._time = float(self._data.time)
-        self._look()
+        self._process_image()
         self._next_image = self._time + self._period
 
     def belongs_to(self, data: mujoco.MjData) -> bool:
@@ -221,7 +221,7 @@ class SimFinger:
         self._time = float(self._data.time)
         self._stepper.after_step()
         if self._time > self._next_image - self._model.opt.timestep / 2:
-            self._look()
+            self._process_image()
             periods = max(1, math.ceil((self._time - self._next_image) / self._period))
             self._next_image += self._period * periods
         self._write()
@@ -230,7 +230,7 @@ class SimFinger:
     def _period(self) -> float:
         return 1.0 / self.design.camera.rate
 
-    def _look(self) -> None:
+    def _process_image(self) -> None:
         self._image = self._camera.read()
         reading = self._finger.pressure_reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)

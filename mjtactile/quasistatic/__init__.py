@@ -26,8 +26,8 @@ Limits and their cost (docs/validation/benchmarks/quasistatic.md):
   between the nodes. The force of a 4 mm ball 0.5 mm deep varies by up to 14 % on nodes 2 mm apart.
   That of a thin rod varies by more. Blades are in contact with the nearest line of nodes. Ridges
   are 10 % too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are
-  rejected. `MembraneSolution.doubt` is the error bound that holds for 9 of 10 such forces. It is 1
-  for a tip without contact at any node. `relative_area_error` is the same for areas. The area is
+  rejected. `MembraneSolution.relative_force_error` is the bound that holds for 9 of 10 such forces.
+  It is 1 for a tip without contact at any node. `relative_area_error` is that of areas. The area is
   unknown if the contact is a point or a line on this grid. `QuasistaticMembrane.refined_for`
   selects a grid for an obstacle. 41 x 31 nodes take three times as long. Obstacles thinner than a
   tenth of the spacing may be missed, and needles slip aside.

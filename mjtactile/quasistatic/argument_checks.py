@@ -59,7 +59,7 @@ def require_state(state: Any, shape: tuple[int, ...]) -> None:
         )
 
 
-def threads_among(threads: Any, count: int) -> int:
+def thread_count(threads: Any, count: int) -> int:
     """Return the number of threads for `count` environments. Raises InputError."""
     if not isinstance(threads, (int, np.integer)):
         raise InputError(f"{threads!r} is not a whole number", field="threads")

@@ -12,10 +12,10 @@ import numpy as np
 from mjtactile.quasistatic.solution import FOUND, MembraneSolutionBatch
 
 
-def at_once(threads: int, work: Callable[[int], object]) -> None:
+def run_in_threads(threads: int, work: Callable[[int], object]) -> None:
     """Call `work(k)` in `threads` threads, including this one, with k from 0 on."""
     done: SimpleQueue[BaseException | None] = SimpleQueue()
-    orders = _orders(os.getpid(), threads - 1)
+    orders = _work_queue(os.getpid(), threads - 1)
     for number in range(1, threads):
         orders.put((work, number, done))
     try:
@@ -37,19 +37,19 @@ _Order = tuple[Callable[[int], object], int, "SimpleQueue[BaseException | None]"
 _kept: dict[int, tuple[SimpleQueue[_Order], list[Thread]]] = {}
 
 
-def _orders(process: int, count: int) -> SimpleQueue[_Order]:
+def _work_queue(process: int, count: int) -> SimpleQueue[_Order]:
     """Return the work queue of a process, with at least `count` waiting threads that stay alive."""
     if process not in _kept:
         _kept[process] = SimpleQueue(), []
     orders, threads = _kept[process]
     while len(threads) < count:
         name = f"film-{process}-{len(threads)}"
-        threads.append(Thread(target=_follow, args=(orders,), name=name, daemon=True))
+        threads.append(Thread(target=_run_work, args=(orders,), name=name, daemon=True))
         threads[-1].start()
     return orders
 
 
-def _follow(orders: SimpleQueue[_Order]) -> None:
+def _run_work(orders: SimpleQueue[_Order]) -> None:
     while True:
         work, number, done = orders.get()
         failure = None

@@ -34,7 +34,7 @@ _DIVISIONS = {
 _CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, counter-clockwise
 
 
-def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
+def cut_grid(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
     """Cut a grid with lines `x` (nx,), `y` (ny,), m, with the outline of a frame.
 
     Return the input of kernels/qs_cut_cells.h, empty for a rectangle, and the area inside, m^2.
@@ -54,15 +54,15 @@ def cut_by(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
     cells = np.argwhere((free_corners > 0) & (free_corners < 4))
     triangles = [one for i, j in cells for one in _triangles(crossings, int(i), int(j))]
     cell = float((x[1] - x[0]) * (y[1] - y[0]))
-    groups, area = _grouped(triangles, len(y), cell)
+    groups, area = _group(triangles, len(y), cell)
     nodes = np.where(inside, 1, np.where(near, 0, -1))
     header = (float(crossings.lopsided), float(len(groups)))
     kept = np.concatenate([header, nodes.ravel(), whole.ravel(), groups.ravel()])
     return kept, area + cell * float(whole.sum())
 
 
-def moving(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the mask (nx, ny) of free nodes from the result of `cut_by`."""
+def free_nodes(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return the mask (nx, ny) of free nodes from the result of `cut_grid`."""
     return cut[_HEADER : _HEADER + grid[0] * grid[1]].reshape(grid) > 0
 
 
@@ -155,11 +155,11 @@ def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
             held = other if grid.inside[one] else one
             polygon.append(_Corner(grid.between(free, held), None))
             towards[free] = held
-    for part, share in _divided(polygon):
+    for part, share in _triangulate(polygon):
         yield _Triangle(part, share, towards)
 
 
-def _divided(
+def _triangulate(
     polygon: Sequence[_Corner],
 ) -> Iterator[tuple[tuple[_Corner, _Corner, _Corner], float]]:
     """A convex polygon of 3 to 6 corners in triangles, and how much each counts."""
@@ -171,11 +171,11 @@ def _divided(
     # from the free node after a crossing to the free node before the next one
     first = next(k for k in range(count) if polygon[k].node is None and polygon[k - 1].node)
     turned = [*polygon[first - 1 :], *polygon[: first - 1]]
-    yield from _divided(turned[:4])  # free, crossing, crossing, free
-    yield from _divided([turned[0], *turned[3:]])
+    yield from _triangulate(turned[:4])  # free, crossing, crossing, free
+    yield from _triangulate([turned[0], *turned[3:]])
 
 
-def _grouped(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
+def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
     """Groups (n, 13, 8) of triangles for the kernel, and the area of all."""
     line = _whole_groups(rows)
     found = []

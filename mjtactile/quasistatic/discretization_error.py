@@ -33,7 +33,7 @@ _LEVEL = 1e-6  # of a cylinder's end
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
-def doubt(obstacles: Sequence[Obstacle], spacing: float) -> float:
+def relative_force_error(obstacles: Sequence[Obstacle], spacing: float) -> float:
     """Return the relative force error not exceeded in 9 of 10 cases, from the narrowest obstacle.
 
     Tips and edges of a mesh or of triangles are not detected.
@@ -84,7 +84,7 @@ def _is_face(body: Obstacle) -> bool:
     return body.kind == "plane" or (body.kind == "box" and bool(up.max() > _UPRIGHT))
 
 
-def lowest_place(body: Obstacle) -> Array | None:
+def lowest_point(body: Obstacle) -> Array | None:
     """Return the lowest point (3,) m of an obstacle; None for planes and height fields."""
     row = body.numbers
     R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]

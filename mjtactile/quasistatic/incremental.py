@@ -36,24 +36,32 @@ class IncrementalMembrane:
     """
 
     def __init__(
-        self, film: QuasistaticMembrane, rows: Array, pool: Array | None, below_rim: float = 0.0
+        self, membrane: QuasistaticMembrane, rows: Array, pool: Array | None, below_rim: float = 0.0
     ):
         """Bind the solver to obstacles `rows` (k, NUMBERS), read at every solution, and `pool`.
 
         They may be up to `below_rim` m below the rim of the frame, which supports them there.
         """
-        self.film = film
-        self.x = np.zeros_like(film.rest.x)
-        self.force = np.zeros_like(film.rest.force)
-        self.trend = np.zeros((4, *film.grid))
+        self.membrane = membrane
+        self.x = np.zeros_like(membrane.rest.x)
+        self.force = np.zeros_like(membrane.rest.force)
+        self.trend = np.zeros((4, *membrane.grid))
         self.rows = rows
         self.pool = pool
         self.found = np.zeros(FOUND)
         self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MAX_STEPS), 1.0, below_rim])
-        self.numbers = film._numbers.copy()
-        room = np.empty_like(film._room)
-        kept = (film._kept.size, film._kept)
-        fixed = (self.numbers, film._law, *film.grid, *kept, film.rest.x, room.size, room)
+        self.numbers = membrane._numbers.copy()
+        room = np.empty_like(membrane._room)
+        kept = (membrane._kept.size, membrane._kept)
+        fixed = (
+            self.numbers,
+            membrane._law,
+            *membrane.grid,
+            *kept,
+            membrane.rest.x,
+            room.size,
+            room,
+        )
         pooled = 0 if pool is None else pool.size
         given = (self.settings, len(rows), rows, pooled, pool)
         state = (self.x, self.force, self.trend, self.found)
@@ -89,9 +97,9 @@ class IncrementalMembrane:
 
     def below_rim(self) -> float:
         """Return the depth of the obstacles below the membrane's mid-surface on the frame, m."""
-        film = self.film
-        x, y = np.meshgrid(film.x, film.y, indexing="ij")
-        inner = np.zeros(film.grid, bool)
+        membrane = self.membrane
+        x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
+        inner = np.zeros(membrane.grid, bool)
         inner[1:-1, 1:-1] = True
         places = np.stack([x[~inner], y[~inner]], axis=1)
         heights = np.empty(len(places))
@@ -100,13 +108,15 @@ class IncrementalMembrane:
         kernel("qs_obstacle_heights")(self.numbers, *given, heights)
         return max(-float(heights.min()), 0.0)
 
-    def doubt(self) -> float:
+    def relative_force_error(self) -> float:
         """Return the relative force error not exceeded in 9 of 10 cases, of reachable obstacles."""
-        film, rows = self.film, self.rows
+        membrane, rows = self.membrane, self.rows
         place, reach = rows[:, 13:16], rows[:, 19]
-        over = (np.abs(place[:, :2]) - reach[:, None] < (film.x[-1], film.y[-1])).all(axis=1)
-        near = over & (place[:, 2] - reach < film.rest.heights.max())
-        return row_error(rows[near], film.spacing)
+        over = (np.abs(place[:, :2]) - reach[:, None] < (membrane.x[-1], membrane.y[-1])).all(
+            axis=1
+        )
+        near = over & (place[:, 2] - reach < membrane.rest.heights.max())
+        return row_error(rows[near], membrane.spacing)
 
     @property
     def volume(self) -> float:
@@ -141,25 +151,25 @@ class Grip:
 class Sticking:
     """In-plane compliance of one membrane with free heights, shared by all contacts."""
 
-    def __init__(self, film: QuasistaticMembrane):
-        self.film = film
+    def __init__(self, membrane: QuasistaticMembrane):
+        self.membrane = membrane
 
     @cached_property
     def compliance(self) -> Array:
         """(2 inner, 2 inner) m/N; x and y of each node in turn."""
-        return compliance_of(self.film, self.film.rest)
+        return compliance_of(self.membrane, self.membrane.rest)
 
     def grip(self, x: Array, force: Array) -> Grip:
         """Compute the stiffness of the nodes in contact when they move as one rigid set."""
         from scipy.linalg import cho_factor, cho_solve  # takes a while to import
 
-        film = self.film
+        membrane = self.membrane
         i, j = np.nonzero(force > 0)
         share = force[i, j]
-        places = np.stack([film.x[i] + x[0, i, j], film.y[j] + x[1, i, j]], axis=1)
+        places = np.stack([membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j]], axis=1)
         middle = share @ places / share.sum()
         off = places - middle
-        nodes = (i - 1) * (film.grid[1] - 2) + j - 1
+        nodes = (i - 1) * (membrane.grid[1] - 2) + j - 1
         picked = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
         rigid = np.zeros((len(picked), 3))
         rigid[0::2, 0] = rigid[1::2, 1] = 1.0

@@ -12,7 +12,7 @@ from mjtactile.core import analytical_solutions
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
-from mjtactile.quasistatic.cut_cells import moving
+from mjtactile.quasistatic.cut_cells import free_nodes
 from mjtactile.quasistatic.obstacles import NUMBERS
 from mjtactile.quasistatic.solution import FOUND, MembraneSolution
 
@@ -27,32 +27,32 @@ _MAX_STEPS = 160
 _STRETCH_SQUARED = 4  # index in the membrane's parameters
 
 
-def inflate(film: QuasistaticMembrane) -> MembraneSolution:
+def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
     """Find the inflated equilibrium of a membrane. Raises InputError if there is none.
 
     The start is a low bulge of about the right height. The stiffness matrices are factored again at
     each pressure step. The last factors are kept for all solutions. A membrane without pre-stretch
     does not converge, so it is first inflated with additional stretch.
     """
-    x = _low_bulge(film)
-    force = np.zeros(film.grid)
+    x = _low_bulge(membrane)
+    force = np.zeros(membrane.grid)
     found = np.empty(FOUND)
-    for share, stretch in _ways(film.design.membrane.pre_stretch):
-        film._numbers[_STRETCH_SQUARED] = stretch**2
+    for share, stretch in _ways(membrane.design.membrane.pre_stretch):
+        membrane._numbers[_STRETCH_SQUARED] = stretch**2
         try:
-            _keep(film, x)
+            _keep(membrane, x)
         except np.linalg.LinAlgError:
             break
-        settings = np.array([share * film.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0])
-        trend = np.zeros((4, *film.grid))
-        film._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
+        settings = np.array([share * membrane.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0])
+        trend = np.zeros((4, *membrane.grid))
+        membrane._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
         if not MembraneSolution(x, force, found).converged:
             break
     else:
         return MembraneSolution(x, force, found)
     raise InputError(
-        f"sensor {film.design.name}: no equilibrium of the membrane was found at "
-        f"{film.gauge_pressure:g} Pa",
+        f"sensor {membrane.design.name}: no equilibrium of the membrane was found at "
+        f"{membrane.gauge_pressure:g} Pa",
         field="gauge_pressure",
     )
 
@@ -68,31 +68,33 @@ def _ways(stretch: float) -> Iterator[tuple[float, float]]:
     yield 1.0, stretch
 
 
-def _low_bulge(film: QuasistaticMembrane) -> Array:
-    frame = film.design.frame
+def _low_bulge(membrane: QuasistaticMembrane) -> Array:
+    frame = membrane.design.frame
     outline = frame.outline
     known = (
-        film.design
+        membrane.design
         if outline is None
-        else replace(film.design, frame=replace(frame, shape="ellipse"))
+        else replace(membrane.design, frame=replace(frame, shape="ellipse"))
     )
-    height = analytical_solutions.bulge_height(known, _INFLATING[0] * film.gauge_pressure)
+    height = analytical_solutions.bulge_height(known, _INFLATING[0] * membrane.gauge_pressure)
     if not np.isfinite(height):
         height = 0.1 * min(frame.length, frame.width)
-    x = np.zeros((3, *film.grid))
+    x = np.zeros((3, *membrane.grid))
     if outline is None:
-        across = (film.x / film.x[-1])[:, None]
-        along = film.y / film.y[-1]
+        across = (membrane.x / membrane.x[-1])[:, None]
+        along = membrane.y / membrane.y[-1]
         x[2] = height * (1 - across**2) * (1 - along**2)
     else:
-        places = np.stack(np.meshgrid(film.x, film.y, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(
+            -1, 2
+        )
         within = 1 - np.square(outline.disc(places)).sum(axis=1)
-        x[2] = height * within.reshape(film.grid) * moving(film._cut, film.grid)
+        x[2] = height * within.reshape(membrane.grid) * free_nodes(membrane._cut, membrane.grid)
     return x
 
 
-def _keep(film: QuasistaticMembrane, x: Array) -> None:
+def _keep(membrane: QuasistaticMembrane, x: Array) -> None:
     """Factors of the stiffness at displacements `x`, for all solutions that follow."""
-    fixed = (film._numbers, film._law, *film.grid)
-    given = (x, film._room.size, film._room, film._kept.size, film._kept)
+    fixed = (membrane._numbers, membrane._law, *membrane.grid)
+    given = (x, membrane._room.size, membrane._room, membrane._kept.size, membrane._kept)
     kernel("qs_factorize")(*fixed, *given)

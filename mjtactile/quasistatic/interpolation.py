@@ -11,7 +11,7 @@ import numpy as np
 
 from mjtactile.core.bspline import interpolating
 from mjtactile.core.types import Array
-from mjtactile.quasistatic.cut_cells import moving
+from mjtactile.quasistatic.cut_cells import free_nodes
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 _BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
@@ -20,40 +20,42 @@ _POINTS = 1440  # of the outline
 _APART = 0.7  # spacings, of those that are fitted
 
 
-def carried(film: QuasistaticMembrane, places: Array) -> Array:
+def interpolation_matrix(membrane: QuasistaticMembrane, places: Array) -> Array:
     """Return the matrix (n, nx * ny) from node displacements to points `places` (n, 2) m.
 
     It is zero on the frame.
     """
-    by_node = interpolation_matrix_with_gradient(film, places)[0]
-    outline = film.design.frame.outline
+    by_node = interpolation_matrix_with_gradient(membrane, places)[0]
+    outline = membrane.design.frame.outline
     if outline is None:
         return by_node
     return np.where(outline.distance(places)[:, None] > 0, by_node, 0.0)
 
 
-def interpolation_matrix_with_gradient(film: QuasistaticMembrane, places: Array) -> Array:
+def interpolation_matrix_with_gradient(membrane: QuasistaticMembrane, places: Array) -> Array:
     """Return matrices (3, n, nx * ny) of displacements at `places` (n, 2) m and their slopes,
     1/m."""
     (across, across_by), (along, along_by) = (
         interpolating(line, np.clip(at, line[0], line[-1]))
-        for line, at in zip((film.x, film.y), np.asarray(places, dtype=float).T, strict=True)
+        for line, at in zip(
+            (membrane.x, membrane.y), np.asarray(places, dtype=float).T, strict=True
+        )
     )
     pairs = ((across, along), (across_by, along), (across, along_by))
     by_node = np.array([(a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs])
-    if film.design.frame.outline is None:
+    if membrane.design.frame.outline is None:
         return by_node
-    outside, by_free = _continued(film)
+    outside, by_free = _extrapolation(membrane)
     return by_node + by_node[:, :, outside] @ by_free
 
 
-def _continued(film: QuasistaticMembrane) -> tuple[Array, Array]:
+def _extrapolation(membrane: QuasistaticMembrane) -> tuple[Array, Array]:
     """Return nodes (m,) just outside an outline, and their extrapolation matrix (m, nx * ny)."""
-    outline = film.design.frame.outline
+    outline = membrane.design.frame.outline
     assert outline is not None
-    spacing = np.array([film.x[1] - film.x[0], film.y[1] - film.y[0]])
-    nodes = np.stack(np.meshgrid(film.x, film.y, indexing="ij"), axis=-1).reshape(-1, 2)
-    free = moving(film._cut, film.grid).ravel()
+    spacing = np.array([membrane.x[1] - membrane.x[0], membrane.y[1] - membrane.y[0]])
+    nodes = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(-1, 2)
+    free = free_nodes(membrane._cut, membrane.grid).ravel()
     rim = outline.points(_POINTS)
     length = np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum()
     fitted = rim[:: max(int(_APART * spacing.min() / length * _POINTS), 1)] / spacing

@@ -14,26 +14,26 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import argument_checks
 from mjtactile.quasistatic import obstacles as obstacle_rows
-from mjtactile.quasistatic.batch import at_once, new_batch
+from mjtactile.quasistatic.batch import new_batch, run_in_threads
 from mjtactile.quasistatic.constitutive_law import law_numbers, tension_slope
-from mjtactile.quasistatic.cut_cells import cut_by
-from mjtactile.quasistatic.discretization_error import REFINED, doubt
+from mjtactile.quasistatic.cut_cells import cut_grid
+from mjtactile.quasistatic.discretization_error import REFINED, relative_force_error
 from mjtactile.quasistatic.inflation import inflate
 from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.quasistatic.sensitivities import (
     POSE_STEP,
     Shape,
     SolutionSensitivities,
-    changed_bodies,
-    derived,
-    moved_rows,
+    changed_obstacles,
+    moved_obstacles,
+    sensitivities_of,
 )
 from mjtactile.quasistatic.solution import (
     FOUND,
     ContactSetup,
     MembraneSolution,
     MembraneSolutionBatch,
-    judged,
+    require_admissible,
 )
 from mjtactile.quasistatic.stick_contact import StuckPatch, patches_of, stiffness_band
 
@@ -91,7 +91,7 @@ class QuasistaticMembrane:
         depths = (sheet.thickness / 2, chamber.depth)
         stretch = sheet.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
-        self._cut, opening = cut_by(frame, self.x, self.y)
+        self._cut, opening = cut_grid(frame, self.x, self.y)
         membrane_parameters = (*sides, *self.grid, stretch, *law, *tensions)
         self._numbers = np.array([*membrane_parameters, *gas, *depths, opening, 0.0])
         self._point_at_cut()
@@ -166,8 +166,8 @@ class QuasistaticMembrane:
             InputError: An obstacle touches the rim, lies on the glass, inverts or overstretches the
                 membrane, or passes between nodes.
         """
-        listed = obstacle_rows.listed(obstacles, "obstacles")
-        rows, pool = obstacle_rows.pooled(listed, self.grid)
+        listed = obstacle_rows.as_list(obstacles, "obstacles")
+        rows, pool = obstacle_rows.rows_and_pool(listed, self.grid)
         if state is not None:
             argument_checks.require_state(state, self.rest.x.shape)
         start = self.rest if state is None or not state.converged else state
@@ -176,7 +176,7 @@ class QuasistaticMembrane:
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MAX_STEPS, 1.0, 0.0])
         self._run(settings, rows, pool, (x, force, trend, found))
         pressing = ContactSetup(listed, self.x, self.y, self.design.membrane.thickness / 2)
-        return judged(MembraneSolution(x, force, found, trend, pressing))
+        return require_admissible(MembraneSolution(x, force, found, trend, pressing))
 
     def solve_batch(
         self,
@@ -211,8 +211,8 @@ class QuasistaticMembrane:
         """
         listed = argument_checks.environments(obstacles)
         count = len(listed)
-        every = obstacle_rows.listed([body for one in listed for body in one], "obstacles")
-        rows, pool = obstacle_rows.pooled(every, self.grid)
+        every = obstacle_rows.as_list([body for one in listed for body in one], "obstacles")
+        rows, pool = obstacle_rows.rows_and_pool(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None:
                 argument_checks.require_batch(field, given, (count, 3, *self.grid))
@@ -220,7 +220,7 @@ class QuasistaticMembrane:
         settings = np.tile(
             [self._gas, self.sealed, TOLERANCE, max_steps, bool(again), 0.0], (count, 1)
         )
-        threads = argument_checks.threads_among(threads, count)
+        threads = argument_checks.thread_count(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
         start = (None,) * 4 if batch is None else (batch.x, batch.force, batch.trend, batch.found)
@@ -229,10 +229,10 @@ class QuasistaticMembrane:
         fields = (made.x, made.force, made.trend, made.found)
         # checked once, before the others wake: each would hold Python's lock for a twentieth of all
         share = bound("qs_solve_batch", *self._fixed(self._room)[:-1], ..., *given, *fields)
-        at_once(threads, lambda k: share(self._rooms[k]))
+        run_in_threads(threads, lambda k: share(self._rooms[k]))
         return made
 
-    def doubt(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:
+    def relative_force_error(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:
         """Return the force error due to obstacles that are narrow for this grid.
 
         Args:
@@ -242,9 +242,9 @@ class QuasistaticMembrane:
             Relative force error not exceeded in 9 of 10 cases
             (`mjtactile.quasistatic.discretization_error`). On nodes 2 mm apart it is 0.03 for round
             obstacles eight spacings wide, up to 0.25 for narrow ones, and 0.4 at a cone's tip.
-            `MembraneSolution.doubt` also includes shallow contacts of few nodes.
+            `MembraneSolution.relative_force_error` also includes shallow contacts of few nodes.
         """
-        return doubt(obstacle_rows.listed(obstacles, "obstacles"), self.spacing)
+        return relative_force_error(obstacle_rows.as_list(obstacles, "obstacles"), self.spacing)
 
     def refined_for(
         self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03
@@ -256,16 +256,16 @@ class QuasistaticMembrane:
 
         Args:
             obstacles: One or several obstacles with the widths of later ones.
-            within: Limit of `doubt`.
+            within: Limit of `relative_force_error`.
 
         Returns:
             This membrane, if it is fine enough. Otherwise the coarsest sufficient grid with 1.5, 2,
             3 or 4 times as many nodes along each side. If none is sufficient, the finest: check its
-            `doubt`. The same object is returned each time. A state belongs to the grid of its own
-            membrane.
+            `relative_force_error`. The same object is returned each time. A state belongs to the
+            grid of its own membrane.
         """
-        listed = obstacle_rows.listed(obstacles, "obstacles")
-        enough = (by for by in REFINED if doubt(listed, self.spacing / by) <= within)
+        listed = obstacle_rows.as_list(obstacles, "obstacles")
+        enough = (by for by in REFINED if relative_force_error(listed, self.spacing / by) <= within)
         by = next(enough, REFINED[-1])
         if by == 1:
             return self
@@ -301,10 +301,11 @@ class QuasistaticMembrane:
                 parameters or steps that are not finite.
         """
         self._require_rest(state)
-        listed, by = changed_bodies(shape, numbers, steps)
-        rows, pool = obstacle_rows.pooled([body for one in listed for body in one], self.grid)
+        listed, by = changed_obstacles(shape, numbers, steps)
+        every = [body for bodies in listed for body in bodies]
+        rows, pool = obstacle_rows.rows_and_pool(every, self.grid)
         given = rows.reshape(len(listed), -1, obstacle_rows.NUMBERS), pool
-        return derived(self, state, *given, by)
+        return sensitivities_of(self, state, *given, by)
 
     def derivatives_by_pose(self, state: MembraneSolution) -> SolutionSensitivities:
         """Compute the derivatives of a state by a common rigid motion of all obstacles.
@@ -324,13 +325,13 @@ class QuasistaticMembrane:
                 its obstacles, and for height fields, which have no pose.
         """
         self._require_rest(state)
-        pressing = state.pressed_by.bodies
+        pressing = state.contact_setup.bodies
         if not pressing and state.force.any():
             raise InputError("belongs to a batch, which stores no obstacles", field="state")
         if any(body.kind == "heights" for body in pressing):
             raise InputError("is in contact with a height field, which has no pose", field="state")
-        rows, pool = obstacle_rows.pooled(pressing, self.grid)
-        return derived(self, state, moved_rows(rows), pool, np.full(6, POSE_STEP))
+        rows, pool = obstacle_rows.rows_and_pool(pressing, self.grid)
+        return sensitivities_of(self, state, moved_obstacles(rows), pool, np.full(6, POSE_STEP))
 
     def _require_rest(self, state: MembraneSolution) -> None:
         if not state.converged or state.x.shape != self.rest.x.shape:
@@ -377,8 +378,8 @@ class QuasistaticMembrane:
         Returns:
             (n,) Heights, m; infinite where there is no obstacle.
         """
-        listed = obstacle_rows.listed(obstacles, "obstacles")
-        rows, pool = obstacle_rows.pooled(listed, self.grid)
+        listed = obstacle_rows.as_list(obstacles, "obstacles")
+        rows, pool = obstacle_rows.rows_and_pool(listed, self.grid)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)

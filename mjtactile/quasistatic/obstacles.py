@@ -140,7 +140,7 @@ def obstacle(
     return Obstacle(kind, numbers, pool.ravel(), corners)
 
 
-def ready(
+def unchecked_obstacle(
     kind: str,
     sizes: Sequence[float],
     p_SO: Sequence[float],
@@ -151,7 +151,7 @@ def ready(
 
     `sizes` are as in `obstacle`, empty for `heights` (nx, ny) m, which must be finite.
     """
-    turned = _NOT_TURNED.tolist() if R_SO is None else R_SO.ravel().tolist()
+    turned = _IDENTITY.tolist() if R_SO is None else R_SO.ravel().tolist()
     sides = [0.0, 0.0, 0.0]
     sides[: len(sizes)] = sizes
     pool, minimum, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
@@ -164,7 +164,7 @@ def ready(
     return Obstacle(kind, np.array(numbers, dtype=float), pool)
 
 
-def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
+def as_list(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
     """Return a list of one or several obstacles. Raises InputError that names `field`."""
     if isinstance(obstacles, Obstacle):
         return [obstacles]
@@ -178,7 +178,7 @@ def listed(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacl
     return found
 
 
-def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
+def rows_and_pool(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
     """Return the parameters (k, NUMBERS) of all obstacles and their pools, None if empty.
 
     Raises InputError if heights do not match the nodes of `grid`.
@@ -259,14 +259,14 @@ def _hull(vertices: Array) -> Array:
     return np.column_stack([kept[:, :3], -kept[:, 3]])
 
 
-_NOT_TURNED = np.eye(3).ravel()
+_IDENTITY = np.eye(3).ravel()
 _NO_POOL = np.zeros((0, 4))
 
 
 def _rotation(R_SO: ArrayLike | None) -> Array:
     """By rows, (9,)."""
     if R_SO is None:
-        return _NOT_TURNED
+        return _IDENTITY
     given = np.asarray(R_SO, dtype=float)
     if given.shape == (4,):
         length = float(np.linalg.norm(finite("R_SO", given, (4,))))

@@ -71,7 +71,7 @@ class SolutionSensitivities:
         return -self.wrench[:, 2]
 
 
-def changed_bodies(
+def changed_obstacles(
     shape: Shape, numbers: ArrayLike, steps: ArrayLike | None
 ) -> tuple[list[list[Obstacle]], Array]:
     """Create the obstacles at parameters (n,) and after a step of each; return 1 + n lists and
@@ -86,13 +86,13 @@ def changed_bodies(
         if not by.all():
             raise InputError("must not be zero", field="steps")
     made = [shape(place) for place in (at, *(at + np.diag(by)))]
-    listed = [obstacles.listed(one, "shape") for one in made]
+    listed = [obstacles.as_list(one, "shape") for one in made]
     if len({len(one) for one in listed}) != 1:
         raise InputError("returns a different number of obstacles after a step", field="shape")
     return listed, by
 
 
-def moved_rows(rows: Array) -> Array:
+def moved_obstacles(rows: Array) -> Array:
     """Return (1 + 6, k, NUMBERS): obstacles at their pose and after each rigid step of
     POSE_STEP."""
     moved = np.repeat(rows[None], 1 + 6, axis=0)
@@ -105,30 +105,38 @@ def moved_rows(rows: Array) -> Array:
     return moved
 
 
-def derived(
-    film: QuasistaticMembrane, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+def sensitivities_of(
+    membrane: QuasistaticMembrane,
+    state: MembraneSolution,
+    rows: Array,
+    pool: Array | None,
+    by: Array,
 ) -> SolutionSensitivities:
     """Compute the derivatives of a state by the kernel.
 
     `rows` (1 + n, k, NUMBERS) are the obstacles, unchanged and after each of the steps `by` (n,).
     Raises InputError if the state is close to instability, or belongs to other obstacles.
     """
-    if not film._derive_room.size:
-        film._derive_room = np.empty(kernel("qs_sensitivities_size")(film._numbers))
-    room, count = film._derive_room, len(by)
-    by_x, by_force = np.empty((count, 3, *film.grid)), np.empty((count, *film.grid))
+    if not membrane._derive_room.size:
+        membrane._derive_room = np.empty(kernel("qs_sensitivities_size")(membrane._numbers))
+    room, count = membrane._derive_room, len(by)
+    by_x, by_force = np.empty((count, 3, *membrane.grid)), np.empty((count, *membrane.grid))
     by_detection = np.empty((count, FOUND))
-    settings = np.array([film._gas, film.sealed, 0.0, 1.0, 0.0, 0.0])
-    fixed = (film._numbers, film._law, *film.grid, room.size, room, settings)
+    settings = np.array([membrane._gas, membrane.sealed, 0.0, 1.0, 0.0, 0.0])
+    fixed = (membrane._numbers, membrane._law, *membrane.grid, room.size, room, settings)
     given = _given(state, rows, pool, by)
-    if _ask("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
+    if _call_kernel("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
         raise InputError("is not an equilibrium on these obstacles", field="state")
     picked = (by_detection[:, place] for place in (PRESSURE, VOLUME, AREA))
     return SolutionSensitivities(by_x, by_force, by_detection[:, WRENCH], *picked)
 
 
-def answered(
-    film: QuasistaticMembrane, state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+def approximate_sensitivities(
+    membrane: QuasistaticMembrane,
+    state: MembraneSolution,
+    rows: Array,
+    pool: Array | None,
+    by: Array,
 ) -> tuple[Array, Array]:
     """Approximate derivatives (n, nx, ny) of heights, m, and forces, N, at a fifth of the cost.
 
@@ -136,12 +144,14 @@ def answered(
     % of the exact derivatives, forces are 10 to 20 % too large. Both are within 40 % for light
     contact on few nodes and for sharp rims. Raises InputError close to instability.
     """
-    by_z, by_force = (np.empty((len(by), *film.grid)) for _ in range(2))
-    settings = np.array([film._gas, film.sealed, _LOOSE, 1.0, 0.0, 0.0])
-    fixed = (film._numbers, film._law, *film.grid, film._kept.size, film._kept)
+    by_z, by_force = (np.empty((len(by), *membrane.grid)) for _ in range(2))
+    settings = np.array([membrane._gas, membrane.sealed, _LOOSE, 1.0, 0.0, 0.0])
+    fixed = (membrane._numbers, membrane._law, *membrane.grid, membrane._kept.size, membrane._kept)
     given = _given(state, rows, pool, by)
-    workspace = (film._room.size, film._room)
-    _ask("qs_approximate_sensitivities", *fixed, *workspace, settings, *given, by_z, by_force)
+    workspace = (membrane._room.size, membrane._room)
+    _call_kernel(
+        "qs_approximate_sensitivities", *fixed, *workspace, settings, *given, by_z, by_force
+    )
     return by_z, by_force
 
 
@@ -151,7 +161,7 @@ def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) 
     return rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force
 
 
-def _ask(name: str, *arguments: Any) -> Any:
+def _call_kernel(name: str, *arguments: Any) -> Any:
     """Return the result of a kernel. Raises InputError for an indefinite stiffness."""
     try:
         return kernel(name)(*arguments)

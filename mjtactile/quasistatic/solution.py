@@ -13,10 +13,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.discretization_error import (
     area_error,
-    doubt,
     error_of_few_nodes,
     gap_error,
-    lowest_place,
+    lowest_point,
+    relative_force_error,
 )
 from mjtactile.quasistatic.obstacles import Obstacle
 
@@ -34,7 +34,7 @@ class MembraneStatus(IntEnum):
     OVERSTRETCHED = 7
 
 
-_COMPLAINTS = {
+_REFUSALS = {
     MembraneStatus.RIM_CONTACT: "an obstacle touches the rim of the frame",
     MembraneStatus.GLASS_CONTACT: "an obstacle lies on the glass",
     MembraneStatus.INVERTED: "an obstacle turns the membrane inside out",
@@ -68,7 +68,7 @@ class ContactSetup:
         return max((float(line[1] - line[0]) for line in (self.x, self.y) if len(line)), default=0)
 
 
-_BY_NOTHING = ContactSetup()
+_NO_CONTACT = ContactSetup()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +84,14 @@ class MembraneSolution:
         trend: (4, nx, ny), m and N, last change of `x` and `force`. The next solution extrapolates
             it in proportion to the motion of the obstacles in contact. None: it starts without
             extrapolation.
-        pressed_by: The obstacles and the membrane's nodes; empty for a batch.
+        contact_setup: The obstacles and the membrane's nodes; empty for a batch.
     """
 
     x: Array
     force: Array
     found: Array
     trend: Array | None = None
-    pressed_by: ContactSetup = _BY_NOTHING
+    contact_setup: ContactSetup = _NO_CONTACT
 
     @property
     def status(self) -> MembraneStatus:
@@ -115,23 +115,23 @@ class MembraneSolution:
         return -self._number(2)
 
     @property
-    def doubt(self) -> float:
+    def relative_force_error(self) -> float:
         """Relative force error not exceeded in 9 of 10 cases.
 
         Its causes are narrow obstacles and a contact of few nodes. Another cause is a tip behind
-        the membrane between its nodes. See `QuasistaticMembrane.doubt` and
+        the membrane between its nodes. See `QuasistaticMembrane.relative_force_error` and
         `QuasistaticMembrane.refined_for`. It is 0 without contact. It is 1 if an obstacle should be
         in contact and is not.
         """
         if not self.converged:
             return float("nan")
-        on = self.pressed_by
+        on = self.contact_setup
         gap = max((self._gap(body) for body in on.bodies), default=0.0)
         if not self.force_normal > 0:
             return float(gap > _TOUCHES)
         few = error_of_few_nodes(int(np.count_nonzero(self.force > 0)) // max(len(on.bodies), 1))
         tip = gap_error(gap, self.force_normal, float(self.found[TENSION]))
-        return max(doubt(on.bodies, on.spacing), few, tip)
+        return max(relative_force_error(on.bodies, on.spacing), few, tip)
 
     @property
     def relative_area_error(self) -> float:
@@ -144,15 +144,15 @@ class MembraneSolution:
             return float("nan")
         touching = self.force > 0
         if not touching.any():
-            return float("inf") if self.doubt else 0.0
+            return float("inf") if self.relative_force_error else 0.0
         longer = max(int(touching.any(axis=axis).sum()) for axis in (0, 1))
-        on = self.pressed_by
+        on = self.contact_setup
         return area_error(on.bodies, np.count_nonzero(touching) / longer, on.spacing)
 
     def _gap(self, body: Obstacle) -> float:
         """Return the distance of an obstacle's lowest point behind the membrane, m; 0 off the
         grid."""
-        low, on = lowest_place(body), self.pressed_by
+        low, on = lowest_point(body), self.contact_setup
         if low is None:
             return 0.0
         at = low[:2]
@@ -199,9 +199,9 @@ class MembraneSolution:
         return self.force if self.converged else np.full(self.force.shape, np.nan)
 
 
-def judged(state: MembraneSolution) -> MembraneSolution:
+def require_admissible(state: MembraneSolution) -> MembraneSolution:
     """Return the state. Raises a one-line InputError for an inadmissible one."""
-    complaint = _COMPLAINTS.get(state.status)
+    complaint = _REFUSALS.get(state.status)
     if complaint is not None:
         raise InputError(complaint, field="obstacle")
     return state

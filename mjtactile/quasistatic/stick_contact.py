@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from mjtactile.quasistatic.membrane import QuasistaticMembrane
 
 
-def compliance_of(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
+def compliance_of(membrane: QuasistaticMembrane, state: MembraneSolution) -> Array:
     """Return the in-plane compliance (2 inner, 2 inner), m/N, of a membrane with free heights."""
-    band = stiffness_band(film, state)
+    band = stiffness_band(membrane, state)
     count = 2 * len(band) // 3
     workspace = np.empty(8 * len(band))
     compliance = np.empty((count, count))
-    kernel("qs_compliance")(*film.grid, band, workspace.size, workspace, compliance)
+    kernel("qs_compliance")(*membrane.grid, band, workspace.size, workspace, compliance)
     return compliance
 
 
-def stiffness_band(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
+def stiffness_band(membrane: QuasistaticMembrane, state: MembraneSolution) -> Array:
     """Return the Cholesky factor of the tangent stiffness, as in kernels/band_cholesky_f64.h."""
-    columns, rows = film.grid
+    columns, rows = membrane.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
-    given = (state.x, state.gauge_pressure, film._room.size, film._room)
-    kernel("qs_stiffness")(film._numbers, film._law, *film.grid, *given, band)
+    given = (state.x, state.gauge_pressure, membrane._room.size, membrane._room)
+    kernel("qs_stiffness")(membrane._numbers, membrane._law, *membrane.grid, *given, band)
     return band
 
 

@@ -101,7 +101,7 @@ class QuasistaticStepper:
         return done, unsolved, wrenches[:done]
 
 
-def is_there() -> bool:
+def is_available() -> bool:
     """Return True if MuJoCo's library and the required addresses are available."""
     return bool(_functions()) and hasattr(mujoco.MjModel, "_address")
 

@@ -39,17 +39,17 @@ class SimCamera:
                 "synthetic touch is available in grasps only", field="--effects -pipeline"
             )
         self._sensor = sensor
-        self._suffered = FaultyImage(specimen.camera, seed)
-        if self._suffered.are_any and Effect.IMAGES not in effects:
+        self._faulty = FaultyImage(specimen.camera, seed)
+        if self._faulty.has_faults and Effect.IMAGES not in effects:
             raise InputError(
                 "image faults need images, and none are rendered", field="--effects -images"
             )
         design = set_camera_effects(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
-        self._sighter = (
+        self._sampler = (
             None if Effect.IMAGES in effects else EllipseSampler(design, seed=seed, **place)
         )
-        if self._sighter:
+        if self._sampler:
             self._renderer = None
         else:
             self._renderer = Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
@@ -61,17 +61,17 @@ class SimCamera:
     def reseed(self, seed: int) -> None:
         """Set a new seed for the image noise; an image already rendered is rendered again."""
         # one of them is there
-        (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
-        self._suffered = FaultyImage(self._suffered.troubles, seed)
+        (self._sampler or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
+        self._faulty = FaultyImage(self._faulty.troubles, seed)
         self._drawn = None
 
     def draw(self) -> None:
         """Have the image of the membrane now ready for `read`."""
         sensor = self._sensor
-        if self._sighter is not None:
+        if self._sampler is not None:
             middle = 0.5 * _EXPOSURE if self._moving else 0.0
             poses = sensor.marker_poses_before(middle) if middle else sensor.marker_poses()
-            self._drawn = self._sighter.sight(*poses, sensor.time)
+            self._drawn = self._sampler.sight(*poses, sensor.time)
         else:
             renderer = self._renderer
             assert renderer is not None
@@ -79,7 +79,7 @@ class SimCamera:
                 image = self._blurred(renderer)
             else:
                 image = renderer.render(*sensor.marker_poses(), sensor.time)
-            self._drawn = self._suffered(image)
+            self._drawn = self._faulty(image)
 
     def read(self) -> Image:
         """The image of the membrane now."""

@@ -45,7 +45,7 @@ class Stepper:
         it."""
         period = _QS_CHECK_PERIOD if self._monitor.only_quasistatic else _CHECK_PERIOD
         self._check_every = max(1, round(period / float(model.opt.timestep)))
-        self._built = self._monitor.built()
+        self._built = self._monitor.initial_flags()
         self._tracker = FlagTracker(float(data.time), self._built)
         self.step_count = 0
         self.watchers: list[Callable[[], Reasons]] = []
@@ -81,7 +81,7 @@ class Stepper:
         return self._monitor.speeds
 
     @property
-    def until_check(self) -> int:
+    def steps_to_check(self) -> int:
         """Return the number of steps until the next check."""
         return self._check_every - self.step_count % self._check_every
 
@@ -105,17 +105,17 @@ class Stepper:
         if unsolved is None:
             unsolved = int(self._data.solver_niter[0] >= self._model.opt.iterations)
         self._unsolved[0] += unsolved
-        if not self.is_speed_flagged and (hurried := self._monitor.hurried()):
+        if not self.is_speed_flagged and (hurried := self._monitor.speed_flags()):
             self.update_flags(hurried)
         if self.step_count % self._check_every == 0:
-            self._look()
+            self._check()
             return
-        reason = self._monitor.passed(every=False)
+        reason = self._monitor.tunneled_geom(every=False)
         if reason:
             self._stop(reason)
 
-    def _look(self) -> None:
-        flags, checked, reason = self._monitor.look()
+    def _check(self) -> None:
+        flags, checked, reason = self._monitor.check()
         if min(self._unsolved) > 0.5 * self._check_every:
             flags["solver"] = (
                 f"the solver did not converge in {self._model.opt.iterations} iterations: "

@@ -125,11 +125,11 @@ def _arm(world: GripperWorld) -> Iterator[Finding]:
     rig = world.rig
     if rig.lift.kind != "arm":
         return
-    held = arm_actuators(model, world.start.hand, rig)
+    held = arm_actuators(model, world.start.gripper, rig)
     moved = {int(model.actuator_trnid[model.actuator(name).id, 0]) for name in held}
     loose = [
         model.joint(joint).name
-        for joint in arm_joints(model, world.start.hand)
+        for joint in arm_joints(model, world.start.gripper)
         if joint not in moved
     ]
     yield _ok(

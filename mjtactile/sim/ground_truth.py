@@ -181,7 +181,7 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     nearest = np.linalg.norm(points[:, None] - device.p_SV, axis=2).argmin(axis=1)
     pressing = np.maximum(-forces[:, 2], 0.0)
     tension = float(pressing @ device.tensions()[nearest] / pressing.sum())
-    contact = obstacle_problem.lie_on(
+    contact = obstacle_problem.solve_contact(
         _heights_of(world, device, x, y),
         inside,
         spacing,
@@ -306,7 +306,7 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
 
 def gripper_position(world: GripperWorld) -> Array:
     """Return the position (3,), m, of the gripper that carries the fingers, frame W."""
-    return world.data.xpos[world.start.hand].copy()
+    return world.data.xpos[world.start.gripper].copy()
 
 
 def _pose(world: World, device: AnySensor) -> tuple[Array, Array]:

@@ -51,7 +51,7 @@ class ObstacleContact:
         )
 
 
-def lie_on(
+def solve_contact(
     obstacle: Array,
     inside: NDArray[np.bool_],
     spacing: float,

@@ -96,8 +96,8 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
         overrides = fidelity.with_effects(overrides)
     drawn = replace(drawn, object=_with_task(drawn.object, sample_task, grasped, design))
     grasped = _breaking(grasped.changed(drawn.object), task, sample_task, fingers)
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
+    force_error = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
+    chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
     specimens = tuple(drawn.specimen(finger.name) for finger in file.fingers)
     # unknown to sensing: its design has no creep
     creeps = {Effect.RELAXATION} if any(one.creep for one in specimens) else set()
@@ -140,8 +140,8 @@ def _world(plan: _Plan) -> GraspWorld:
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     if plan.sample_task.events:
-        happens = DisturbanceSchedule(world, plan.sample_task.events, plan.task.orders.lift_height)
-        world.after_each_stretch(happens.step, happens.due)
+        schedule = DisturbanceSchedule(world, plan.sample_task.events, plan.task.orders.lift_height)
+        world.after_each_stretch(schedule.step, schedule.due)
     for sensor, own in zip(world.sensors, plan.specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
@@ -167,10 +167,10 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         world.after_each_stretch(valve.move)
     sheet = world.sensors[0].mesh
     names = tuple(finger.name for finger in file.fingers)
-    believed = tuple(set_design(design, plan.on) for design in plan.designs)
+    assumed = tuple(set_design(design, plan.on) for design in plan.designs)
     return Rig(
         name=file.name,
-        fingers=make_fingers(names, believed, cameras, valves),
+        fingers=make_fingers(names, assumed, cameras, valves),
         gripper=SimGripper(world, clock, plan.drawn.rig, seed),
         clock=clock,
         limits=_limits(file),

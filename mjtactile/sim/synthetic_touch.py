@@ -93,7 +93,7 @@ class SyntheticTouchSource:
         self._sensor = sensor
         self._errors = errors
         self._friction = friction
-        self._erring = SensingErrorSampler(errors)
+        self._error_sampler = SensingErrorSampler(errors)
         self._time = math.nan
         self._touching = False
         self._slides: deque[tuple[float, float]] = deque()
@@ -103,7 +103,7 @@ class SyntheticTouchSource:
     def reseed(self, seed: int) -> None:
         """Sample all future errors from a new generator, including the persistent ones."""
         self._rng = np.random.default_rng(seed)
-        self._erring.begin(self._rng)
+        self._error_sampler.begin(self._rng)
         self._drawn = None
 
     def draw(self) -> None:
@@ -124,7 +124,7 @@ class SyntheticTouchSource:
         time = sensor.time
         elapsed = 0.0 if math.isnan(self._time) else max(time - self._time, 0.0)
         self._time = time
-        wrench, cov, here = self._erring.felt(sensor.look(), elapsed, self._rng)
+        wrench, cov, here = self._error_sampler.felt(sensor.look(), elapsed, self._rng)
         if self._rng.random() < here.unknown:
             status = Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
             lost = Slip("unknown", _NOWHERE, math.nan, math.nan, status)
@@ -182,14 +182,14 @@ class SyntheticTouchSource:
         slides.append((time, slid))
         while time - slides[0][0] > _RECENT:
             slides.popleft()
-        way = slid - slides[0][1]
+        distance = slid - slides[0][1]
         elapsed = time - slides[0][0]
         pressed = max(-float(wrench[2]), 1e-6)
         shear = wrench[:2]
         used = float(math.hypot(*shear)) / (self._friction * pressed)
-        if way > self._errors.slip_displacement:
-            velocity = shear / max(math.hypot(*shear), 1e-9) * (way / max(elapsed, 1e-9))
+        if distance > self._errors.slip_displacement:
+            velocity = shear / max(math.hypot(*shear), 1e-9) * (distance / max(elapsed, 1e-9))
             return Slip("slipping", velocity, slid, 0.0)
         state: SlipState = "incipient" if used > self._errors.incipient else "sticking"
-        told = slid if slid > self._errors.slip_displacement else 0.0
-        return Slip(state, _STILL, told, max(0.0, 1 - used) ** (2 / 3))
+        reported = slid if slid > self._errors.slip_displacement else 0.0
+        return Slip(state, _STILL, reported, max(0.0, 1 - used) ** (2 / 3))

@@ -14,9 +14,9 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution, Obstacle, QuasistaticMembrane
-from mjtactile.quasistatic.interpolation import carried
-from mjtactile.quasistatic.obstacles import NUMBERS, pooled
-from mjtactile.quasistatic.sensitivities import answered, derived
+from mjtactile.quasistatic.interpolation import interpolation_matrix
+from mjtactile.quasistatic.obstacles import NUMBERS, rows_and_pool
+from mjtactile.quasistatic.sensitivities import approximate_sensitivities, sensitivities_of
 from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, MembraneSolutionBatch
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import ContactShapeSettings
@@ -55,7 +55,7 @@ class ForwardModel:
         material = design.markers.p_SM
         self._by_node: Array | None = None
         if design.frame.outline is not None:
-            self._by_node = carried(self.film, material[:, :2])
+            self._by_node = interpolation_matrix(self.film, material[:, :2])
         from scipy.interpolate import make_interp_spline  # a fifth of a command's imports
 
         self._across, self._along = (
@@ -114,20 +114,20 @@ class ForwardModel:
         """Approximate the changes of marker heights (n, N), m, and normal force (n,), N. The
         changes are from a state on the first of `bodies` to the others. Each of the others is one
         of `steps` (n,) further (`film.derivatives.answered`)."""
-        by_z, by_force = answered(self.film, state, *self._rows(bodies), steps)
+        by_z, by_force = approximate_sensitivities(self.film, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
     def derivatives(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
         """The same exactly, and of all that is added up (n, 8) (SUMS)."""
-        by = derived(self.film, state, *self._rows(bodies), steps)
+        by = sensitivities_of(self.film, state, *self._rows(bodies), steps)
         sums = np.column_stack([by.wrench, by.gauge_pressure, by.area])
         return self.heights(by.displacements), sums
 
     def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
         """Return the obstacle rows (m, k, NUMBERS) and their pool."""
-        rows, pool = pooled([body for one in bodies for body in one], self.film.grid)
+        rows, pool = rows_and_pool([body for one in bodies for body in one], self.film.grid)
         return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(

@@ -15,7 +15,7 @@ import numpy as np
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
-from mjtactile.quasistatic.obstacles import ready
+from mjtactile.quasistatic.obstacles import unchecked_obstacle
 
 _FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
@@ -98,7 +98,7 @@ def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     maximum, minimum, direction = principal(theta)
     tall = 1 / max(maximum, _FLAT)
     sizes = (math.sqrt(tall / max(minimum, _FLAT)), math.sqrt(tall / max(maximum, _FLAT)), tall)
-    return (ready("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
+    return (unchecked_obstacle("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
 
 
 def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
@@ -114,7 +114,7 @@ def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
 
 def ball(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     radius = 1 / max(float(theta[3]), _FLAT)
-    return (ready("sphere", (radius,), _above(theta, hint, radius)),)
+    return (unchecked_obstacle("sphere", (radius,), _above(theta, hint, radius)),)
 
 
 def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
@@ -126,7 +126,7 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     back, forth = ways(hint.frame, place, R[:, 0])
     middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
-    return (ready("cylinder", (radius, (back + forth) / 2), middle.tolist(), turned),)
+    return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), middle.tolist(), turned),)
 
 
 def _soft(off: Array, rounding: float) -> Array:
@@ -159,7 +159,7 @@ def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
 
 
 def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
-    return [(ready("heights", (), (0.0, 0.0, 0.0), heights=one),) for one in heights]
+    return [(unchecked_obstacle("heights", (), (0.0, 0.0, 0.0), heights=one),) for one in heights]
 
 
 def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:

@@ -185,7 +185,7 @@ def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
 
 
 def _with_basis(row: Fidelity, met: bool, reason: str, stamp: str) -> Fidelity:
-    kind = "a film's nodes" if row.effects else "vertices"
+    kind = "nodes of a quasi-static membrane," if row.effects else "vertices"
     text = (
         f"{reason}: {row.mesh[0]}x{row.mesh[1]} {kind} at {1e3 * row.timestep:.3g} ms, "
         f"measured {row.force_error:.3g} N, "

@@ -48,7 +48,7 @@ class DisturbanceSchedule:
         self._bodies = moving_bodies(model, PREFIX)
         self._share = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
         self._lift_speed = world.rig.lift.speed
-        self._start_height = float(world.data.xpos[world.start.hand, 2])
+        self._start_height = float(world.data.xpos[world.start.gripper, 2])
         self._gravity = model.opt.gravity.copy()
         self._mass = model.body_mass[self._bodies].copy()
         self._inertia = model.body_inertia[self._bodies].copy()
@@ -104,7 +104,7 @@ class DisturbanceSchedule:
 
     def _risen(self) -> float:
         """Return the height of the gripper above its start, m."""
-        return float(self._world.data.xpos[self._world.start.hand, 2]) - self._start_height
+        return float(self._world.data.xpos[self._world.start.gripper, 2]) - self._start_height
 
     def _fill(self, mass: float, done: float) -> None:
         """Scale masses and inertias of the object towards a total of `mass` kg."""

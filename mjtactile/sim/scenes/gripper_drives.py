@@ -92,7 +92,7 @@ class GripperHeight:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hand: int):
         self._model = model
         self._data = data
-        self._hand = hand
+        self._gripper = hand
         self._kinematics = mujoco.MjData(model)
         self._start = self._now()
 
@@ -103,14 +103,14 @@ class GripperHeight:
         self._kinematics.qpos[:] = self._data.qpos
         self._kinematics.mocap_pos[:] = self._data.mocap_pos
         mujoco.mj_kinematics(self._model, self._kinematics)
-        return float(self._kinematics.xpos[self._hand, 2])
+        return float(self._kinematics.xpos[self._gripper, 2])
 
 
 class MocapLift(GripperHeight):
     """Mocap body to which the gripper, or its arm, is welded."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start: Start):
-        super().__init__(model, data, start.hand)
+        super().__init__(model, data, start.gripper)
         self._mocap = int(model.body(rig.lift.name).mocapid[0])
         self._from = float(start.mocap_pos[self._mocap, 2])
 
@@ -132,7 +132,7 @@ class ArmLift(GripperHeight):
         start: Start,
         path: ArmPath,
     ):
-        super().__init__(model, data, start.hand)
+        super().__init__(model, data, start.gripper)
         self._path = path
         self._actuators = [
             PositionActuator(model, data, name, str(rig.path)) for name in path.actuators

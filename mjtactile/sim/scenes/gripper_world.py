@@ -13,7 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, configure_options
-from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_there
+from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_available
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.gripper_drives import Jaws, make_lift
 from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
@@ -80,7 +80,7 @@ class GripperWorld(World):
         self._robot_dofs = _dofs_without(robot, [f"{finger.name}/" for finger in rig.fingers])
         # no other mechanism brings the gripper to its height
         if rig.lift.kind in ("actuator", "none"):
-            _raise(spec, robot, int(robot.body_rootid[self.start.hand]), self.start.raised)
+            _raise(spec, robot, int(robot.body_rootid[self.start.gripper]), self.start.raised)
         if rig.table:
             _add_table(spec, [*self.start.centre[:2], rig.table_height])
         furnish(spec, self.start)
@@ -93,7 +93,7 @@ class GripperWorld(World):
         self._lift_speed = rig.lift.speed
         self._hold_still()
         mujoco.mj_forward(self.model, self.data)
-        self._ahead = self._qs_stepper()
+        self._batches = self._qs_stepper()
 
     # -- commands of a real gripper
 
@@ -188,27 +188,29 @@ class GripperWorld(World):
 
     def _qs_stepper(self) -> QuasistaticStepper | None:
         """Return a stepper for batches, if all sensors are quasi-static and the drives linear."""
-        films = [sensor for sensor in self.sensors if isinstance(sensor, QuasistaticSensor)]
+        membranes = [sensor for sensor in self.sensors if isinstance(sensor, QuasistaticSensor)]
         drive = self._jaws.drive_with(self._lift)
         known = type(self)._before_step is GripperWorld._before_step
-        if not (films and len(films) == len(self.sensors) and drive and known and is_there()):
+        if not (
+            membranes and len(membranes) == len(self.sensors) and drive and known and is_available()
+        ):
             return None
-        return QuasistaticStepper(self.model, self.data, films, drive, *self._stepper.speeds)
+        return QuasistaticStepper(self.model, self.data, membranes, drive, *self._stepper.speeds)
 
-    def _handover(self, ahead: QuasistaticStepper) -> None:
+    def _write_goals(self, batches: QuasistaticStepper) -> None:
         jaw_step = self.rig.gripper.speed * self.timestep
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
-        ahead.maximum[:] = jaw_step, reach, self._lift_speed * self.timestep
-        ahead.goals[:] = (
+        batches.maximum[:] = jaw_step, reach, self._lift_speed * self.timestep
+        batches.goals[:] = (
             self._opening_goal,
             self._opening_target,
             self._lift_goal,
             self._lift_target,
         )
 
-    def _take_back(self, ahead: QuasistaticStepper) -> None:
-        self._opening_goal = float(ahead.goals[0])
-        self._lift_goal = float(ahead.goals[2])
+    def _read_goals(self, batches: QuasistaticStepper) -> None:
+        self._opening_goal = float(batches.goals[0])
+        self._lift_goal = float(batches.goals[2])
         self._lift.drive(self._lift_goal)
 
     def _check_clearance(self, tip_height: float, half: float) -> None:

@@ -29,14 +29,14 @@ _PATH_STEP = 4e-3
 class Start:
     """Initial state of the robot, in the model passed to `plan_start`.
 
-    `hand` is the MuJoCo body that carries all fingers. `centre` (3,) m is the fingertips' mean
+    `gripper` is the MuJoCo body that carries all fingers. `centre` (3,) m is the fingertips' mean
     position before the gripper was `raised` by that many m. `yaw` rad is the closing direction of
     finger 0; `path` is that of an arm.
     """
 
     qpos: Array
     mocap_pos: Array
-    hand: int
+    gripper: int
     centre: Array
     yaw: float
     raised: float
@@ -149,7 +149,7 @@ def plan_start(
     jaws = place_jaws(model, data, rig, opening)
     wrong = f"the jaws do not open to {1e3 * opening:g} mm (check the sign of the transmission)"
     _settle(model, data, jaws, rig, "gripper.opening_start_mm", wrong)
-    hand = _gripper_body(model, bodies, rig)
+    gripper = _gripper_body(model, bodies, rig)
     rotations = data.xmat[bodies].reshape(-1, 3, 3)
     centre = data.xpos[bodies].mean(axis=0)
     if grip is not None:
@@ -162,8 +162,8 @@ def plan_start(
         wrong = "the gripper does not follow the mocap body to the grasp height"
         _settle(model, data, jaws, rig, "lift.body", wrong)
     elif rig.lift.kind == "arm":
-        path = _plan_path(model, data, rig, hand, centre, raised, jaws)
-    return Start(data.qpos.copy(), data.mocap_pos.copy(), hand, centre.copy(), yaw, raised, path)
+        path = _plan_path(model, data, rig, gripper, centre, raised, jaws)
+    return Start(data.qpos.copy(), data.mocap_pos.copy(), gripper, centre.copy(), yaw, raised, path)
 
 
 def _centre_at(
@@ -222,21 +222,21 @@ def _gripper_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile)
         while line[-1]:
             line.append(int(model.body_parentid[line[-1]]))
         ancestors.append(line)
-    hand = next(body for body in ancestors[0] if all(body in line for line in ancestors))
-    if hand == 0:
+    gripper = next(body for body in ancestors[0] if all(body in line for line in ancestors))
+    if gripper == 0:
         raise InputError(
             "no body carries all fingers: there is no gripper to lift",
             source=rig.path,
             field="finger.site",
         )
-    return hand
+    return gripper
 
 
 def _plan_path(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     rig: SimRigFile,
-    hand: int,
+    gripper: int,
     centre: Array,
     raised: float,
     jaws: Sequence[Condition],
@@ -244,11 +244,11 @@ def _plan_path(
     """Move the arm to the start (in `data`), and find its postures over the whole travel."""
     actuators = [
         PositionActuator(model, data, name, str(rig.path))
-        for name in arm_actuators(model, hand, rig)
+        for name in arm_actuators(model, gripper, rig)
     ]
     dofs = np.concatenate([actuator.dofs for actuator in actuators])
-    R_WH = data.xmat[hand].reshape(3, 3).copy()
-    point_H = R_WH.T @ (centre - data.xpos[hand])
+    R_WH = data.xmat[gripper].reshape(3, 3).copy()
+    point_H = R_WH.T @ (centre - data.xpos[gripper])
     heights = np.linspace(0.0, rig.lift.travel, max(2, math.ceil(rig.lift.travel / _PATH_STEP) + 1))
     goals = []
     joints = []
@@ -258,7 +258,7 @@ def _plan_path(
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
         rest = solve(
-            model, moving, [*jaws, gripper_pose_at(model, hand, point_H, target, R_WH, dofs)]
+            model, moving, [*jaws, gripper_pose_at(model, gripper, point_H, target, R_WH, dofs)]
         )
         if rest > _TOLERANCE:
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
@@ -279,11 +279,11 @@ def _plan_path(
     )
 
 
-def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[str, ...]:
+def arm_actuators(model: mujoco.MjModel, gripper: int, rig: SimRigFile) -> tuple[str, ...]:
     """Return the position actuators that move the gripper: the rig file's, or all of its arm."""
     if rig.lift.actuators:
         return rig.lift.actuators
-    chain = arm_joints(model, hand)
+    chain = arm_joints(model, gripper)
     jaws = {jaw.name for jaw in rig.gripper.actuators}
     found = [
         model.actuator(i).name
@@ -301,10 +301,10 @@ def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[st
     return tuple(found)
 
 
-def arm_joints(model: mujoco.MjModel, hand: int) -> list[int]:
+def arm_joints(model: mujoco.MjModel, gripper: int) -> list[int]:
     """Return the joints between the world and the gripper."""
     joints = []
-    body = hand
+    body = gripper
     while body:
         first = int(model.body_jntadr[body])
         joints += range(first, first + int(model.body_jntnum[body]))

@@ -56,7 +56,7 @@ class SceneView:
     R_WS: Array
     hidden: tuple[NDArray[np.int64], ...]
     state: Array
-    films: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
+    membranes: tuple[tuple[Callable[[], Array], Array, Array, NDArray[np.int64]], ...] = ()
     """Membranes outside the model: points (n, 3) m in S on demand, R_WS, p_WS, triangles."""
 
     @classmethod
@@ -131,7 +131,7 @@ class SceneView:
         """Return the surfaces of membranes and the skins of soft objects."""
         for flex in range(self.model.nflex):
             yield from self._flex(flex)
-        for points_S, R_WS, p_WS, faces in self.films:
+        for points_S, R_WS, p_WS, faces in self.membranes:
             yield points_S() @ R_WS.T + p_WS, faces, _SHEET
 
     def _flex(self, flex: int) -> Iterator[tuple[Array, Array, Array]]:

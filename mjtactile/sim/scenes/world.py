@@ -48,7 +48,7 @@ class World:
         self._after_step: list[Callable[[], None]] = []
         self._after_stretch: list[Callable[[], None]] = []
         self._dues: list[Callable[[], float]] = []
-        self._ahead: QuasistaticStepper | None = None
+        self._batches: QuasistaticStepper | None = None
         self.stretch: Array | None = None
         """Wrench (n, sensors, 6) on each sensor in each of the last n steps.
 
@@ -101,21 +101,21 @@ class World:
             self._stepper.after_step(count)
             return
         while count > 0:
-            count -= self._go_ahead(count)
+            count -= self._advance(count)
 
-    def _go_ahead(self, count: int) -> int:
+    def _advance(self, count: int) -> int:
         """Run up to `count` steps in one kernel call if possible, else one; return how many."""
-        ahead = self._ahead
-        if ahead is None or self._after_step or not ahead.is_ready():
+        batches = self._batches
+        if batches is None or self._after_step or not batches.is_ready():
             self.stretch = None
             self._before_step()
             self._stepper.step()
             done = 1
         else:
-            maximum = min(count, MAX_STEPS, self._stepper.until_check, self._until_due())
-            self._handover(ahead)
-            done, unsolved, self.stretch = ahead.run(maximum, not self._stepper.is_speed_flagged)
-            self._take_back(ahead)
+            maximum = min(count, MAX_STEPS, self._stepper.steps_to_check, self._until_due())
+            self._write_goals(batches)
+            done, unsolved, self.stretch = batches.run(maximum, not self._stepper.is_speed_flagged)
+            self._read_goals(batches)
             self._stepper.after_step(done, unsolved)
         for call in (*self._after_step, *self._after_stretch):
             call()
@@ -128,11 +128,11 @@ class World:
             return MAX_STEPS
         return max(1, math.ceil((due - self.time) / self.timestep - 1e-9))
 
-    def _handover(self, ahead: QuasistaticStepper) -> None:
-        """Hook for worlds that move their controls by themselves: `ahead` will."""
+    def _write_goals(self, batches: QuasistaticStepper) -> None:
+        """Hook for worlds that move their controls by themselves: `batches` will."""
 
-    def _take_back(self, ahead: QuasistaticStepper) -> None:
-        """Hook: `ahead` has."""
+    def _read_goals(self, batches: QuasistaticStepper) -> None:
+        """Hook: `batches` has."""
 
     def after_each_step(self, call: Callable[[], None]) -> None:
         """From now on, `call()` after every step."""

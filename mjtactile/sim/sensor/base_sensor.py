@@ -54,10 +54,10 @@ class BaseSensor(ABC):
         """Vertex positions (n, 3) m in S, rim included, now."""
 
     @abstractmethod
-    def _come_to_now(self) -> None:
+    def _update_to_now(self) -> None:
         """Update membrane and gas to the present state, awake, before the valve is moved."""
 
-    def wake(self) -> None:  # noqa: B027 a film never sleeps
+    def wake(self) -> None:  # noqa: B027 a quasi-static membrane never sleeps
         """Resume from the state in which the sensor fell asleep, as after a change of the model."""
 
     def _gas_now(self) -> ChamberGas:
@@ -115,12 +115,12 @@ class BaseSensor(ABC):
 
     def open_valve(self, supply_gauge: float | None = None) -> None:
         """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's)."""
-        self._come_to_now()
+        self._update_to_now()
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
-        self._come_to_now()
+        self._update_to_now()
         self._gas.close()
 
     def puncture(self, conductance: float) -> None:

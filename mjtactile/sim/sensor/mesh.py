@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import QuasistaticMembrane
-from mjtactile.quasistatic.interpolation import carried
+from mjtactile.quasistatic.interpolation import interpolation_matrix
 
 GRADING = 0.0
 """Relative refinement of the vertex spacing at the center; 0 is a uniform mesh. With 0.25 the force
@@ -162,12 +162,12 @@ class MarkerInterpolator:
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def onto_mesh(film: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
+def onto_mesh(membrane: QuasistaticMembrane, mesh: MembraneMesh) -> Array | None:
     """Return the displacements (n, nodes) of a mesh's vertices per quasi-static node; None: the
     same points."""
-    if film.design.frame.outline is None:
+    if membrane.design.frame.outline is None:
         return None
-    by_node = carried(film, mesh.p_SV[:, :2])
+    by_node = interpolation_matrix(membrane, mesh.p_SV[:, :2])
     frame = np.setdiff1d(np.arange(len(mesh.p_SV)), mesh.interior)
     by_node[frame] = 0.0
     return by_node

@@ -153,7 +153,7 @@ class TactileSensor(BaseSensor):
             self._time = float(self._data.time)  # no gas has flowed during sleep
             self._follow()
 
-    def _come_to_now(self) -> None:
+    def _update_to_now(self) -> None:
         self.wake()
         self._follow()
 

@@ -40,15 +40,15 @@ class SceneMonitor:
         self._model = model
         self._data = data
         self._sensors = sensors
-        felt = [feature_size.touching_geoms(model, sensor.body_id) for sensor in sensors]
-        self._geoms = np.unique(np.concatenate([np.empty(0, int), *felt]))
-        self._felt = [np.isin(self._geoms, own) for own in felt]
+        touching = [feature_size.touching_geoms(model, sensor.body_id) for sensor in sensors]
+        self._geoms = np.unique(np.concatenate([np.empty(0, int), *touching]))
+        self._can_touch = [np.isin(self._geoms, own) for own in touching]
         """Masks over `_geoms`, one per sensor, of the geoms that the sensor can touch."""
         self._sizes = np.array([feature_size.feature_radius(model, int(g)) for g in self._geoms])
-        self._seen = [self._geoms[own] for own in self._felt]
+        self._geoms_of = [self._geoms[own] for own in self._can_touch]
         self._thin = [
             self._geoms[own & (self._sizes < feature_size.RESOLVED * sensor.mesh.spacing)]
-            for own, sensor in zip(self._felt, sensors, strict=True)
+            for own, sensor in zip(self._can_touch, sensors, strict=True)
         ]
         self._any_thin = any(map(len, self._thin))
         self.only_quasistatic = bool(sensors) and all(
@@ -56,7 +56,7 @@ class SceneMonitor:
         )
         self._cores = [
             CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
-            for own, sensor in zip(self._felt, sensors, strict=True)
+            for own, sensor in zip(self._can_touch, sensors, strict=True)
         ]
         mujoco.mj_kinematics(model, data)  # a new state has no positions yet
         for core, sensor in zip(self._cores, sensors, strict=True):
@@ -72,13 +72,13 @@ class SceneMonitor:
             np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
         )
         minimum = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
-        self._hurry = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
-        self._rest = [sensor.heights for sensor in sensors]
+        self._max_speeds = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
+        self._reference_heights = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # ratios at the last checks
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
         self._max_frame_load = 0.0  # largest lasting force reported, N
         self._frame_text = ""
-        self._looks = -1
+        self._check_count = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
@@ -90,9 +90,9 @@ class SceneMonitor:
     @property
     def speeds(self) -> tuple[NDArray[np.int64], Array]:
         """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,)."""
-        return self._movers, self._hurry
+        return self._movers, self._max_speeds
 
-    def built(self) -> Reasons:
+    def initial_flags(self) -> Reasons:
         """Flags of the scene as it was built."""
         flags: Reasons = {}
         for sensor in self._sensors:
@@ -107,20 +107,20 @@ class SceneMonitor:
                 )
         return flags
 
-    def look(self) -> tuple[Reasons, Collection[Cadence], str | None]:
+    def check(self) -> tuple[Reasons, Collection[Cadence], str | None]:
         """Return flags of the present state, the checked cadences, and a reason to stop or None."""
         flags: Reasons = {}
         stop = None
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, SIMULATION, stop
-        self._looks += 1
+        self._check_count += 1
         # quasi-static membranes detect tunneling themselves
-        if self.only_quasistatic and self._looks % _QS_RARE_PERIOD:
+        if self.only_quasistatic and self._check_count % _QS_RARE_PERIOD:
             for number in range(len(self._sensors)):
                 flags |= self._frame(number)
             return flags, {Cadence.FAST}, stop
         places = self._geoms_in(self._sensors)
-        is_slow_check = self._looks % _RARELY == 0
+        is_slow_check = self._check_count % _RARELY == 0
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
@@ -140,7 +140,7 @@ class SceneMonitor:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
             stop = stop or self._jumped(number, places[number])
         self._places = places
-        stop = stop or self.passed()
+        stop = stop or self.tunneled_geom()
         if not is_slow_check:
             return flags, SIMULATION - {Cadence.SLOW}, stop
         return flags | self._too_fast(places), SIMULATION, stop
@@ -187,10 +187,10 @@ class SceneMonitor:
         """Return the penetration over the indentation that lasts for several checks."""
         heights = self._sensors[number].heights
         if not len(rows):
-            self._rest[number] = heights
+            self._reference_heights[number] = heights
             self._deep[number] = 0.0
             return 0.0
-        indentation = max(float((self._rest[number] - heights).max()), 0.0)
+        indentation = max(float((self._reference_heights[number] - heights).max()), 0.0)
         depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
         self._deep[number] = [
             *self._deep[number, 1:],
@@ -222,7 +222,7 @@ class SceneMonitor:
             for s in sensors
         ]
 
-    def passed(self, every: bool = True) -> str | None:
+    def tunneled_geom(self, every: bool = True) -> str | None:
         """Return a message for the first geom that went through a membrane, or None.
 
         Without `every`, only geoms thin enough to pass within one step are checked.
@@ -233,7 +233,7 @@ class SceneMonitor:
             if sensor.is_asleep:
                 continue
             p_SV = None
-            for geom in self._over(sensor, self._seen[number] if every else self._thin[number]):
+            for geom in self._over(sensor, self._geoms_of[number] if every else self._thin[number]):
                 p_SV = sensor.p_SV if p_SV is None else p_SV
                 if self._cores[number].behind(
                     self._data, sensor.body_id, p_SV, int(geom), sensor.design.chamber.depth
@@ -265,7 +265,9 @@ class SceneMonitor:
         frame = sensor.design.frame
         glass = -sensor.design.chamber.depth
         top = max(float(sensor.heights.max()), 0.0)
-        jumped = (self._places[number][:, 2] > top) & (places[:, 2] < glass) & self._felt[number]
+        jumped = (
+            (self._places[number][:, 2] > top) & (places[:, 2] < glass) & self._can_touch[number]
+        )
         over = np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)
         for k in np.flatnonzero(jumped & over.all(axis=1)):
             return self._went_through(sensor, int(self._geoms[k]))
@@ -278,9 +280,9 @@ class SceneMonitor:
             "timestep or finer mesh"
         )
 
-    def hurried(self) -> Reasons:
+    def speed_flags(self) -> Reasons:
         """Return the flag of an object that is too fast, checked at every step."""
-        hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
+        hurries = (np.abs(self._data.qvel[self._movers]) > self._max_speeds).any()
         return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
 
     def _too_fast(self, places: Sequence[Array]) -> Reasons:
@@ -290,11 +292,11 @@ class SceneMonitor:
             return flags
         velocities = self._velocities(self._model.geom_bodyid[self._geoms])
         step = float(self._model.opt.timestep)
-        for sensor, place, felt in zip(self._sensors, places, self._felt, strict=True):
+        for sensor, place, touching in zip(self._sensors, places, self._can_touch, strict=True):
             velocity = velocities - self._velocities([sensor.body_id])
             speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
             near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
-            share = speed * (near & felt) * step / self._sizes
+            share = speed * (near & touching) * step / self._sizes
             k = int(np.argmax(share))
             if share[k] > _FAST:
                 best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3

@@ -57,7 +57,7 @@ class QuasistaticGas:
         self._state = state
         self._stiffness = stiffness
         self._timestep = timestep
-        self._flat_volume = live.film.design.chamber_volume_flat
+        self._flat_volume = live.membrane.design.chamber_volume_flat
         # volume and time of the last gas update
         self._volume = self._flat_volume
         self._time = time
@@ -92,21 +92,21 @@ class QuasistaticGas:
         self._reported_at = math.nan
         self._detected_at = None
 
-    def breathe(self, time: float) -> None:
+    def advance(self, time: float) -> None:
         """Advance the gas to the membrane's present volume."""
         self._volume = self.volume
         self._gas.advance(self._volume, time - self._time)
         self._time = time
         self._detected_at = None
 
-    def tell(self, time: float) -> None:
+    def update_membrane(self, time: float) -> None:
         """Pass the present gas behavior to the membrane."""
         if self._gas.is_sealed:
             if not self._is_sealed:
-                self.breathe(time)
+                self.advance(time)
                 self._seal()
         elif self._reported_at != time:
-            self.breathe(time)
+            self.advance(time)
             self._let_flow()
             self._reported_at = time
 
@@ -116,14 +116,14 @@ class QuasistaticGas:
             return self._is_sealed
         if self._gas.is_open or not self._gas.stiffness(self._timestep) > 0:
             return False
-        self.tell(time)
+        self.update_membrane(time)
         return True
 
     def close(self) -> None:
         """Mark the membrane's gas state as outdated after the valve has closed."""
         self._live.settings[_SEALED] = 0.0
 
-    def trap(self, gauge_pressure: float, time: float) -> None:
+    def seal(self, gauge_pressure: float, time: float) -> None:
         """Seal the gas at `gauge_pressure` Pa in the membrane's present volume."""
         self._volume = self.volume
         self._gas.seal(self._volume, gauge_pressure)

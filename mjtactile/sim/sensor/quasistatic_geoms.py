@@ -35,28 +35,28 @@ def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
 
 
 @lru_cache(maxsize=64)
-def film_of(design: SensorDesign, grid: tuple[int, int]) -> QuasistaticMembrane:
+def membrane_of(design: SensorDesign, grid: tuple[int, int]) -> QuasistaticMembrane:
     """Return the quasi-static membrane of a sensor, made once per process."""
     return QuasistaticMembrane(design, grid)
 
 
 @lru_cache(maxsize=64)
-def sticking_of(film: QuasistaticMembrane) -> Sticking:
+def sticking_of(membrane: QuasistaticMembrane) -> Sticking:
     """Return the membrane's in-plane compliance, inverted once per process."""
-    sticking = Sticking(film)
+    sticking = Sticking(membrane)
     sticking.compliance.flags.writeable = False
     return sticking
 
 
 @lru_cache(maxsize=64)
-def bulge_stiffness(film: QuasistaticMembrane) -> float:
+def bulge_stiffness(membrane: QuasistaticMembrane) -> float:
     """dp/dV, Pa/m^3, of the bulge about its rest."""
-    step = 0.05 * film.gauge_pressure
-    live = IncrementalMembrane(film, empty_rows(0), None)
-    live.x[:] = film.rest.x
+    step = 0.05 * membrane.gauge_pressure
+    live = IncrementalMembrane(membrane, empty_rows(0), None)
+    live.x[:] = membrane.rest.x
     live.settings[_TOLERANCE] = _CLOSE
-    live.rest_on(film.gauge_pressure + step, False, 1.0)
-    return step / (live.volume - film.rest.volume)
+    live.rest_on(membrane.gauge_pressure + step, False, 1.0)
+    return step / (live.volume - membrane.rest.volume)
 
 
 _G = mujoco.mjtGeom
@@ -88,7 +88,7 @@ class ContactGeoms:
         )
         self.ids: NDArray[np.int64] = felt.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
-        filled, self.pool = obstacles.pooled(made, (0, 0)) if made else (empty_rows(0), None)
+        filled, self.pool = obstacles.rows_and_pool(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
         self.bodies: NDArray[np.int64] = model.geom_bodyid[self.ids].astype(np.int64)
         near = (reach + model.geom_rbound[self.ids]) ** 2

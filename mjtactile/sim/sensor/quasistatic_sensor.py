@@ -31,7 +31,7 @@ from mjtactile.sim.sensor.quasistatic_geoms import (
     FEELER,
     ContactGeoms,
     bulge_stiffness,
-    film_of,
+    membrane_of,
     sticking_of,
 )
 
@@ -46,7 +46,7 @@ _TIME = 6
 class QuasistaticSensor(BaseSensor):
     """Run time of one sensor without a mesh; it has the properties of `TactileSensor`."""
 
-    contact = "film"
+    contact = "quasistatic"
 
     def __init__(
         self,
@@ -66,32 +66,32 @@ class QuasistaticSensor(BaseSensor):
         self.flex_id = _NO_FLEX
         self.vertex_geom_ids = np.array([model.geom(prefix + FEELER).id])
         self.contact_ids = np.array([*self.vertex_geom_ids.repeat(2), self.flex_id])
-        self._film = film = film_of(design, (mesh.nx, mesh.ny))
-        self._onto_mesh = onto_mesh(film, mesh)
-        top = float(film.rest.x[2].max())
+        self._membrane = membrane = membrane_of(design, (mesh.nx, mesh.ny))
+        self._onto_mesh = onto_mesh(membrane, mesh)
+        top = float(membrane.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         reach = math.hypot(half, top) + 1e-3
         self._geoms = ContactGeoms(model, self.body_id, reach)
         self._live = IncrementalMembrane(
-            film, self._geoms.rows, self._geoms.pool, design.membrane.thickness
+            membrane, self._geoms.rows, self._geoms.pool, design.membrane.thickness
         )
-        self._sticking = sticking_of(film)
+        self._sticking = sticking_of(membrane)
         self._given = np.array(  # as `PredictionReport` of kernels/qs_friction.h has it
             [
                 design.membrane.friction if Effect.FRICTION in effects else 0.0,
-                bulge_stiffness(film),
+                bulge_stiffness(membrane),
                 0.0,
                 float(model.opt.timestep),
                 math.sqrt(design.frame.area / math.pi),
-                min(film.x[1] - film.x[0], film.y[1] - film.y[0]),
+                min(membrane.x[1] - membrane.x[0], membrane.y[1] - membrane.y[0]),
                 math.nan,
                 reach,
             ]
         )
         self._numbers = np.zeros(STATE.itemsize // 8)
         self._state = self._numbers.view(STATE)[0]
-        self._touched = np.zeros((2, *film.grid), np.uint8)
-        self._before = np.zeros((6, *film.grid))
+        self._touched = np.zeros((2, *membrane.grid), np.uint8)
+        self._before = np.zeros((6, *membrane.grid))
         self._pushes = pushes_of(model, data)
         self._number = self._pushes.join(prefix)
         self._force = np.zeros(model.nv)
@@ -103,7 +103,7 @@ class QuasistaticSensor(BaseSensor):
         self._qs_gas = QuasistaticGas(
             self._gas, self._live, self._state, stiffness, self._timestep, self.time
         )
-        self._look()
+        self._update_membrane()
 
     def _bind(self) -> None:
         """Bind the kernels to the arrays of model and data."""
@@ -129,27 +129,27 @@ class QuasistaticSensor(BaseSensor):
     def update(self) -> None:
         """Solve for equilibrium at the present poses and apply the forces, before every
         `mj_step`."""
-        self._look()
+        self._update_membrane()
         pushes = self._find_push()
         if pushes or self._pushing[0]:
             self._pushes.set(self._number, self._force, self._hold)
         self._pushing[0] = pushes
 
-    def _come_to_now(self) -> None:
-        self._look()
-        self._qs_gas.breathe(self.time)
+    def _update_to_now(self) -> None:
+        self._update_membrane()
+        self._qs_gas.advance(self.time)
         self.wake()
 
     def wake(self) -> None:
         """Evaluate the gas again after a change of valve or leak."""
         self._qs_gas.wake()
 
-    def _look(self) -> None:
+    def _update_membrane(self) -> None:
         """Update membrane, gas and sticking contact to the present poses, once per time instant."""
         data = self._data
         mujoco.mj_kinematics(self._model, data)
         self._given[_TIME] = data.time
-        self._qs_gas.tell(self.time)
+        self._qs_gas.update_membrane(self.time)
         self._follow()
 
     # -- the chamber
@@ -183,8 +183,8 @@ class QuasistaticSensor(BaseSensor):
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(gauge_pressure, False, 1.0)
         self._numbers[:] = 0.0
-        self._qs_gas.trap(gauge_pressure, self.time)
-        self._look()
+        self._qs_gas.seal(gauge_pressure, self.time)
+        self._update_membrane()
 
     # -- for a kernel that continues by itself (`QuasistaticStepper`)
 
@@ -229,7 +229,7 @@ class QuasistaticSensor(BaseSensor):
     @property
     def depth(self) -> float:
         """Maximum indentation of the membrane below its untouched shape, m."""
-        return float((self._film.rest.x[2] - self._live.x[2]).max()) if self.is_touched else 0.0
+        return float((self._membrane.rest.x[2] - self._live.x[2]).max()) if self.is_touched else 0.0
 
     @property
     def slid(self) -> float:
@@ -243,7 +243,7 @@ class QuasistaticSensor(BaseSensor):
 
     def look(self) -> Array:
         """Return the wrench at the present time, equal to `wrench` after the next `update`."""
-        self._look()
+        self._update_membrane()
         return self.wrench
 
     @property
@@ -263,9 +263,11 @@ class QuasistaticSensor(BaseSensor):
         """
         force = self._live.force
         i, j = np.nonzero(force > 0)
-        film = self._film
+        membrane = self._membrane
         x = self._live.x
-        places = np.stack([film.x[i] + x[0, i, j], film.y[j] + x[1, i, j], x[2, i, j]], axis=1)
+        places = np.stack(
+            [membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j], x[2, i, j]], axis=1
+        )
         normal = force[i, j]
         share = normal / normal.sum() if len(normal) else normal
         wrench = self.wrench
@@ -274,12 +276,12 @@ class QuasistaticSensor(BaseSensor):
     @property
     def p_SV(self) -> Array:
         """Present positions (n, 3) m in S of the mesh's vertices."""
-        self._look()
+        self._update_membrane()
         return self._positions()()
 
     def positions_now(self) -> Callable[[], Array]:
         """Return a function that computes `p_SV` of the present time later, if needed."""
-        self._look()
+        self._update_membrane()
         return self._positions()
 
     def _positions(self) -> Callable[[], Array]:
@@ -334,7 +336,7 @@ class QuasistaticSensor(BaseSensor):
             )
         near = self._state["near"]
         if near:
-            narrow = self._live.doubt() if self.is_touched else 0.0
+            narrow = self._live.relative_force_error() if self.is_touched else 0.0
             flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
         if near > 1:
             flags["bodies"] = (

@@ -23,7 +23,7 @@ class CorePoints:
     ):
         self._model = model
         self._mesh = mesh
-        self._on_vertices = contact in ("vertices", "film")
+        self._on_vertices = contact in ("vertices", "quasistatic")
         self._slack = _BETWEEN * mesh.spacing if self._on_vertices else _SLACK
         self._points = {int(geom): core(model, int(geom)) for geom in geoms}
         self._inside: set[int] = set()

@@ -51,7 +51,9 @@ def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
             assert function(*given) == 0
             # of a pyramid over it, from the origin
             assert volume[0] == pytest.approx(z * (1 / 2) / 3)
-    with pytest.raises(TypeError, match="chamber_volume: triangles needs a copy of a int32 array of shape"):
+    with pytest.raises(
+        TypeError, match="chamber_volume: triangles needs a copy of a int32 array of shape"
+    ):
         bound("chamber_volume", 3, p, 1, triangles.astype(np.int32), gradient, volume)
     with pytest.raises(TypeError, match="bound"):
         of_these(p)

@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile.core.errors import InputError
 from mjtactile.quasistatic import QuasistaticMembrane
-from mjtactile.quasistatic.batch import at_once
+from mjtactile.quasistatic.batch import run_in_threads
 
 
 def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
@@ -20,7 +20,7 @@ def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
     alive = []
     for seen in (first, second):
         with pytest.raises(ValueError, match="in another thread"):
-            at_once(3, partial(work, seen=seen))
+            run_in_threads(3, partial(work, seen=seen))
         alive.append({one for one in threading.enumerate() if one.name.startswith("film-")})
     assert set(first) == set(second) == {0, 1, 2}
     assert first[0] is second[0] is threading.current_thread()

@@ -10,7 +10,7 @@ import pytest
 from mjtactile import InputError, QuasistaticMembrane, load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.ritz_bulge import inflated_height
-from mjtactile.quasistatic.interpolation import carried
+from mjtactile.quasistatic.interpolation import interpolation_matrix
 
 PRESSURE = 1000.0
 HALF = 15e-3
@@ -136,7 +136,7 @@ def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
     rng = np.random.default_rng(0)
     places = outline.plane(rng.uniform(-0.95, 0.95, (60, 2)))
     coarse, fine = (
-        carried(film, places) @ film.rest.heights.ravel()
+        interpolation_matrix(film, places) @ film.rest.heights.ravel()
         for film in (
             QuasistaticMembrane(design, (21, 21), PRESSURE),
             QuasistaticMembrane(design, (41, 41), PRESSURE),

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mjtactile import InputError, QuasistaticMembrane
-from mjtactile.quasistatic.obstacles import NUMBERS, pooled
-from mjtactile.quasistatic.sensitivities import answered, changed_bodies
+from mjtactile.quasistatic.obstacles import NUMBERS, rows_and_pool
+from mjtactile.quasistatic.sensitivities import approximate_sensitivities, changed_obstacles
 
 # Functions that make obstacles from parameters, and the parameters, at positions without imminent
 # changes of the touching nodes.
@@ -84,9 +84,11 @@ def test_quick_answers_are_nearly_the_derivatives(name, seen):
     state = film.solve(shape(np.array(numbers)), state)
     exact = film.derivatives(state, shape, numbers)
     steps = np.where(np.abs(numbers) < 1, 1e-7, 1e-4 * np.array(numbers))
-    listed, by = changed_bodies(shape, numbers, steps)
-    rows, pool = pooled([body for one in listed for body in one], film.grid)
-    by_z, by_force = answered(film, state, rows.reshape(len(listed), -1, NUMBERS), pool, by)
+    listed, by = changed_obstacles(shape, numbers, steps)
+    rows, pool = rows_and_pool([body for one in listed for body in one], film.grid)
+    by_z, by_force = approximate_sensitivities(
+        film, state, rows.reshape(len(listed), -1, NUMBERS), pool, by
+    )
     for k in seen:
         # a membrane of this curvature moves in the plane by 5 to 10 % of its height change
         off = np.linalg.norm(by_z[k] - exact.heights[k]) / np.linalg.norm(exact.heights[k])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
-from mjtactile.quasistatic.interpolation import carried
+from mjtactile.quasistatic.interpolation import interpolation_matrix
 from mjtactile.types import Markers
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one `dense` image, m
@@ -22,7 +22,7 @@ class Round:
         self.chain = SensingPipeline(design)
         sides = (design.frame.length, design.frame.width)
         self.film = QuasistaticMembrane(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
-        self.carried = carried(self.film, self.flat[:, :2])
+        self.carried = interpolation_matrix(self.film, self.flat[:, :2])
         rest = self.seen(self.film.rest.x)
         self.state = self.chain.load_rest_reference(
             self.chain.initial_state(), rest, self.film.gauge_pressure

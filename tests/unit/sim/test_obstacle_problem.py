@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mjtactile.sim import ground_truth
-from mjtactile.sim.obstacle_problem import lie_on
+from mjtactile.sim.obstacle_problem import solve_contact
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 PRESSURE = 1200.0
@@ -25,7 +25,9 @@ def grid(spacing):
 
 def film(spacing, shape, force):
     x, y, inside = grid(spacing)
-    return lie_on(shape(x, y), inside, spacing, pressure=PRESSURE, tension=TENSION, force=force)
+    return solve_contact(
+        shape(x, y), inside, spacing, pressure=PRESSURE, tension=TENSION, force=force
+    )
 
 
 def ball(radius):

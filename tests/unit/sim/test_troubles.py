@@ -87,7 +87,7 @@ def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(pictures):
     assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
     assert FaultyImage(UNTROUBLED)(pictures[0]) is pictures[0]
-    assert not FaultyImage(troubles(dust_px=9, flicker_Hz=50)).are_any
+    assert not FaultyImage(troubles(dust_px=9, flicker_Hz=50)).has_faults
 
 
 @pytest.mark.parametrize("key", STRONG)

@@ -33,7 +33,7 @@ class FaultyImage:
         self._number = 0
 
     @property
-    def are_any(self) -> bool:
+    def has_faults(self) -> bool:
         """True if any fault is enabled."""
         return bool(self._steps)
 
