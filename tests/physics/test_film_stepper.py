@@ -29,7 +29,7 @@ def test_steps_in_one_go_are_those_one_by_one():
     for ahead in (True, False):
         rig, world = hand()
         if not ahead:
-            world._ahead = None
+            world._batches = None
         forces = []
         world.after_each_stretch(
             lambda world=world, forces=forces: forces.extend(
@@ -61,7 +61,7 @@ def test_what_happens_to_it_does_so_in_the_same_steps(task):
     for ahead in (True, False):
         rig, world = hand(task)
         if not ahead:
-            world._ahead = None
+            world._batches = None
         stretches = []
 
         def call(world=world, stretches=stretches):
@@ -88,7 +88,7 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
     masses = []
     for ahead in (True, False):
         rig, world = hand("pour")
-        world._ahead = world._ahead if ahead else None
+        world._batches = world._batches if ahead else None
         world.set_finger_target(0.03, 3.0)
         world.step(500)
         world.set_lift_target(0.05, 0.1)
@@ -119,7 +119,7 @@ def test_looking_changes_nothing(leak, ahead):
         for sensor in world.sensors:
             sensor.puncture(leak)
         if not ahead:
-            world._ahead = None
+            world._batches = None
         world.set_finger_target(0.03, 0.3)
         for stretch in range(45):
             if stretch == 35:
