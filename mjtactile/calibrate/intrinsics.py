@@ -19,7 +19,9 @@ Points = Sequence[tuple[Array, Array]]
 """Points (N, 3), m, on the board and their pixels (N, 2), of each view."""
 _FISHEYE = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
 _FLAGS = {PLUMB_BOB: 0, "rational_polynomial": cv2.CALIB_RATIONAL_MODEL}
-"""Flags of `cv2.calibrateCamera` for a lens model; the others are fitted as a fisheye."""
+"""Flags of `cv2.calibrateCamera` for a lens model."""
+FITTED = (*_FLAGS, "equidistant")
+"""Lens models that OpenCV fits; the last as a fisheye."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,8 @@ class LensFit:
     k3: bool = False
 
     def __post_init__(self) -> None:
-        if self.model not in MODELS:
-            raise InputError(f"{self.model!r} is unknown", field="--lens", choices=MODELS)
+        if self.model not in FITTED:
+            raise InputError(f"{self.model!r} cannot be fitted", field="--lens", choices=FITTED)
         if self.k3 and self.model != PLUMB_BOB:
             raise InputError(f"{self.model} has no optional k3", field="--k3")
 

@@ -383,6 +383,17 @@ class Pinhole:
         """Intrinsic matrix (3, 3), pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def half_view(self) -> Array:
+        """Tangents (2,) of half the field of view along u and v, through the lens.
+
+        Without distortion they are width/(2 fx) and height/(2 fy), which also apply where the lens
+        model folds over within the image.
+        """
+        edge = np.diag([self.width / (2 * self.fx), self.height / (2 * self.fy)])
+        seen = self.lens.undistort(edge)
+        return np.diagonal(np.where(np.isfinite(seen), seen, edge)).copy()
+
     def size_mismatch(self, pixels: NDArray[Any], owner: str = "the camera") -> str:
         """Compare the size of an image with that of this camera.
 

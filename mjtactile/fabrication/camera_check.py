@@ -203,9 +203,7 @@ def _flux(design: SensorDesign, hardware: Hardware, stop: float, exposure: float
 
 
 def _fov(design: SensorDesign) -> tuple[float, float, float]:
-    camera = design.camera
-    x = camera.width / (2 * camera.fx)
-    y = camera.height / (2 * camera.fy)
+    x, y = design.camera.half_view
     return tuple(math.degrees(2 * math.atan(t)) for t in (x, y, math.hypot(x, y)))  # pyright: ignore[reportReturnType]
 
 

@@ -181,9 +181,7 @@ def led_page(layout: Layout) -> PrintedPage:
 
 def board_of(design: SensorDesign) -> Board:
     """A board that nearly fills the camera's view of the membrane; squares in steps of 0.5 mm."""
-    camera = design.camera
-    width = camera.distance * camera.width / camera.fx
-    height = camera.distance * camera.height / camera.fy
+    width, height = 2 * design.camera.distance * design.camera.half_view
     square = max(0.5e-3 * math.floor(1.05 * min(width / _COLUMNS, height / _ROWS) / 0.5e-3), 1e-3)
     return Board(_COLUMNS, _ROWS, square, 0.75 * square)
 

@@ -1,5 +1,7 @@
 """Lens models against OpenCV, which shares no code, and against numerical derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,3 +96,11 @@ def test_undistort_refuses_what_the_lens_cannot_produce():
 def test_a_wrong_model_or_count_is_refused(model, coefficients, message):
     with pytest.raises(InputError, match=message):
         Camera(640, 480, 600.0, 600.0, 320.0, 240.0, coefficients, distortion_model=model)
+
+
+def test_half_of_the_view_goes_through_the_lens():
+    """320 px of a fisheye of 407 px are 45 degrees; of a pinhole, tan = 320/407."""
+    plain = Camera(640, 480, 407.4367, 407.4367, 319.5, 239.5)
+    np.testing.assert_allclose(plain.half_view, [320 / 407.4367, 240 / 407.4367])
+    fisheye = replace(plain, distortion=(), distortion_model="equidistant")
+    np.testing.assert_allclose(fisheye.half_view, [1.0, np.tan(240 / 407.4367)], atol=1e-6)
