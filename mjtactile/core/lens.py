@@ -46,6 +46,8 @@ class LensModel:
         tangential: True if the third and the fourth coefficient are p1 and p2.
         foxglove: Name in messages of Foxglove.
         others: Its names in camera files of other software.
+        start: Function of the coefficients and of the distorted radius. It returns the approximate
+            ratio of ideal and distorted coordinates; None: they are nearly equal.
     """
 
     name: str
@@ -55,6 +57,7 @@ class LensModel:
     tangential: bool
     foxglove: str
     others: tuple[str, ...] = ()
+    start: Callable[[Coefficients, Array], Array] | None = None
 
 
 def _plumb_bob(k: Coefficients, r2: Array) -> tuple[Array, Array]:
@@ -92,6 +95,15 @@ def _distorted_angle(k: Coefficients, theta: Array) -> tuple[Array, Array]:
     return angle, 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
 
 
+def _equidistant_start(k: Coefficients, r_d: Array) -> Array:
+    """Return tan(theta) / r_d of the ray whose image is at the radius `r_d`."""
+    theta = np.minimum(r_d, _ANGLE_MAX)
+    for _ in range(_ANGLE_STEPS):
+        now, by_theta = _distorted_angle(k, theta)
+        theta = np.clip(theta - (now - r_d) / by_theta, 0.0, _ANGLE_MAX)
+    return np.where(r_d > 0, np.tan(theta) / r_d, 1.0)
+
+
 _RADIAL_TANGENTIAL = ("k1", "k2", "p1", "p2", "k3")
 PLUMB_BOB = "plumb_bob"
 MODELS: dict[str, LensModel] = {
@@ -116,6 +128,7 @@ MODELS: dict[str, LensModel] = {
             False,
             "kannala_brandt",
             ("equi", "fisheye", "kannala_brandt"),
+            _equidistant_start,
         ),
     )
 }
@@ -211,15 +224,11 @@ class Lens:
 
     def _start(self, x_d: Array, y_d: Array) -> tuple[Array, Array]:
         """Return ideal coordinates near those of distorted ones."""
-        if self.definition.tangential:  # one step of the fixed-point iteration
+        start = self.definition.start
+        if start is None:  # one step of the fixed-point iteration
             x, y, *_ = self._evaluate(x_d, y_d)
             return 2 * x_d - x, 2 * y_d - y
-        angle = np.hypot(x_d, y_d)
-        theta = np.minimum(angle, _ANGLE_MAX)
-        for _ in range(_ANGLE_STEPS):
-            now, by_theta = _distorted_angle(self.coefficients, theta)
-            theta = np.clip(theta - (now - angle) / by_theta, 0.0, _ANGLE_MAX)
-        scale = np.where(angle > 0, np.tan(theta) / angle, 1.0)
+        scale = start(self.coefficients, np.hypot(x_d, y_d))
         return x_d * scale, y_d * scale
 
     def _evaluate(self, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
