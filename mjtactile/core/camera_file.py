@@ -25,6 +25,8 @@ LARGEST = 1 << 17
 DEEPEST = 16
 """Maximum depth of nested values in it."""
 READABLE = ("ROS camera_info", "ros2 topic echo", "OpenCV YAML or XML", "Kalibr YAML", "ini of ROS")
+# of OpenCV: of plumb_bob without k3, with thin prism, with tilt
+_COUNTS = tuple(sorted({0, 4, 12, 14} | {len(model.coefficients) for model in MODELS.values()}))
 _PANE = {
     "thickness_mm": (0.0, 1000.0, 1e-3),
     "refractive_index": (1.0, 3.0, 1.0),
@@ -318,7 +320,7 @@ def _keys(table: Mapping[str, Any], source: str) -> dict[str, str]:
 
 def _lens(table: Mapping[str, Any], key: str, source: str) -> Lens:
     """Return the lens; a file without the name of a model has one of OpenCV's."""
-    k = [] if table[key] is None else _list(table, key, (0, 4, 5, 8, 12, 14), source)
+    k = [] if table[key] is None else _list(table, key, _COUNTS, source)
     name = table.get("distortion_model")
     if name is None and table.get("fisheye_model") in (1, True):
         name = "equidistant"

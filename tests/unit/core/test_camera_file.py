@@ -272,7 +272,7 @@ def test_camera_file_with_glass(tmp_path):
         ),
         ("image_width: 640", "image_width: -3", "image_width"),
         ("image_width: 640", "img_width: 640", "image_width"),
-        ("plumb_bob", "fov", "distortion_model"),
+        ("plumb_bob", "omnidirectional", "distortion_model"),
         ("plumb_bob", "equidistant", "distortion_coefficients"),
         ("data: [600.0, 0.0,", "data: [600.0, 0.1,", "camera_matrix.data"),
         ("data: [600.0,", "data: [", "camera_matrix.data"),
