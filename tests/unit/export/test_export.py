@@ -12,9 +12,10 @@ from rosbags.rosbag2 import Reader
 from mjtactile.core import optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
-from mjtactile.export import mcap, rosbag2
+from mjtactile.export import foxglove_sink, mcap, messages, rosbag2
 from mjtactile.export.episode import RecordedEpisode, find_episodes
 from mjtactile.recording.reader import load_recording
+from tests.lenses import CAMERAS
 
 # -- LeRobot
 # --------------------------------------------------------------------------------
@@ -158,6 +159,23 @@ def test_a_bag_is_the_recording(pair, tmp_path):
         "break_force_N" not in recording.notes
         and "seed" in (tmp_path / "episode_000001/metadata.yaml").read_text()
     )
+
+
+@pytest.mark.parametrize(
+    ("model", "foxglove"),
+    [
+        ("plumb_bob", "plumb_bob"),
+        ("rational_polynomial", "rational_polynomial"),
+        ("equidistant", "kannala_brandt"),
+    ],
+)
+def test_camera_messages_name_the_lens_model(press, model, foxglove):
+    """The names are those of sensor_msgs and of Foxglove's schema."""
+    camera = CAMERAS[model]
+    item = messages.Message("/left/camera_info", "camera", 0.5, "left_camera", camera)
+    info = rosbag2._Bag(RecordedEpisode(press))._camera(item)
+    assert info.distortion_model == model and tuple(info.d) == camera.distortion
+    assert repr(foxglove) in repr(foxglove_sink._camera(item)).replace('"', "'")
 
 
 def test_frames_of_a_bag_put_a_point_of_the_membrane_into_the_image(press, tmp_path):
