@@ -20,7 +20,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.experiments.motion_stage import NOTHING, record_stage
-from mjtactile.fit.identification import fit_recordings
+from mjtactile.fit.identification import FitOptions, fit_recordings
 from mjtactile.fit.result import FitResult
 from mjtactile.recording.files import write_json
 from mjtactile.recording.stage_protocol import Stage, read_moves
@@ -138,7 +138,7 @@ def _row(
         [folder / name for name, *_ in FITTED],
         sensor=folder / "nominal.toml",
         held_out=[folder / HELD_OUT[0]],
-        say=say,
+        options=FitOptions(say=say),
     )
     forces = [
         {

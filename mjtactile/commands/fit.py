@@ -83,7 +83,7 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.fit.identification import fit_recordings
+    from mjtactile.fit.identification import FitOptions, fit_recordings
     from mjtactile.fit.relaxation import fit_relaxation
     from mjtactile.fit.report import draw, text_of
     from mjtactile.fit.result import to_table
@@ -104,12 +104,14 @@ def run(options: argparse.Namespace) -> int:
         result = fit_recordings(
             options.recording,
             sensor=options.sensor,
-            finger=options.finger,
             known=known,
             held_out=options.held_out,
-            touch_sd=1e-3 * options.touch,
-            name=options.out.stem,
-            say=Progress(quiet=options.json).message,
+            options=FitOptions(
+                finger=options.finger,
+                touch_sd=1e-3 * options.touch,
+                name=options.out.stem,
+                say=Progress(quiet=options.json).message,
+            ),
         )
         text = text_of(result)
         sensor = result.text

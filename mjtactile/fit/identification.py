@@ -19,56 +19,57 @@ from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
 from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
-from mjtactile.fit.membrane_fit import MembraneFit, fit_membrane, replay, simulate
+from mjtactile.fit.membrane_fit import (
+    DEFAULT,
+    FitOptions,
+    MembraneFit,
+    fit_membrane,
+    replay,
+    simulate,
+)
 from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
 from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.recording.reader import load_recording
 
-TOUCH_SD = 5e-5  # standard deviation of a manually determined first contact, m
 # order in which undetermined parameters are fixed: those closest to their design value first
 _HELD_FIRST = ("friction", "pre_stretch", "young")
-
-Say = Callable[[str], None]
 
 
 def fit_recordings(
     recordings: Sequence[Path],
     *,
     sensor: Path | None = None,
-    finger: str = "left",
     known: Mapping[str, float] | None = None,
     held_out: Sequence[Path] = (),
-    touch_sd: float = TOUCH_SD,
-    mesh: tuple[int, int] | None = None,
-    name: str = "fitted",
-    say: Say = lambda _: None,
+    options: FitOptions = DEFAULT,
 ) -> FitResult:
     """Fit the sensor of `recordings`, starting from their own sensor file or from `sensor`.
 
-    `known` contains manually measured values, by field of the sensor file in its unit. `touch_sd`
-    is the standard deviation of the first-contact marks, m. `mesh` is that of the simulated
-    membrane. Raises InputError for input that cannot be used.
+    `known` contains manually measured values, by field of the sensor file in its unit. Recordings
+    of `held_out` are predicted only. Raises InputError for input that cannot be used.
     """
     begin = wall.monotonic()
     known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
-    evidence = [read_evidence(path, design, finger, say) for path in recordings]
+    evidence = [read_evidence(path, design, options.finger, options.say) for path in recordings]
     picture = fit_image_noise(design, evidence[0].flat)
-    free, sheet = _sheet(design, evidence, manually["membrane"], touch_sd, mesh, say)
-    gas = _gas(sheet, evidence, manually["chamber"], mesh, say)
+    free, sheet = _sheet(design, evidence, manually["membrane"], options)
+    gas = _gas(sheet, evidence, manually["chamber"], options)
     numbers = tuple(numbers_of(nominal, known, evidence, sheet, gas, picture))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
     found = rewrite(
         text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}."
     )
-    fitted = sensor_from_table(tomllib.loads(found), name=name, source=name)
+    fitted = sensor_from_table(tomllib.loads(found), name=options.name, source=options.name)
     checks = tuple(
         check
         for path in held_out
-        for check in _check(fitted, read_evidence(path, design, finger, say), mesh)
+        for check in _check(
+            fitted, read_evidence(path, design, options.finger, options.say), options.mesh
+        )
     )
     return FitResult(
         fitted,
@@ -125,25 +126,21 @@ def _sheet(
     design: SensorDesign,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
-    touch_sd: float,
-    mesh: tuple[int, int] | None,
-    say: Say,
+    options: FitOptions,
 ) -> tuple[MembraneFit, MembraneFit]:
     """Return two membrane fits: all unknown parameters free, and undetermined ones fixed.
 
     A fixed parameter has the file's value. The second fit makes correlated parameters consistent
     with it.
     """
-    free = sheet = fit_membrane(
-        design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say
-    )
+    free = sheet = fit_membrane(design, evidence, known=known, options=options)
     held = dict(known)
     while (
         name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)
     ) is not None:
         held[name] = getattr(design.membrane, name)
-        say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
-        sheet = fit_membrane(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
+        options.say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
+        sheet = fit_membrane(design, evidence, known=held, options=options)
     return free, sheet
 
 
@@ -169,8 +166,7 @@ def _gas(
     sheet: MembraneFit,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
-    mesh: tuple[int, int] | None,
-    say: Say,
+    options: FitOptions,
 ) -> GasFit | None:
     """Fit the gas parameters in two stages.
 
@@ -209,15 +205,20 @@ def _gas(
     ):
         held |= {"extra_volume": sheet.design.chamber.extra_volume}
         found = fit_gas(sheet.design, runs, known=held)
-    say(_report_gas(found))
+    options.say(_report_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [
-        _replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict
+        _replayed(evidence[i], sheet.offsets[i], options.mesh)
+        if _can_replay(evidence[i])
+        else predict
         for i in with_pressure
     ]
-    modes = [_touch_mode(start, evidence[i], sheet, sheet.offsets[i], mesh) for i in with_pressure]
+    modes = [
+        _touch_mode(start, evidence[i], sheet, sheet.offsets[i], options.mesh)
+        for i in with_pressure
+    ]
     found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
-    say(_report_gas(found))
+    options.say(_report_gas(found))
     return found
 
 

@@ -56,6 +56,28 @@ SCALES = {
 `mjtactile.fit.parameter_info`."""
 
 
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of a fit.
+
+    Attributes:
+        finger: Name of the finger of the recordings.
+        touch_sd: Standard deviation of a manually determined first contact, m.
+        mesh: Vertices of the simulated membrane along x and y; None: the default.
+        name: Name of the fitted sensor.
+        say: Function that receives the progress.
+    """
+
+    finger: str = "left"
+    touch_sd: float = 5e-5
+    mesh: tuple[int, int] | None = None
+    name: str = "fitted"
+    say: Say = lambda _: None
+
+
+DEFAULT = FitOptions()
+
+
 @dataclass(frozen=True, eq=False)
 class Simulated:
     """Simulated hold.
@@ -207,19 +229,17 @@ def fit_membrane(
     evidence: Sequence[Evidence],
     *,
     known: Mapping[str, float],
-    touch_sd: float,
-    mesh: tuple[int, int] | None = None,
-    say: Say = lambda _: None,
+    options: FitOptions = DEFAULT,
 ) -> MembraneFit:
-    """Fit the parameters in SCALES that are not `known` (values by name), and the first contacts.
+    """Fit the parameters in SCALES that are not `known` (values by name), and the first contact of
+    each loaded recording.
 
-    Each loaded recording has a first contact with standard deviation `touch_sd`, m. Friction is
-    fitted only if a recording contains shear.
+    Friction is fitted only if a recording contains shear.
     """
     dragged = any(move.shear for e in evidence if e.stage for move in e.stage.moves)
     names = tuple(name for name in SCALES if name not in known and (name != "friction" or dragged))
     nominal = replace(design, membrane=replace(design.membrane, **known))
-    return _Problem(nominal, evidence, names, touch_sd, mesh, say).solve()
+    return _Problem(nominal, evidence, names, options).solve()
 
 
 class _Problem:
@@ -237,17 +257,13 @@ class _Problem:
         design: SensorDesign,
         evidence: Sequence[Evidence],
         names: tuple[str, ...],
-        touch_sd: float,
-        mesh: tuple[int, int] | None,
-        say: Say,
+        options: FitOptions,
     ):
         self.design = design
         self.evidence = evidence
         self.names = names
         self.pressed = [i for i, one in enumerate(evidence) if _is_pressed(one)]
-        self.touch_sd = touch_sd
-        self._mesh = mesh
-        self._say = say
+        self.options = options
         self._whiten = [[_whitener(hold) for hold in (e.rest, *e.holds)] for e in evidence]
         self._common = self._common_modes()
         self._counts = len(names), len(self.pressed), self._common.shape[1]
@@ -279,17 +295,19 @@ class _Problem:
     def offset(self, number: int, x: Array) -> float:
         """First touch of a recording, m, deeper than its mark."""
         if number in self.pressed:
-            return self.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
+            return self.options.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
         return 0.0
 
     def simulate(self, number: int, x: Array) -> tuple[Simulated, ...]:
-        return simulate(self.made(x), self.evidence[number], self.offset(number, x), self._mesh)
+        return simulate(
+            self.made(x), self.evidence[number], self.offset(number, x), self.options.mesh
+        )
 
     def residuals(self, x: Array) -> Array:
         n = self._counts[0]
         found = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
         left = np.concatenate(found) - self._common @ x[n + self._counts[1] :]
-        self._say(
+        self.options.say(
             f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
             f"{np.sqrt(np.mean(left**2)):.2f} sd (rms)"
         )
@@ -365,7 +383,9 @@ class _Problem:
     def _result(self, found: Solution) -> MembraneFit:
         n, m, _ = self._counts
         values = {name: self.value(name, found.x) for name in self.names}
-        slopes = [SCALES[name].slope(values[name]) for name in self.names] + [self.touch_sd] * m
+        slopes = [SCALES[name].slope(values[name]) for name in self.names] + [
+            self.options.touch_sd
+        ] * m
         repeats = sum(1 + len(e.holds) for e in self.evidence)  # of the same error of each marker
         cov = (
             repeats * np.linalg.inv(found.information)[: n + m, : n + m] * np.outer(slopes, slopes)

@@ -9,7 +9,7 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.fit.gauss_newton import differences, gauss_newton
 from mjtactile.fit.measurements import Evidence, Hold, Series
-from mjtactile.fit.membrane_fit import fit_membrane, simulate
+from mjtactile.fit.membrane_fit import FitOptions, fit_membrane, simulate
 from mjtactile.recording.stage_protocol import Move, Stage
 
 # coarse: of the same mesh both times
@@ -41,7 +41,10 @@ def test_two_pressures_tell_modulus_and_pre_stretch(true):
     few um each, both are known to a percent or two.
     """
     found = fit_membrane(
-        DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH
+        DESIGN,
+        [evidence_of(true, p) for p in (500.0, 3000.0)],
+        known={},
+        options=FitOptions(mesh=MESH),
     )
     assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
     assert found.values["pre_stretch"] == pytest.approx(1.04, abs=0.002)
@@ -52,7 +55,9 @@ def test_two_pressures_tell_modulus_and_pre_stretch(true):
 def test_one_pressure_does_not(true):
     """One pressure gives one height, so that modulus and pre-stretch stay strongly
     anticorrelated."""
-    found = fit_membrane(DESIGN, [evidence_of(true, 1000.0)], known={}, touch_sd=5e-5, mesh=MESH)
+    found = fit_membrane(
+        DESIGN, [evidence_of(true, 1000.0)], known={}, options=FitOptions(mesh=MESH)
+    )
     sd = np.sqrt(np.diag(found.cov))
     assert found.cov[0, 1] / (sd[0] * sd[1]) < -0.9
     assert sd[0] > 0.05e6
