@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
         with stdout_to_stderr():
             frames: list[NamedImage] = []
             found = []
-            images = _images(options.source, frames)
+            images = _images(options.source, frames, camera)
             for tracked in track_circles(images, camera, radius, polarity=options.marks):
                 found.append(tracked)
                 if len(found) % 50 == 0:
@@ -67,11 +67,13 @@ def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
     return Camera.from_file(options.camera), 1e-3 * options.radius_mm
 
 
-def _images(source: Path, frames: list[NamedImage]) -> Iterator[NDArray]:
+def _images(source: Path, frames: list[NamedImage], camera: Camera | None) -> Iterator[NDArray]:
     """The images that can be read; `frames` gets each as it comes."""
     for frame in read_frames(source):
         if frame.pixels is None:
             continue
+        if camera and (mismatch := camera.size_mismatch(frame.pixels, "the camera file")):
+            raise InputError(mismatch, source=frame.name, field="SOURCE")
         frames.append(frame)
         yield frame.pixels
 

@@ -104,3 +104,14 @@ def test_bad_input(tmp_path, capsys):
         assert "--radius-mm" in capsys.readouterr().err
     with pytest.raises(InputError, match="must be given together"):
         next(track_circles([draw(START)], radius=1e-3))
+
+
+def test_a_camera_file_of_another_size_is_refused(tmp_path, capsys):
+    """Otherwise positions in mm would be wrong by the ratio of the sizes."""
+    cv2.imwrite(str(tmp_path / "one.png"), draw(START))
+    camera = tmp_path / "camera.yaml"
+    camera.write_text("width: 64\nheight: 48\nk: [50, 0, 32, 0, 50, 24, 0, 0, 1]\nd: []\n")
+    options = ["--marks", "dark", "--camera", str(camera), "--radius-mm", "1"]
+    assert main(["reconstruct", str(tmp_path / "one.png"), *options]) == 2
+    message = capsys.readouterr().err
+    assert "one.png" in message and "but the camera file has 64 x 48" in message
