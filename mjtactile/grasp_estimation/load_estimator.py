@@ -1,4 +1,5 @@
-"""Recursive estimate of the load on a grip, from image to image."""
+"""Recursive estimate of the load on a grip, from image to image, and of the load on the fingers'
+frames: no membrane measures it, and a larger jaw force does not increase the grip."""
 
 from __future__ import annotations
 
@@ -124,3 +125,49 @@ class LoadEstimator:
         slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
         inner = () if slips else self.inner
         return LoadEstimator(maximum, ahead, past, self.down, mass, inner, now)
+
+
+_EFFORT_ERROR = 0.3  # relative error of an effort: a data sheet's torque, the current's resolution
+_JAW_FRICTION = 1.0  # maximum friction force of the jaws, N
+# minimum duration, s: an image is older than a current, and stopping jaws push for a moment
+_MIN_DURATION = 0.2
+_RELEASE_FRACTION = 0.8  # fraction of the grip measured then, to release the frames
+_LIMIT_GROWTH = 0.05  # 1/s: after a false detection the grip recovers
+
+
+@dataclass(frozen=True)
+class FrameLoadEstimator:
+    """Estimator of an object part wedged between the fingers' frames.
+
+    An object base wider than the tips stands between the frames. The jaws push the frames against
+    it. The wedged part also loads the membranes in shear, which resembles twice the weight. A
+    controller stores it as plain values (`vars`) and restores it (`FrameLoadEstimator(**kept)`).
+
+    Attributes:
+        maximum: Largest useful grip force on each finger, N.
+        time: Time since the servo force exceeds the measured contact force, s.
+    """
+
+    maximum: float = 100.0
+    time: float = 0.0
+
+    def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
+        """Update with one image.
+
+        Args:
+            touch: Current touches.
+            effort: `observation.gripper.effort`, N on each finger; NaN if it is unknown.
+            period: Time since the previous image, s.
+
+        Returns:
+            The updated estimator.
+        """
+        press = float(np.mean([one.force_normal for one in touch]))
+        beyond = (1 - _EFFORT_ERROR) * effort - press - _JAW_FRICTION
+        if not (math.isfinite(beyond) and beyond > 0):
+            return FrameLoadEstimator(self.maximum * (1 + _LIMIT_GROWTH * period))
+        time = self.time + period
+        return FrameLoadEstimator(
+            min(self.maximum, _RELEASE_FRACTION * press) if time > _MIN_DURATION else self.maximum,
+            time,
+        )

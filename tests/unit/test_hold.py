@@ -146,9 +146,9 @@ def test_a_belief_goes_from_image_to_image_as_numbers():
     slipping = [touch(0, -0.4, 1.0, "slipping")] * 2
     slipped = believe(belief, slipping)
     # by a fifth at most: a sign may be wrong
-    assert slipped.has_slipped
+    assert slipped.since_slip == 0.0
     assert slipped.friction == pytest.approx(0.8 * belief.friction)
-    assert not believe(slipped, slipping).has_slipped  # the same slip
+    assert believe(slipped, slipping).since_slip > 0.0  # the same slip
     # without a stronger grip nothing is known about the sign's value, and the estimate stays. Then
     # it recovers slowly while much of it is in use and nothing slips
     later = believe(slipped, held, 120)
@@ -169,7 +169,7 @@ def test_shear_that_grows_with_the_grip_was_a_slip(drag, carried):
     if carried:
         assert again.friction == pytest.approx(after.friction)
         # where more is in use it counts
-        assert believe(again, [touch(0, -0.44, 1.0, "slipping")] * 2).has_slipped
+        assert believe(again, [touch(0, -0.44, 1.0, "slipping")] * 2).since_slip == 0.0
     else:
         assert again.friction < after.friction
 
