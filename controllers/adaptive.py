@@ -28,6 +28,7 @@ from mjtactile.grasp_estimation import (
     GripStiffnessEstimator,
     LoadEstimator,
     estimate_weight,
+    phases,
 )
 from mjtactile.types import Command, Observation
 
@@ -77,46 +78,22 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    period = observation.period
-    felt = [touch.force_normal for touch in observation.touch]
-    memory = {**START, **observation.command.memory}
-    memory["phase_time"] += period
-    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    if not all(isfinite(force) for force in felt):  # an unknown force is not zero: stop, then abort
-        command = _remember(command, blind_time=memory["blind_time"] + period)
-        blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
-        if command.memory["blind_time"] > MAX_BLIND_TIME:
-            return _give_up(command, f"the contact force is unknown: {blind.status}")
+    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.update_contact_clocks(observation, command, TOUCH_FORCE / 2, MAX_BLIND_TIME)
+    forces = [touch.force_normal for touch in observation.touch]
+    if not all(isfinite(force) for force in forces):
         return command
-    lost_time = 0.0 if max(felt) > TOUCH_FORCE / 2 else memory["lost_time"] + period
-    command = _remember(command, blind_time=0.0, lost_time=lost_time)
     if command.phase in ("lift", "hold", "lower"):
-        if lost_time > LOST_TIME:
-            return _release_now(
-                replace(command, reason="the object slipped out of the grasp"), lost=1.0
-            )
+        if command.memory["lost_time"] > LOST_TIME:
+            command = replace(command, reason="the object slipped out of the grasp")
+            return phases.start_release(command, lost=1.0)
         command = grip_as_needed(observation, command)
-    return _PHASES[command.phase](observation, command, felt)
+    if command.phase not in _PHASES:  # "done" or "abort"
+        return command
+    return _PHASES[command.phase](observation, command, forces)
 
 
-def _go(command: Command, phase: str) -> Command:
-    """Enter `phase` with its clocks at zero."""
-    return replace(_remember(command, phase_time=0.0, settled_time=0.0), phase=phase)
-
-
-def _give_up(command: Command, reason: str) -> Command:
-    return replace(_go(command, "abort"), reason=reason)
-
-
-def _release_now(command: Command, **values) -> Command:
-    return _remember(_go(command, "release"), grip_opening=command.opening, **values)
-
-
-def _remember(command: Command, **values) -> Command:
-    return replace(command, memory={**command.memory, **values})
-
-
-def _kept(kind: Any, command: Command) -> Any:
+def _stored(kind: Any, command: Command) -> Any:
     """Return the estimator of this class as the previous image left it."""
     kept: Any = command.memory[MEMORY_KEYS[kind]]
     return kind(**kept)
@@ -125,23 +102,23 @@ def _kept(kind: Any, command: Command) -> Any:
 def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
-    load = _kept(LoadEstimator, command).after(touch, observation.period)
-    belief = _kept(FrictionEstimator, command).after(touch, observation.period)
-    trial = _kept(FrictionProbe, command)
-    frames = _kept(FrameLoadEstimator, command).after(
+    load = _stored(LoadEstimator, command).after(touch, observation.period)
+    belief = _stored(FrictionEstimator, command).after(touch, observation.period)
+    trial = _stored(FrictionProbe, command)
+    frames = _stored(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
     )
     worst, minimum = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
     if trial.is_on:  # the tested friction must be fully used: no margin
         worst, minimum = trial.grip * load.maximum, MIN_TEST_FORCE
     target = max(minimum, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.maximum))
-    found = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
-    return _remember(
-        command, target=target, **found, mass=load.mass, mass_sd=estimate_weight(touch).sd
+    estimators = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
+    return phases.remember(
+        command, target=target, **estimators, mass=load.mass, mass_sd=estimate_weight(touch).sd
     )
 
 
-def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _regulated(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Move the opening so that the mean measured force reaches the target.
 
     A larger target (or a tested smaller one) changes the opening immediately. The remaining error
@@ -149,70 +126,67 @@ def _regulated(observation: Observation, command: Command, felt: list[float]) ->
     opening.
     """
     memory = command.memory
-    force = sum(felt) / len(felt)
-    spring = _kept(GripStiffnessEstimator, command).after(
+    force = sum(forces) / len(forces)
+    spring = _stored(GripStiffnessEstimator, command).after(
         observation.gripper.opening, force, observation.period
     )
     stiffness = spring.stiffness(force)
     step = memory["target"] - observation.command.memory.get("target", MIN_FORCE)
-    step = step if _kept(FrictionProbe, command).is_on else max(step, 0.0)
+    step = step if _stored(FrictionProbe, command).is_on else max(step, 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
     speed = (due - force) / (stiffness * SETTLING)
     speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
     actual = observation.gripper.opening
     opening = command.opening - speed * observation.period
     opening = max(actual - 0.006, min(actual + 0.004, opening))
-    return _remember(replace(command, opening=opening), due=due, spring=vars(spring))
+    return phases.remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
 
-def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Close at a constant speed until either finger measures a force, slower until both do."""
-    if min(felt) > TOUCH_FORCE or max(felt) > MAX_PUSH:
-        return _go(command, "regulate")
-    gets_on = command.opening < command.memory["narrowest"] - 1e-4  # as the rig allows
-    stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
-    narrowest = min(command.opening, command.memory["narrowest"])
-    command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
-    if stuck_time > STOP_TIME:
-        return _give_up(command, "the jaws closed without contact")
+    if min(forces) > TOUCH_FORCE or max(forces) > MAX_PUSH:
+        return phases.enter_phase(command, "regulate")
+    command = phases.update_stuck_clock(observation, command, STOP_TIME)
+    if command.phase == "abort":
+        return command
     if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "only one finger touches the object")
-    if command.phase == "approach" and max(felt) > TOUCH_FORCE:
-        return _go(command, "close")
+        return phases.abort(command, "only one finger touches the object")
+    if command.phase == "approach" and max(forces) > TOUCH_FORCE:
+        return phases.enter_phase(command, "close")
     speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
     return replace(command, opening=command.opening - speed * observation.period)
 
 
-def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _regulate(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Bring the force to the first target."""
-    command = _regulated(observation, command, felt)
-    settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
-    settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
-    if settled_time >= SETTLE_TIME:
-        standing = _kept(LoadEstimator, command).standing(observation.touch)
-        return _go(_remember(command, load=vars(standing)), "lift")
-    if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "the force did not settle")
-    return _remember(command, settled_time=settled_time)
+    command = _regulated(observation, command, forces)
+    is_settled = abs(sum(forces) / len(forces) - command.memory["target"]) < FORCE_TOLERANCE
+    command = phases.settle(
+        observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
+    )
+    if command.phase != "lift":
+        return command
+    standing = _stored(LoadEstimator, command).standing(observation.touch)
+    return phases.remember(command, load=vars(standing))
 
 
-def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
-    command = _regulated(observation, command, felt)
+    command = _regulated(observation, command, forces)
     target = command.memory["target"]
-    behind = target - sum(felt) / len(felt) > min(FORCE_TOLERANCE, 0.1 * target)
+    behind = target - sum(forces) / len(forces) > min(FORCE_TOLERANCE, 0.1 * target)
     behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
-    command = _remember(command, behind_time=behind_time)
+    command = phases.remember(command, behind_time=behind_time)
     is_low = command.lift_height < command.memory["low"]
-    if not is_low and not _kept(FrictionProbe, command).over:
+    if not is_low and not _stored(FrictionProbe, command).over:
         return _try_friction(observation, command)
-    if _kept(FrictionEstimator, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
+    if _stored(FrictionEstimator, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
         return command  # grip first, within the jaws' limits
-    goal, load = observation.goal.lift_height, _kept(LoadEstimator, command)
+    goal, load = observation.goal.lift_height, _stored(LoadEstimator, command)
     if not load.down and not is_low:
-        command = _remember(command, load=vars(load.hanging(observation.touch)))
+        command = phases.remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
-        return _go(command, "hold")
+        return phases.enter_phase(command, "hold")
     rise = (WEIGH_SPEED if is_low else LIFT_SPEED) * observation.period
     return replace(command, lift_height=min(goal, command.lift_height + rise))
 
@@ -220,60 +194,60 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 def _try_friction(now: Observation, command: Command) -> Command:
     """Reduce the grip force and detect slip, until friction is known or the minimum grip
     suffices."""
-    belief = _kept(FrictionEstimator, command)
-    trial = _kept(FrictionProbe, command).after(now.touch, now.period, belief.friction)
+    belief = _stored(FrictionEstimator, command)
+    trial = _stored(FrictionProbe, command).after(now.touch, now.period, belief.friction)
     proof = belief.used if trial.passed and not trial.slipped else belief.wrong
     belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
     # after a slip the object may stand on the table again
     low = command.lift_height + trial.slipped * WEIGH_HEIGHT
-    return _remember(command, trial=vars(trial), belief=vars(belief), low=low)
+    return phases.remember(command, trial=vars(trial), belief=vars(belief), low=low)
 
 
-def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _hold(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Hold; release for an announced handover when a pull lasts longer than a bump."""
-    command = _regulated(observation, command, felt)
-    now = _kept(LoadEstimator, command).vector(observation.touch)
+    command = _regulated(observation, command, forces)
+    now = _stored(LoadEstimator, command).vector(observation.touch)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
     if observation.goal.handover and pulls:
         pull_time = command.memory["pull_time"] + observation.period
-        command = _remember(command, pull_time=pull_time)
-        return _release_now(command) if pull_time > PULL_TIME else command
+        command = phases.remember(command, pull_time=pull_time)
+        return phases.start_release(command) if pull_time > PULL_TIME else command
     follow = min(1.0, 2.0 * observation.period)  # in half a second
-    command = _remember(command, held=(held + follow * (now - held)).tolist(), pull_time=0.0)
+    command = phases.remember(command, held=(held + follow * (now - held)).tolist(), pull_time=0.0)
     over = command.memory["phase_time"] >= observation.goal.hold_time
-    return _go(command, "lower") if over else command
+    return phases.enter_phase(command, "lower") if over else command
 
 
-def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _lower(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Lower the gripper until the table carries the load.
 
     The gripper stops at most SEARCH below the specified place height.
     """
-    command = _regulated(observation, command, felt)
+    command = _regulated(observation, command, forces)
     goal = max(0.0, observation.goal.place_height - SEARCH)
     above = command.lift_height - observation.goal.place_height
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
-    carried = float(_kept(LoadEstimator, command).vector(observation.touch)[0])
+    carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
     stands = carried < 0.5 * np.asarray(command.memory["held"])[0] - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
-        return _release_now(replace(command, lift_height=max(0.0, observation.gripper.lift_height)))
+        return phases.start_release(
+            replace(command, lift_height=max(0.0, observation.gripper.lift_height))
+        )
     return replace(command, lift_height=height)
 
 
-def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _release(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Open until the fingers are clear of the object."""
-    goal = command.memory["grip_opening"] + RELEASE_OPENING
-    if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
-        return _go(command, "abort" if "lost" in command.memory else "done")
-    if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "the object sticks to a finger")
-    return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
-
-
-def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
-    return command
+    return phases.release(
+        observation,
+        command,
+        speed=OPENING_SPEED,
+        clearance=RELEASE_OPENING,
+        contact_force=TOUCH_FORCE,
+        timeout=GRIP_TIMEOUT,
+    )
 
 
 _PHASES = {
@@ -284,6 +258,4 @@ _PHASES = {
     "hold": _hold,
     "lower": _lower,
     "release": _release,
-    "done": _end,
-    "abort": _end,
 }

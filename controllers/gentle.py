@@ -9,7 +9,7 @@ function `step(observation) -> command` works.
 from dataclasses import replace
 from math import isfinite
 
-from mjtactile.grasp_estimation import shear, support_force
+from mjtactile.grasp_estimation import phases
 from mjtactile.types import Command, Observation
 
 # target force per finger, N: enough friction for 60 g at a coefficient of 0.5, well below the
@@ -25,8 +25,6 @@ OPENING_SPEED = 0.040
 REGULATION_GAIN = 0.03
 REGULATION_SPEED_MAX = 0.010
 LIFT_SPEED = 0.040
-# extra time for lowering, s: then the object already stands, tilted, and supports the gripper
-LOWER_TIME_SPARE = 1.0
 SETTLE_TIME = 0.4
 GRIP_TIMEOUT = 6.0
 FORCE_TOLERANCE = 0.08  # tolerance around the target for a settled force, N
@@ -40,171 +38,106 @@ STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at 
 # upward force per finger during lowering, N, that indicates a standing object
 TABLE_FORCE = 0.1
 RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
+START: dict[str, float] = dict.fromkeys(
+    ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time"), 0.0
+)
 
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    memory = {
-        "phase_time": 0.0,
-        "settled_time": 0.0,
-        "blind_time": 0.0,
-        "lost_time": 0.0,
-        "stuck_time": 0.0,
-        **observation.command.memory,
-    }
-    memory["phase_time"] += observation.period
-    felt = [touch.force_normal for touch in observation.touch]
-    known = all(isfinite(force) for force in felt)
-    if known:
-        memory["blind_time"] = 0.0
-        memory["lost_time"] = (
-            0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + observation.period
-        )
-    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    if not known:  # unknown is not zero: stand still, then open gently
-        return _blind(observation, command)
-    if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
+    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.update_contact_clocks(observation, command, TOUCH_FORCE, BLIND_TIME_MAX)
+    forces = [touch.force_normal for touch in observation.touch]
+    if not all(isfinite(force) for force in forces):
+        return command
+    if command.phase in ("lift", "hold", "lower") and _is_lost(observation, command):
         # release at this height, not down onto the fallen object
         command = replace(command, reason="the object slipped out of the grasp")
-        return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
-    return _PHASES[command.phase](observation, command, felt)
+        return phases.start_release(command, lost=1.0)
+    if command.phase not in _PHASES:  # "done" or "abort"
+        return command
+    return _PHASES[command.phase](observation, command, forces)
 
 
-def _go(command: Command, phase: str, **changes) -> Command:
-    """Enter `phase` with its clocks at zero."""
-    memory = {**command.memory, "phase_time": 0.0, "settled_time": 0.0}
-    return replace(command, phase=phase, memory=memory, **changes)
-
-
-def _give_up(command: Command, reason: str) -> Command:
-    return replace(_go(command, "abort"), reason=reason)
-
-
-def _remember(command: Command, **values) -> Command:
-    return replace(command, memory={**command.memory, **values})
-
-
-def _blind(observation: Observation, command: Command) -> Command:
-    blind_time = command.memory["blind_time"] + observation.period
-    command = _remember(command, blind_time=blind_time)
-    if blind_time > BLIND_TIME_MAX:
-        blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
-        return _give_up(command, f"the contact force is unknown: {blind.status}")
-    return command
-
-
-def _is_lost(observation: Observation, lost_time: float) -> bool:
+def _is_lost(observation: Observation, command: Command) -> bool:
     """Return True if the grasped object is no longer held: too heavy, too slippery."""
     slips = [touch.slip.distance if touch.slip is not None else 0.0 for touch in observation.touch]
-    return lost_time > LOST_TIME or min(slips) > LOST_SLIP
+    return command.memory["lost_time"] > LOST_TIME or min(slips) > LOST_SLIP
 
 
-def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Close at a constant speed until either finger measures a force."""
-    if max(felt) > TOUCH_FORCE:
-        return _go(command, "close")
-    # the last command is already limited by the rig
-    gets_on = command.opening < command.memory.get("narrowest", 1.0) - 1e-4
-    stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
-    narrowest = command.opening if gets_on else command.memory["narrowest"]
-    command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
-    if stuck_time > STOP_TIME:
-        return _give_up(command, "the jaws closed without contact")
+    if max(forces) > TOUCH_FORCE:
+        return phases.enter_phase(command, "close")
+    command = phases.update_stuck_clock(observation, command, STOP_TIME)
+    if command.phase == "abort":
+        return command
     actual = observation.gripper.opening
     if actual - command.opening > BLOCKED:
-        return _give_up(
-            replace(command, opening=actual), "an obstacle outside the membranes blocks the jaws"
-        )
+        command = replace(command, opening=actual)
+        return phases.abort(command, "an obstacle outside the membranes blocks the jaws")
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 
-def _close(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _close(observation: Observation, command: Command, forces: list[float]) -> Command:
     """One finger has touched: go on slowly until both do, so that neither pushes the object
     over."""
-    if min(felt) > TOUCH_FORCE or max(felt) > TARGET_FORCE:
-        return _go(command, "regulate")
+    if min(forces) > TOUCH_FORCE or max(forces) > TARGET_FORCE:
+        return phases.enter_phase(command, "regulate")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "only one finger touches the object")
+        return phases.abort(command, "only one finger touches the object")
     return replace(command, opening=command.opening - 0.3 * CLOSING_SPEED * observation.period)
 
 
-def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _regulated(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Move the opening so that the mean measured force reaches the target.
 
     The command stays close to the actual opening.
     """
-    error = TARGET_FORCE - sum(felt) / len(felt)
+    error = TARGET_FORCE - sum(forces) / len(forces)
     speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
     opening = command.opening - speed * observation.period
     actual = observation.gripper.opening
     return replace(command, opening=max(actual - 0.004, min(actual + 0.004, opening)))
 
 
-def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _regulate(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Bring the force to the target and wait until it stays there."""
-    command = _regulated(observation, command, felt)
-    settled = abs(sum(felt) / len(felt) - TARGET_FORCE) < FORCE_TOLERANCE
-    settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
-    if settled_time >= SETTLE_TIME:
-        return _go(command, "lift")
-    if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "the force did not settle")
-    return _remember(command, settled_time=settled_time)
-
-
-def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
-    command = _regulated(observation, command, felt)
-    height = min(
-        observation.goal.lift_height, command.lift_height + LIFT_SPEED * observation.period
+    command = _regulated(observation, command, forces)
+    is_settled = abs(sum(forces) / len(forces) - TARGET_FORCE) < FORCE_TOLERANCE
+    return phases.settle(
+        observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
     )
+
+
+def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
+    command = _regulated(observation, command, forces)
+    goal = observation.goal.lift_height
+    height = min(goal, command.lift_height + LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    return (
-        _go(command, "hold")
-        if observation.gripper.lift_height > observation.goal.lift_height - 0.001
-        else command
-    )
+    is_up = observation.gripper.lift_height > goal - 0.001
+    return phases.enter_phase(command, "hold") if is_up else command
 
 
-def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
-    command = _regulated(observation, command, felt)
-    command = _remember(command, held=shear(observation.touch).tolist())
-    return (
-        _go(command, "lower")
-        if command.memory["phase_time"] >= observation.goal.hold_time
-        else command
-    )
+def _hold(observation: Observation, command: Command, forces: list[float]) -> Command:
+    return phases.hold(observation, _regulated(observation, command, forces))
 
 
-def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
-    command = _regulated(observation, command, felt)
-    goal = observation.goal.place_height
-    height = max(goal, command.lift_height - LIFT_SPEED * observation.period)
-    command = replace(command, lift_height=height)
-    # an object that slid down in the grip reaches the table before the gripper is down; stop here,
-    # else it is pressed onto its edge
-    held = command.memory.get("held", shear(observation.touch))
-    if support_force(observation.touch, held) > TABLE_FORCE:
-        return _remember(_go(command, "release"), grip_opening=command.opening)
-    time_max = (observation.goal.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
-    if height == goal and (
-        observation.gripper.lift_height < goal + 0.001 or command.memory["phase_time"] > time_max
-    ):
-        return _remember(_go(command, "release"), grip_opening=command.opening)
-    return command
+def _lower(observation: Observation, command: Command, forces: list[float]) -> Command:
+    command = _regulated(observation, command, forces)
+    return phases.lower(observation, command, speed=LIFT_SPEED, table_force=TABLE_FORCE)
 
 
-def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _release(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Open until the fingers are clear of the object."""
-    goal = command.memory["grip_opening"] + RELEASE_OPENING
-    if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
-        return _go(command, "abort" if "lost" in command.memory else "done")
-    if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _give_up(command, "the object sticks to a finger")
-    return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
-
-
-def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
-    return command
+    return phases.release(
+        observation,
+        command,
+        speed=OPENING_SPEED,
+        clearance=RELEASE_OPENING,
+        contact_force=TOUCH_FORCE,
+        timeout=GRIP_TIMEOUT,
+    )
 
 
 _PHASES = {
@@ -215,6 +148,4 @@ _PHASES = {
     "hold": _hold,
     "lower": _lower,
     "release": _release,
-    "done": _end,
-    "abort": _end,
 }

@@ -8,6 +8,7 @@ material from the measurements; this file only moves the jaws.
 from dataclasses import replace
 from math import isfinite
 
+from mjtactile.grasp_estimation import phases
 from mjtactile.types import Command, Observation
 
 PROBE_FORCE = 0.9  # force per finger, N: a strawberry bruises at 1.2
@@ -29,90 +30,80 @@ PHASE_TIME_MAX = 8.0  # maximum time in one phase before an abort, s
 BLIND_TIME_MAX = 0.5  # maximum time without a usable image, s
 
 
+START: dict[str, float] = dict.fromkeys(
+    ("phase_time", "blind_time", "presses", "touch_opening"), 0.0
+)
+
+
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    memory = {
-        "phase_time": 0.0,
-        "blind_time": 0.0,
-        "presses": 0.0,
-        "touch_opening": 0.0,
-        **observation.command.memory,
-    }
-    memory["phase_time"] += observation.period
-    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    felt = [touch.force_normal for touch in observation.touch]
-    if not all(isfinite(force) for force in felt):  # an unknown force is not zero: stop, then abort
-        memory["blind_time"] += observation.period
-        command = replace(command, memory=memory)
-        return _go(command, "abort") if memory["blind_time"] > BLIND_TIME_MAX else command
-    if memory["phase_time"] > PHASE_TIME_MAX:
-        return _go(command, "abort")
-    memory["blind_time"] = 0.0
-    return _PHASES[command.phase](observation, replace(command, memory=memory), felt)
+    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    forces = [touch.force_normal for touch in observation.touch]
+    if not all(
+        isfinite(force) for force in forces
+    ):  # an unknown force is not zero: stop, then abort
+        blind_time = command.memory["blind_time"] + observation.period
+        command = phases.remember(command, blind_time=blind_time)
+        return phases.enter_phase(command, "abort") if blind_time > BLIND_TIME_MAX else command
+    if command.memory["phase_time"] > PHASE_TIME_MAX:
+        return phases.enter_phase(command, "abort")
+    if command.phase not in _PHASES:  # "done" or "abort"
+        return command
+    return _PHASES[command.phase](observation, phases.remember(command, blind_time=0.0), forces)
 
 
-def _go(command: Command, phase: str, **values: float) -> Command:
-    """Enter `phase` with its clock at zero, and remember `values`."""
-    return replace(command, phase=phase, memory={**command.memory, "phase_time": 0.0, **values})
-
-
-def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Close until either finger measures a force; slowly near the position of the first touch."""
-    if max(felt) > TOUCH_FORCE:
+    if max(forces) > TOUCH_FORCE:
         if command.memory["presses"]:
-            return _go(command, "close")
-        return _go(command, "close", touch_opening=observation.gripper.opening)
+            return phases.enter_phase(command, "close")
+        return phases.enter_phase(command, "close", touch_opening=observation.gripper.opening)
     if observation.gripper.opening <= 0.001:
-        return _go(command, "abort")  # closed without an object
+        return phases.enter_phase(command, "abort")  # closed without an object
     speed = PRESS_SPEED if command.memory["presses"] else APPROACH_SPEED
     return replace(command, opening=max(0.0, command.opening - speed * observation.period))
 
 
-def _close(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _close(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Close at a constant speed up to the force, or to the travel limit."""
     second = command.memory["presses"] > 0
-    enough = sum(felt) / len(felt) >= (SECOND_FORCE if second else PROBE_FORCE)
+    enough = sum(forces) / len(forces) >= (SECOND_FORCE if second else PROBE_FORCE)
     if (
         enough
         or command.opening < command.memory["touch_opening"] - PRESS_TRAVEL_MAX
         or command.opening <= 0.001
     ):
-        return _go(command, "release" if second else "hold", presses=command.memory["presses"] + 1)
+        return phases.enter_phase(
+            command, "release" if second else "hold", presses=command.memory["presses"] + 1
+        )
     return replace(command, opening=command.opening - PRESS_SPEED * observation.period)
 
 
-def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _hold(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Keep the jaws still, so that changes of force and shape are due to the object alone."""
-    return _go(command, "release") if command.memory["phase_time"] >= HOLD_TIME else command
+    return (
+        phases.enter_phase(command, "release")
+        if command.memory["phase_time"] >= HOLD_TIME
+        else command
+    )
 
 
-def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+def _release(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Open until there is no contact; then rest and approach again, or end."""
     goal = command.memory["touch_opening"] + CLEARANCE
     opening = min(goal, command.opening + OPENING_SPEED * observation.period)
-    if opening < goal or max(felt) > TOUCH_FORCE:
+    if opening < goal or max(forces) > TOUCH_FORCE:
         clearing = command.memory.get("clearing", 0.0) + observation.period
         if clearing > CLEAR_TIME_MAX and opening >= goal:
-            why = f"a finger measures {max(felt):.2f} N with open jaws; check its calibration"
-            return replace(_go(command, "abort"), reason=why)
-        memory = {**command.memory, "phase_time": 0.0, "clearing": clearing}
-        return replace(command, opening=opening, memory=memory)
+            why = f"a finger measures {max(forces):.2f} N with open jaws; check its calibration"
+            return replace(phases.enter_phase(command, "abort"), reason=why)
+        command = phases.remember(command, phase_time=0.0, clearing=clearing)
+        return replace(command, opening=opening)
     if command.memory["presses"] > 1:
-        return _go(command, "done")
+        return phases.enter_phase(command, "done")
     if command.memory["phase_time"] >= REST_TIME:
-        return _go(command, "approach", clearing=0.0)
+        return phases.enter_phase(command, "approach", clearing=0.0)
     return command
 
 
-def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
-    return command
-
-
-_PHASES = {
-    "approach": _approach,
-    "close": _close,
-    "hold": _hold,
-    "release": _release,
-    "done": _end,
-    "abort": _end,
-}
+_PHASES = {"approach": _approach, "close": _close, "hold": _hold, "release": _release}

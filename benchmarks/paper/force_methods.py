@@ -1,6 +1,6 @@
 """Force from the membrane's shape, at the paper's two levels and by membrane statics.
 
-Level 1 (`mjtactile.calibrate.force_from_area.AreaCalibration`): dF = c dA (paper Eq. 11), c
+Level 1 (`mjtactile.calibrate.force.AreaCalibration`): dF = c dA (paper Eq. 11), c
 calibrated once for each sensor. Level 2 (`spring_grid_force`): the surface as a grid of springs;
 the force on a node is the sum of its four springs. Statics (`MembraneForce`): the net force that
 equilibrium demands, from the sensor file and the gas law alone.

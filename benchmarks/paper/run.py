@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.paper.marker_accuracy import paper_like
 from benchmarks.paper.marker_methods import compare_methods
 from benchmarks.paper.sponge import Pad
-from mjtactile.calibrate.force_from_area import AreaCalibration
+from mjtactile.calibrate.force import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array

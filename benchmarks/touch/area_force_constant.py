@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjtactile.calibrate.force_from_area import AreaCalibration
+from mjtactile.calibrate.force import AreaCalibration
 from mjtactile.core.design import SensorDesign
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld

@@ -26,7 +26,7 @@ from benchmarks.shape.random_indenters import Case
 from benchmarks.touch import sharp_indenters
 from benchmarks.touch.area_force_constant import calibrate_area
 from benchmarks.touch.tables import draw, summary, table
-from mjtactile.calibrate.force_from_area import AreaCalibration
+from mjtactile.calibrate.force import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.experiments.test_bench import View, take_references

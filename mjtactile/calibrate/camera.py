@@ -8,7 +8,7 @@ data (no tilt, image corners not covered, few views) is refused with the reason.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import cv2
@@ -186,51 +186,44 @@ def calibrate_camera(
         tilts,
         (),
     )
-    return CameraCalibration(**{**result.__dict__, "reasons": tuple(_judge(result))})
+    return replace(result, reasons=tuple(_refusals(result)))
 
 
-def _judge(c: CameraCalibration) -> list[str]:
+def _refusals(c: CameraCalibration) -> list[str]:
     """Why it should not be used; empty for a good one."""
     focal_sd = float(np.max(c.sd[:2] / np.diag(c.K)[:2]))
     tilted = int(np.sum(c.tilts > TILT_MIN_DEG))
-    checks = [
+    checks = {
         (
-            len(c.view_rms) >= VIEWS_MIN,
-            f"only {len(c.view_rms)} images are usable; at least {VIEWS_MIN} are needed: take more",
-        ),
+            f"only {len(c.view_rms)} images are usable; at least {VIEWS_MIN} are needed: take more"
+        ): len(c.view_rms) >= VIEWS_MIN,
         (
-            len(c.dropped) <= len(c.view_rms) / 4,
             f"{len(c.dropped)} images are inconsistent with the others: check that the board "
-            "is flat, the lens is fixed and --square-mm is right",
-        ),
+            "is flat, the lens is fixed and --square-mm is right"
+        ): len(c.dropped) <= len(c.view_rms) / 4,
         (
-            c.rms <= RMS_MAX_PX,
             f"the corners deviate by {c.rms:.2f} px rms (allowed: {RMS_MAX_PX:g}): check "
-            "focus, motion blur and flatness of the board",
-        ),
+            "focus, motion blur and flatness of the board"
+        ): c.rms <= RMS_MAX_PX,
         (
-            c.holdout_px <= HOLDOUT_MAX_PX,
             f"in held-out images the corners deviate by {c.holdout_px:.2f} px rms (allowed: "
-            f"{HOLDOUT_MAX_PX:g}): take more images that cover the whole view",
-        ),
+            f"{HOLDOUT_MAX_PX:g}): take more images that cover the whole view"
+        ): c.holdout_px <= HOLDOUT_MAX_PX,
         (
-            focal_sd <= FOCAL_SD_MAX,
             f"the focal length has a standard deviation of {100 * focal_sd:.1f} % (allowed: "
-            f"{100 * FOCAL_SD_MAX:g} %): tilt the board more",
-        ),
+            f"{100 * FOCAL_SD_MAX:g} %): tilt the board more"
+        ): focal_sd <= FOCAL_SD_MAX,
         (
-            tilted >= TILTED_MIN,
             f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} images; "
-            f"at least {TILTED_MIN} are needed: tilt it left, right, up and down",
-        ),
+            f"at least {TILTED_MIN} are needed: tilt it left, right, up and down"
+        ): tilted >= TILTED_MIN,
         (
-            c.coverage >= COVERAGE_MIN,
             f"the corners cover {100 * c.coverage:.0f} % of the image; at least "
             f"{100 * COVERAGE_MIN:.0f} % are needed: move the board to the edges and corners "
-            "too",
-        ),
-    ]
-    return [text for good, text in checks if not good]
+            "too"
+        ): c.coverage >= COVERAGE_MIN,
+    }
+    return [text for text, good in checks.items() if not good]
 
 
 def _tilt(rotation: Array) -> float:

@@ -125,12 +125,12 @@ def number_grid(uv: Array) -> dict[int, tuple[int, int]]:
     tree = KDTree(uv)
     best = {}
     for seed in np.argsort(((uv - uv.mean(axis=0)) ** 2).sum(axis=1))[:_SEEDS]:
-        found = _grown(uv, tree, int(seed))
+        found = _connected(uv, tree, int(seed))
         best = found if len(found) > len(best) else best
     return best
 
 
-def _grown(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]:
+def _connected(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]:
     """From neighbour to neighbour, each step being expected to be as the last one in that direction
     was."""
     basis = _basis(uv, tree, seed)

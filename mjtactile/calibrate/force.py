@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mjtactile.calibrate.force_from_area import AreaCalibration
 from mjtactile.calibrate.result_io import fit_line
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import CalibrationMetadata, ForceScale
@@ -27,6 +27,34 @@ RMS_FRACTION = 0.10  # of the largest load
 # accuracy limit of dF = c dA for a sealed membrane (tests/physics/test_paper_force.py)
 AREA_RMS_FRACTION = 0.30
 GRAVITY = 9.80665  # standard gravity, m/s^2
+
+
+@dataclass(frozen=True)
+class AreaCalibration:
+    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and the rms `residual`, N, that
+    it left."""
+
+    constant: float
+    residual: float
+
+    @classmethod
+    def fit(cls, area_change: ArrayLike, force: ArrayLike) -> AreaCalibration:
+        """Fit a line through the origin to area changes, m^2, at known normal forces, N.
+
+        The forces come from a load cell or weights. Raises InputError if the area did not change,
+        or shrank under load: then no such constant exists.
+        """
+        dA = np.asarray(area_change, dtype=float)
+        F = np.asarray(force, dtype=float)
+        if not np.isfinite(dA).all() or float(dA @ F) <= 0:
+            message = "the membrane area does not grow with the force"
+            raise InputError(message, source="calibration", field="area_change")
+        constant = float(dA @ F / (dA @ dA))
+        return cls(constant, float(np.sqrt(np.mean((F - constant * dA) ** 2))))
+
+    def force(self, area_change: float) -> float:
+        """Normal force, N, from the change of membrane area, m^2 (paper Eq. 11)."""
+        return self.constant * area_change
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +154,7 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
         (offset, scale), (offset_sd, scale_sd), rms = fit_line(felt, true)
     else:
         (offset, scale), (offset_sd, scale_sd), rms = ((np.nan,) * 2,) * 2 + (np.nan,)
-    reasons = _judge(true, felt, constant, float(scale), float(offset), rms)
+    reasons = _refusals(true, felt, constant, float(scale), float(offset), rms)
     return ForceCalibration(
         constant,
         float(scale),
@@ -150,7 +178,7 @@ def force_part(c: ForceCalibration, stamp: CalibrationMetadata) -> ForceScale:
     return ForceScale(c.scale, c.scale_sd, float(np.max(c.true)), stamp)
 
 
-def _judge(
+def _refusals(
     true: Array,
     felt: Array,
     constant: AreaCalibration | None,
@@ -167,31 +195,25 @@ def _judge(
             f"{np.min(true):.2f} to {largest:.2f} N: check that the load acts on the membrane "
             "and that the images are in the order of the loads"
         ]
-    checks = [
+    checks = {
         (
-            abs(scale - 1) <= SCALE_OFF_MAX,
             f"the load is {scale:.2f} times the estimated force ({1 - SCALE_OFF_MAX:g} to "
             f"{1 + SCALE_OFF_MAX:g} is plausible): check thickness, modulus and pressure in "
-            "the sensor file",
-        ),
+            "the sensor file"
+        ): abs(scale - 1) <= SCALE_OFF_MAX,
         (
-            rms <= RMS_FRACTION * largest,
             f"the loads deviate from a line by {rms:.2f} N rms of {largest:.2f} N: check for "
-            "sliding loads and a tilted load cell",
-        ),
+            "sliding loads and a tilted load cell"
+        ): rms <= RMS_FRACTION * largest,
         (
-            abs(offset) <= RMS_FRACTION * largest,
             f"without a load the estimated force would be {-offset / scale:.2f} N: the "
-            "membrane was touched in the rest images, or the zero of the load cell is off",
-        ),
+            "membrane was touched in the rest images, or the zero of the load cell is off"
+        ): abs(offset) <= RMS_FRACTION * largest,
+        ("the membrane area does not grow with the load, so the constant c is undefined"): constant
+        is not None,
         (
-            constant is not None,
-            "the membrane area does not grow with the load, so the constant c is undefined",
-        ),
-        (
-            constant is None or constant.residual <= AREA_RMS_FRACTION * largest,
             f"dF = c dA leaves a residual of {constant.residual if constant else np.nan:.2f} "
-            f"N of {largest:.2f} N: use more or larger loads",
-        ),
-    ]
-    return [text for good, text in checks if not good]
+            f"N of {largest:.2f} N: use more or larger loads"
+        ): constant is None or constant.residual <= AREA_RMS_FRACTION * largest,
+    }
+    return [text for text, good in checks.items() if not good]

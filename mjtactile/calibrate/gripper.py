@@ -11,7 +11,7 @@ data sheet's torque per ampere.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -112,31 +112,26 @@ def calibrate_opening(
         float(np.sqrt(np.mean(left**2))),
         (),
     )
-    return OpeningCalibration(**{**asdict(result), "reasons": tuple(_assess_opening(result))})
+    return replace(result, reasons=tuple(_assess_opening(result)))
 
 
 def _assess_opening(c: OpeningCalibration) -> list[str]:
-    checks = [
+    checks = {
         (
-            abs(c.scale - 1) <= SCALE_OFF_MAX,
             f"the jaws move {c.scale:.3f} times the distance of the rig file: correct "
-            "mm_per_rad or law",
-        ),
+            "mm_per_rad or law"
+        ): abs(c.scale - 1) <= SCALE_OFF_MAX,
         (
-            c.rms <= OPENING_RMS_MAX,
             f"the caliper readings deviate from the fit by {1e3 * c.rms:.2f} mm rms (allowed: "
-            f'{1e3 * OPENING_RMS_MAX:g} mm): a wrong reading, or transmission "rack" for a crank',
-        ),
+            f'{1e3 * OPENING_RMS_MAX:g} mm): a wrong reading, or transmission "rack" for a crank'
+        ): c.rms <= OPENING_RMS_MAX,
         (
-            c.backlash <= BACKLASH_MAX,
-            f"the backlash is {1e3 * c.backlash:.2f} mm: check for a loose horn or a worn gear",
-        ),
-        (
-            c.backlash >= -3 * max(c.backlash_sd, 1e-5),
-            f"the backlash is {1e3 * c.backlash:.2f} mm: the directions may be swapped",
-        ),
-    ]
-    return [text for good, text in checks if not good]
+            f"the backlash is {1e3 * c.backlash:.2f} mm: check for a loose horn or a worn gear"
+        ): c.backlash <= BACKLASH_MAX,
+        (f"the backlash is {1e3 * c.backlash:.2f} mm: the directions may be swapped"): c.backlash
+        >= -3 * max(c.backlash_sd, 1e-5),
+    }
+    return [text for text, good in checks.items() if not good]
 
 
 def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration:
@@ -148,30 +143,25 @@ def calibrate_force(reported: Array, measured: Array) -> GripperForceCalibration
     result = GripperForceCalibration(
         float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ()
     )
-    return GripperForceCalibration(
-        **{**asdict(result), "reasons": tuple(_assess_force(result, float(np.max(measured))))}
-    )
+    return replace(result, reasons=tuple(_assess_force(result, float(np.max(measured)))))
 
 
 def _assess_force(c: GripperForceCalibration, largest: float) -> list[str]:
     low, high = FACTOR_RANGE
-    checks = [
+    checks = {
         (
-            low <= c.factor <= high,
             f"the force is {c.factor:.2f} times the value from the currents ({low:g} to "
-            f"{high:g} is plausible): check servo model, mm_per_rad and load cell range",
-        ),
+            f"{high:g} is plausible): check servo model, mm_per_rad and load cell range"
+        ): low <= c.factor <= high,
         (
-            c.rms <= FORCE_RMS_FRACTION * largest,
             f"the forces deviate from a line by {c.rms:.2f} N rms of {largest:.2f} N: check "
-            "for stick-slip and other contacts of the jaws",
-        ),
+            "for stick-slip and other contacts of the jaws"
+        ): c.rms <= FORCE_RMS_FRACTION * largest,
         (
-            c.offset <= 0.1 * largest,
-            f"the load cell reads {c.offset:.2f} N more than the currents explain: check its zero",
-        ),
-    ]
-    return [text for good, text in checks if not good]
+            f"the load cell reads {c.offset:.2f} N more than the currents explain: check its zero"
+        ): c.offset <= 0.1 * largest,
+    }
+    return [text for text, good in checks.items() if not good]
 
 
 def report(
@@ -219,15 +209,15 @@ def _servo_line(
     scale = 1.0
     if opening is not None and jaw.config.transmission == "rack":
         scale = opening.scale
-        share = opening.offset / count
+        part = opening.offset / count
         per_rad = scale * jaw.config.per_rad
-        shift = (share + (scale - 1) * jaw.config.opening_part) / per_rad
+        shift = (part + (scale - 1) * jaw.config.opening_part) / per_rad
         line["mm_per_rad"] = round(1e3 * per_rad, 4)
         line["zero_ticks"] = round(jaw.config.zero_ticks - shift * TICKS_PER_RAD)
     elif opening is not None:
-        share = (opening.offset + (opening.scale - 1) * middle) / count
+        part = (opening.offset + (opening.scale - 1) * middle) / count
         line["zero_ticks"] = round(
-            jaw.config.zero_ticks - share / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD
+            jaw.config.zero_ticks - part / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD
         )
     if force is not None:
         # force = torque over radius

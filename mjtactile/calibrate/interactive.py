@@ -301,10 +301,8 @@ def step_valve(
         while (now := scaled_clock.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
             if reading.gauge_pressure is None:
-                raise InputError(
-                    "the board has no pressure sensor, so the valve cannot be calibrated",
-                    field=f"valve.{valve.config.finger}",
-                )
+                message = "the board has no pressure sensor, so the valve cannot be calibrated"
+                raise InputError(message, field=f"valve.{valve.config.finger}")
             if not rows or reading.time > rows[-1][0]:
                 rows.append((reading.time, reading.gauge_pressure, stage))
             scaled_clock.sleep(max(0.0, now + _SAMPLE - scaled_clock.monotonic()))

@@ -93,13 +93,12 @@ def _target(
     path = camera.calibration or design.calibration
     if path is None:
         number = rig_file.cameras.index(camera)
-        raise InputError(
+        message = (
             f"no calibration file is named for the {camera.finger} finger: write calibration "
             f'= "{camera.finger}.json" into this [[camera]] (of a copy, for a shipped rig), '
-            "or add --out",
-            source=rig_file.path,
-            field=f"camera[{number}].calibration",
+            "or add --out"
         )
+        raise InputError(message, source=rig_file.path, field=f"camera[{number}].calibration")
     return OutputFile(camera.finger, path, design)
 
 

@@ -107,11 +107,8 @@ def _numbers(path: Path, name: str, rows: Sequence[Mapping[str, str | None]]) ->
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise InputError(
-                f"{row[name]!r} is not a finite number",
-                source=path,
-                field=f"line {line}, column {name}",
-            )
+            message = f"{row[name]!r} is not a finite number"
+            raise InputError(message, source=path, field=f"line {line}, column {name}")
         values.append(value)
     return np.array(values)
 

@@ -61,15 +61,15 @@ def setup(
     if not path.exists():
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
         say(f"{path}: created as a copy of {like.stem}")
-    offered = _Offered(ports, say)
+    ports_found = _PortScan(ports, say)
     for step in (_bus, _valves):
-        _write(path, step(load_rig_file(path), offered, ask, say))
+        _write(path, step(load_rig_file(path), ports_found, ask, say))
     _write(path, _cameras(load_rig_file(path), cameras, ask, say))
     _limits(path, ask, say)
     return load_rig_file(path)
 
 
-class _Offered:
+class _PortScan:
     """Serial ports of the computer, scanned once on first use."""
 
     def __init__(self, more: Sequence[str], say: Say):
@@ -94,7 +94,7 @@ class _Offered:
         )
 
 
-def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, object]:
+def _bus(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Place, object]:
     lift = [rig.lift.id] if rig.lift.kind == "servo" else []
     wanted = [servo.id for servo in rig.gripper.servos] + lift
     with contextlib.suppress(DeviceError):
@@ -104,7 +104,7 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
         ):
             say(f"servos {wanted} answer at {rig.bus.port}: setting kept")
             return {}
-    ports = offered.with_("Dynamixel servos", lambda port: bool(port.servos))
+    ports = ports_found.with_("Dynamixel servos", lambda port: bool(port.servos))
     port = _choose("servo bus", ports, lambda port: port.path, ask, say)
     if len(port.servos) < len(wanted):
         raise InputError(
@@ -117,14 +117,11 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
     free = sorted(port.servos)
     for number in range(len(wanted)):
         is_lift = number >= len(rig.gripper.servos)
-        name = "the lift"
-        section = "lift"
-        index = 0
+        name, section, index = "the lift", "lift", 0
         if not is_lift:
             per_rad_mm = 1e3 * rig.gripper.servos[number].per_rad
             name = f"jaw {number + 1} ({per_rad_mm:+g} mm/rad)"
-            section = "gripper.servo"
-            index = number
+            section, index = "gripper.servo", number
         chosen = _choose(
             f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say
         )
@@ -140,7 +137,7 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
     return changes
 
 
-def _valves(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, object]:
+def _valves(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Place, object]:
     if not rig.valves:
         return {}
     present = rig.valves[0].port
@@ -148,7 +145,7 @@ def _valves(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Plac
         if present.startswith("/") and valve_board_at(present):
             say(f"the valve board answers at {present}: setting kept")
             return {}
-    ports = offered.with_("a valve board", lambda port: bool(port.board))
+    ports = ports_found.with_("a valve board", lambda port: bool(port.board))
     port = _choose("valve board", ports, lambda port: port.path, ask, say)
     return {("valve", number, "port"): port.path for number in range(len(rig.valves))}
 
@@ -167,9 +164,9 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
             field="camera",
             choices=["connect the missing cameras and run again", "--camera URL"],
         )
-    offered = [_with_source(rig.cameras[0], source) for source in sources]
+    candidates = [_with_source(rig.cameras[0], source) for source in sources]
     changes: dict[Place, object] = {}
-    for number, (source, flip) in enumerate(_assigned(rig, offered, ask, say)):
+    for number, (source, flip) in enumerate(_assigned(rig, candidates, ask, say)):
         changes |= {("camera", number, "source"): source, ("camera", number, "flipped"): flip}
     return changes
 
@@ -223,14 +220,10 @@ def _assigned(
 
 
 def flip_of(change: Array) -> str | None:
-    """Return the flip of an image, one of `FLIPS`.
+    """Return the flip of an image, one of `FLIPS`; None if the change is in no corner.
 
-    Args:
-        change: Change of grey levels (H, W) due to a contact at maximum x and y of the sensor. In
-            an upright image, this is at the lower right.
-
-    Returns:
-        The flip; None if the change is in no corner.
+    `change` (H, W) are the changes of grey levels by a contact at maximum x and y of the sensor. In
+    an upright image, this is at the lower right.
     """
     weight = np.square(change)
     height, width = weight.shape
@@ -238,12 +231,9 @@ def flip_of(change: Array) -> str | None:
     down = float(weight.sum(axis=1) @ np.arange(height) / weight.sum()) / height - 0.5
     if not min(abs(right), abs(down)) > _ASIDE:
         return None
-    return {
-        (True, True): UNFLIPPED,
-        (False, True): "left-right",
-        (True, False): "top-bottom",
-        (False, False): "both",
-    }[right > 0, down > 0]
+    if right > 0:
+        return UNFLIPPED if down > 0 else "top-bottom"
+    return "left-right" if down > 0 else "both"
 
 
 def _mean_image(config: CameraConfig) -> Array:
@@ -277,18 +267,18 @@ def _limits(path: Path, ask: Ask, say: Say) -> None:
                 say(f"{answer!r} is not a number")
 
 
-def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:
-    """Ask the user to choose one of `things`; without a question if there is only one."""
-    if len(things) == 1:
-        say(f"{what}: {name(things[0])}")
-        return things[0]
-    for number, thing in enumerate(things, 1):
-        say(f"  {number}  {name(thing)}")
+def _choose(what: str, items: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:
+    """Ask the user to choose one of `items`; without a question if there is only one."""
+    if len(items) == 1:
+        say(f"{what}: {name(items[0])}")
+        return items[0]
+    for number, item in enumerate(items, 1):
+        say(f"  {number}  {name(item)}")
     while True:
         answer = ask(f"{what}, which one? [1]: ").strip() or "1"
-        if answer.isdigit() and 1 <= int(answer) <= len(things):
-            return things[int(answer) - 1]
-        say(f"{answer!r} is not a number from 1 to {len(things)}")
+        if answer.isdigit() and 1 <= int(answer) <= len(items):
+            return items[int(answer) - 1]
+        say(f"{answer!r} is not a number from 1 to {len(items)}")
 
 
 def _write(path: Path, changes: Mapping[Place, object]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -85,17 +85,16 @@ def calibrate_valve(
     settled = rise[int(_SETTLED * len(rise)) :]
     step = float(np.mean(pressure[settled])) - offset
     start = time[rise[0]]
-    share = (pressure[rise] - offset) / step if step else np.full(len(rise), np.nan)
+    fraction = (pressure[rise] - offset) / step if step else np.full(len(rise), np.nan)
     at = {
-        level: _crossing(time[rise] - start, share, level) for level in (0.1, 1 - math.exp(-1), 0.9)
+        level: _crossing(time[rise] - start, fraction, level)
+        for level in (0.1, 1 - math.exp(-1), 0.9)
     }
     low, tau, high = at.values()
     tight = sealed[time[sealed] > time[sealed[0]] + _SEALED_AFTER]
     if len(tight) < 5:
-        raise InputError(
-            f"the sealed stage is too short; at least {_SEALED_AFTER + 1:g} s are needed",
-            field="state closed",
-        )
+        message = f"the sealed stage is too short; at least {_SEALED_AFTER + 1:g} s are needed"
+        raise InputError(message, field="state closed")
     (_, slope), (_, slope_sd), _ = fit_line(time[tight] - time[tight[0]], pressure[tight])
     fall = math.nan
     if len(stages) > 3 and stages[3][0] == "vent":
@@ -105,39 +104,34 @@ def calibrate_valve(
     result = ValveCalibration(
         asked, offset, noise, step, high - low, tau, -slope, float(slope_sd), fall, ()
     )
-    return ValveCalibration(**{**asdict(result), "reasons": tuple(_judge(result))})
+    return replace(result, reasons=tuple(_refusals(result)))
 
 
-def _judge(c: ValveCalibration) -> list[str]:
+def _refusals(c: ValveCalibration) -> list[str]:
     size = abs(c.asked)
-    checks = [
+    checks = {
         (
-            abs(c.offset) <= OFFSET_MAX_FRACTION * size,
             f"the vented sensor reads {c.offset:.0f} Pa: set its zero, or check that the "
-            "valve vents",
-        ),
+            "valve vents"
+        ): abs(c.offset) <= OFFSET_MAX_FRACTION * size,
         (
-            c.noise_sd <= NOISE_MAX_FRACTION * size,
             f"the noise of the pressure sensor is {c.noise_sd:.0f} Pa of {size:.0f} Pa: check "
-            "cable, ground and range",
-        ),
+            "cable, ground and range"
+        ): c.noise_sd <= NOISE_MAX_FRACTION * size,
         (
-            abs(c.step - c.asked) <= ERROR_MAX_FRACTION * size,
             f"the pressure reached {c.step:.0f} Pa instead of {c.asked:.0f} Pa: check the "
-            "supply, a stuck valve, and leaks as large as the flow",
-        ),
+            "supply, a stuck valve, and leaks as large as the flow"
+        ): abs(c.step - c.asked) <= ERROR_MAX_FRACTION * size,
         (
-            c.rise_time <= RISE_MAX,
             f"the rise from 10 to 90 % takes {c.rise_time:.2f} s (allowed: {RISE_MAX:g}): "
-            "check for a narrow hose",
-        ),
+            "check for a narrow hose"
+        ): c.rise_time <= RISE_MAX,
         (
-            c.leak <= LEAK_MAX * size / 60 + 2 * c.leak_sd,
             f"the sealed chamber loses {c.leak:.1f} Pa/s ({6000 * c.leak / size:.0f} % per "
-            "minute): check membrane rim, hose and valve seat",
-        ),
-    ]
-    return [text for good, text in checks if not good]
+            "minute): check membrane rim, hose and valve seat"
+        ): c.leak <= LEAK_MAX * size / 60 + 2 * c.leak_sd,
+    }
+    return [text for text, good in checks.items() if not good]
 
 
 def _stages(time: Array, state: Sequence[str]) -> list[tuple[str, Array]]:
@@ -162,14 +156,14 @@ def _stage(stages: list[tuple[str, Array]], place: int, name: str) -> Array:
     return stages[place][1]
 
 
-def _crossing(time: Array, share: Array, level: float) -> float:
-    """Return the time at which `share` first reaches `level`, by linear interpolation; NaN if
+def _crossing(time: Array, fraction: Array, level: float) -> float:
+    """Return the time at which `fraction` first reaches `level`, by linear interpolation; NaN if
     never."""
-    above = np.flatnonzero(share >= level)
+    above = np.flatnonzero(fraction >= level)
     if len(above) == 0:
         return math.nan
     i = int(above[0])
     if i == 0:
         return float(time[0])
-    part = (level - share[i - 1]) / (share[i] - share[i - 1])
+    part = (level - fraction[i - 1]) / (fraction[i] - fraction[i - 1])
     return float(time[i - 1] + part * (time[i] - time[i - 1]))

@@ -7,10 +7,13 @@ the default, unless it has none or the text mentions it already.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Iterable
+import math
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
+
+MAX_STEPS = 10_000
 
 
 class Addable(Protocol):
@@ -63,32 +66,38 @@ def positional(name: str, metavar: str, help: str, **settings: Any) -> Argument:
     return Argument((name,), {"metavar": metavar, "help": help} | settings)
 
 
-def option(names: str, metavar: Any, help: str, default: Any = None, **settings: Any) -> Argument:
-    """Return the option `--name VALUE`.
+def option(usage: str, help: str, default: Any = None, **settings: Any) -> Argument:
+    """Return the option `--name VALUE`, or `--name --other VALUE` with several names.
 
-    Args:
-        names: `--name`, or several names separated by blanks.
-        metavar: Name of the value in the help.
-        help: Description of the option.
-        default: Value if the option is not given.
-        settings: Further argparse settings: type, dest, required, nargs.
+    `usage` is its form in the help, `default` the value if it is not given. `settings` are further
+    settings for argparse: type, dest, required, nargs.
     """
-    told = {"metavar": metavar, "help": _with_default(help, default), "default": default}
-    return Argument(tuple(names.split()), told | settings)
+    names, metavar = _split(usage)
+    named = {"metavar": metavar, "help": _with_default(help, default), "default": default}
+    return Argument(names, named | settings)
 
 
-def repeated(name: str, metavar: str | None, help: str, **settings: Any) -> Argument:
-    """`--name VALUE`, which may be given again and again: a list, empty where it is not given."""
-    told = {"metavar": metavar, "help": help, "action": "append", "default": []}
-    return Argument((name,), told | settings)
+def repeated(usage: str, help: str, **settings: Any) -> Argument:
+    """Return an option that may be given several times: a list, empty without it."""
+    names, metavar = _split(usage)
+    named = {"metavar": metavar, "help": help, "action": "append", "default": []}
+    return Argument(names, named | settings)
+
+
+def _split(usage: str) -> tuple[tuple[str, ...], Any]:
+    """Split "--name VALUE" into its names and the name of its value, or those of several."""
+    words = usage.split()
+    names = tuple(word for word in words if word.startswith("--"))
+    values = tuple(words[len(names) :])
+    return names, values if len(values) > 1 else values[0] if values else None
 
 
 def choice(
     name: str, choices: Collection[str], help: str, default: Any = None, **settings: Any
 ) -> Argument:
     """`--name {a,b}`: one of few words."""
-    told = {"choices": choices, "help": _with_default(help, default), "default": default}
-    return Argument((name,), told | settings)
+    named = {"choices": choices, "help": _with_default(help, default), "default": default}
+    return Argument((name,), named | settings)
 
 
 def flag(name: str, help: str, **settings: Any) -> Argument:
@@ -98,16 +107,87 @@ def flag(name: str, help: str, **settings: Any) -> Argument:
 
 def sensor(help: str = "the sensor", default: str | None = "dense", **settings: Any) -> Argument:
     """`--sensor`, a shipped name or a file."""
-    return option("--sensor", "NAME|FILE.toml", help, default, **settings)
+    return option("--sensor NAME|FILE.toml", help, default, **settings)
 
 
 def out(help: str, metavar: str = "DIR", **settings: Any) -> Argument:
     """`--out`, where results go."""
-    return option("--out", metavar, help, type=Path, **settings)
+    return option(f"--out {metavar}", help, type=Path, **settings)
 
 
 def _with_default(help: str, default: Any) -> str:
     if default in (None, "") or "default" in help:
         return help
-    said = f"{default:g}" if isinstance(default, float) else default
-    return f"{help} (default: {said})"
+    value = f"{default:g}" if isinstance(default, float) else default
+    return f"{help} (default: {value})"
+
+
+# -- readers of values: each takes the text of an option, and raises argparse's error
+
+
+def number(
+    low: float = -math.inf, high: float = math.inf, *, above: bool = False
+) -> Callable[[str], float]:
+    """Return a reader of a finite number from `low` to `high`; with `above`, without `low`."""
+    return _reader(float, low, high, above)
+
+
+def whole(low: int, high: float = math.inf) -> Callable[[str], int]:
+    """Return a reader of an integer from `low` to `high`."""
+    return _reader(int, low, high, False)
+
+
+def _reader(convert: Callable[[str], Any], low: float, high: float, above: bool) -> Any:
+    limits = f"above {low:g}" if above else f"of at least {low:g}"
+    if math.isfinite(high):
+        limits = f"above {low:g}, up to {high:g}" if above else f"from {low:g} to {high:g}"
+    kind = "an integer" if convert is int else "a number"
+    expected = f"{kind} {limits}" if math.isfinite(low) else "a finite number"
+
+    def read(text: str) -> Any:
+        try:
+            value = convert(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value) or not low <= value <= high or (above and value == low):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {expected}")
+        return value
+
+    return read
+
+
+POSITIVE = number(0, above=True)
+
+
+def pair(text: str) -> tuple[float, float]:
+    """Read "X,Y"."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pair of numbers X,Y")
+    return x, y
+
+
+def values(text: str) -> list[float]:
+    """Read "2", or the range "0:4:0.5" (both ends included)."""
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 3) or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor a range A:B:STEP")
+    if len(numbers) == 1:
+        return numbers
+    start, stop, step = numbers
+    if step == 0 or (stop - start) / step < 0:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: the step {step:g} does not lead from {start:g} to {stop:g}"
+        )
+    count = math.floor((stop - start) / step + 1e-9) + 1
+    if count > MAX_STEPS:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has {count} steps; at most {MAX_STEPS} are allowed"
+        )
+    return [start + i * step for i in range(count)]

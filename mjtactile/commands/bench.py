@@ -12,134 +12,62 @@ from mjtactile.commands.output import (
     insert_table,
     output_folder,
     page_of_table,
-    print_json,
+    print_result,
     stdout_to_stderr,
 )
 from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
 
 BENCHMARKS: dict[str, tuple[str, str]] = {
-    "grasp": (
-        "grasp",
-        "egg, strawberry and vial, seeds 0-9: outcome, force error, real-time factor, profile",
-    ),
-    "perception": (
-        "perception.run",
-        "marker accuracy against the Cramer-Rao bound and OpenCV; time per image",
-    ),
+    "grasp": ("grasp", "egg, strawberry and vial, seeds 0-9: outcome, force error, speed, profile"),
+    "perception": ("perception.run", "marker accuracy against the Cramer-Rao bound and OpenCV"),
     "tracking": ("tracking", "tracked markers against a full search, 100 000 images"),
-    "touch": (
-        "touch.run",
-        "force, shear, torque, contact patch and detection threshold, random indenters",
-    ),
-    "uncertainty": (
-        "uncertainty.run",
-        "coverage of the reported standard deviations, 10 000 images of random scenes",
-    ),
+    "touch": ("touch.run", "force, shear, torque, contact and threshold, random indenters"),
+    "uncertainty": ("uncertainty.run", "coverage of the standard deviations, 10 000 random images"),
     "slip": ("slip.run", "200 random slips and stable grasps: detection rate, delay, false alarms"),
     "material": ("material", "material class and modulus of random objects, probed"),
-    "stability": (
-        "stability.run",
-        "more than 300 hard cases of the simulation, each with a physical check",
-    ),
+    "stability": ("stability.run", "more than 300 hard cases of the simulation, each with a check"),
     "rig": ("rig.run", "emulated rig: loop rate, latency, reaction to every fault, killed host"),
     "emulated": ("rig.emulated_grasps", "grasps on the emulated rig"),
-    "accuracy": (
-        "accuracy.run",
-        "work-precision diagrams: error of force and surface against time, for every setting",
-    ),
-    "meshless": (
-        "accuracy.meshless_levels",
-        "fidelity levels without a mesh: accuracy, and agreement of episode outcomes",
-    ),
-    "speed": (
-        "speed.run",
-        "two membranes that grip an object: real-time factor against mesh size and rigid pads",
-    ),
-    "no-images": (
-        "without_images",
-        "episodes with and without rendered images: markers, forces, time",
-    ),
+    "accuracy": ("accuracy.run", "work-precision diagrams: error against time, for every setting"),
+    "meshless": ("accuracy.meshless_levels", "levels without a mesh: accuracy, outcomes"),
+    "speed": ("speed.run", "two membranes that grip an object: real-time factor against mesh size"),
+    "no-images": ("without_images", "episodes with and without rendered images: markers, forces"),
     "error-model": (
         "learning.fit_error_model",
-        "errors of a sensor's pipeline in grasps, for --effects=-mesh,-pipeline",
+        "errors of a pipeline, for --effects=-mesh,-pipeline",
     ),
     "learning": ("learning.run", "steps per second, outcomes and memory of each fidelity level"),
-    "policy": (
-        "learning.policy",
-        "a policy trained from scratch in ten minutes, evaluated at two fidelity levels",
-    ),
+    "policy": ("learning.policy", "a policy trained in ten minutes, at two fidelity levels"),
     "effects": ("effects", "cost of each effect, and the error without it"),
-    "quasistatic": (
-        "quasistatic",
-        "quasi-static membrane against an independent solver: error, scatter, time",
-    ),
-    "thin-objects": (
-        "thin_objects.run",
-        "blades, wires, pins and small faces at random positions and speeds: force",
-    ),
+    "quasistatic": ("quasistatic", "quasi-static membrane against an independent solver: error"),
+    "thin-objects": ("thin_objects.run", "blades, wires, pins and small faces: force"),
     "shape": ("shape.run", "contact shape from images: area, kind, radius and edge direction"),
-    "wide-faces": (
-        "wide_faces",
-        "plates up to wider than the frame: force error with and without a pressure sensor",
-    ),
-    "sensors": (
-        "sensors",
-        "shipped marker layouts on one membrane: accuracy and cost of more markers",
-    ),
+    "wide-faces": ("wide_faces", "plates wider than the frame: force error by pressure sensor"),
+    "sensors": ("sensors", "marker layouts on one membrane: accuracy and cost of more markers"),
     "outline": ("outline", "round and elliptic sensors: bulge against theory, force error"),
     "explore": ("explore", "whole objects touched twelve times: error of the estimated surface"),
-    "fit": (
-        "fit",
-        "identification of sensors that differ from their file: error of each parameter",
-    ),
+    "fit": ("fit", "identification of sensors that differ from their file: parameter errors"),
     "design": ("design", "predictions of `design` against simulated sensors"),
-    "references": (
-        "reference_cases.run",
-        "simulation and estimates against independent reference solutions",
-    ),
+    "references": ("reference_cases.run", "simulation and estimates against independent solutions"),
     "studio": ("studio.run", "cost of Studio: a grasp with and without a page that shows it"),
     "camera-faults": (
         "camera_faults.run",
-        "gas faults, and a grasp replayed under fifty camera faults",
+        "gas faults; a grasp replayed under fifty camera faults",
     ),
-    "fiducials": (
-        "camera_faults.fiducials",
-        "the same with fiducials: shift, zoom, focus, exposure; cost",
-    ),
-    "fault-injection": (
-        "fault_injection",
-        "every malformed input of the tests, counted by the required reaction",
-    ),
-    "setting-sensitivity": (
-        "setting_sensitivity",
-        "estimates with half and twice each setting of the pipeline",
-    ),
-    "gas-filter-sensitivity": (
-        "gas_filter_sensitivity",
-        "the same for the filter of the pressure sensor",
-    ),
-    "detection-sensitivity": (
-        "detection_sensitivity",
-        "the same for marker detection in photographs",
-    ),
+    "fiducials": ("camera_faults.fiducials", "the same with fiducials: shift, zoom, focus, cost"),
+    "fault-injection": ("fault_injection", "every malformed input of the tests, by reaction"),
+    "setting-sensitivity": ("setting_sensitivity", "estimates with half and twice each setting"),
+    "gas-filter-sensitivity": ("gas_filter_sensitivity", "the same for the gas filter"),
+    "detection-sensitivity": ("detection_sensitivity", "the same for detection in photographs"),
     "shape-sensitivity": ("shape.shape_setting_sensitivity", "the same for the contact shape"),
     "relaxation": ("relaxation", "grasps of ten minutes on relaxing rubber: force error and cost"),
-    "commissioning": (
-        "commissioning.run",
-        "setup, calibration, fit, grasp and comparison of a faulty emulated rig",
-    ),
-    "tasks": (
-        "tasks.run",
-        "benefit of touch: tasks with and without touch, over the same episodes",
-    ),
+    "commissioning": ("commissioning.run", "setup, calibration, fit, grasp of a faulty rig"),
+    "tasks": ("tasks.run", "benefit of touch: tasks with and without touch, same episodes"),
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
-    "benchmark-index": (
-        "benchmark_index",
-        "no measurement: collect questions and headline results",
-    ),
-    "summary-page": ("results_tables", "no measurement: collect all results from the other pages"),
+    "benchmark-index": ("benchmark_index", "no measurement: questions and headline results"),
+    "summary-page": ("results_tables", "no measurement: all results from the other pages"),
     "flags-page": ("flags_page", "no measurement: print the table of all flags"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
@@ -194,51 +122,43 @@ _ITS_PAGE = Path()
 ARGUMENTS = (
     arg.positional("name", "NAME", "benchmark from the list above", choices=list(BENCHMARKS)),
     arg.flag("--quick", "run a small part, to check that the benchmark works"),
-    arg.option("--out", "DIR", "folder for the results", Path("bench-results"), type=Path),
+    arg.option("--out DIR", "folder for the results", Path("bench-results"), type=Path),
     arg.flag(
         "--resume", f"keep the results of an interrupted run ({', '.join(OPTIONS['resume'])})"
     ),
     arg.option(
-        "--parts",
-        "A,B,…",
+        "--parts A,B,…",
         "only these parts; rig: loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak; "
         "slip: passive, tested; tasks: adaptive, gentle, slip_aware, touchless, oracle",
     ),
     arg.option(
-        "--level",
-        "NAME",
+        "--level NAME",
         "tasks: fidelity level mesh (default), film (--effects=-mesh,-images) or drawn "
         "(-mesh,-pipeline); the last two also report agreement with mesh results in --out",
     ),
     arg.option(
-        "--data",
-        "DIR",
+        "--data DIR",
         "bubble, dots: folder of the recordings, which are not in the repository",
         type=Path,
     ),
-    arg.option("--cases", "DIR", "references: read the cases of this folder", type=Path),
-    arg.option("--baseline", "DIR", "speed: also time another checkout, alternating", type=Path),
+    arg.option("--cases DIR", "references: read the cases of this folder", type=Path),
+    arg.option("--baseline DIR", "speed: also time another checkout, alternating", type=Path),
     arg.option(
-        "--soak",
-        "HOURS",
+        "--soak HOURS",
         "rig: duration of the long run, with a grasp every 20 s and a fault every 5 min, all "
         "recorded (--parts soak: only the long run, two hours)",
         type=float,
     ),
+    arg.option("--pairs N", "no-images, learning, meshless: number of pairs of episodes", type=int),
     arg.option(
-        "--pairs", "N", "no-images, learning, meshless: number of pairs of episodes", type=int
-    ),
-    arg.option(
-        "--episodes",
-        "N",
+        "--episodes N",
         "tasks, slip: episodes of each kind (default: 200); emulated: grasps (default: 20)",
         type=int,
     ),
-    arg.option("--rate", "HZ", "slip: camera rate, 30 or 60 (default: 30)", type=float),
-    arg.option("--sensor", "NAME", "error-model: sensor (default: dense)"),
+    arg.option("--rate HZ", "slip: camera rate, 30 or 60 (default: 30)", type=float),
+    arg.option("--sensor NAME", "error-model: sensor (default: dense)"),
     arg.option(
-        "--readme",
-        "FILE.md",
+        "--readme FILE.md",
         "also insert the table into this file, between <!-- bench:NAME --> and <!-- /bench -->; "
         "without a file: into the page of the documentation that has these markers",
         type=Path,
@@ -252,14 +172,12 @@ def run(options: argparse.Namespace) -> int:
     more: dict[str, Any] = {}
     for option, names in OPTIONS.items():
         value = getattr(options, option)
-        if value and options.name not in names:
-            raise InputError(
-                f"this option does not apply to 'bench {options.name}'",
-                field=f"--{option}",
-                choices=names,
-            )
-        if value:
-            more[option] = tuple(value.split(",")) if option == "parts" else value
+        if not value:
+            continue
+        if options.name not in names:
+            message = f"this option does not apply to 'bench {options.name}'"
+            raise InputError(message, field=f"--{option}", choices=names)
+        more[option] = tuple(value.split(",")) if option == "parts" else value
     with output_folder(options.out) as out, stdout_to_stderr():
         module = of_checkout(BENCHMARKS[options.name][0])
         result = module.run(out, quick=options.quick, **more)
@@ -270,8 +188,5 @@ def run(options: argparse.Namespace) -> int:
             block = result.get("block", options.name)
             page = page_of_table(block) if options.readme == _ITS_PAGE else options.readme
             insert_table(page, block, table)
-    if options.json:
-        print_json(result)
-    else:
-        print(f"{table}\nwritten to {options.out}")
+    print_result(options, result, f"{table}\nwritten to {options.out}")
     return 0

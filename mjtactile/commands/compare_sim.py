@@ -7,7 +7,6 @@ import math
 import os
 from pathlib import Path
 
-from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -34,28 +33,25 @@ exit codes: 0 agrees with the simulator, 1 differs, 2 bad input, 3 the simulatio
 
 ARGUMENTS = (
     arg.positional("recording", "RECORDING", "a recording, or a run's folder", type=Path),
-    arg.option("--rig", "NAME|FILE.toml", "simulated rig that represents the recorded rig", "sim"),
-    arg.option("--object", "NAME|FILE.xml", "grasped object (default: from the recording)", ""),
+    arg.option("--rig NAME|FILE.toml", "simulated rig that represents the recorded rig", "sim"),
+    arg.option("--object NAME|FILE.xml", "grasped object (default: from the recording)", ""),
     arg.option(
-        "--end-s",
-        "S",
+        "--end-s S",
         "use only the first S seconds (default: all)",
         math.inf,
         dest="until",
-        type=float,
+        type=arg.POSITIVE,
     ),
     arg.repeated(
         "--parameter",
-        None,
         "try this cause; repeatable (default: all)",
         choices=[cause.name for cause in CAUSES],
     ),
     arg.option(
-        "--workers",
-        "N",
+        "--workers N",
         "number of simulation processes (default: half of the processors)",
         max(1, (os.cpu_count() or 1) // 2),
-        type=int,
+        type=arg.whole(1, 64),
     ),
     arg.out("folder for the HTML report and its numbers"),
 )
@@ -65,10 +61,6 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.sim_comparison.compare import shadow_of
     from mjtactile.sim_comparison.html_report import numbers, page
 
-    if not options.until > 0:
-        raise InputError(f"{options.until:g} is not above 0", field="--end-s")
-    if not 1 <= options.workers <= 64:
-        raise InputError(f"{options.workers} is outside 1 to 64", field="--workers")
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
         shadow, episode = shadow_of(

@@ -9,11 +9,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mjtactile import InputError, SensorDesign, load_sensor
+from mjtactile import SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import numeric_options
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.commands.plots import save as save_plot
+from mjtactile.commands.output import optional_folder, print_json, save_plot, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -47,68 +45,50 @@ JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_m
 [{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "wish", "begun_from",
 "tried": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file",
 ...}], "checked": [...]}. More: `mjtactile docs how-to/design`."""
-_WISHES = {
-    "detect_force_mN": (0.1, 1e4),
-    "range_N": (0.01, 1e3),
-    "edge_mm": (1e-3, 10),
-    "radius_mm": (0.5, 50),
-}
+_REQUIREMENTS = ("detect_force_mN", "range_N", "edge_mm", "radius_mm")
 
 ARGUMENTS = (
     arg.sensor("sensor to evaluate, or starting point of the designs"),
     arg.option(
-        "--force-N",
-        "F",
+        "--force-N F",
         "contact force for the predictions of force, position, edge and radius",
         0.5,
-        type=numeric_options.finite,
+        type=arg.number(0.01, 100),
     ),
     arg.Group(
         "requirements (each is optional)",
         (
             arg.option(
-                "--detect-force-mN",
-                "F",
+                "--detect-force-mN F",
                 "maximum force threshold of a contact, limited by pixel noise",
-                type=numeric_options.finite,
+                type=arg.number(0.1, 1e4),
             ),
-            arg.option("--range-N", "F", "largest force", type=numeric_options.finite),
+            arg.option("--range-N F", "largest force", type=arg.number(0.01, 1e3)),
             arg.option(
-                "--edge-mm",
-                "S",
-                "maximum sd of the position of an edge",
-                type=numeric_options.finite,
+                "--edge-mm S", "maximum sd of the position of an edge", type=arg.number(1e-3, 10)
             ),
             arg.option(
-                "--radius-mm",
-                "R",
+                "--radius-mm R",
                 "smallest ball whose radius is estimated to 25 %%",
-                type=numeric_options.finite,
+                type=arg.number(0.5, 50),
             ),
+            arg.option("--frame-mm X,Y", "frame opening (default: the sensor's)", type=arg.pair),
             arg.option(
-                "--frame-mm",
-                "X,Y",
-                "frame opening (default: the sensor's)",
-                type=numeric_options.pair,
-            ),
-            arg.option(
-                "--camera-px",
-                "W,H",
+                "--camera-px W,H",
                 "image size (default: the sensor's); the field of view stays the same",
-                type=numeric_options.pair,
+                type=arg.pair,
             ),
         ),
     ),
-    arg.option("--count", "N", "number of designs to sample", 48, type=int),
+    arg.option("--count N", "number of designs to sample", 48, type=arg.whole(1, 2000)),
     arg.option(
-        "--check",
-        "N",
+        "--check N",
         "load the best N designs, or the file, in the full simulation and compare (default: "
         "0; some minutes each)",
         0,
-        type=int,
+        type=arg.whole(0, 20),
     ),
-    arg.option("--seed", "N", "seed of the sampling", 0, type=int),
+    arg.option("--seed N", "seed of the sampling", 0, type=int),
     arg.out(
         "folder for design.json, and face.png and design.html of a file, or front.png and "
         "best_1.toml, … of a search"
@@ -120,16 +100,16 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.design_study import json_output
 
     design = _base_sensor(options)
-    wish = _wish(options)
+    requirements = _requirements(options)
     names = (
         ("design.json", "face.png", "design.html")
-        if wish is None
+        if requirements is None
         else ("design.json", "front.png", "best_1.toml")
     )
     with optional_folder(options.out, *names) as out:
         with stdout_to_stderr():
             progress = Progress(quiet=options.json)
-            if wish is None:
+            if requirements is None:
                 result = json_output.of_file(
                     design, options.force_N, check=options.check, say=progress.message
                 )
@@ -137,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
                 result, files = json_output.from_requirements(
                     design,
                     options.force_N,
-                    wish,
+                    requirements,
                     count=options.count,
                     seed=options.seed,
                     check=options.check,
@@ -146,13 +126,13 @@ def run(options: argparse.Namespace) -> int:
             progress.close()
         if out is not None:
             write_json(out / "design.json", result)
-            if wish is None:
+            if requirements is None:
                 _write_file_figures(out, result)
             else:
                 _write_requirements(out, result, files)  # pyright: ignore[reportPossiblyUnboundVariable]
     if options.json:
         print_json(result)
-    elif wish is None:
+    elif requirements is None:
         _print_file(result)
     else:
         _print_requirements(result, options.out)
@@ -160,13 +140,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _base_sensor(options: argparse.Namespace) -> SensorDesign:
-    """The sensor, with the frame and the camera that are wanted."""
+    """Return the sensor with the requested frame and camera."""
     from mjtactile.design_study import sensor_file_edit
 
-    if not 0.01 <= options.force_N <= 100:
-        raise InputError(f"{options.force_N:g} is outside 0.01 to 100", field="--force-N")
     design = load_sensor(options.sensor)
-    if options.frame_mm is not None or any(getattr(options, name) is not None for name in _WISHES):
+    if options.frame_mm is not None or any(
+        getattr(options, name) is not None for name in _REQUIREMENTS
+    ):
         design.require_rectangle("the design search")
     if options.frame_mm is not None:
         design = sensor_file_edit.with_frame(design, *(1e-3 * side for side in options.frame_mm))
@@ -175,30 +155,21 @@ def _base_sensor(options: argparse.Namespace) -> SensorDesign:
     return sensor_file_edit.rebuilt(design)
 
 
-def _wish(options: argparse.Namespace) -> Any:
+def _requirements(options: argparse.Namespace) -> Any:
     """Return the requirements; None if none are given, so that the file itself is evaluated."""
     from mjtactile.design_study.design_sweep import Requirements
 
-    for name, (low, high) in _WISHES.items():
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            field = f"--{name.replace('_', '-')}"
-            raise InputError(f"{value:g} is outside {low:g} to {high:g}", field=field)
-    for name, (low, high) in (("count", (1, 2000)), ("check", (0, 20))):
-        value = getattr(options, name)
-        if not low <= value <= high:
-            raise InputError(f"{value} is outside {low} to {high}", field=f"--{name}")
-    if all(getattr(options, name) is None for name in _WISHES):
+    if all(getattr(options, name) is None for name in _REQUIREMENTS):
         return None
 
-    def metres(value: float | None) -> float | None:
+    def milli(value: float | None) -> float | None:
         return None if value is None else 1e-3 * value
 
     return Requirements(
-        touch=metres(options.detect_force_mN),  # mN to N
+        touch=milli(options.detect_force_mN),
         maximum=options.range_N,
-        edge=metres(options.edge_mm),
-        radius=metres(options.radius_mm),
+        edge=milli(options.edge_mm),
+        radius=milli(options.radius_mm),
     )
 
 

@@ -15,7 +15,7 @@ import cv2
 
 from mjtactile import Camera, InputError, circles_to_records, detect_circles
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_result, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.frame_source import NamedImage, overlay, read_frames
 
@@ -58,32 +58,22 @@ exit codes: 0 done (also when no marker was found), 2 bad input.
 
 
 def _gamma(text: str) -> float | Literal["auto"]:
-    return "auto" if text == "auto" else _positive(text)
+    return "auto" if text == "auto" else _POSITIVE(text)
 
 
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or value <= 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return value
-
-
+_POSITIVE = arg.POSITIVE
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
     arg.option(
-        "--camera", "CAMERA.yaml", "camera file of ROS, OpenCV or Kalibr", type=Path, required=True
+        "--camera CAMERA.yaml", "camera file of ROS, OpenCV or Kalibr", type=Path, required=True
     ),
     arg.option(
-        "--glass-mm",
-        "T:N:D",
+        "--glass-mm T:N:D",
         "glass in front of the camera, normal to its axis: thickness in mm, refractive "
         "index, distance of its near face from the camera center in mm, such as 5:1.5:120 "
         "(default: the glass entry of the camera file)",
     ),
-    arg.option("--radius-mm", "R", "radius of the markers in mm", type=_positive, required=True),
+    arg.option("--radius-mm R", "radius of the markers in mm", type=_POSITIVE, required=True),
     arg.OneOf(
         (
             arg.flag(
@@ -111,8 +101,7 @@ ARGUMENTS = (
         "auto",
     ),
     arg.option(
-        "--gamma",
-        "G|auto",
+        "--gamma G|auto",
         "camera gamma: grey levels are light to the power of 1/G (default: 1; sRGB: 2.2); "
         "auto: estimate it from the circles of each image",
         1.0,
@@ -129,18 +118,18 @@ def run(options: argparse.Namespace) -> int:
         with stdout_to_stderr():
             frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
         if not any(frame["usable"] for frame in frames):
-            raise InputError(
+            message = (
                 f"none of the {len(frames)} images can be used; {frames[0]['source']}: "
-                f"{frames[0]['status']}",
-                source=options.source,
-                field="SOURCE",
+                f"{frames[0]['status']}"
             )
+            raise InputError(message, source=options.source, field="SOURCE")
         if out is not None:
             write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
-    if options.json:
-        print_json({"frames": [_public(frame) for frame in frames]})
-    else:
-        _print_table(frames, options.out)
+    print_result(
+        options,
+        {"frames": [_public(frame) for frame in frames]},
+        lambda: _print_table(frames, options.out),
+    )
     return 0
 
 

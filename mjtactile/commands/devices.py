@@ -26,7 +26,7 @@ SIMULATES = False
 
 ARGUMENTS = (
     arg.flag("--no-ask", "open no serial port"),
-    arg.repeated("--port", "PATH", "also query this port; repeatable"),
+    arg.repeated("--port PATH", "also query this port; repeatable"),
 )
 
 

@@ -30,9 +30,7 @@ SIMULATES = False
 _MARKS = {"ok": "ok  ", "warn": "warn", "bad": "BAD "}
 
 ARGUMENTS = (
-    arg.option(
-        "--rig", "NAME|FILE.toml", "rig file to check (default: only list connected devices)"
-    ),
+    arg.option("--rig NAME|FILE.toml", "rig file to check (default: only list connected devices)"),
     arg.sensor("sensor, if the rig file names none"),
     arg.flag("--fix", "correct settings that software can change"),
 )

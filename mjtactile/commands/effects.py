@@ -27,25 +27,15 @@ JSON: {"sensor", "object", "effects": [{"effect", "kind", "on", "built", "why",
 """
 
 
-# by whether it is built, and whether it is on
-_STATES = {
-    (True, True): "on",
-    (True, False): "off",
-    (False, True): "wanted",
-    (False, False): "none",
-}
-
 SHARED = (
     arg.option(
-        "--accuracy",
-        "0.02N|realtime",
+        "--accuracy 0.02N|realtime",
         "coarsest simulation with this force error or real-time factor (default: a mesh of "
         "13 x 11)",
         "",
     ),
     arg.option(
-        "--effects",
-        "auto|+NAME,-NAME",
+        "--effects auto|+NAME,-NAME",
         "effects to simulate: derived from the scene (default), or forced on and off",
         "auto",
     ),
@@ -60,8 +50,7 @@ ARGUMENTS = (
         f"{', '.join(resources.names('models/sensors', '.toml'))}, or your own (default: dense)"
     ),
     arg.option(
-        "--object",
-        "NAME|FILE.xml",
+        "--object NAME|FILE.xml",
         f"{', '.join(resources.names('models/objects', '.xml'))}, or your own (default: egg)",
         "egg",
     ),

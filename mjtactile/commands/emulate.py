@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import time_scale
+from mjtactile.commands import scenario
 from mjtactile.commands.output import require_new
 from mjtactile.core import resources
 
@@ -31,8 +31,7 @@ _HEAD = "# Written by `mjtactile emulate`, whose next run may replace it: ports 
 
 ARGUMENTS = (
     arg.option(
-        "--scene --object",
-        "NAME|FILE.xml",
+        "--scene --object NAME|FILE.xml",
         f"object on the table: {', '.join(resources.names('models/objects', '.xml'))}, or "
         "your own MJCF file (default: egg)",
         "egg",
@@ -40,14 +39,11 @@ ARGUMENTS = (
     ),
     arg.sensor("sensor on each finger"),
     arg.option(
-        "--rig",
-        "NAME|FILE.toml",
-        "rig file of the servos, valves and cameras to emulate",
-        "emulated",
+        "--rig NAME|FILE.toml", "rig file of the servos, valves and cameras to emulate", "emulated"
     ),
-    arg.option("--seed", "N", "seed of placement and noise", 0, type=int),
-    time_scale.ARGUMENT,
-    arg.repeated("--faults", "KIND=VALUE", "fault from the start; repeatable"),
+    arg.option("--seed N", "seed of placement and noise", 0, type=arg.whole(0)),
+    scenario.TIME_SCALE,
+    arg.repeated("--faults KIND=VALUE", "fault from the start; repeatable"),
     arg.out(
         "also write the rig file here; only the file of an earlier run is overwritten", "FILE.toml"
     ),
@@ -58,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile import load_rig_file, load_sensor
     from mjtactile.emulator.process import EmulatorProcess
 
-    time_scale.apply(options.time_scale, options.rig)
+    scenario.apply_time_scale(options.time_scale, options.rig)
     rig_file = load_rig_file(options.rig)
     if options.out is not None and not _is_own(options.out):
         require_new(options.out)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import InputError, Scenario
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
-from mjtactile.commands.output import insert_table, new_run_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import insert_table, new_run_folder, print_result, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
 if TYPE_CHECKING:
@@ -49,16 +49,6 @@ _OBJECTS = "egg,strawberry,vial"
 _DEFAULT = Scenario(randomization="default")
 
 
-def _count(text: str) -> int:
-    if not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 1")
-    return int(text)
-
-
-def _any_count(text: str) -> int:
-    return 0 if text == "0" else _count(text)
-
-
 def _shard(text: str) -> tuple[int, int]:
     part, _, parts = text.partition("/")
     if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
@@ -68,34 +58,31 @@ def _shard(text: str) -> tuple[int, int]:
 
 ARGUMENTS = (
     arg.option(
-        "--controller",
-        "NAME",
+        "--controller NAME",
         "shipped name or FILE.py; repeatable, to compare controllers (default: gentle)",
         action="append",
     ),
     arg.option(
-        "--objects",
-        "A,B,…",
+        "--objects A,B,…",
         "shipped names, FILE.xml, 'my/*.xml', random (a different object each time), grasped "
         "in turn (default: egg,strawberry,vial)",
     ),
-    arg.option("--episodes", "N", "number of episodes for each controller", 30, type=_count),
+    arg.option("--episodes N", "number of episodes for each controller", 30, type=arg.whole(1)),
     *scenario.arguments(_DEFAULT, leave_out=("object", "controller")),
     arg.option(
-        "--workers", "N", "number of parallel processes (default: one per processor)", type=_count
+        "--workers N",
+        "number of parallel processes (default: one per processor)",
+        type=arg.whole(1),
     ),
     arg.option(
-        "--backend",
-        "B",
+        "--backend B",
         "executor of the episodes: processes (local; the default) or dask (a cluster)",
         "processes",
     ),
-    arg.option(
-        "--scheduler", "ADDRESS", "address of the dask scheduler, such as tcp://host:8786", ""
-    ),
-    arg.option("--shard", "K/N", "run only part K of N", "1/1", type=_shard),
+    arg.option("--scheduler ADDRESS", "address of the dask scheduler, such as tcp://host:8786", ""),
+    arg.option("--shard K/N", "run only part K of N", "1/1", type=_shard),
     arg.flag("--resume", "continue the evaluation in the folder"),
-    arg.option("--merge", "DIR", "merge parts of one evaluation instead", nargs="+", type=Path),
+    arg.option("--merge DIR", "merge parts of one evaluation instead", nargs="+", type=Path),
     arg.flag(
         "--partial",
         "with --merge: merge also if episodes are missing; --resume in the new folder runs them",
@@ -106,29 +93,25 @@ ARGUMENTS = (
         "episode; 1 without images)",
     ),
     arg.option(
-        "--suite",
-        "SUITE",
+        "--suite SUITE",
         "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with its "
         "included results; with --resume, use the results in the folder",
     ),
     arg.option(
-        "--screening-sample",
-        "N",
+        "--screening-sample N",
         "run all episodes with --effects=-mesh,-pipeline, then repeat its failures and N of "
         "its successes in full; one report of both (screen.md, screen.json)",
-        type=_any_count,
+        type=arg.whole(0),
     ),
     arg.option(
-        "--worst",
-        "N",
+        "--worst N",
         "number of episodes shown with images in the report; they are run again at the end",
         10,
-        type=_any_count,
+        type=arg.whole(0),
     ),
     arg.out("folder for the results (default: runs/<time>-evaluate)"),
     arg.option(
-        "--readme",
-        "FILE.md",
+        "--readme FILE.md",
         "also insert the table into this file, between <!-- bench:evaluate --> and <!-- /bench -->",
         type=Path,
     ),
@@ -178,10 +161,9 @@ def run(options: argparse.Namespace) -> int:
         insert_table(options.readme, "evaluate", table(summary))
     with stdout_to_stderr():
         write_report(out, options.worst, Progress().message)
-    if options.json:
-        print_json(summary)
-    else:
-        print(f"{table(summary)}\nwritten to {out}; open {out / 'report.html'}")
+    print_result(
+        options, summary, f"{table(summary)}\nwritten to {out}; open {out / 'report.html'}"
+    )
     return 0
 
 
@@ -218,10 +200,7 @@ def _screen(options: argparse.Namespace) -> int:
     text = screens.table(result)
     write_json(options.out / "screen.json", result)
     (options.out / "screen.md").write_text(text, encoding="utf-8")
-    if options.json:
-        print_json(result)
-    else:
-        print(f"{text}\nwritten to {options.out}")
+    print_result(options, result, f"{text}\nwritten to {options.out}")
     return 0
 
 
@@ -272,10 +251,7 @@ def _against(options: argparse.Namespace) -> int:
     table = suites.table(suite, result)
     write_json(out / f"{suite.name}.json", result)
     (out / f"{suite.name}.md").write_text(table, encoding="utf-8")
-    if options.json:
-        print_json(result)
-    else:
-        print(f"{table}\nwritten to {out}")
+    print_result(options, result, f"{table}\nwritten to {out}")
     return 0
 
 

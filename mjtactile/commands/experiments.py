@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_result, stdout_to_stderr
 from mjtactile.commands.repository_only import of_checkout
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
@@ -39,12 +39,11 @@ def _names(text: str) -> list[str]:
 
 
 ARGUMENTS = (
-    arg.option("--only", "NAME,…", f"which (default: {','.join(NAMES)})", list(NAMES), type=_names),
+    arg.option("--only NAME,…", f"which (default: {','.join(NAMES)})", list(NAMES), type=_names),
     arg.flag("--quick", "use fewer points, as a quick check"),
     arg.out("folder for experiments.json, experiments.md and one figure per experiment"),
     arg.option(
-        "--page",
-        "FILE.md",
+        "--page FILE.md",
         "also write a Markdown page; figures in images/experiments/, next to the page or above it",
         type=Path,
     ),
@@ -82,11 +81,9 @@ def run(options: argparse.Namespace) -> int:
             Path(options.page).write_text(
                 findings.page(results, _images(options.page)), encoding="utf-8"
             )
-    if options.json:
-        print_json(experiments.without_arrays(results))
-    else:
-        print(
-            findings.table(results)
-            + ((f"\nfigures were written to {out}") if out is not None else "")
-        )
+    print_result(
+        options,
+        experiments.without_arrays(results),
+        findings.table(results) + ((f"\nfigures were written to {out}") if out is not None else ""),
+    )
     return 0

@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import numeric_options, plots, scenario, time_scale
-from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
+from mjtactile.commands import scenario
+from mjtactile.commands.output import (
+    output_folder,
+    print_flags,
+    print_json,
+    save_plot,
+    stdout_to_stderr,
+)
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
@@ -57,7 +63,7 @@ _NOT_REQUESTED = ("controller", "effects", "randomization", "task", "contact_sha
 
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=_NOT_REQUESTED),
-    time_scale.ARGUMENT,
+    scenario.TIME_SCALE,
     arg.choice(
         "--setup",
         ["stage", "gripper"],
@@ -65,37 +71,33 @@ ARGUMENTS = (
         "two fingers of --rig, which grasp it where it stands, at different heights and, in "
         "simulation, yaw angles (default if --rig is given)",
     ),
-    arg.option("--touches", "N", "maximum number of touches", 12, type=int),
+    arg.option("--touches N", "maximum number of touches", 12, type=arg.whole(1)),
     arg.option(
-        "--accuracy-mm",
-        "MM",
+        "--accuracy-mm MM",
         "stop when the estimated sd of the surface is below this value, root mean square "
         "(default: use all --touches)",
         0.0,
-        type=numeric_options.finite,
+        type=arg.number(0),
     ),
     arg.option(
-        "--force-N",
-        "N",
+        "--force-N N",
         "maximum estimated contact force; above half of the object's breaking force it is refused",
         0.3,
         dest="force",
-        type=numeric_options.finite,
+        type=arg.number(0.1, 2),
     ),
     arg.repeated(
-        "--input",
-        "RUN",
+        "--input RUN",
         "fuse an earlier exploration or a recorded grip instead of touching; repeatable",
         dest="sources",
         type=Path,
     ),
     arg.repeated(
-        "--rotation-deg",
-        "DEG",
+        "--rotation-deg DEG",
         "rotation of the object about the vertical since the first grips, counter-clockwise "
         "from above: of a real or an emulated rig, or of each --input in turn (default: 0)",
         dest="turns",
-        type=numeric_options.finite,
+        type=arg.number(),
     ),
     arg.flag("--resume", "continue the exploration in --out"),
     arg.out("folder for the surface, its HTML report and its JSON"),
@@ -113,12 +115,6 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if options.touches < 1:
-        raise InputError(f"{options.touches} is below 1", field="--touches")
-    if not 0.1 <= options.force <= 2:
-        raise InputError(f"{options.force:g} N is outside 0.1 to 2 N", field="--force-N")
-    if options.accuracy_mm < 0:
-        raise InputError(f"{options.accuracy_mm:g} is below 0", field="--accuracy-mm")
     if options.sources and options.resume:
         raise InputError("--input cannot be combined with --resume", field="--input")
     if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
@@ -129,7 +125,7 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
         wanted = scenario.scenario_of(options, _DEFAULT)
-        time_scale.apply(options.time_scale, wanted.rig)
+        scenario.apply_time_scale(options.time_scale, wanted.rig)
         _take_a_replay_as_a_source(options, wanted)
         found, summary = (
             _fused(options) if options.sources else _live(options, wanted, out, progress)
@@ -202,11 +198,8 @@ def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
     from mjtactile.explore.gripper_exploration import is_simulated
 
     if options.setup == "stage" and wanted.rig != "sim":
-        raise InputError(
-            f"the stage is simulated and cannot be used with the rig {wanted.rig!r}",
-            field="--setup",
-            choices=["--setup gripper"],
-        )
+        message = f"the stage is simulated and cannot be used with the rig {wanted.rig!r}"
+        raise InputError(message, field="--setup", choices=["--setup gripper"])
     if options.setup != "gripper" and wanted.rig == "sim":
         on = "stage"
     else:
@@ -262,7 +255,7 @@ def _write(out: Path, found: ExplorationResult, summary: dict[str, Any]) -> None
     write_ply(out / "surface.ply", found)
     write_stl(out / "surface.stl", found)
     write_page(out / "explore.html", found, summary)
-    plots.save(out / "explore.png", lambda figure: draw(figure, found), (9.0, 4.4))
+    save_plot(out / "explore.png", lambda figure: draw(figure, found), (9.0, 4.4))
     write_json(out / "explore.json", summary)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import output_folder, print_result, stdout_to_stderr
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -54,15 +54,16 @@ ARGUMENTS = (
         "video",
     ),
     arg.option(
-        "--crf", "N", "lerobot: H.264 quality: 0 lossless (default), 18-30 small files", 0, type=int
+        "--crf N",
+        "lerobot: H.264 quality: 0 lossless (default), 18-30 small files",
+        0,
+        type=arg.whole(0, 51),
     ),
-    arg.option("--task", "TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
+    arg.option("--task TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
 )
 
 
 def run(options: argparse.Namespace) -> int:
-    if not 0 <= options.crf <= 51:
-        raise InputError(f"{options.crf} is outside 0 to 51", field="--crf")
     _need(options.format)
     from mjtactile.export.episode import find_episodes
 
@@ -71,12 +72,11 @@ def run(options: argparse.Namespace) -> int:
     with output_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
         result = _write(options, episodes, out, progress)
     result |= {"format": options.format, "out": str(options.out)}
-    if options.json:
-        print_json(result)
-    else:
-        print(
-            f"{result['episodes']} episodes, {result['frames']} frames\n  written to {options.out}"
-        )
+    print_result(
+        options,
+        result,
+        f"{result['episodes']} episodes, {result['frames']} frames\n  written to {options.out}",
+    )
     return 0
 
 
@@ -114,7 +114,5 @@ def _need(name: str) -> None:
     extra, *modules = FORMATS[name]
     missing = [module for module in modules if importlib.util.find_spec(module) is None]
     if missing:
-        raise InputError(
-            f"{name!r} requires {', '.join(missing)}: pip install 'mjtactile[{extra}]'",
-            field="--format",
-        )
+        message = f"{name!r} requires {', '.join(missing)}: pip install 'mjtactile[{extra}]'"
+        raise InputError(message, field="--format")

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots
-from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
+from mjtactile.commands.output import print_result, require_new, save_plot, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -43,41 +42,36 @@ failed.
 
 ARGUMENTS = (
     arg.option(
-        "--recording",
-        "DIR",
+        "--recording DIR",
         "recording of `mjtactile record`; repeatable",
         type=Path,
         action="append",
         required=True,
     ),
     arg.repeated(
-        "--held-out",
-        "DIR",
+        "--held-out DIR",
         "recording that is not fitted but predicted, as a check; repeatable",
         type=Path,
     ),
     arg.option(
-        "--relaxation",
-        "DIR",
+        "--relaxation DIR",
         "recording with a pressure sensor and 10 s or more without contact, after inflation "
         "or a load; the stress relaxation is fitted to it",
         type=Path,
     ),
     arg.out("sensor file to write", "FILE.toml", required=True),
     arg.sensor("initial sensor file (default: that of the recordings)", default=None, type=Path),
-    arg.option("--finger", "NAME", "finger of the recordings", "left"),
+    arg.option("--finger NAME", "finger of the recordings", "left"),
     arg.repeated(
-        "--fix",
-        "FIELD=VALUE",
+        "--fix FIELD=VALUE",
         "value measured by hand, such as membrane.thickness_mm=0.31; repeatable",
     ),
     arg.option(
-        "--first-contact-sd-mm",
-        "D",
+        "--first-contact-sd-mm D",
         "standard deviation of the marked position of first contact",
         0.05,
         dest="touch",
-        type=float,
+        type=arg.number(1e-4, 10),
     ),
 )
 
@@ -90,10 +84,6 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out.suffix != ".toml":
         raise InputError("the name does not end in .toml", source=options.out, field="--out")
-    if not 1e-4 <= options.touch <= 10:
-        raise InputError(
-            f"{options.touch:g} is outside 0.0001 to 10", field="--first-contact-sd-mm"
-        )
     known = dict(_known(text) for text in options.fix)
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
@@ -125,13 +115,12 @@ def run(options: argparse.Namespace) -> int:
         options.out.write_text(sensor, encoding="utf-8")
         write_json(files["json"], table)
         files["txt"].write_text(text, encoding="utf-8")
-        plots.save(files["png"], lambda figure: draw(figure, result), size=(13.0, 7.5))
-    if options.json:
-        print_json(table)
-    else:
-        print(
-            f"{text}\nwritten: {options.out}, and {', '.join(path.name for path in files.values())}"
-        )
+        save_plot(files["png"], lambda figure: draw(figure, result), size=(13.0, 7.5))
+    print_result(
+        options,
+        table,
+        f"{text}\nwritten: {options.out}, and {', '.join(path.name for path in files.values())}",
+    )
     return 0
 
 

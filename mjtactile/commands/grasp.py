@@ -21,7 +21,7 @@ from mjtactile import (
     load_recording,
 )
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import effects, numeric_options, scenario, time_scale
+from mjtactile.commands import effects, scenario
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
@@ -81,34 +81,25 @@ _MEASURED = (
 )
 
 
-def _count(text: str) -> int:
-    if text not in tuple("012345678"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer from 0 to 8")
-    return int(text)
-
-
 ARGUMENTS = (
     *scenario.arguments(),
-    time_scale.ARGUMENT,
+    scenario.TIME_SCALE,
     effects.ESTIMATE,
     arg.option(
-        "--workers",
-        "N",
+        "--workers N",
         "number of workers that process camera images in parallel to the control loop: "
         "processes in simulation, threads on a real rig; at most one per camera; the result "
         "does not depend on it (default: one per camera, limited by the processors)",
-        type=_count,
+        type=arg.whole(0, 8),
     ),
-    numeric_options.FRAMES,
+    scenario.FRAMES,
     arg.option(
-        "--video",
-        "FILE",
+        "--video FILE",
         "also write a video: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
         type=Path,
     ),
     arg.option(
-        "--live",
-        "VIEWER",
+        "--live VIEWER",
         "show the run live: rerun (the open viewer, or a new one), "
         "rerun+http://HOST:9876/proxy, foxglove (it connects to ws://localhost:8765), "
         "foxglove:PORT, or write rerun:FILE.rrd, foxglove:FILE.mcap (pip install "
@@ -123,9 +114,9 @@ def run(options: argparse.Namespace) -> int:
 
     _check_video(options.video, options.frames)
     if options.rig is not None:
-        time_scale.apply(options.time_scale, options.rig)
+        scenario.apply_time_scale(options.time_scale, options.rig)
     wanted = scenario.scenario_of(options)
-    time_scale.apply(options.time_scale, wanted.rig)
+    scenario.apply_time_scale(options.time_scale, wanted.rig)
     progress = Progress()  # it checks if stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
@@ -225,12 +216,8 @@ def _check_video(path: Path | None, frames: int) -> None:
     if path is None:
         return
     if path.suffix not in (".mp4", ".gif", ".webp"):
-        raise InputError(
-            f"{path.suffix or 'no suffix'!r} is not a supported video format",
-            source=path,
-            field="--video",
-            choices=[".mp4", ".gif", ".webp"],
-        )
+        message = f"{path.suffix or 'no suffix'!r} is not a supported video format"
+        raise InputError(message, source=path, field="--video", choices=[".mp4", ".gif", ".webp"])
     if not path.parent.is_dir():
         raise InputError("the folder does not exist", source=path.parent, field="--video")
     if not video.is_own(path):

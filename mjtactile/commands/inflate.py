@@ -8,8 +8,13 @@ from typing import Any
 
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import numeric_options, plots
-from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
+from mjtactile.commands.output import (
+    optional_folder,
+    print_flags,
+    print_result,
+    save_plot,
+    stdout_to_stderr,
+)
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -31,11 +36,10 @@ chamber and bulge), "area_mm2", "max_stretch" (relative to the unstretched membr
 ARGUMENTS = (
     arg.sensor(),
     arg.option(
-        "--pressure-kPa",
-        "P[:P2:STEP]",
+        "--pressure-kPa P[:P2:STEP]",
         "gauge pressure in kPa, or a range, both ends included",
         dest="pressures",
-        type=numeric_options.numbers,
+        type=arg.values,
         required=True,
     ),
     arg.out("folder for inflate.json and inflate.png"),
@@ -48,10 +52,8 @@ def run(options: argparse.Namespace) -> int:
     design = load_sensor(options.sensor)
     lowest = -1e-3 * design.chamber.ambient
     if min(options.pressures) <= lowest:
-        raise InputError(
-            f"{min(options.pressures):g} kPa is not above vacuum ({lowest:g} kPa)",
-            field="--pressure-kPa",
-        )
+        message = f"{min(options.pressures):g} kPa is not above vacuum ({lowest:g} kPa)"
+        raise InputError(message, field="--pressure-kPa")
     with optional_folder(options.out, "inflate.json", "inflate.png") as out:
         with stdout_to_stderr():
             result = inflate(
@@ -61,11 +63,8 @@ def run(options: argparse.Namespace) -> int:
             )
         if out is not None:
             write_json(out / "inflate.json", result)
-            plots.save(out / "inflate.png", lambda figure: _draw(figure, result))
-    if options.json:
-        print_json(result)
-    else:
-        _print_table(result, options.out)
+            save_plot(out / "inflate.png", lambda figure: _draw(figure, result))
+    print_result(options, result, lambda: _print_table(result, options.out))
     return 0
 
 

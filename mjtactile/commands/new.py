@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import print_json, require_new
+from mjtactile.commands.output import print_result, require_new
 from mjtactile.core import resources
 
 SIMULATES = False
@@ -95,8 +95,7 @@ ARGUMENTS = (
     arg.positional("kind", "KIND", ", ".join(KINDS), choices=list(KINDS)),
     arg.positional("name", "NAME", "name, or path of the file to write", type=Path),
     arg.option(
-        "--template",
-        "SHIPPED",
+        "--template SHIPPED",
         "shipped file to copy (default: "
         + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
         + ")",
@@ -131,14 +130,13 @@ def run(options: argparse.Namespace) -> int:
     what_next = kind.next.format(
         file=path if path.is_absolute() or len(path.parts) > 1 else f"./{path}"
     )
-    if options.json:
-        print_json({"file": path, "files": list(files), "like": source.stem, "next": what_next})
-    else:
-        print(
-            f"{', '.join(map(str, files))}: copied from {source.stem}; edit it, then run\n"
-            f"  {what_next}\n"
-            f"  mjtactile docs {page}"
-        )
+    print_result(
+        options,
+        {"file": path, "files": list(files), "like": source.stem, "next": what_next},
+        f"{', '.join(map(str, files))}: copied from {source.stem}; edit it, then run\n"
+        f"  {what_next}\n"
+        f"  mjtactile docs {page}",
+    )
     return 0
 
 

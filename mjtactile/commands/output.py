@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import datetime
 import itertools
@@ -9,7 +10,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,21 +30,16 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
     """
     taken = [name for name in results if (path / name).exists()]
     if taken:
-        raise InputError(
-            f"the folder already contains {taken[0]}, and nothing is overwritten; choose "
-            "another folder",
-            source=path,
-            field="--out",
-        )
+        message = f"the folder already contains {taken[0]}, and nothing is overwritten"
+        raise InputError(f"{message}; choose another folder", source=path, field="--out")
     with _removed_if_empty(path):
         try:
             path.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=path, prefix=".writable-"):
                 pass
         except OSError as error:
-            raise InputError(
-                f"the file cannot be written: {error.strerror}", source=path, field="--out"
-            ) from error
+            message = f"the file cannot be written: {error.strerror}"
+            raise InputError(message, source=path, field="--out") from error
         yield path
 
 
@@ -80,9 +76,8 @@ def new_run_folder(name: str) -> Iterator[Path]:
             except FileExistsError:  # even if it was made just now, by another process
                 continue
             except OSError as error:
-                raise InputError(
-                    f"the file cannot be written: {error.strerror}", source=folder
-                ) from error
+                message = f"the file cannot be written: {error.strerror}"
+                raise InputError(message, source=folder) from error
             yield folder
             return
 
@@ -127,6 +122,30 @@ def print_json(value: Any) -> None:
     print(json.dumps(to_json(value), indent=2, allow_nan=False))
 
 
+def print_result(
+    options: argparse.Namespace, result: Any, text: str | Callable[[], object]
+) -> None:
+    """Print the result: with --json as one JSON object, otherwise as text, or by a function."""
+    if options.json:
+        print_json(result)
+    elif isinstance(text, str):
+        print(text)
+    else:
+        text()
+
+
+def save_plot(
+    path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)
+) -> None:
+    """Plot with `draw` into a figure of `size` inches and write it. Without matplotlib, print a
+    message to stderr."""
+    from mjtactile.report.figures import new_figure
+
+    if (figure := new_figure(path.name, size)) is not None:
+        draw(figure)
+        figure.savefig(path)
+
+
 def print_flags(flags: Flags) -> None:
     """Print the reasons why a simulation's results are less accurate than usual."""
     for kind, flag in flags.items():
@@ -156,9 +175,8 @@ def insert_table(path: Path, name: str, table: str) -> None:
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(
-            f"the file cannot be read: {error.strerror}", source=path, field="--readme"
-        ) from error
+        message = f"the file cannot be read: {error.strerror}"
+        raise InputError(message, source=path, field="--readme") from error
     head, found, rest = text.partition(begin)
     _, closed, tail = rest.partition(end)
     if not (found and closed):

@@ -10,8 +10,14 @@ from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import effects, numeric_options, plots
-from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
+from mjtactile.commands import effects
+from mjtactile.commands.output import (
+    optional_folder,
+    print_flags,
+    print_result,
+    save_plot,
+    stdout_to_stderr,
+)
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -40,32 +46,28 @@ unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "ar
 ARGUMENTS = (
     arg.sensor(),
     arg.option(
-        "--indenter",
-        "SHAPE",
+        "--indenter SHAPE",
         "sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in "
         "mm, or FILE.xml: all geoms of an MJCF file, moved along -z",
         required=True,
     ),
-    arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
+    arg.option("--position-mm X_mm,Y_mm", "where", "0,0", type=arg.pair),
     arg.option(
-        "--depth-mm",
-        "A[:B:STEP]",
+        "--depth-mm A[:B:STEP]",
         "depth below first contact, or a range, both ends included",
         "1:3:1",
         dest="depths",
-        type=numeric_options.numbers,
+        type=arg.values,
     ),
-    arg.option(
-        "--tilt-deg", "T", "rotation of the indenter about y", 0.0, type=numeric_options.finite
-    ),
-    arg.option("--shear-mm", "S", "drag along x at each depth", 0.0, type=numeric_options.finite),
+    arg.option("--tilt-deg T", "rotation of the indenter about y", 0.0, type=arg.number(-60, 60)),
+    arg.option("--shear-mm S", "drag along x at each depth", 0.0, type=arg.number()),
     arg.choice(
         "--valve",
         ["closed", "open"],
         "closed: the chamber keeps its gas (default); open: it keeps its pressure",
         "closed",
     ),
-    arg.option("--seed", "N", "seed of the camera noise", 0, type=int),
+    arg.option("--seed N", "seed of the camera noise", 0, type=arg.whole(0)),
     *effects.SHARED,
     effects.ESTIMATE,
     arg.out("write press.json and press.png there"),
@@ -99,11 +101,8 @@ def run(options: argparse.Namespace) -> int:
             )
         if out is not None:
             write_json(out / "press.json", result)
-            plots.save(out / "press.png", lambda figure: _draw(figure, result, design), (11.0, 4.2))
-    if options.json:
-        print_json(result)
-    else:
-        _print_table(result, options.out)
+            save_plot(out / "press.png", lambda figure: _draw(figure, result, design), (11.0, 4.2))
+    print_result(options, result, lambda: _print_table(result, options.out))
     return 0
 
 
@@ -113,10 +112,8 @@ def _check(options: argparse.Namespace, design: SensorDesign) -> None:
         options.position_mm, (design.frame.length, design.frame.width), "xy", strict=True
     ):
         if abs(value) * 1e-3 >= size / 2:
-            raise InputError(
-                f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)",
-                field="--position-mm",
-            )
+            message = f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)"
+            raise InputError(message, field="--position-mm")
     if max(options.depths) * 1e-3 >= design.chamber.depth:
         raise InputError(
             f"{max(options.depths):g} mm is not less than the chamber depth of "
@@ -127,8 +124,6 @@ def _check(options: argparse.Namespace, design: SensorDesign) -> None:
         raise InputError(
             f"{min(options.depths):g} mm is more than 1 mm above first contact", field="--depth-mm"
         )
-    if abs(options.tilt_deg) > 60:
-        raise InputError(f"{options.tilt_deg:g} is outside -60 to 60", field="--tilt-deg")
 
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:

@@ -10,8 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import numeric_options, plots, scenario
-from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
+from mjtactile.commands import scenario
+from mjtactile.commands.output import (
+    optional_folder,
+    print_flags,
+    print_result,
+    save_plot,
+    stdout_to_stderr,
+)
 from mjtactile.core import signals
 from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import write_json
@@ -38,8 +44,8 @@ _DEFAULT = Scenario(object="sponge", controller="probe")
 
 ARGUMENTS = (
     *scenario.arguments(_DEFAULT, leave_out=("accuracy", "effects", "randomization", "task")),
-    arg.option("--source", "RECORDING", "classify the images of a recorded run instead", type=Path),
-    numeric_options.FRAMES,
+    arg.option("--source RECORDING", "classify the images of a recorded run instead", type=Path),
+    scenario.FRAMES,
     arg.out("write probe.json, probe.png, probe.html and the recording there"),
 )
 
@@ -56,11 +62,8 @@ def run(options: argparse.Namespace) -> int:
         result = _replay(options) if options.source is not None else _live(options, out)
         if out is not None:
             write_json(out / "probe.json", {**result.summary(), "history": result.history()})
-            plots.save(out / "probe.png", lambda figure: draw(figure, result), (9.0, 6.4))
-    if options.json:
-        print_json(result.summary())
-    else:
-        _print(result, options.out)
+            save_plot(out / "probe.png", lambda figure: draw(figure, result), (9.0, 6.4))
+    print_result(options, result.summary(), lambda: _print(result, options.out))
     return 0 if result.material.kind != "unknown" else 1
 
 

@@ -21,8 +21,8 @@ from mjtactile import (
     load_sensor,
 )
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import plots, track_dots
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands import track_dots
+from mjtactile.commands.output import optional_folder, print_result, save_plot, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.frame_source import NamedImage, marker_overlay, read_frames, to_image
 from mjtactile.report.summary_figure import plot_surface_map
@@ -62,10 +62,7 @@ ARGUMENTS = (
     arg.positional("source", "SOURCE", "an image, a folder of images or a video", type=Path),
     arg.sensor(),
     arg.option(
-        "--calibration",
-        "FILE.json",
-        "calibration of this sensor, by `mjtactile calibrate`",
-        type=Path,
+        "--calibration FILE.json", "calibration of this sensor, by `mjtactile calibrate`", type=Path
     ),
     arg.choice(
         "--marks",
@@ -73,12 +70,11 @@ ARGUMENTS = (
         "track the dots of any marked skin: dark dots on bright ground, or bright dots",
     ),
     arg.option(
-        "--camera",
-        "CAMERA.yaml",
+        "--camera CAMERA.yaml",
         "with --marks: camera file of ROS, OpenCV or Kalibr; requires --radius-mm",
         type=Path,
     ),
-    arg.option("--radius-mm", "R", "with --marks: radius of the dots", type=float),
+    arg.option("--radius-mm R", "with --marks: radius of the dots", type=arg.number(0.01, 100)),
     arg.out(
         f"write reconstruct.json, overlays, and 3D figures (of at most {FIGURES_MAX} frames) there"
     ),
@@ -102,19 +98,13 @@ def run(options: argparse.Namespace) -> int:
                 if len(seen) % 50 == 0:
                     progress.message(f"{len(seen)} frames")
         if not any(touch is not None for _, _, touch in seen):
-            raise InputError(
-                f"none of its {len(seen)} images can be used: {seen[0][1]['status']}",
-                source=options.source,
-                field="SOURCE",
-            )
+            message = f"none of its {len(seen)} images can be used: {seen[0][1]['status']}"
+            raise InputError(message, source=options.source, field="SOURCE")
         result = {"sensor": design.name, "frames": [row for _, row, _ in seen]}
         if out is not None:
             write_json(out / "reconstruct.json", result)
             _figures(seen, out)
-    if options.json:
-        print_json(result)
-    else:
-        _print_table(result["frames"], options.out)
+    print_result(options, result, lambda: _print_table(result["frames"], options.out))
     return 0
 
 
@@ -228,7 +218,7 @@ def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path
     spread = np.linspace(0, len(shown) - 1, min(FIGURES_MAX, len(shown)))
     for i in np.unique(spread.astype(int)):
         name, touch = shown[i]
-        plots.save(
+        save_plot(
             out / f"{_stem(name)}_surface.png",
             lambda figure, touch=touch: plot_surface_map(
                 figure.add_subplot(projection="3d"), touch

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import numeric_options, time_scale
+from mjtactile.commands import scenario
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.observer import Observer, Observers
@@ -56,47 +56,41 @@ Two cameras of 640 x 480 pixels at 30 Hz need 9 MB per second. exit codes: 0 rec
 """
 
 ARGUMENTS = (
-    arg.option("--rig", "RIG", f"rig to record: {', '.join(rig_names())}, stage", required=True),
+    arg.option("--rig RIG", f"rig to record: {', '.join(rig_names())}, stage", required=True),
     arg.out("folder for the recording", required=True),
     arg.option(
-        "--seconds",
-        "S",
+        "--seconds S",
         "duration after the references, at most that of a replayed recording",
         10.0,
-        type=float,
+        type=arg.number(0, 86400, above=True),
     ),
-    numeric_options.FRAMES,
+    scenario.FRAMES,
     arg.sensor("sensor on each finger"),
     arg.option(
-        "--object",
-        "NAME|FILE.xml",
+        "--object NAME|FILE.xml",
         "sim and emulated: object on the table: "
         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
         "egg",
     ),
     arg.option(
-        "--pressure-kPa",
-        "P",
+        "--pressure-kPa P",
         "working pressure of this recording (default: the sensor file's supply)",
         dest="pressure",
-        type=numeric_options.finite,
+        type=arg.number(-50, 100),
     ),
     arg.option(
-        "--protocol",
-        "NAME|FILE.csv",
+        "--protocol NAME|FILE.csv",
         "protocol to run meanwhile: "
         f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own",
     ),
     arg.option(
-        "--indenter",
-        "SHAPE",
+        "--indenter SHAPE",
         "indenter of the protocol, as in `mjtactile press`: sphere:8, part.stl, …",
     ),
-    arg.option("--position-mm", "X_mm,Y_mm", "where", "0,0", type=numeric_options.pair),
-    arg.option("--finger", "NAME", "finger under the indenter", "left"),
+    arg.option("--position-mm X_mm,Y_mm", "where", "0,0", type=arg.pair),
+    arg.option("--finger NAME", "finger under the indenter", "left"),
     arg.option(
-        "--as-built",
-        "FILE.toml",
+        "--as-built FILE.toml",
         "stage: as-built sensor to simulate; the recording names only --sensor",
         type=Path,
     ),
@@ -105,8 +99,8 @@ ARGUMENTS = (
         "--contact-shapes",
         "estimate the contact shape of every touch; of a recording, from its images",
     ),
-    time_scale.ARGUMENT,
-    arg.option("--seed", "N", "sim and emulated: placement and noise", 0, type=int),
+    scenario.TIME_SCALE,
+    arg.option("--seed N", "sim and emulated: placement and noise", 0, type=arg.whole(0)),
 )
 
 
@@ -128,9 +122,7 @@ class Monitor:
 def run(options: argparse.Namespace) -> int:
     from mjtactile import load_sensor
 
-    if not 0 < options.seconds <= 86400:
-        raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")
-    time_scale.apply(options.time_scale, options.rig)
+    scenario.apply_time_scale(options.time_scale, options.rig)
     stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor), options.pressure)
     progress = Progress()
@@ -167,11 +159,8 @@ def _stage(options: argparse.Namespace) -> Stage | None:
     from mjtactile.recording.stage_protocol import Stage, read_moves
 
     if (options.as_built or options.load_cell) and options.rig != "stage":
-        raise InputError(
-            "applies to the simulated stage only",
-            field="--as-built, --load-cell",
-            choices=["--rig stage"],
-        )
+        message = "applies to the simulated stage only"
+        raise InputError(message, field="--as-built, --load-cell", choices=["--rig stage"])
     if options.contact_shapes and options.rig == "stage":
         raise InputError(
             "a stage records images without estimates; `mjtactile explore --input RUN` "
@@ -189,8 +178,6 @@ def _stage(options: argparse.Namespace) -> Stage | None:
 def _at_pressure(design: SensorDesign, pressure_kPa: float | None) -> SensorDesign:
     if pressure_kPa is None:
         return design
-    if not -50 <= pressure_kPa <= 100:
-        raise InputError(f"{pressure_kPa:g} is outside -50 to 100", field="--pressure-kPa")
     return replace(design, chamber=replace(design.chamber, supply_gauge=1e3 * pressure_kPa))
 
 
@@ -260,10 +247,8 @@ def _on_rig(
             header["object"] = None
         for finger in session.rig.fingers if options.pressure is not None else ():
             if finger.design.chamber.supply_gauge != design.chamber.supply_gauge:
-                raise InputError(
-                    f"finger {finger.name!r} has its own sensor file, which sets its pressure",
-                    field="--pressure-kPa",
-                )
+                message = f"finger {finger.name!r} has its own sensor file, which sets its pressure"
+                raise InputError(message, field="--pressure-kPa")
         recorder = later.enter_context(Recorder(folder, header, frames=options.frames))
         if stage is not None:
             recorder.note(stage=stage.note() | {"finger": options.finger})

@@ -1,4 +1,4 @@
-"""The options that make a scenario, the same for every command that runs one."""
+"""Options of scenarios and rigs, the same for every command that runs one."""
 
 from __future__ import annotations
 
@@ -7,16 +7,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mjtactile import Scenario, load_scenario, resolve_scenario, rig_names
+from mjtactile import InputError, Scenario, load_scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
-from mjtactile.core import resources
-
-
-def seed(text: str) -> int:
-    """A seed as argparse takes it."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least 0")
-    return int(text)
+from mjtactile.core import resources, scaled_clock
 
 
 def _shipped(folder: str, suffix: str) -> str:
@@ -24,8 +17,7 @@ def _shipped(folder: str, suffix: str) -> str:
 
 
 _SCENARIO = arg.option(
-    "--scenario",
-    "FILE",
+    "--scenario FILE",
     "read all of the following from a scenario file (FILE.toml), or from a run's result "
     "(RUN/summary.json); options on the command line override it",
 )
@@ -75,19 +67,16 @@ _FIELDS = (*_VALUES, "contact_shapes")
 def arguments(
     default: Scenario | None = None, *, leave_out: Sequence[str] = ()
 ) -> tuple[arg.Argument, ...]:
-    """Return --scenario and an option for each field; options that are not given stay None.
+    """Return --scenario and an option for each field that is not in `leave_out`.
 
-    Args:
-        default: Scenario whose values the help shows as defaults.
-        leave_out: Fields that the command has no option for.
+    Options that are not given stay None. The help shows the values of `default`.
     """
-    said = (default or Scenario()).to_dict() | {"accuracy": "mesh of 13 x 11"}
+    values = (default or Scenario()).to_dict() | {"accuracy": "mesh of 13 x 11"}
     options = tuple(
         arg.option(
-            f"--{name}",
-            metavar,
-            f"{text} (default: {said[name]})",
-            type=seed if name == "seed" else str,
+            f"--{name} {metavar}",
+            f"{text} (default: {values[name]})",
+            type=arg.whole(0) if name == "seed" else str,
         )
         for name, (metavar, text) in _VALUES.items()
         if name not in leave_out
@@ -98,23 +87,55 @@ def arguments(
 def scenario_of(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
     """Return the scenario given by a command's options, with the resolved sensor of each finger.
 
-    Args:
-        options: As parsed.
-        default: Scenario whose values apply if neither an option nor --scenario sets them.
-
-    Raises:
-        InputError: For a file or a value that is wrong.
+    The values of `default` apply if neither an option nor --scenario sets them.
     """
     base = default or Scenario()
     if getattr(options, "scenario", None):
         base = load_scenario(options.scenario)
-    given = {name: getattr(options, name, None) for name in _FIELDS}
-    said = {name: value for name, value in given.items() if value is not None}
-    if "sensor" in said:
+    values = {name: getattr(options, name, None) for name in _FIELDS}
+    given = {name: value for name, value in values.items() if value is not None}
+    if "sensor" in given:
         base = replace(base, sensors={})
-    return resolve_scenario(replace(base, **said))
+    return resolve_scenario(replace(base, **given))
 
 
 def stem(scenario: Scenario) -> str:
     """Return the name for folders with results of this scenario."""
     return Path(scenario.object).stem
+
+
+TIME_SCALE = arg.option(
+    "--time-scale N",
+    "emulated rig: run its world, watchdogs and heartbeats, and this program's time-outs, at "
+    "1/N of the speed, for a slow computer (default: 1)",
+    type=arg.number(1, 100),
+)
+
+
+def apply_time_scale(slow: float | None, rig: str) -> None:
+    """Set the time scale of this run. Raises InputError for a rig that has no clock."""
+    if slow is None:
+        return
+    if rig == "sim" or rig.startswith("replay:"):
+        message = f"the rig {rig!r} has no clock; only emulated devices can run slower"
+        raise InputError(message, field="--time-scale")
+    scaled_clock.set_slow(slow)
+
+
+def _frames(text: str) -> int:
+    """Read "none" (0), "all" (1) or "every:N" (N)."""
+    word, _, number = text.partition(":")
+    if word == "every" and number.isdecimal() and int(number) > 0:
+        return int(number)
+    if text not in ("none", "all"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not none, every:N or all")
+    return int(text == "all")
+
+
+FRAMES = arg.option(
+    "--frames none|every:N|all",
+    "camera images kept in the recording: none, of every N-th cycle, or all (default). "
+    "Without all of them it cannot be replayed; two cameras take 9 MB per second",
+    1,
+    type=_frames,
+)

@@ -29,9 +29,9 @@ SIMULATES = False
 
 ARGUMENTS = (
     arg.positional("file", "FILE.toml", "the rig file to create, or to continue", type=Path),
-    arg.option("--template", "NAME|FILE.toml", "the rig file to start from", "two_xm430"),
-    arg.repeated("--port", "PATH", "also check this port; may be repeated"),
-    arg.repeated("--camera", "URL", "also check this stream; may be repeated"),
+    arg.option("--template NAME|FILE.toml", "the rig file to start from", "two_xm430"),
+    arg.repeated("--port PATH", "also check this port; may be repeated"),
+    arg.repeated("--camera URL", "also check this stream; may be repeated"),
 )
 
 

@@ -7,7 +7,7 @@ import sys
 
 from mjtactile import load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands import scenario, time_scale
+from mjtactile.commands import scenario
 
 DESCRIPTION = """\
 Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes colored by
@@ -30,17 +30,14 @@ exit codes: 0 closed by the user, 2 bad input, 3 a device or the simulation fail
 """
 
 
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 0 < int(text) < 65536:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 1 to 65535")
-    return int(text)
-
-
 ARGUMENTS = (
     *scenario.arguments(leave_out=("randomization",)),
-    time_scale.ARGUMENT,
+    scenario.TIME_SCALE,
     arg.option(
-        "--port", "N", "port of the page (default: the first free one from 8080)", 0, type=_port
+        "--port N",
+        "port of the page (default: the first free one from 8080)",
+        0,
+        type=arg.whole(1, 65535),
     ),
     arg.OneOf(
         (
@@ -63,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
         print(text, file=sys.stderr, flush=True)
 
     wanted = scenario.scenario_of(options)
-    time_scale.apply(options.time_scale, wanted.rig)
+    scenario.apply_time_scale(options.time_scale, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
         show = RecordingPlayer(wanted, load_recording(folder), say)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile import Camera, InputError, TrackedCircles, track_circles
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_result, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.report.frame_source import NamedImage, overlay, read_frames
 from mjtactile.runtime.progress import Progress
@@ -47,10 +47,7 @@ def run(options: argparse.Namespace) -> int:
             write_json(out / "reconstruct.json", result)
             _write_csv(out / "tracks.csv", frames, found)
             _draw(out, frames, found)
-    if options.json:
-        print_json(result)
-    else:
-        _print(result, options.out)
+    print_result(options, result, lambda: _print(result, options.out))
     return 0
 
 
@@ -62,8 +59,6 @@ def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
         )
     if options.camera is None:
         return None, None
-    if not 0.01 <= options.radius_mm <= 100:
-        raise InputError(f"{options.radius_mm:g} is outside 0.01 to 100", field="--radius-mm")
     return Camera.from_file(options.camera), 1e-3 * options.radius_mm
 
 

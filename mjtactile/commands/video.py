@@ -27,23 +27,6 @@ Needs `pip install 'mjtactile[video]'`. exit codes: 0 written, 2 bad input.
 """
 
 
-def _time(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 0")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _time(text)
-    if value == 0:
-        raise argparse.ArgumentTypeError("0 is not above 0")
-    return value
-
-
 ARGUMENTS = (
     arg.positional("source", "RUN", "a run's folder, or a recording", type=Path),
     arg.out(
@@ -51,9 +34,9 @@ ARGUMENTS = (
         "RUN/video.mp4); only an earlier video of this command is overwritten",
         "FILE",
     ),
-    arg.option("--speed", "X", "playback speed, relative to real time", 1.0, type=_positive),
-    arg.option("--begin", "S", "skip the first S seconds", 0.0, type=_time),
-    arg.option("--seconds", "S", "duration to render (default: all)", math.inf, type=_positive),
+    arg.option("--speed X", "playback speed, relative to real time", 1.0, type=arg.POSITIVE),
+    arg.option("--begin S", "skip the first S seconds", 0.0, type=arg.number(0)),
+    arg.option("--seconds S", "duration to render (default: all)", math.inf, type=arg.POSITIVE),
 )
 
 

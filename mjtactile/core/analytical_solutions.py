@@ -106,16 +106,16 @@ def bulge_height(design: SensorDesign, gauge_pressure: float) -> float:
     M1, or Eq. M7 for neo-Hookean rubber. The result is NaN outside of the tables and for other
     outlines. It is also NaN if the rubber cannot hold the pressure.
     """
-    sheet = design.membrane
-    if sheet.law is Law.STVK:
-        return _hookean_height(design, sheet.young, gauge_pressure)
+    membrane = design.membrane
+    if membrane.law is Law.STVK:
+        return _hookean_height(design, membrane.young, gauge_pressure)
     half_width = min(design.frame.length, design.frame.width) / 2
 
     def missing(height: float) -> float:
-        stretch = sheet.pre_stretch * (1 + MEAN_STRETCH * (height / half_width) ** 2)
-        rubber = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.NEO_HOOKEAN)
-        plain = equibiaxial_stress(stretch, sheet.young, sheet.poisson, Law.STVK)
-        secant = sheet.young * rubber / plain
+        stretch = membrane.pre_stretch * (1 + MEAN_STRETCH * (height / half_width) ** 2)
+        rubber = equibiaxial_stress(stretch, membrane.young, membrane.poisson, Law.NEO_HOOKEAN)
+        plain = equibiaxial_stress(stretch, membrane.young, membrane.poisson, Law.STVK)
+        secant = membrane.young * rubber / plain
         return _hookean_height(design, secant, abs(gauge_pressure)) - height
 
     minimum = 1e-3 * half_width
@@ -136,20 +136,20 @@ def _hookean_height(design: SensorDesign, young: float, gauge_pressure: float) -
     """
     short, long = sorted((design.frame.width, design.frame.length))
     a = short / 2
-    sheet = design.membrane
+    membrane = design.membrane
     if design.frame.shape == "circle":
         c1 = 4.0
-        c2 = hencky_factor(sheet.poisson) ** -3
+        c2 = hencky_factor(membrane.poisson) ** -3
     elif design.frame.shape == "ellipse":
         c1 = 2 * (1 + (short / long) ** 2)  # of a paraboloid, exactly
-        c2 = _ellipse_cubic(long / short, sheet.poisson)
+        c2 = _ellipse_cubic(long / short, membrane.poisson)
     elif design.frame.shape != "rectangle":
         return np.nan
     else:
-        c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
-    stress = equibiaxial_stress(sheet.pre_stretch, young, sheet.poisson, Law.STVK)
-    linear = c1 * sheet.thickness * stress / a**2
-    cubic = c2 * young * sheet.thickness * sheet.pre_stretch**2 / a**4
+        c1, c2 = rectangle_coefficients(long / short, membrane.poisson)
+    stress = equibiaxial_stress(membrane.pre_stretch, young, membrane.poisson, Law.STVK)
+    linear = c1 * membrane.thickness * stress / a**2
+    cubic = c2 * young * membrane.thickness * membrane.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
         return np.nan
     if gauge_pressure == 0:
@@ -211,54 +211,18 @@ HENCKY = {
 series)."""
 
 
-_POINT_LOAD = {0.0: 0.86098, 0.2: 0.95729, 0.3: 1.02206, 1 / 3: 1.0472, 0.4: 1.10435, 0.5: 1.21334}
-
-
 def hencky_factor(poisson: float) -> float:
     """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
     return float(_between(list(HENCKY), list(HENCKY.values()), poisson))
 
 
-def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
-    """Return the height, m, of a clamped circular membrane under `pressure` Pa (Eq. M2).
-
-    `radius` is in m, `stiffness` E h in N/m.
-    """
-    return radius * hencky_factor(poisson) * (pressure * radius / stiffness) ** (1 / 3)
-
-
-def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
-    """Compute the point force, N, that indents the center of a clamped circle by `depth` m.
-
-    The circle has no pre-tension (Eq. M6).
-    """
-    kappa = float(_between(list(_POINT_LOAD), list(_POINT_LOAD.values()), poisson))
-    return kappa * stiffness * depth**3 / radius**2
-
-
-def sphere_on_circle(radius: float, tension: float, sphere: float, force: float) -> float:
-    """Return the indentation depth, m, of a sphere on a circular membrane (Eq. M4).
-
-    The `force`, N, acts on a sphere of radius `sphere` m. The membrane has a constant `tension`,
-    N/m. Slopes must be small, and the contact small relative to the circle.
-    """
-    contact_square = force * sphere / (2 * np.pi * tension)
-    return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
-
-
 def stvk_height_error(design: SensorDesign, gauge_pressure: float) -> float:
     """Return the relative height difference of a neo-Hookean and a St. Venant-Kirchhoff membrane
-    (Eq. M7).
-
-    Both have the same gauge pressure, Pa, modulus, Poisson's ratio and pre-stretch. The neo-Hookean
-    one bulges higher. NaN if one of the heights is unknown.
-    """
-    rubber = _height_by(Law.NEO_HOOKEAN, design, abs(gauge_pressure))
-    plain = _height_by(Law.STVK, design, abs(gauge_pressure))
+    under the same gauge pressure, Pa (Eq. M7). NaN if one of the heights is unknown."""
+    rubber, plain = (
+        bulge_height(
+            replace(design, membrane=replace(design.membrane, law=law)), abs(gauge_pressure)
+        )
+        for law in (Law.NEO_HOOKEAN, Law.STVK)
+    )
     return rubber / plain - 1 if plain else 0.0
-
-
-def _height_by(law: Law, design: SensorDesign, gauge_pressure: float) -> float:
-    """Compute `bulge_height` of the same membrane with a rubber of this law."""
-    sheet = replace(design.membrane, law=law)
-    return bulge_height(replace(design, membrane=sheet), gauge_pressure)

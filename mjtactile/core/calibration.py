@@ -142,30 +142,22 @@ class Calibration:
         part = self.part(kind)
         refusal = self.refused.get(kind)
         if part is None:
-            if refusal is not None:
-                return PartState(
-                    kind,
-                    "refused",
-                    f"refused on {_day(refusal.date)}: {'; '.join(refusal.reasons)}",
-                )
-            return PartState(kind, "missing", "never measured: the sensor file's values apply")
+            if refusal is None:
+                return PartState(kind, "missing", "never measured: the sensor file's values apply")
+            text = f"refused on {_day(refusal.date)}: {'; '.join(refusal.reasons)}"
+            return PartState(kind, "refused", text)
         newer = [
             other
             for other in part.rests_on
             if (found := self.part(other)) and found.stamp.date > part.stamp.date
         ]
-        if newer:
-            return PartState(
-                kind, "outdated", f"not used: older than the {newer[0]} that it was measured with"
-            )
-        if part.of_sensor and part.stamp.fingerprint != fingerprint(design):
-            return PartState(
-                kind,
-                "outdated",
-                f"of {_day(part.stamp.date)}: not used, because values of the sensor file "
-                "have changed since",
-            )
         text = f"of {_day(part.stamp.date)}"
+        if newer:
+            problem = f"not used: older than the {newer[0]} that it was measured with"
+            return PartState(kind, "outdated", problem)
+        if part.of_sensor and part.stamp.fingerprint != fingerprint(design):
+            problem = f"{text}: not used, because values of the sensor file have changed since"
+            return PartState(kind, "outdated", problem)
         if refusal is not None:
             reasons = "; ".join(refusal.reasons)
             text += f"; measured again on {_day(refusal.date)} and refused: {reasons}"
@@ -207,25 +199,21 @@ class Calibration:
             InputError: It is another finger's, another sensor's, or of another image size.
         """
         if self.finger != finger:
-            raise InputError(
-                f"belongs to finger {self.finger!r}, not {finger!r}", source=source, field="finger"
-            )
+            message = f"belongs to finger {self.finger!r}, not {finger!r}"
+            raise InputError(message, source=source, field="finger")
         if self.sensor != design.name:
-            raise InputError(
-                f"belongs to sensor {self.sensor!r}, but the {finger} finger has "
-                f"{design.name!r}; a file fitted to the same sensor must also be named "
-                f"{self.sensor}.toml",
-                source=source,
-                field="sensor",
+            message = (
+                f"belongs to sensor {self.sensor!r}, but the {finger} finger has {design.name!r}; "
+                f"a file fitted to the same sensor must also be named {self.sensor}.toml"
             )
+            raise InputError(message, source=source, field="sensor")
         size = design.camera.width, design.camera.height
         if self.lens is not None and (self.lens.width, self.lens.height) != size:
-            raise InputError(
+            message = (
                 f"{self.lens.width} x {self.lens.height} pixels, but sensor {design.name!r} has "
-                f"{size[0]} x {size[1]}",
-                source=source,
-                field="lens.width_px",
+                f"{size[0]} x {size[1]}"
             )
+            raise InputError(message, source=source, field="lens.width_px")
 
     def table(self) -> dict[str, Any]:
         """Write it out.
@@ -233,15 +221,13 @@ class Calibration:
         Returns:
             The table of a calibration file, and of a recording's header.
         """
-        parts = {
-            kind: None if (part := self.part(kind)) is None else _part_table(part) for kind in KINDS
-        }
+        parts = {kind: self.part(kind) for kind in KINDS}
         return {
             "format": FORMAT,
             "version": VERSION,
             "finger": self.finger,
             "sensor": self.sensor,
-            **parts,
+            **{kind: part and {**write(part), **write(part.stamp)} for kind, part in parts.items()},
             "refused": {kind: write(refusal) for kind, refusal in self.refused.items()},
         }
 
@@ -259,9 +245,8 @@ class Calibration:
             part.write_text(json.dumps(self.table(), indent=1) + "\n", encoding="utf-8")
             part.replace(path)
         except OSError as error:
-            raise InputError(
-                f"cannot be written: {error.strerror}", source=path, field="calibration"
-            ) from error
+            message = f"cannot be written: {error.strerror}"
+            raise InputError(message, source=path, field="calibration") from error
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -282,16 +267,13 @@ def load_calibration(path: Path) -> Calibration:
 def calibration_from_table(table: Any, source: str) -> Calibration:
     """Read the table written by `Calibration.table`; `source` names its file. Raises InputError
     naming the field."""
-    if (
-        not isinstance(table, Mapping)
-        or table.get("format") != FORMAT
-        or table.get("version") != VERSION
+    if not isinstance(table, Mapping) or (table.get("format"), table.get("version")) != (
+        FORMAT,
+        VERSION,
     ):
+        choices = [f"{FORMAT} version {VERSION}"]
         raise InputError(
-            "is not a calibration file",
-            source=source,
-            field="format",
-            choices=[f"{FORMAT} version {VERSION}"],
+            "is not a calibration file", source=source, field="format", choices=choices
         )
     root = Section(table, "", source)
     finger = root.text("finger")
@@ -308,11 +290,6 @@ def calibration_from_table(table: Any, source: str) -> Calibration:
         kind: read(Refusal, found) for kind in KINDS if (found := notes.optional(kind)) is not None
     }
     return Calibration(finger, sensor, **parts, refused=refused)
-
-
-def _part_table(part: Part) -> dict[str, Any]:
-    """Return a part's keys in the file, including those of its stamp."""
-    return {**write(part), **write(part.stamp)}
 
 
 def _day(date: str) -> str:

@@ -79,9 +79,7 @@ class LensCalibration(Pinhole):
 
     kind: ClassVar[str] = "lens"
     rests_on: ClassVar[tuple[str, ...]] = ()
-    """Parts that this one was measured with: when one of them is newer, this one is outdated."""
     of_sensor: ClassVar[bool] = False
-    """True if a change of the sensor file makes it outdated."""
 
     stamp: CalibrationMetadata = field(kw_only=True)
 
@@ -98,18 +96,19 @@ class RestMarkers:
     def to_table(self) -> dict[str, Any]:
         """Return the file's table."""
         m = self.markers
-        seen = m.fiducials
-        return {
+        fiducials = m.fiducials
+        table = {
             "pressure_kPa": self.gauge_pressure / KPA,
             "sealed": self.sealed,
             "ids": m.ids.tolist(),
             "p_SM_mm": (m.p_SM / MM).tolist(),
             "n_S": m.n_S.tolist(),
             "cov_p_mm2": (m.cov_p / MM**2).tolist(),
-            **(
-                {} if seen is None or not seen.has_levels else {"fiducials": _fiducials_table(seen)}
-            ),
         }
+        if fiducials is None or not fiducials.has_levels:
+            return table
+        values = {name: np.asarray(value).tolist() for name, value in vars(fiducials).items()}
+        return table | {"fiducials": values}
 
     @classmethod
     def from_section(cls, section: Section) -> RestMarkers:
@@ -121,23 +120,19 @@ class RestMarkers:
             section.array("p_SM_mm", (n, 3)) * MM,
             section.array("n_S", (n, 3)),
             section.array("cov_p_mm2", (n, 3, 3)) * MM**2,
-            fiducials=_fiducials_seen(section.optional("fiducials")),
+            fiducials=_read_fiducials(section.optional("fiducials")),
         )
         pressure = section.number("pressure_kPa", -_FAR, _FAR, KPA)
         return cls(markers, pressure, section.flag("sealed", True))
 
 
-def _fiducials_table(seen: FiducialDetections) -> dict[str, Any]:
-    return {name: np.asarray(value).tolist() for name, value in vars(seen).items()}
-
-
-def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
+def _read_fiducials(section: Section | None) -> FiducialDetections | None:
     """Read the detected fiducials from the file's section; None without a section."""
     if section is None:
         return None
     ids = section.array("ids", (None,))
     n = len(ids)
-    seen = FiducialDetections(
+    fiducials = FiducialDetections(
         ids.astype(np.int64),
         section.array("center_px", (n, 2)),
         section.array("radius_px", (n,)),
@@ -147,7 +142,7 @@ def _fiducials_seen(section: Section | None) -> FiducialDetections | None:
         section.array("blur_px", (n,)),
     )
     section.done()
-    return seen
+    return fiducials
 
 
 @dataclass(frozen=True, eq=False)

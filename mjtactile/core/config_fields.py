@@ -58,7 +58,7 @@ class SectionEntry(Entry):
 
     def write(self, value: Any) -> dict[str, Any]:
         if self.count is not None:
-            return {self.key: [write(one) for one in value]}
+            return {self.key: [write(item) for item in value]}
         return {self.key: None if value is None else write(value)}
 
 
@@ -70,14 +70,8 @@ def entry(
 ) -> Any:
     """Return a dataclass field that is stored in files according to `found`.
 
-    Args:
-        found: Entry in the file.
-        default: SI; left out: the field must be given.
-        more: Additional metadata.
-        **options: Those of `dataclasses.field`.
-
-    Returns:
-        The result of `dataclasses.field`.
+    Without a `default` (SI) the file must contain it. `more` is additional metadata, `options` are
+    those of `dataclasses.field`.
     """
     if default is not _REQUIRED:
         options["default"] = default
@@ -87,18 +81,10 @@ def entry(
 def number(
     key: str, low: float, high: float, unit: float = 1.0, *, default: Any = _REQUIRED, **more: Any
 ) -> Any:
-    """Return a numeric field.
+    """Return a numeric field within [`low`, `high`] of the file's unit, which has `unit` SI units.
 
-    Args:
-        key: Its name in the file, with the unit.
-        low: Minimum value, in the file's unit.
-        high: Maximum value.
-        unit: SI units in one of the file's.
-        default: SI; left out: the field must be given.
-        **more: `about`, `required`, `only_if` and `group` of `Entry`.
-
-    Returns:
-        The result of `dataclasses.field`.
+    `key` is its name in the file, with the unit. Without a `default` (SI) the file must contain it.
+    `more` are `about`, `required`, `only_if` and `group` of `Entry`.
     """
     return entry(Number(key=key, low=low, high=high, unit=unit, **more), default)
 
@@ -175,11 +161,8 @@ def default_of(kind: type, name: str) -> Any:
 
 
 def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
-    """Yield all single numbers of a class whose fields are sections.
-
-    Yields:
-        "section.key" of the file, attribute of the section, attribute in it, and its entry.
-    """
+    """Yield "section.key" of the file, attribute of the section, attribute in it, and entry of each
+    single number of a class whose fields are sections."""
     for owner, section in entries(kind).items():
         if not isinstance(section, SectionEntry):
             continue
@@ -189,19 +172,11 @@ def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
 
 
 def read(kind: type[T], section: Section, **given: Any) -> T:
-    """Read a dataclass from a section of a file.
+    """Read a dataclass from a section of a file, SI; on return, all keys have been checked.
 
-    Args:
-        kind: The dataclass; fields without an `Entry` keep their defaults.
-        section: Section to read; on return, all its keys have been checked.
-        **given: Values of fields that are not to be read, SI.
-
-    Returns:
-        The value, SI.
-
-    Raises:
-        InputError: Names file, field and value if one is missing, unknown, of the wrong type, out
-            of range, or inconsistent.
+    Fields without an `Entry` keep their defaults; those in `given` (SI) are not read. Raises
+    InputError that names file, field and value if one is missing, unknown, of the wrong type, out
+    of range, or inconsistent.
     """
     if not given and hasattr(kind, "from_section"):
         value = kind.from_section(section)  # type: ignore[attr-defined]
@@ -218,12 +193,8 @@ def read_fields(kind: type, section: Section, **given: Any) -> dict[str, Any]:
     `read`."""
     values = dict(given)
     for name, found in entries(kind).items():
-        if name in values:
+        if name in values or not found.applies(values):
             continue
-        if found.only_if is not None:
-            other, wanted = found.only_if
-            if values[other] not in wanted:
-                continue
         default = ... if found.required else default_of(kind, name)
         values[name] = found.read(section, default)
     return values
@@ -240,11 +211,8 @@ def write_fields(value: Any) -> dict[str, Any]:
     """`write`, of the fields that have an entry."""
     table: dict[str, Any] = {}
     for name, found in entries(type(value)).items():
-        if found.only_if is not None:
-            other, wanted = found.only_if
-            if getattr(value, other) not in wanted:
-                continue
-        table |= found.write(getattr(value, name))
+        if found.applies(vars(value)):
+            table |= found.write(getattr(value, name))
     return table
 
 

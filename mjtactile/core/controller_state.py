@@ -43,14 +43,10 @@ class _SizeBudget:
 
 
 def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Copy the serializable entries of a controller's memory.
+    """Copy the serializable entries of a controller's memory, at most `MOST` in total.
 
-    Args:
-        memory: Entries stored by the controller, by name.
-
-    Returns:
-        The entries that are numbers, strings, None, and lists, arrays and tables of them, at most
-        `MOST` in total; and the names of the other entries with their types.
+    These are numbers, strings, None, and lists, arrays and tables of them. Also return the names of
+    the other entries with their types.
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []

@@ -102,13 +102,12 @@ class SensorDesign:
         size = (self.markers.rows + 3) * (self.markers.columns + 3)
         if size > _SPLINE_NUMBERS_MAX:
             gib = 8 * size**2 / 2**30
-            raise InputError(
+            message = (
                 f"{self.markers.rows} x {self.markers.columns} markers can be simulated, but "
                 f"sensing needs {gib:.1f} GiB for each of its matrices; the limit is (rows + "
-                f"3) (columns + 3) = {_SPLINE_NUMBERS_MAX}",
-                source=self.name,
-                field="markers.rows",
+                f"3) (columns + 3) = {_SPLINE_NUMBERS_MAX}"
             )
+            raise InputError(message, source=self.name, field="markers.rows")
 
     @property
     def apparent_glass_thickness(self) -> float:
@@ -176,18 +175,10 @@ def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
 
 
 def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> SensorDesign:
-    """Validate a parsed TOML table.
+    """Validate the sections of a sensor file; `name` applies if the file has none.
 
-    Args:
-        table: The sections of a sensor file.
-        name: Name of the sensor if the file has none.
-        source: The file, as named in messages; paths in it are relative to its folder.
-
-    Returns:
-        The sensor, SI.
-
-    Raises:
-        InputError: See `load_sensor`.
+    Messages name the file `source`, and paths in it are relative to its folder. Raises InputError
+    as `load_sensor` does.
     """
     root = Section(table, "", source)
     return read(SensorDesign, root, name=root.text("name", default=name))

@@ -56,12 +56,7 @@ class Fiducials:
         )
     )
     ground: float = number(
-        "quiet_zone_mm",
-        0.05,
-        50,
-        MM,
-        default=0.5e-3,
-        about="width of the white ring around each circle, 8 px or more",
+        "quiet_zone_mm", 0.05, 50, MM, default=0.5e-3, about="white ring around each circle, 8 px"
     )
     lip: float = number(
         "lip_mm",
@@ -133,15 +128,8 @@ class Fiducials:
         return around * self.groove(design)
 
     def check(self, design: SensorDesign, section: Section) -> None:
-        """Check that the circles are on their surface, separate, and visible.
-
-        Args:
-            design: The sensor that they are part of.
-            section: Its file's table, for the message.
-
-        Raises:
-            InputError: Names the field and the error.
-        """
+        """Raise InputError unless the circles are on their surface, separate, and visible in
+        `design`."""
         if not FEWEST <= self.count <= _MOST:
             message = f"has {self.count} circles; {FEWEST} to {_MOST} are allowed"
             raise section.fail("fiducials.positions_mm", message)
@@ -151,9 +139,8 @@ class Fiducials:
             )
             raise section.fail("fiducials.wall_setback_mm", message)
         if self.surface == "rim" and self.lip >= design.chamber.depth:
-            raise section.fail(
-                "fiducials.lip_mm", f"{self.lip / MM:g} is not less than the chamber depth"
-            )
+            message = f"{self.lip / MM:g} is not less than the chamber depth"
+            raise section.fail("fiducials.lip_mm", message)
         xy = np.array(self.places)
         apart = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
         if apart.min() < 2 * self.radius + self.ground:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,10 @@ class Entry:
     required: bool = False
     only_if: tuple[str, tuple[str, ...]] | None = None
     group: str = ""
+
+    def applies(self, values: Mapping[str, Any]) -> bool:
+        """Return True if the values of the other fields permit this one."""
+        return self.only_if is None or values[self.only_if[0]] in self.only_if[1]
 
     def read(self, section: Section, default: Any) -> Any:
         """Return the section's value, SI; `default` if the key is missing (`...`: an error)."""
@@ -74,7 +78,7 @@ class Numbers(Number):
         return section.wholes(self.key, int(low), int(high), default)
 
     def write(self, value: Any) -> dict[str, Any]:
-        return {self.key: [one if self.whole else one / self.unit for one in value]}
+        return {self.key: [item if self.whole else item / self.unit for item in value]}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -149,12 +149,8 @@ class Lens:
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
-            raise InputError(
-                f"{self.model!r} is unknown",
-                source="Camera",
-                field="distortion_model",
-                choices=MODELS,
-            )
+            message = f"{self.model!r} is unknown"
+            raise InputError(message, source="Camera", field="distortion_model", choices=MODELS)
         names = self.definition.coefficients
         if not self.coefficients:
             object.__setattr__(self, "coefficients", (0.0,) * len(names))

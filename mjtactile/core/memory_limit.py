@@ -20,14 +20,10 @@ _STATUS = Path("/proc/self/status")
 
 @contextlib.contextmanager
 def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
-    """Limit this process's memory from a moment within the block until its end, on Linux.
+    """Limit this process's memory to `maximum` bytes beyond the used ones, on Linux.
 
-    Args:
-        maximum: Bytes beyond the memory used at that moment.
-
-    Yields:
-        Function that starts the limit on its first call. It has no effect if the system has no such
-        limit, or a tighter one.
+    Yield the function that starts the limit on its first call. It has no effect if the system has
+    no such limit, or a tighter one.
     """
     try:
         resource = importlib.import_module("resource")
@@ -38,7 +34,7 @@ def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
 
     has_started = False
 
-    def begin() -> None:
+    def start_limit() -> None:
         nonlocal has_started
         if has_started:
             return
@@ -49,7 +45,7 @@ def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
             resource.setrlimit(resource.RLIMIT_DATA, (used + maximum, hard))
 
     try:
-        yield begin
+        yield start_limit
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, before)
 

@@ -56,10 +56,8 @@ class Camera(Pinhole):
                 "values must be finite; focal lengths and image size positive", source="Camera"
             )
         if self.glass_thickness < 0 or self.glass_index < 1 or self.glass_distance < 0:
-            raise InputError(
-                "glass needs a thickness >= 0, a refractive index >= 1 and a distance >= 0",
-                source="Camera",
-            )
+            message = "glass needs a thickness >= 0, a refractive index >= 1 and a distance >= 0"
+            raise InputError(message, source="Camera")
 
     @classmethod
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:

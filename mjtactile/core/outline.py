@@ -32,12 +32,7 @@ _ROOT2 = np.sqrt(2.0)
 
 
 class OutlineError(ValueError):
-    """Corners that do not form a valid outline; `field` is the sensor file's.
-
-    Args:
-        field: Key in the sensor file.
-        message: Description of the error.
-    """
+    """Corners that do not form a valid outline; `field` is the key in the sensor file."""
 
     def __init__(self, field: str, message: str):
         self.field = field
@@ -63,18 +58,10 @@ class Outline:
 
     @classmethod
     def polygon(cls, corners: Sequence[tuple[float, float]], radius: float) -> Outline:
-        """Create a polygon with rounded corners.
+        """Create a polygon with rounded corners of this radius, m.
 
-        Args:
-            corners: Positions x, y of the corners, m, counter-clockwise around the origin.
-            radius: Radius of the rounding, m.
-
-        Returns:
-            The outline.
-
-        Raises:
-            OutlineError: It is not convex about the origin, or its edges are too short for the
-                rounding.
+        The corners (x, y), m, are counter-clockwise around the origin. Raises OutlineError if it is
+        not convex about the origin, or its edges are too short for the rounding.
         """
         arc = _sampled(corners, radius)
         found = np.fft.fft(arc) / len(arc)

@@ -104,9 +104,11 @@ def policy_observation(observation: Observation) -> Array:
         command.opening - gripper.opening,
         0.0 if command.force_limit is None else command.force_limit,
         min(command.memory.get("phase_time", 0.0), _TIME_MAX),
-        *(float(phase == one) for one in PHASES),
+        *(float(phase == name) for name in PHASES),
     ]
-    values = np.array([value for touch in observation.touch for value in _felt(touch)] + rig, float)
+    values = np.array(
+        [value for touch in observation.touch for value in _touch_values(touch)] + rig, float
+    )
     values[~np.isfinite(values)] = 0.0
     maximum = _bounds(len(observation.touch))
     return np.minimum(np.maximum(values, -maximum), maximum).astype(np.float32)
@@ -134,15 +136,9 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
         max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.goal.lift_height
     )
     phase, memory = _progress(observation)
-    return Command(
-        max(opening, 0.0),
-        FORCE_LIMIT * (limit + 1) / 2,
-        height,
-        phase,
-        memory,
-        last.reason,
-        last.gauge_pressure,
-    )
+    force = FORCE_LIMIT * (limit + 1) / 2
+    opening = max(opening, 0.0)
+    return Command(opening, force, height, phase, memory, last.reason, last.gauge_pressure)
 
 
 def fraction_released(sent: Command) -> float:
@@ -187,19 +183,13 @@ def _within_one(value: float) -> float:
     return 0.0 if math.isnan(value) else min(max(value, -1.0), 1.0)
 
 
-def _felt(touch: Touch) -> list[float]:
+def _touch_values(touch: Touch) -> list[float]:
     known = math.isfinite(touch.force_normal)
     wrench = _NOTHING
     if known and touch.traction is not None:
         wrench = touch.traction.wrench.tolist()
-    return [
-        float(known),
-        float(touch.touching),
-        touch.force_normal,
-        wrench[0],
-        wrench[1],
-        *wrench[3:],
-    ]
+    is_touching = float(touch.touching)
+    return [float(known), is_touching, touch.force_normal, *wrench[:2], *wrench[3:]]
 
 
 def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:

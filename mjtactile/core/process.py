@@ -99,13 +99,13 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
     return f"by signal {-code}" if code < 0 else f"exit code {code}"
 
 
-def stop(process: subprocess.Popen[str], disk_wait_time: float = 0.0) -> None:
-    """End a child: close its stdin, and kill it if it still runs after `disk_wait_time` s."""
+def stop(process: subprocess.Popen[str], timeout: float = 0.0) -> None:
+    """End a child: close its stdin, and kill it if it still runs after `timeout` s."""
     if process.stdin:
         with contextlib.suppress(OSError):
             process.stdin.close()
     try:
-        process.wait(disk_wait_time)
+        process.wait(timeout)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -23,7 +23,6 @@ share and m = energy, beta = 0):
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -57,11 +56,7 @@ class Relaxation:
         )
     )
     softening: float = number(
-        "mullins_fraction",
-        0,
-        0.9,
-        default=0.0,
-        about="maximum fraction of the stress lost in the first cycles (Mullins)",
+        "mullins_fraction", 0, 0.9, default=0.0, about="fraction lost in the first cycles (Mullins)"
     )
     softening_energy: float = number(
         "mullins_energy_kJ_m3",
@@ -92,19 +87,10 @@ class Relaxation:
         return np.exp(-elapsed / self.times)
 
     def check(self, section: Section) -> None:
-        """Check that terms are positive and not too many.
-
-        Args:
-            section: The file's table, for the message.
-
-        Raises:
-            InputError: Names the field and the error.
-        """
+        """Raise InputError unless terms are positive and not too many."""
         if len(self.terms) > MAX_TERMS:
-            raise section.fail(
-                "relaxation.terms_s",
-                f"has {len(self.terms)} terms; at most {MAX_TERMS} are allowed",
-            )
+            message = f"has {len(self.terms)} terms; at most {MAX_TERMS} are allowed"
+            raise section.fail("relaxation.terms_s", message)
         for share, seconds in self.terms:
             if not (0 < share <= 2 and 1e-3 <= seconds <= 1e7):
                 message = (
@@ -113,35 +99,16 @@ class Relaxation:
                 )
                 raise section.fail("relaxation.terms_s", message)
         if not self.terms and not self.softening:
-            raise section.fail(
-                "relaxation.terms_s",
-                (
-                    "terms_s is empty and mullins_fraction is 0; set one of them or remove the "
-                    "section"
-                ),
-            )
+            message = "terms_s is empty and mullins_fraction is 0; set one or remove the section"
+            raise section.fail("relaxation.terms_s", message)
 
 
 def decades(rate: float, first: float = 1.0, last: float = 1e4) -> tuple[tuple[float, float], ...]:
     """Return terms of a rubber that loses the same fraction of its stress in every decade of time.
 
-    Args:
-        rate: Fraction of the long-term stress per decade: 0.02 for unfilled natural rubber.
-        first: Shortest time constant, s.
-        last: Longest time constant, s.
-
-    Returns:
-        One term per decade. Between the time constants, the sum of exponentials deviates by at most
-        0.1 of the rate from a straight line over the logarithm of time.
+    `rate` is that fraction: 0.02 for unfilled natural rubber. There is one term per decade, from
+    the `first` to the `last` time constant, s. In between, the sum of exponentials deviates by at
+    most 0.1 of the rate from a straight line over the logarithm of time.
     """
     count = round(float(np.log10(last / first))) + 1
     return tuple((rate, float(first * 10**k)) for k in range(count))
-
-
-def relaxed_modulus(relaxation: Relaxation, time: Any) -> Array:
-    """Return the ratio of the stress to the long-term stress after a strain step.
-
-    `time`, s, has any shape. The ratio is 1 + sum a_i exp(-t / tau_i).
-    """
-    times = np.asarray(time, float)[..., None]
-    return 1.0 + (relaxation.shares * np.exp(-times / relaxation.times)).sum(axis=-1)

@@ -136,15 +136,8 @@ def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
 
 
 def explain_option(message: str, command: str) -> str:
-    """Return a usage error with the new name of an old option, command or benchmark.
-
-    Args:
-        message: Error of the parser.
-        command: Name of the command; an option may have another new name there.
-
-    Returns:
-        The message. With an old name, the new one replaces the list of choices.
-    """
+    """Return the parser's error, with the new name of an old option, command or benchmark in place
+    of the list of choices. An option may have another new name in `command`."""
     problem = message.partition(" (choose")[0]
     for word in re.findall(r"(?<![\w-])-{0,2}[a-z][\w-]*", problem):
         if new := OPTIONS.get(f"{command} {word}", OPTIONS.get(word)):

@@ -43,19 +43,13 @@ _SMALL = 1e-6  # step of a difference
 def inflated_height(
     design: SensorDesign, gauge_pressure: float, *, gravity: float = 0.0, degree: int | None = None
 ) -> float:
-    """Compute the height of an inflated membrane at its center.
+    """Compute the center's height above the frame, m, of a membrane with any outline and law.
 
-    Args:
-        design: Sensor design; its frame and membrane may have any outline and law.
-        gauge_pressure: Gauge pressure, Pa.
-        gravity: Gravity into the chamber, m/s^2.
-        degree: Degree of the polynomials in x^2 and y^2; default 5, for polygons 3.
-
-    Returns:
-        Height above the frame, m. NaN if the rubber cannot hold the pressure, or if the frame is
-        more than four times as long as wide.
+    The gauge pressure is in Pa, gravity, m/s^2, into the chamber. `degree` is that of the
+    polynomials in x^2 and y^2; default 5, for polygons 3. NaN if the rubber cannot hold the
+    pressure, or if the frame is more than four times as long as wide.
     """
-    frame = replace(design.frame, shape="ellipse")  # where to begin: a bulge as long and as wide
+    frame = replace(design.frame, shape="ellipse")  # start: a bulge as long and as wide
     first = analytical_solutions.bulge_height(replace(design, frame=frame), gauge_pressure)
     if not np.isfinite(first):
         return np.nan
@@ -63,28 +57,28 @@ def inflated_height(
     weight /= design.membrane.pre_stretch**2
     if degree is None:
         degree = _DEGREE_POLYGON if design.frame.shape == "polygon" else _DEGREE
-    sheet = _RitzMembrane.of(design, degree)
-    unknown = np.zeros(3 * sheet.count)
-    unknown[2 * sheet.count] = _STEPS[0] ** 0.5 * first / _SCALE
-    for share in _STEPS:
-        found = _root(sheet, unknown, share * gauge_pressure, share * weight)
+    membrane = _RitzMembrane.of(design, degree)
+    unknown = np.zeros(3 * membrane.count)
+    unknown[2 * membrane.count] = _STEPS[0] ** 0.5 * first / _SCALE
+    for fraction in _STEPS:
+        found = _root(membrane, unknown, fraction * gauge_pressure, fraction * weight)
         if found is None:
             return np.nan
         unknown = found
-    return float(_SCALE * unknown[2 * sheet.count :] @ sheet.middle)
+    return float(_SCALE * unknown[2 * membrane.count :] @ membrane.middle)
 
 
-def _root(sheet: _RitzMembrane, unknown: Array, pressure: float, weight: float) -> Array | None:
+def _root(membrane: _RitzMembrane, unknown: Array, pressure: float, weight: float) -> Array | None:
     """Compute the equilibrium coefficients (3 k,), _SCALE m; None if no equilibrium is found.
 
     Newton's method uses finite differences.
     """
     for _ in range(_NEWTON):
-        missing = sheet.residual(unknown, pressure, weight)
+        missing = membrane.residual(unknown, pressure, weight)
         if not np.isfinite(missing).all():
             return None
         moved = unknown + _SMALL * np.eye(len(unknown))
-        slope = np.array([sheet.residual(one, pressure, weight) - missing for one in moved])
+        slope = np.array([membrane.residual(one, pressure, weight) - missing for one in moved])
         step = np.linalg.solve(slope.T / _SMALL, -missing)
         maximum = float(np.abs(step).max())
         unknown = unknown + step * min(1.0, 1.0 / maximum)  # limit the step to 1 mm
@@ -116,24 +110,24 @@ class _RitzMembrane:
         frame = design.frame
         symmetric = frame.shape != "polygon"
         disc = frame.outline is not None
-        places, areas = _quarter(2 * degree + 4, disc)
+        positions, areas = _quarter(2 * degree + 4, disc)
         if not symmetric:
             signs = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
-            places = np.concatenate([places * sign for sign in signs])
+            positions = np.concatenate([positions * sign for sign in signs])
             areas = np.tile(areas / 4, 4)
         if frame.outline is None:
-            jacobian = np.tile(np.diag([frame.length / 2, frame.width / 2]), (len(places), 1, 1))
+            jacobian = np.tile(np.diag([frame.length / 2, frame.width / 2]), (len(positions), 1, 1))
         else:
-            jacobian = frame.outline.disc_jacobian(places)
-        bubble, by_place = _bubble(places, disc)
+            jacobian = frame.outline.disc_jacobian(positions)
+        bubble, by_position = _bubble(positions, disc)
         values = []
         slopes = []
         orders = []
         for odd in ((1, 0), (0, 1), (0, 0)):
             orders = _orders(degree, odd, symmetric)
-            f, df = _products(places, orders)
+            f, df = _products(positions, orders)
             values.append(bubble * f)
-            by_own = bubble * df + by_place[:, None] * f  # (2, k, q)
+            by_own = bubble * df + by_position[:, None] * f  # (2, k, q)
             slopes.append(np.einsum("ikq,qij->jkq", by_own, np.linalg.inv(jacobian)))
         weights = areas * np.linalg.det(jacobian)
         at = np.zeros((1, 2))
@@ -195,14 +189,14 @@ def _quarter(count: int, disc: bool) -> tuple[Array, Array]:
     if not disc:
         return np.column_stack([first, second]), areas
     angle = np.pi / 2 * second
-    places = np.column_stack([first * np.cos(angle), first * np.sin(angle)])
-    return places, np.pi / 2 * first * areas
+    positions = np.column_stack([first * np.cos(angle), first * np.sin(angle)])
+    return positions, np.pi / 2 * first * areas
 
 
-def _bubble(places: Array, disc: bool) -> tuple[Array, Array]:
+def _bubble(positions: Array, disc: bool) -> tuple[Array, Array]:
     """Return the bubble function (q,), 1 at the center and 0 on the frame, and its derivatives (2,
     q)."""
-    x, y = places.T
+    x, y = positions.T
     if disc:
         return 1 - x**2 - y**2, np.array([-2 * x, -2 * y])
     return (1 - x**2) * (1 - y**2), np.array([-2 * x * (1 - y**2), -2 * y * (1 - x**2)])
@@ -223,11 +217,11 @@ def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[in
     ]
 
 
-def _products(places: Array, orders: list[tuple[int, int]]) -> tuple[Array, Array]:
+def _products(positions: Array, orders: list[tuple[int, int]]) -> tuple[Array, Array]:
     """Chebyshev's T_i(x) T_j(y) (k, q), and its derivatives (2, k, q)."""
     i, j = np.array(orders).T
     maximum = int(max(i.max(), j.max()))
-    (x, by_x), (y, by_y) = (_chebyshev(one, maximum) for one in places.T)
+    (x, by_x), (y, by_y) = (_chebyshev(one, maximum) for one in positions.T)
     return x[i] * y[j], np.array([by_x[i] * y[j], x[i] * by_y[j]])
 
 

@@ -47,9 +47,9 @@ class FileName(Entry):
         choices = [*shipped, f"FILE{self.suffix}"]
         if value.endswith(self.suffix) or ("/" in value and ":" not in value):
             written = Path(value).expanduser()
-            beside = section.folder / written
-            if beside.is_file():
-                return str(beside)
+            relative = section.folder / written
+            if relative.is_file():
+                return str(relative)
             if not written.is_file():
                 raise section.fail(key, f"no such file: {value!r}", choices)
         elif value not in shipped and not self._may_be(value):
@@ -154,8 +154,6 @@ class Scenario:
         Raises:
             InputError: For a sensor file that is missing or wrong.
         """
-        if isinstance(self.sensor, SensorDesign):
-            return self.sensor
         return load_sensor(self.sensor)
 
     @property
@@ -169,7 +167,7 @@ class Scenario:
         Returns:
             The scenario as files and results keep it; `mjtactile.load_scenario` reads it again.
         """
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         limit = values.pop("time_limit")
         if not self.contact_shapes:  # as results of before it could be asked have it
             del values["contact_shapes"]
@@ -185,9 +183,9 @@ class Scenario:
         Returns:
             The scenario, and the command to run it again.
         """
-        said = self.to_dict()
-        names = {key: said[key] for key in ("object", "sensor", "controller", "rig", "seed")}
-        return names | {"command": self.command(), "scenario": said}
+        values = self.to_dict()
+        names = {key: values[key] for key in ("object", "sensor", "controller", "rig", "seed")}
+        return names | {"command": self.command(), "scenario": values}
 
     def names(self) -> dict[str, Any]:
         """Return the description of the run for its summary.
@@ -211,10 +209,10 @@ class Scenario:
         """
         words = ["mjtactile", "grasp", "--object", self.object]
         words += ["--controller", self.controller, "--seed", str(self.seed)]
-        said = self.to_dict()
+        values = self.to_dict()
         for name in ("task", "sensor", "rig", "accuracy", "effects", "randomization"):
-            if said[name] != _DEFAULTS[name]:
-                words.append(f"--{name}={said[name]}")
+            if values[name] != _DEFAULTS[name]:
+                words.append(f"--{name}={values[name]}")
         words += ["--contact-shapes"] if self.contact_shapes else []
         return shlex.join(words)
 

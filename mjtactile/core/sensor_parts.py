@@ -108,14 +108,7 @@ class Frame:
         return read(cls, section, **given)
 
     def validate(self, section: Section) -> None:
-        """See that there is such an outline.
-
-        Args:
-            section: The file's table, for the message.
-
-        Raises:
-            InputError: Corners that make no convex outline, or a rounding that does not fit.
-        """
+        """Raise InputError if the corners are not convex, or the rounding does not fit."""
         try:
             _ = self.outline
         except OutlineError as error:
@@ -183,12 +176,7 @@ class Membrane:
         ),
     )
     friction: float = number(
-        "friction",
-        0,
-        5,
-        ONE,
-        default=0.9,
-        about="Coulomb friction coefficient between the outside and any object",
+        "friction", 0, 5, ONE, default=0.9, about="Coulomb friction coefficient with any object"
     )
     law: Law = Law.NEO_HOOKEAN
 
@@ -215,11 +203,7 @@ class MarkerLayout:
     rows: int = whole("rows", 2, 200, about="along y")
     columns: int = whole("columns", 2, 200, about="along x")
     pitch_x: float = number(
-        "pitch_x_mm",
-        0.1,
-        200,
-        MM,
-        about="distance between marker centers along x, on the mounted flat membrane",
+        "pitch_x_mm", 0.1, 200, MM, about="distance of marker centers along x, mounted and flat"
     )
     pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same distance along y")
     radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
@@ -249,11 +233,7 @@ class Chamber:
     """Sealed space behind the flat membrane, SI: m, Pa, K, s, m^3/(s Pa) of volume flow, m^3."""
 
     depth: float = number(
-        "depth_mm",
-        0.1,
-        500,
-        MM,
-        about="distance from the flat membrane to the glass: limit of the indentation depth",
+        "depth_mm", 0.1, 500, MM, about="from the flat membrane to the glass: maximum indentation"
     )
     polytropic_exponent: float = number(
         "polytropic_exponent",
@@ -267,12 +247,7 @@ class Chamber:
         ),
     )
     supply_gauge: float = number(
-        "supply_pressure_kPa",
-        -50,
-        100,
-        KPA,
-        default=1000.0,
-        about="gauge pressure of the valve's supply: the working pressure",
+        "supply_pressure_kPa", -50, 100, KPA, default=1000.0, about="working pressure, gauge"
     )
     ambient: float = number("ambient_kPa", 1, 1000, KPA, default=101325.0, about="absolute")
     temperature: float = number(
@@ -295,12 +270,7 @@ class Chamber:
         about="flow through the open valve per kPa; infinite: the pressure follows at once",
     )
     leak_conductance: float = number(
-        "leak_mL_s_kPa",
-        0,
-        1e6,
-        ML_S_KPA,
-        default=0.0,
-        about="flow per kPa through a leak to ambient",
+        "leak_mL_s_kPa", 0, 1e6, ML_S_KPA, default=0.0, about="flow per kPa through a leak"
     )
     extra_volume: float = number(
         "extra_volume_mL",
@@ -324,11 +294,7 @@ class Glass:
         "refractive_index", 1, 3, ONE, about="glass 1.52, acrylic 1.49"
     )
     distance: float = number(
-        "distance_mm",
-        0,
-        1000,
-        MM,
-        about="distance from the camera center to the near face of the glass",
+        "distance_mm", 0, 1000, MM, about="from the camera center to the near face of the glass"
     )
 
 
@@ -341,11 +307,7 @@ class Pinhole:
     fx: float = number("fx_px", 10, 1e5, ONE, about="focal length along u")
     fy: float = number("fy_px", 10, 1e5, ONE, about="focal length along v")
     cx: float = number(
-        "cx_px",
-        -8192,
-        16384,
-        ONE,
-        about="principal point along u; the center of the top-left pixel is (0, 0)",
+        "cx_px", -8192, 16384, ONE, about="principal point along u; the top-left pixel is (0, 0)"
     )
     cy: float = number("cy_px", -8192, 16384, ONE, about="principal point along v")
     distortion: tuple[float, ...] = entry(
@@ -424,12 +386,7 @@ class CameraDesign(Pinhole):
         "distance_mm", 1, 2000, MM, about="distance from the camera center to the flat membrane"
     )
     rate: float = number(
-        "rate_Hz",
-        0.1,
-        2000,
-        ONE,
-        default=30.0,
-        about="images per second; also the rate of the control loop",
+        "rate_Hz", 0.1, 2000, ONE, default=30.0, about="images and control cycles per second"
     )
     blur_px: float = number(
         "blur_px",
@@ -443,12 +400,7 @@ class CameraDesign(Pinhole):
         ),
     )
     noise_dn: float = number(
-        "noise_DN",
-        0,
-        100,
-        ONE,
-        default=2.0,
-        about="standard deviation of the pixel noise, in gray levels of 8 bit",
+        "noise_DN", 0, 100, ONE, default=2.0, about="pixel noise (sd) in gray levels of 8 bit"
     )
 
     @property
@@ -471,18 +423,8 @@ class Leds:
         "membrane_DN", 0, 255, ONE, default=185.0, about="gray level of the lit white membrane"
     )
     marker_dn: float = number(
-        "marker_DN",
-        0,
-        255,
-        ONE,
-        default=40.0,
-        about="gray level of a black marker, less than the membrane's",
+        "marker_DN", 0, 255, ONE, default=40.0, about="gray level of a black marker"
     )
     vignetting: float = number(
-        "vignetting",
-        0,
-        1,
-        ONE,
-        default=0.25,
-        about="fraction of the light lost at the image corners",
+        "vignetting", 0, 1, ONE, default=0.25, about="fraction of light lost at the image corners"
     )

@@ -84,11 +84,7 @@ class ObjectRandomization:
         about="maximum required force per finger; mass and friction above it are sampled again",
     )
     breaking_min: float = number(
-        "break_force_min_N",
-        0,
-        100,
-        default=0.0,
-        about="lower limit of the breaking force, as required for touching",
+        "break_force_min_N", 0, 100, default=0.0, about="lower limit of the breaking force"
     )
     breaking: Range | None = _range(
         "break_force_factor", 1.05, 100, about="breaking force over the minimum grip that holds"
@@ -143,11 +139,7 @@ class SuccessCriteria:
         "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="maximum tilt at the end, standing"
     )
     let_go: float = number(
-        "release_within_s",
-        0,
-        60,
-        default=math.inf,
-        about="time limit after a pull, and not before it",
+        "release_within_s", 0, 60, default=math.inf, about="time limit after a pull, not before it"
     )
     fall: float = number(
         "drop_max_mm", 0.1, 200, MM, default=0.015, about="maximum fall at release"

@@ -232,11 +232,8 @@ class Section:
     def section(self, key: str) -> Section:
         """The table `[key]`."""
         if (found := self.optional(key)) is None:
-            raise InputError(
-                f"missing section{self._similar_unread(key)}",
-                source=self._source,
-                field=f"[{self._place(key)}]",
-            )
+            message = f"missing section{self._similar_unread(key)}"
+            raise InputError(message, source=self._source, field=f"[{self._place(key)}]")
         return found
 
     def optional(self, key: str) -> Section | None:

@@ -72,13 +72,8 @@ def sealed_runs(
         for hold, sim in zip(e.holds, holds[1:], strict=True):
             if is_fast(hold):  # simulated as if it had been slow
                 continue
-            smooth.append(
-                [
-                    1.0,
-                    float(np.interp(hold.time, e.series.time, e.series.volume)) / _ML,
-                    hold.pressure / 1e3,
-                ]
-            )
+            volume = float(np.interp(hold.time, e.series.time, e.series.volume)) / _ML
+            smooth.append([1.0, volume, hold.pressure / 1e3])
             true.append(sim.volume)
     rows = np.array([row for row in smooth if math.isfinite(row[2])]).reshape(-1, 3)
     wanted = np.array([v for v, row in zip(true, smooth, strict=True) if math.isfinite(row[2])])
@@ -198,10 +193,8 @@ class _Problem:
         x = np.zeros(len(low))
         rounds = 2 if iterations > 3 else 1
         for _ in range(rounds):  # repeated with the estimated noise
-            self._sd = [
-                _noise(p - run.pressure)
-                for p, run in zip(self.pressures(x), self.runs, strict=True)
-            ]
+            pairs = zip(self.pressures(x), self.runs, strict=True)
+            self._sd = [_noise(pressure - run.pressure) for pressure, run in pairs]
             found = gauss_newton(
                 self.residuals,
                 differences(self.residuals, steps),
@@ -251,12 +244,8 @@ class _Problem:
         sqrt(SHARED).
         """
         n = len(self.names)
-        z = np.concatenate(
-            [
-                (p - run.pressure) / sd
-                for p, run, sd in zip(self._moved(x), self.runs, self._sd, strict=True)
-            ]
-        )
+        runs = zip(self._moved(x), self.runs, self._sd, strict=True)
+        z = np.concatenate([(pressure - run.pressure) / sd for pressure, run, sd in runs])
         z = np.sign(z) * np.sqrt(
             np.where(np.abs(z) < _OUTLIER, z**2, _OUTLIER * (2 * np.abs(z) - _OUTLIER))
         )

@@ -92,10 +92,8 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
         return path.read_text(encoding="utf-8-sig"), load_sensor(path)
     files = [load_recording(path).header.get("files", {}).get("sensor") for path in recordings]
     if files[0] is None or any(file is None or file["text"] != files[0]["text"] for file in files):
-        raise InputError(
-            "the recordings do not name a common sensor file; specify the initial one",
-            field="--sensor",
-        )
+        message = "the recordings do not name a common sensor file; specify the initial one"
+        raise InputError(message, field="--sensor")
     text = files[0]["text"]
     return text, sensor_from_table(
         tomllib.loads(text), name=Path(files[0]["name"]).stem, source=files[0]["name"]
@@ -135,16 +133,16 @@ def _sheet(
     """
     free = sheet = fit_membrane(design, evidence, known=known, options=options)
     held = dict(known)
-    while (
-        name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)
-    ) is not None:
+    while name := _first_undetermined(
+        sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST
+    ):
         held[name] = getattr(design.membrane, name)
         options.say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
         sheet = fit_membrane(design, evidence, known=held, options=options)
     return free, sheet
 
 
-def _untold(
+def _first_undetermined(
     names: Sequence[str],
     values: Mapping[str, float],
     cov: Array,
@@ -152,9 +150,7 @@ def _untold(
     order: Sequence[str],
 ) -> str | None:
     """Return the first fitted parameter of `order` that is not determined accurately enough."""
-    for name in order:
-        if name not in values:
-            continue
+    for name in filter(values.__contains__, order):
         field = FIELD[section, name]
         sd = math.sqrt(cov[names.index(name)][names.index(name)])
         if not ABOUT[field].is_finite_value(values[name] / SI[field][2], sd / SI[field][2]):
@@ -176,34 +172,20 @@ def _gas(
     with_pressure = [
         i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()
     ]
-    runs = sealed_runs(
-        [evidence[i] for i in with_pressure], [sheet.holds[i] for i in with_pressure]
-    )
+    holds = [sheet.holds[i] for i in with_pressure]
+    runs = sealed_runs([evidence[i] for i in with_pressure], holds)
     if not runs:
         return None
     found = fit_gas(sheet.design, runs, known=known)
     held = dict(known)
-    if (
-        _untold(
-            found.names,
-            found.values,
-            found.cov,
-            "chamber",
-            ("heat_exchange", "polytropic_exponent"),
-        )
-        is not None
-    ):
-        held |= {
-            name: getattr(sheet.design.chamber, name)
-            for name in ("heat_exchange", "polytropic_exponent")
-            if name not in known
-        }
+    chamber = sheet.design.chamber
+    heat = ("heat_exchange", "polytropic_exponent")
+    if _first_undetermined(found.names, found.values, found.cov, "chamber", heat) is not None:
+        held |= {name: getattr(chamber, name) for name in heat if name not in known}
         found = fit_gas(sheet.design, runs, known=held)
-    if (
-        "extra_volume" in found.names
-        and math.sqrt(found.cov[0][0]) > GAS_FRACTION * sheet.design.chamber_volume_flat
-    ):
-        held |= {"extra_volume": sheet.design.chamber.extra_volume}
+    volume_sd_max = GAS_FRACTION * sheet.design.chamber_volume_flat
+    if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > volume_sd_max:
+        held |= {"extra_volume": chamber.extra_volume}
         found = fit_gas(sheet.design, runs, known=held)
     options.say(_report_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
@@ -265,9 +247,8 @@ def _replayed(
 
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:
     rows = []
-    for hold, found in zip(
-        (evidence.rest, *evidence.holds), simulate(design, evidence, 0.0, mesh), strict=True
-    ):
+    simulated = simulate(design, evidence, 0.0, mesh)
+    for hold, found in zip((evidence.rest, *evidence.holds), simulated, strict=True):
         move = hold.move
         rows.append(
             HeldOut(

@@ -49,10 +49,8 @@ def fit_image_noise(design: SensorDesign, images: Sequence[Image]) -> ImageNoise
     mean = stack.mean(axis=0)
     values = _noise(stack, mean)
     blurs = np.array([_blur(image) for image in images])
-    values["camera.blur_px"] = (
-        float(np.median(blurs)),
-        float(max(0.01, blurs.std() / np.sqrt(len(blurs)))),
-    )
+    blur_sd = float(max(0.01, blurs.std() / np.sqrt(len(blurs))))
+    values["camera.blur_px"] = float(np.median(blurs)), blur_sd
     light, residual = _light(design, mean)
     return ImageNoiseFit(values | light, residual)
 
@@ -64,12 +62,8 @@ def _noise(stack: Array, mean: Array) -> dict[str, tuple[float, float]]:
     change = np.diff(stack, axis=0)[:, (mean > 2) & (mean < _SATURATED)]
     change = change - np.median(change, axis=1, keepdims=True)
     variance = float(np.mean(change**2)) / 2
-    return {
-        "camera.noise_DN": (
-            float(np.sqrt(max(variance - _ROUNDING, 0.0))),
-            float(0.01 * np.sqrt(variance)),
-        )
-    }
+    noise = float(np.sqrt(max(variance - _ROUNDING, 0.0)))
+    return {"camera.noise_DN": (noise, float(0.01 * np.sqrt(variance)))}
 
 
 def _blur(image: Image) -> float:
@@ -103,11 +97,11 @@ def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, fl
     residual[dark] = mean[dark] - marker * field[dark]
     spread = float(np.ptp(shape[bright]))
     # the residual is a model error: it does not average out
-    doubt = max(_LEVEL_SD, float(np.nanstd(residual[bright])) / 3)
+    level_sd = max(_LEVEL_SD, float(np.nanstd(residual[bright])) / 3)
     return {
-        "leds.membrane_DN": (float(level), doubt),
-        "leds.marker_DN": (marker, doubt),
-        "leds.vignetting": (vignetting, doubt / (float(level) * spread)),
+        "leds.membrane_DN": (float(level), level_sd),
+        "leds.marker_DN": (marker, level_sd),
+        "leds.vignetting": (vignetting, level_sd / (float(level) * spread)),
     }, residual
 
 

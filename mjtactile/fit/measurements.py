@@ -120,11 +120,11 @@ def read_evidence(
     flat, rest = recording.references
     flat_images = tuple(flat.images(number))
     state = chain.measure_flat_reference(chain.initial_state(), flat_images)
-    seen = [markers for _, markers in _see(chain, state, rest.images(number))]
+    seen = [markers for _, markers in _detect(chain, state, rest.images(number))]
     reading = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
     note = recording.notes.get("stage")
-    mine = note is not None and note.get("finger", finger) == finger
-    stage = stage_from_note(note, path) if note is not None and mine else None
+    is_own = note is not None and note.get("finger", finger) == finger
+    stage = stage_from_note(note, path) if note is not None and is_own else None
     say(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
     times, shots = _follow(recording, number, chain, expected)
@@ -156,7 +156,7 @@ def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> C
     return replace(calibration_from_table(table, str(recording.folder)), frame=None, force=None)
 
 
-def _see(
+def _detect(
     chain: SensingPipeline, state: PipelineState, images: Iterator[Image]
 ) -> Iterator[tuple[Image, Markers]]:
     """The images that show enough markers, and these; each is expected where the last image had
@@ -172,7 +172,7 @@ def _follow(
     recording: Recording, number: int, chain: SensingPipeline, state: PipelineState
 ) -> tuple[Array, list[Markers]]:
     """Times after the first cycle, s, and markers of the cycles' images."""
-    found = list(_see(chain, state, (images[number] for images in recording.images())))
+    found = list(_detect(chain, state, (images[number] for images in recording.images())))
     start = float(recording.columns["time"][0]) if len(recording) else 0.0
     return np.array([image.time - start for image, _ in found]), [markers for _, markers in found]
 
@@ -219,13 +219,8 @@ def _hold(
     mean[often] = np.nanmean(positions[:, often], axis=0)
     cov[often] = total[often] / count[often, None, None] ** 2
     half = len(seen) // 2
-    apart = np.nanmean(
-        np.abs(
-            np.nanmean(positions[:half, often], axis=0)
-            - np.nanmean(positions[half:, often], axis=0)
-        )
-    )
-    if apart > _MOVES_MAX:
+    before, after = (np.nanmean(part[:, often], axis=0) for part in np.split(positions, [half]))
+    if np.nanmean(np.abs(before - after)) > _MOVES_MAX:
         return None
     return Hold(mean, cov, pressure, move, time)
 
@@ -248,13 +243,8 @@ def _holds(
         begin = 0.0 if move is None else move.time + _travel(before, move) + _SETTLING
         rows = np.flatnonzero((times >= max(begin, end - _HOLD_MAX)) & (times < end - 1e-6))
         gauge = float(np.mean(pressure[rows])) if len(rows) else math.nan
-        hold = _hold(
-            design,
-            [shots[i] for i in rows.tolist()],
-            gauge,
-            move,
-            float(times[rows].mean()) if len(rows) else math.nan,
-        )
+        time = float(times[rows].mean()) if len(rows) else math.nan
+        hold = _hold(design, [shots[i] for i in rows.tolist()], gauge, move, time)
         if hold is not None:
             yield hold
         before = move

@@ -121,7 +121,7 @@ def simulate(
     stage = evidence.stage
     world = _world(design, evidence, mesh)
     world.inflate(_pressure(design, evidence, evidence.rest), seal=False)
-    found = [_look(world)]
+    found = [_read_state(world)]
     known = {id(hold.move): hold for hold in evidence.holds}
     for move in (None, *(stage.moves if stage else ())):
         hold = known.get(id(move))
@@ -130,9 +130,9 @@ def simulate(
         if move is None:
             world.settle()
         else:
-            _go(world, move, offset)
+            _move(world, move, offset)
         if hold is not None:
-            found.append(_look(world))
+            found.append(_read_state(world))
     return tuple(found)
 
 
@@ -168,7 +168,7 @@ def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
     )
 
 
-def _go(world: PressWorld, move: Move, offset: float) -> None:
+def _move(world: PressWorld, move: Move, offset: float) -> None:
     if not move.touches:
         world.press(LIFTED, 0.0, _SPEED)
     elif move.is_weight:
@@ -187,9 +187,8 @@ def _press_with(world: PressWorld, move: Move) -> None:
     too_little = -move.force
     too_much = math.nan
     for _ in range(_TRIES):
-        if math.isnan(too_much):
-            depth = high
-        else:
+        depth = high
+        if not math.isnan(too_much):
             depth = low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
         world.press(depth, move.shear, _SPEED)
         off = -float(world.drive_force[2]) - move.force
@@ -218,7 +217,7 @@ def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
     return design.chamber.supply_gauge
 
 
-def _look(world: PressWorld) -> Simulated:
+def _read_state(world: PressWorld) -> Simulated:
     sensor = world.sensors[0]
     volume = sensor.volume - sensor.design.chamber_volume_flat
     return Simulated(world.marker_poses(0)[0], volume, world.drive_force)
@@ -262,7 +261,7 @@ class _Problem:
         self.design = design
         self.evidence = evidence
         self.names = names
-        self.pressed = [i for i, one in enumerate(evidence) if _is_pressed(one)]
+        self.pressed = [i for i, one in enumerate(evidence) if _is_loaded(one)]
         self.options = options
         self._whiten = [[_whitener(hold) for hold in (e.rest, *e.holds)] for e in evidence]
         self._common = self._common_modes()
@@ -282,15 +281,12 @@ class _Problem:
         return self._result(found)
 
     def value(self, name: str, x: Array) -> float:
-        return SCALES[name].value(
-            float(x[self.names.index(name)]), getattr(self.design.membrane, name)
-        )
+        nominal = getattr(self.design.membrane, name)
+        return SCALES[name].value(float(x[self.names.index(name)]), nominal)
 
     def made(self, x: Array) -> SensorDesign:
-        return replace(
-            self.design,
-            membrane=replace(self.design.membrane, **{n: self.value(n, x) for n in self.names}),
-        )
+        values = {name: self.value(name, x) for name in self.names}
+        return replace(self.design, membrane=replace(self.design.membrane, **values))
 
     def offset(self, number: int, x: Array) -> float:
         """First touch of a recording, m, deeper than its mark."""
@@ -323,7 +319,7 @@ class _Problem:
             moved[column] += step
             parts = [np.zeros_like(part) for part in base]
             for i in range(len(self.evidence)):
-                if self._enters(column, i):
+                if self._depends(column, i):
                     parts[i] = (self._of(i, self.simulate(i, moved)) - base[i]) / step
             columns.append(np.concatenate(parts))
         return np.vstack(
@@ -340,12 +336,10 @@ class _Problem:
         """Simulated less measured markers of a recording, whitened, and forces of a load cell."""
         e = self.evidence[number]
         parts = []
-        for hold, simulated, (rows, weights) in zip(
-            (e.rest, *e.holds), holds, self._whiten[number], strict=True
-        ):
-            parts.append(
-                np.einsum("nij,nj->ni", weights, simulated.p_SM[rows] - hold.p_SM[rows]).ravel()
-            )
+        triples = zip((e.rest, *e.holds), holds, self._whiten[number], strict=True)
+        for hold, simulated, (rows, weights) in triples:
+            off = simulated.p_SM[rows] - hold.p_SM[rows]
+            parts.append(np.einsum("nij,nj->ni", weights, off).ravel())
             if hold.is_weighed:
                 parts.append(np.array([(-simulated.force[2] - hold.force) / LOAD_CELL_SD]))
         return np.concatenate(parts)
@@ -375,7 +369,7 @@ class _Problem:
         ]
         return float(np.sqrt(np.nanmean(np.square(off))))
 
-    def _enters(self, column: int, number: int) -> bool:
+    def _depends(self, column: int, number: int) -> bool:
         if column >= len(self.names):
             return number == self.pressed[column - len(self.names)]
         return self.names[column] != "friction" or number in self.pressed
@@ -407,7 +401,7 @@ def is_fast(hold: Hold) -> bool:
     return hold.move is not None and hold.move.touches and hold.move.speed > FAST
 
 
-def _is_pressed(evidence: Evidence) -> bool:
+def _is_loaded(evidence: Evidence) -> bool:
     """Return True if a stage indented the membrane to known depths."""
     if not evidence.stage:
         return False

@@ -75,7 +75,7 @@ class RelaxationFit:
     def to_table(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            "terms_s": [[float(a), float(t)] for a, t in zip(self.shares, self.times, strict=True)],
+            "terms_s": np.column_stack([self.shares, self.times]).tolist(),
             "within_s": list(self.within),
             "faded_share": self.faded,
             "faded_share_sd": self.faded_sd,
@@ -86,36 +86,23 @@ class RelaxationFit:
 def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationFit:
     """Fit the fractions of elements spaced a decade apart, up to the length of the recording.
 
-    Args:
-        path: Recording with images and a pressure sensor.
-        design: Sensor with fitted static parameters.
-        finger: Finger of the recording.
-
-    Returns:
-        The relaxation.
-
-    Raises:
-        InputError: The recording has no pressures, or no free membrane for 10 s.
+    The static parameters of `design` are fitted already. Raises InputError if the recording has no
+    images, no pressures, or no free membrane for 10 s.
     """
     recording = load_recording(path)
     recording.require_images()
     if finger not in recording.fingers:
-        raise InputError(
-            f"has no finger {finger!r}",
-            source=path,
-            field="--relaxation",
-            choices=recording.fingers,
-        )
+        message = f"has no finger {finger!r}"
+        raise InputError(message, source=path, field="--relaxation", choices=recording.fingers)
     memories = _Memories(recording, design, finger)
     free = memories.free
     lasts = float(memories.time[free].max(initial=0.0) - memories.time[free].min(initial=math.inf))
     if not np.isfinite(memories.pressure).all() or lasts < _FREE_MIN:
-        raise InputError(
+        message = (
             f"contains no unloaded membrane with known pressure for {_FREE_MIN:g} s: inflate "
-            "and wait, or load, hold and release",
-            source=path,
-            field="--relaxation",
+            "and wait, or load, hold and release"
         )
+        raise InputError(message, source=path, field="--relaxation")
     shares, cov = _solve(*memories.equations())
     within = (SHORTEST, lasts)
     begin, end = (np.exp(-moment / memories.times) for moment in within)
@@ -222,8 +209,10 @@ class _Memories:
 
     def _show(self, c: Array) -> Array:
         """Return the marker displacement for a fraction of 1 of each element, (k, 3 N) m."""
-        forces = (self._inverse.sheet.forces_of(c, self._stress - one) for one in self._remembered)
-        return np.stack([-self._at_markers(one) for one in forces])
+        forces = (
+            self._inverse.sheet.forces_of(c, self._stress - stress) for stress in self._remembered
+        )
+        return np.stack([-self._at_markers(force) for force in forces])
 
     def _at_markers(self, forces: Array) -> Array:
         """Return the marker displacement (3 N,), m, by generalized forces (3, n), N, at constant

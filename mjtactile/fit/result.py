@@ -77,12 +77,11 @@ def numbers_of(
         ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
         for name, value in sheet.values.items()
     ]
-    if gas is None:
-        filled = []
-    else:
-        filled = [
-            ("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)
-        ]
+    filled = [
+        ("chamber", name, gas.values[name], gas.cov[i][i])
+        for i, name in enumerate(gas.names if gas else ())
+        if gas
+    ]
     for section, attribute, value, variance in [*pressed, *filled]:
         field = FIELD[section, attribute]
         scale = SI[field][2]
@@ -95,15 +94,11 @@ def numbers_of(
             gas_mL=nominal.chamber_volume_flat / 1e-6,
         )
     for field, (value, sd) in picture.values.items():
-        numbers[field] = judge(
-            field, value, sd, value_before(nominal, field), f"{evidence[0].name}, flat"
-        )
-    numbers |= {
-        field: FittedParameter(
-            field, value, 0.0, "known", "measured by hand", value_before(nominal, field)
-        )
-        for field, value in known.items()
-    }
+        before = value_before(nominal, field)
+        numbers[field] = judge(field, value, sd, before, f"{evidence[0].name}, flat")
+    for field, value in known.items():
+        before = value_before(nominal, field)
+        numbers[field] = FittedParameter(field, value, 0.0, "known", "measured by hand", before)
     return [
         numbers.get(field) or missing(field, value_before(nominal, field))
         for field in dict.fromkeys([*ABOUT, *known])

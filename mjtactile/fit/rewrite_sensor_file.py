@@ -21,9 +21,8 @@ def rewrite(text: str, numbers: Sequence[FittedParameter], head: str) -> str:
             value = digits(number.value, number.sd)
         else:
             value = f"{number.value:.10g}"
-        _put(
-            lines, section, key, value if any(c in value for c in ".einf") else f"{value}.0", number
-        )
+        is_float = any(c in value for c in ".einf")
+        _put(lines, section, key, value if is_float else f"{value}.0", number)
     return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
 
 

@@ -164,11 +164,8 @@ def _move(row: Mapping[str, Any], source: str, number: int) -> Move:
         except (TypeError, ValueError):
             value = math.nan
         if not low <= value <= high:
-            raise InputError(
-                f"{text!r} is not a number from {low:g} to {high:g}",
-                source=source,
-                field=f"move {number}, {column}",
-            )
+            message = f"{text!r} is not a number from {low:g} to {high:g}"
+            raise InputError(message, source=source, field=f"move {number}, {column}")
         values[name] = value * scale
     if "time" not in values:
         raise InputError("is missing", source=source, field=f"move {number}, time_s")

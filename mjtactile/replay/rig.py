@@ -221,11 +221,8 @@ def _require_replayable(recording: Recording, design: SensorDesign, folder: str)
     recording.require_images()
     recorded = recording.header.get("design")
     if recorded is not None and recorded != design.name:
-        raise InputError(
-            f"was recorded with sensor {recorded!r}, not {design.name!r}",
-            source=folder,
-            field="--sensor",
-        )
+        message = f"was recorded with sensor {recorded!r}, not {design.name!r}"
+        raise InputError(message, source=folder, field="--sensor")
 
 
 def build(request: RigRequest) -> Rig:

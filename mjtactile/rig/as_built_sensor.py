@@ -8,6 +8,7 @@ measures the remainder as on a real rig.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
 
 _CREEP_TIMES = (1.0, 1e3)  # shortest and longest time constant, s
 
+_deviation = partial(number, default=0.0, group="sensor")
+
 
 @dataclass(frozen=True)
 class AsBuiltSensor:
@@ -30,15 +33,7 @@ class AsBuiltSensor:
     """
 
     finger: str
-    focal_fraction: float = number(
-        "fx_percent",
-        -50,
-        50,
-        PERCENT,
-        default=0.0,
-        group="sensor",
-        about="increase of the focal length",
-    )
+    focal_fraction: float = _deviation("fx_percent", -50, 50, PERCENT, about="longer focal length")
     center: tuple[float, float] = numbers(
         "center_px",
         "uv",
@@ -49,13 +44,9 @@ class AsBuiltSensor:
         about="offset of the principal point",
     )
     k1: float | None = number(
-        "k1",
-        -1,
-        1,
-        default=None,
-        about="first distortion coefficient, in place of that of the file",
+        "k1", -1, 1, default=None, about="first distortion coefficient, in place of the file's"
     )
-    k1_offset: float = number("k1_offset", -1, 1, default=0.0, group="sensor", about="offset of k1")
+    k1_offset: float = _deviation("k1_offset", -1, 1, about="offset of k1")
     shift: tuple[float, float, float] = numbers(
         "camera_shift_mm",
         "xyz",
@@ -64,7 +55,7 @@ class AsBuiltSensor:
         MM,
         default=(0.0, 0.0, 0.0),
         group="sensor",
-        about="displacement of the camera with its glass, frame S",
+        about="displacement of camera and glass, frame S",
     )
     tilt: tuple[float, float, float] = numbers(
         "camera_tilt_deg",
@@ -74,41 +65,17 @@ class AsBuiltSensor:
         DEGREE,
         default=(0.0, 0.0, 0.0),
         group="sensor",
-        about="rotation vector of the camera with its glass",
+        about="rotation vector of camera and glass",
     )
-    blur: float = number(
-        "blur_px",
-        -5,
-        10,
-        default=0.0,
-        group="sensor",
-        about="increase of the blur, px (standard deviation)",
+    blur: float = _deviation("blur_px", -5, 10, about="increase of the blur (sd), px")
+    noise_fraction: float = _deviation("noise_percent", -100, 1000, PERCENT, about="more noise")
+    light_fraction: float = _deviation("light_percent", -90, 35, PERCENT, about="more light")
+    stiffness_fraction: float = _deviation(
+        "stiffness_percent", -90, 400, PERCENT, about="more Young's modulus"
     )
-    noise_fraction: float = number(
-        "noise_percent", -100, 1000, PERCENT, default=0.0, group="sensor", about="more noise"
-    )
-    light_fraction: float = number(
-        "light_percent", -90, 35, PERCENT, default=0.0, group="sensor", about="more light"
-    )
-    stiffness_fraction: float = number(
-        "stiffness_percent",
-        -90,
-        400,
-        PERCENT,
-        default=0.0,
-        group="sensor",
-        about="more Young's modulus",
-    )
-    thickness_fraction: float = number(
-        "thickness_percent", -90, 400, PERCENT, default=0.0, group="sensor", about="thicker"
-    )
-    pre_stretch: float = number(
-        "pre_stretch_offset",
-        -0.2,
-        0.5,
-        default=0.0,
-        group="sensor",
-        about="offset of the pre-stretch",
+    thickness_fraction: float = _deviation("thickness_percent", -90, 400, PERCENT, about="thicker")
+    pre_stretch: float = _deviation(
+        "pre_stretch_offset", -0.2, 0.5, about="offset of the pre-stretch"
     )
     creep: float = number(
         "creep_percent",
@@ -118,12 +85,10 @@ class AsBuiltSensor:
         default=0.0,
         about="fraction of the long-term stress that relaxes in each decade from 1 to 1000 s",
     )
-    friction_fraction: float = number(
-        "friction_percent", -100, 400, PERCENT, default=0.0, group="sensor", about="more friction"
+    friction_fraction: float = _deviation(
+        "friction_percent", -100, 400, PERCENT, about="more friction"
     )
-    radius: float = number(
-        "marker_radius_um", -500, 500, 1e-6, default=0.0, group="sensor", about="larger markers"
-    )
+    radius: float = _deviation("marker_radius_um", -500, 500, 1e-6, about="larger markers")
     missing: tuple[int, ...] = entry(
         Numbers(
             key="missing_markers",
@@ -144,7 +109,7 @@ class AsBuiltSensor:
         1 / 60,
         default=0.0,
         group="gas",
-        about="temperature drift of gas and walls",
+        about="drift of gas and walls",
     )
     valve_zero: float = number(
         "pressure_offset_Pa", -1000, 1000, default=0.0, about="offset of the pressure sensor"
@@ -205,9 +170,8 @@ def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
 def camera_pose(design: SensorDesign, specimen: AsBuiltSensor) -> tuple[Array, Array]:
     """Return the as-built pose of the camera with its glass and LEDs: R_SC (3, 3), p_SC (3,), m, in
     S."""
-    return geometry.rotation_from_vector(specimen.tilt), design.camera.p_SC + np.array(
-        specimen.shift
-    )
+    position = design.camera.p_SC + np.array(specimen.shift)
+    return geometry.rotation_from_vector(specimen.tilt), position
 
 
 def marker_radii(design: SensorDesign, specimen: AsBuiltSensor) -> Array:

@@ -54,12 +54,7 @@ class ObjectChange:
         "size_percent", -50, 100, PERCENT, default=0.0, about="increase of the size, with the mass"
     )
     mass: float = number(
-        "mass_percent",
-        -90,
-        900,
-        PERCENT,
-        default=0.0,
-        about="increase of the mass at constant size",
+        "mass_percent", -90, 900, PERCENT, default=0.0, about="more mass at constant size"
     )
     friction: float = number(
         "friction_percent",
@@ -70,12 +65,7 @@ class ObjectChange:
         about="increase of the friction with the membranes, the table and its stand",
     )
     stiffness: float = number(
-        "stiffness_percent",
-        -90,
-        900,
-        PERCENT,
-        default=0.0,
-        about="increase of the stiffness of springs or elements",
+        "stiffness_percent", -90, 900, PERCENT, default=0.0, about="stiffer springs or elements"
     )
     breaking: float = number(
         "breaking_percent", -90, 900, PERCENT, default=0.0, about="increase of the breaking force"
@@ -106,11 +96,7 @@ class RigChange:
     )
     speed: float = number("speed_percent", -90, 400, PERCENT, default=0.0, about="faster")
     force_noise: float = number(
-        "force_noise_N",
-        0,
-        10,
-        default=0.0,
-        about="standard deviation of the reported closing force",
+        "force_noise_N", 0, 10, default=0.0, about="sd of the reported closing force"
     )
 
 
@@ -168,15 +154,15 @@ class Spread:
     sd: float = 0.0
     choices: tuple[float, ...] = ()
 
-    def at(self, share: float) -> float:
-        """The value below which this `share`, 0 to 1, of all lies."""
+    def at(self, fraction: float) -> float:
+        """The value below which this `fraction`, 0 to 1, of all lies."""
         if self.choices:
-            return self.choices[min(int(share * len(self.choices)), len(self.choices) - 1)]
+            return self.choices[min(int(fraction * len(self.choices)), len(self.choices) - 1)]
         if self.mean is None:
-            return self.low + share * (self.high - self.low)
+            return self.low + fraction * (self.high - self.low)
         normal = NormalDist()
         tail = normal.cdf(-_CUT)
-        return self.mean + self.sd * normal.inv_cdf(tail + share * (1 - 2 * tail))
+        return self.mean + self.sd * normal.inv_cdf(tail + fraction * (1 - 2 * tail))
 
 
 @dataclass(frozen=True)
@@ -232,11 +218,8 @@ def load_variation(name_or_path: str | Path) -> Randomization:
     text = str(name_or_path)
     shipped = resources.names("models/randomization", ".toml")
     if not text.endswith(".toml") and "/" not in text and text not in shipped:
-        raise InputError(
-            f"unknown variation {text!r}",
-            field="--randomization",
-            choices=[*shipped, NONE, "FILE.toml"],
-        )
+        message = f"unknown variation {text!r}"
+        raise InputError(message, field="--randomization", choices=[*shipped, NONE, "FILE.toml"])
     path = resources.find(name_or_path, "models/randomization", ".toml")
     return variation_from_table(read_toml(path), path)
 
@@ -277,9 +260,8 @@ def _read_spread(section: Section, entry: Number) -> Spread | None:
     if kind is list:
         low, high = section.numbers(entry.key, ("low", "high"), entry.low, entry.high)
         if low > high:
-            raise section.fail(
-                entry.key, f"[{low:g}, {high:g}] is not an ascending range [low, high]"
-            )
+            message = f"[{low:g}, {high:g}] is not an ascending range [low, high]"
+            raise section.fail(entry.key, message)
         return Spread(low, high)
     if kind is not dict:
         value = section.number(entry.key, entry.low, entry.high)
@@ -299,10 +281,8 @@ def _read_spread(section: Section, entry: Number) -> Spread | None:
         worst = (spread.mean - _CUT * spread.sd, spread.mean + _CUT * spread.sd)
     inner.done()
     if not (entry.low <= worst[0] and worst[1] <= entry.high):
-        raise section.fail(
-            entry.key,
-            f"reaches from {worst[0]:g} to {worst[1]:g}, outside {entry.low:g} to {entry.high:g}",
-        )
+        limits = f"outside {entry.low:g} to {entry.high:g}"
+        raise section.fail(entry.key, f"reaches from {worst[0]:g} to {worst[1]:g}, {limits}")
     return spread
 
 
@@ -313,5 +293,5 @@ def _draw(name: str, entry: Number, spread: Spread, seed: int, markers: int) -> 
         return sorted(int(number) for number in rng.choice(markers, count, replace=False))
     # as it will be written
     names = entry.names if isinstance(entry, Numbers) else ()
-    drawn = [float(f"{spread.at(share):.6g}") for share in rng.random(max(len(names), 1))]
+    drawn = [float(f"{spread.at(fraction):.6g}") for fraction in rng.random(max(len(names), 1))]
     return drawn if names else drawn[0]

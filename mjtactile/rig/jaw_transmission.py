@@ -42,9 +42,8 @@ class JawLaw:
             a, x = zip(*self.table, strict=True)
             return float(np.interp(coordinate, a, x))
         if self.kind == CRANK:
-            return self.offset + self.ratio * math.sin(
-                max(-math.pi / 2, min(math.pi / 2, coordinate))
-            )
+            angle = max(-math.pi / 2, min(math.pi / 2, coordinate))
+            return self.offset + self.ratio * math.sin(angle)
         return self.offset + self.ratio * coordinate
 
     def coordinate(self, part: float) -> float:
@@ -90,12 +89,8 @@ def make_law(
         return JawLaw(kind, offset, ratio)
     parts = [x for _, x in table]
     rises = {b > a for a, b in pairwise(parts)}
-    if (
-        len(table) < 2
-        or any(b[0] <= a[0] for a, b in pairwise(table))
-        or len(rises) != 1
-        or len(set(parts)) != len(parts)
-    ):
+    increases = all(b[0] > a[0] for a, b in pairwise(table))
+    if len(table) < 2 or not increases or len(rises) != 1 or len(set(parts)) != len(parts):
         raise ValueError(
             "needs at least two pairs, with an increasing first column and openings that "
             "only increase or only decrease"

@@ -64,11 +64,8 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     kind, _, argument = name.partition(":")
     file = None
     if kind not in _found(RIGS):
-        if (
-            "." not in name
-            and "/" not in name
-            and name not in resources.names("models/rigs", ".toml")
-        ):
+        shipped = resources.names("models/rigs", ".toml")
+        if "." not in name and "/" not in name and name not in shipped:
             raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
         file = with_sensors(read_rig_file(name), wanted.sensors)
         argument = ""
@@ -78,11 +75,8 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
             f"the rig {name!r} is not a simulated rig", field="--accuracy or --effects"
         )
     if kind not in SIMULATES and wanted.randomization != NONE:
-        raise InputError(
-            f"the rig {name!r} is not a simulated rig: its world cannot be randomized",
-            field="--randomization",
-            choices=[NONE],
-        )
+        message = f"the rig {name!r} is not a simulated rig: its world cannot be randomized"
+        raise InputError(message, field="--randomization", choices=[NONE])
     goal = load_task(wanted.task).orders.goal()
     rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
     return replace(rig, goal=goal)

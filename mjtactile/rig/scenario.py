@@ -109,24 +109,16 @@ def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
 
 
 def with_sensors(file: RigFile | SimRigFile, sensors: Mapping[str, str]) -> RigFile | SimRigFile:
-    """The rig file with these sensors on these fingers.
-
-    Raises:
-        InputError: For a finger that the rig does not have.
-    """
+    """Return the rig file with these sensors on these fingers. Raises InputError for a finger that
+    the rig does not have."""
     names = list(_fitted(file))
     for name in sensors:
         if name not in names:
             raise InputError(f"{file.name} has no finger {name!r}", field="sensors", choices=names)
     if isinstance(file, RigFile):
-        cameras = (
-            replace(camera, sensor=sensors.get(camera.finger, camera.sensor))
-            for camera in file.cameras
-        )
+        cameras = (replace(c, sensor=sensors.get(c.finger, c.sensor)) for c in file.cameras)
         return replace(file, cameras=tuple(cameras))
-    fingers = (
-        replace(finger, sensor=sensors.get(finger.name, finger.sensor)) for finger in file.fingers
-    )
+    fingers = (replace(f, sensor=sensors.get(f.name, f.sensor)) for f in file.fingers)
     return replace(file, fingers=tuple(fingers))
 
 

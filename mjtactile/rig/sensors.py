@@ -43,18 +43,11 @@ def calibration_findings(rig_file: RigFile, default: SensorDesign) -> Iterator[F
         yield from _finger_findings(rig_file, camera, default)
     try:
         state = gripper_state(rig_file.gripper)
-        yield _finding(
-            "calibration of the gripper",
-            state,
-            f"mjtactile calibrate gripper --rig {rig_file.path}",
-        )
+        command = f"mjtactile calibrate gripper --rig {rig_file.path}"
+        yield _finding("calibration of the gripper", state, command)
     except InputError as error:
-        yield Finding(
-            "bad",
-            "calibration of the gripper",
-            str(error),
-            "repeat the calibration: `mjtactile calibrate gripper`",
-        )
+        remedy = "repeat the calibration: `mjtactile calibrate gripper`"
+        yield Finding("bad", "calibration of the gripper", str(error), remedy)
 
 
 def _finger_findings(
@@ -65,32 +58,25 @@ def _finger_findings(
         design = finger_design(camera, default)
         calibration = finger_calibration(camera, design)
     except InputError as error:
-        yield Finding(
-            "bad",
-            what,
-            str(error),
+        remedy = (
             "check that the file is complete and belongs to this finger and sensor, else "
-            "repeat the calibration",
+            "repeat the calibration"
         )
+        yield Finding("bad", what, str(error), remedy)
         return
     if calibration is None:
-        yield Finding(
-            "warn",
-            what,
-            "the rig file names none: the values of the sensor file apply",
-            f'add calibration = "{camera.finger}.json" to its [[camera]], then see '
-            "`mjtactile calibrate --help`",
-        )
+        text = "the rig file names none: the values of the sensor file apply"
+        line = f'calibration = "{camera.finger}.json"'
+        remedy = f"add {line} to its [[camera]], then see `mjtactile calibrate --help`"
+        yield Finding("warn", what, text, remedy)
         return
     has_valve = any(valve.finger == camera.finger for valve in rig_file.valves)
     for state in calibration.states(design):
         if has_valve or state.kind != "valve":
             what_for = "camera" if state.kind == "lens" else state.kind
-            yield _finding(
-                f"{what}, {state.kind}",
-                state,
-                f"mjtactile calibrate {what_for} --rig {rig_file.path} --finger {camera.finger}",
-            )
+            options = f"--rig {rig_file.path} --finger {camera.finger}"
+            command = f"mjtactile calibrate {what_for} {options}"
+            yield _finding(f"{what}, {state.kind}", state, command)
 
 
 def _finding(what: str, state: PartState, command: str) -> Finding:

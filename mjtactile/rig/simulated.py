@@ -208,17 +208,10 @@ class SimRigFile:
 
 
 def sim_rig_from_table(table: Mapping[str, Any], path: Path) -> SimRigFile:
-    """Validate a parsed TOML table with a section [sim].
+    """Validate the sections of the rig file `path`, with a section [sim].
 
-    Args:
-        table: The sections of a rig file.
-        path: The rig file; file names in it are relative to its folder.
-
-    Returns:
-        The rig, SI.
-
-    Raises:
-        InputError: The error names file, field, value and valid choices.
+    File names in it are relative to its folder. Raises InputError that names file, field, value and
+    valid choices.
     """
     root = Section(table, "", str(path))
     world = read(_World, root.section("sim"))

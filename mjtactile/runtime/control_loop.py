@@ -49,25 +49,13 @@ def run_loop(
     The gripper is lowered and opened first, and the error is raised afterwards. An immediate stop
     skips this retreat.
 
-    Args:
-        rig: The rig; the caller closes it.
-        perceptions: The sensing pipelines of its fingers, with references taken.
-        controller: Controller that returns a command in every cycle.
-        time_limit: Time limit on the rig's clock, s.
-        observer: Observer of every cycle, called with `on_images`, then `add`.
-        supervisor: Supervisor between controller and rig (None: a new one).
-        stop: Stop request (None: never).
-        threads: Number of perception threads in addition to the loop (None: automatic).
-        pool: Perception processes instead of threads.
+    The caller closes the rig. `perceptions` are the sensing pipelines of its fingers, with
+    references taken. The `observer` is called in every cycle with `on_images`, then `add`.
+    `threads` is the number of perception threads in addition to the loop (None: automatic); `pool`
+    are perception processes in their place.
 
-    Returns:
-        The last command sent.
-
-    Raises:
-        ControllerError: The controller failed.
-        DeviceError: A device failed; also after a fault brought the rig to its safe state.
-        Interrupted: A stop was requested through `stop`.
-        SimulationError: The simulation failed.
+    Returns the last command sent. Raises ControllerError; DeviceError, also after a fault brought
+    the rig to its safe state; Interrupted, if `stop` was requested; SimulationError.
     """
     stop = stop or Stop()
     names = [finger.name for finger in rig.fingers]
@@ -99,8 +87,7 @@ def run_loop(
 
 def _report_flag(cycle: ControlCycle) -> None:
     """Report and record that the safe state is not verified, before any error is raised."""
-    doubt = cycle.supervisor.doubt
-    if doubt:
+    if doubt := cycle.supervisor.doubt:
         cycle.attempt(lambda: cycle.observer.message(f"not verified safe: {doubt}"))
         cycle.attempt(lambda: cycle.observer.note(not_verified_safe=doubt))
 
@@ -121,7 +108,9 @@ def _rotate_until_over(
         if stop.asked:
             cycle.give_up(Interrupted())
         elif rig.clock.now() - start > time_limit:
-            cycle.give_up(_too_late(guarded.controller, cycle.last, time_limit))
+            phase = f"still in phase {cycle.last.phase!r} after {time_limit:g} s"
+            message = f"controller {guarded.controller.path}: {phase}"
+            cycle.give_up(SafeStop(message, kind="hung"))
         elif _has_landed(cycle):
             break
         # A missed cycle is not repeated. If a cycle and its image are early, the next period counts
@@ -153,13 +142,6 @@ def _has_landed(cycle: ControlCycle) -> bool:
     why = f"the controller ended ({command.phase}) with the gripper raised"
     cycle.supervisor.make_safe(why, cycle.now)
     return False
-
-
-def _too_late(controller: LoadedController, command: Command, time_limit: float) -> SafeStop:
-    return SafeStop(
-        f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s",
-        kind="hung",
-    )
 
 
 def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) -> None:

@@ -59,10 +59,8 @@ class Controller:
         try:
             command = self.function(observation)
         except BaseException as error:
-            if (
-                isinstance(error, KeyboardInterrupt)
-                and threading.current_thread() is threading.main_thread()
-            ):
+            in_main_thread = threading.current_thread() is threading.main_thread()
+            if isinstance(error, KeyboardInterrupt) and in_main_thread:
                 raise  # Ctrl-C; in another thread the controller itself raised it
             if isinstance(error, MemoryError):
                 traceback.clear_frames(error.__traceback__)  # free the memory of its frames
@@ -72,11 +70,8 @@ class Controller:
                 field=_line(self.path, traceback.extract_tb(error.__traceback__)),
             ) from error
         if not isinstance(command, Command):
-            raise ControllerError(
-                f"step() returned {command!r} at t = {observation.time:.3f} s, not a Command",
-                source=self.path,
-                field="step",
-            )
+            message = f"step() returned {command!r} at t = {observation.time:.3f} s, not a Command"
+            raise ControllerError(message, source=self.path, field="step")
         return command
 
 
@@ -135,13 +130,9 @@ class ControllerThread:
             except ControllerError as error:
                 self._answers.put(error)
             except BaseException as error:  # noqa: BLE001  # a bad Command, or no controller file
-                self._answers.put(
-                    ControllerError(
-                        f"step() raised {type(error).__name__}: {error}",
-                        source=self.controller.path,
-                        field="step",
-                    )
-                )
+                text = f"step() raised {type(error).__name__}: {error}"
+                path = self.controller.path
+                self._answers.put(ControllerError(text, source=path, field="step"))
 
     def _late(self, time: float) -> ControllerError:
         """Return the error for a step that timed out, and request the thread to exit to save CPU
@@ -153,12 +144,8 @@ class ControllerThread:
         ctypes.pythonapi.PyThreadState_SetAsyncExc(
             ctypes.c_ulong(thread), ctypes.py_object(SystemExit)
         )
-        return ControllerError(
-            f"step() did not return within {self._patience:g} s at t = {time:.3f} s",
-            source=path,
-            field=line,
-            kind="hung",
-        )
+        message = f"step() did not return within {self._patience:g} s at t = {time:.3f} s"
+        return ControllerError(message, source=path, field=line, kind="hung")
 
 
 def _line(path: Path, stack: traceback.StackSummary) -> str | None:
@@ -230,9 +217,6 @@ def _reads(module: types.ModuleType, path: Path) -> tuple[str, ...]:
     listed = (reads,) if isinstance(reads, str) else tuple(reads)
     unknown = [name for name in listed if name not in READABLE]
     if unknown:
-        raise ControllerError(
-            f"{unknown[0]!r} cannot be required; choices: {', '.join(READABLE)}",
-            source=path,
-            field="REQUIRES",
-        )
+        message = f"{unknown[0]!r} cannot be required; choices: {', '.join(READABLE)}"
+        raise ControllerError(message, source=path, field="REQUIRES")
     return listed

@@ -51,7 +51,7 @@ class Perceiving(Protocol):
     """Sensing pipelines of all fingers (`Perceivers`, `PerceptionPool`)."""
 
     def perceive(
-        self, images: Any, now: float, disk_wait_time: float, readings: Any
+        self, images: Any, now: float, timeout: float, readings: Any
     ) -> tuple[Touch, ...]: ...
 
 
@@ -122,22 +122,16 @@ class ControlCycle:
         if not self.attempt(self._read_gripper):
             self.gripper = _UNKNOWN_GRIPPER
         self.perception_ms = 1e3 * (wall.perf_counter() - self._seen)
+        rig = self.rig
         return Observation(
-            self.now,
-            self.rig.period,
-            self.touch,
-            self.gripper,
-            self.valves,
-            self.last,
-            self.rig.goal,
+            self.now, rig.period, self.touch, self.gripper, self.valves, self.last, rig.goal
         )
 
     def send(self, wanted: Command) -> Command:
-        """Send the command `wanted` after supervisor and limits.
+        """Send the command `wanted` after supervisor and limits, and return the sent command.
 
-        Returns:
-            The sent command. If no device responds, it is the previous command, and the devices'
-            own watchdogs act. A command that cannot be executed starts the retreat.
+        If no device responds, it is the previous command, and the devices' own watchdogs act. A
+        command that cannot be executed starts the retreat.
         """
         try:
             self.last = self._send(wanted)
@@ -184,9 +178,8 @@ class ControlCycle:
         """Read the images and return the camera error, or "". The first images are mandatory."""
         rig = self.rig
         if not self.images:
-            self.images = tuple(
-                patient_read(camera, rig.clock, rig.period) for camera in rig.cameras
-            )
+            first = (patient_read(camera, rig.clock, rig.period) for camera in rig.cameras)
+            self.images = tuple(first)
             return ""
         try:
             self.images = tuple(camera.read() for camera in rig.cameras)
@@ -201,9 +194,9 @@ class ControlCycle:
         self.gripper = self.rig.gripper.state()
 
     def _perceive(self) -> None:
-        disk_wait_time = min(_PERCEPTION_FRACTION * self.rig.host_timeout, WAIT_TIME)
+        timeout = min(_PERCEPTION_FRACTION * self.rig.host_timeout, WAIT_TIME)
         readings = self.rig.readings(self.valves)
-        self.touch = self.perceptions.perceive(self.images, self.now, disk_wait_time, readings)
+        self.touch = self.perceptions.perceive(self.images, self.now, timeout, readings)
 
     def _touch_unknown(self, status: Status) -> None:
         self.touch = tuple(unknown_touch(image, self.now, status) for image in self.images)
@@ -212,15 +205,10 @@ class ControlCycle:
         rig = self.rig
         wanted = wanted.checked()
         pressure_command.check(rig, wanted)
-        gripper = self.gripper
+        height = self.gripper.lift_height
+        opening = self.gripper.opening
         allowed = self.supervisor.decide(
-            self.now,
-            wanted,
-            self.last,
-            self.touch,
-            self.valves,
-            gripper.lift_height,
-            gripper.opening,
+            self.now, wanted, self.last, self.touch, self.valves, height, opening
         )
         last = pressure_command.started(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)

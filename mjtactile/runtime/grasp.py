@@ -96,13 +96,10 @@ class _Log(Observer):
         self.estimate = estimate
         self.forces: list[tuple[float, ...]] = []
         self.phases: list[str] = []
-        self.said = ""
+        self.stated_reason = ""
         self.left = ""
-        self.milliseconds: dict[str, list[float]] = {
-            "camera": [],
-            "perception": [],
-            "controller": [],
-        }
+        parts = ("camera", "perception", "controller")
+        self.milliseconds: dict[str, list[float]] = {part: [] for part in parts}
 
     def message(self, text: str) -> None:
         self._watching.message(text)
@@ -122,7 +119,7 @@ class _Log(Observer):
             self.left = _left(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
-        self.said = cycle.sent.reason or self.said
+        self.stated_reason = cycle.sent.reason or self.stated_reason
         for part, values in self.milliseconds.items():
             values.append(getattr(cycle, f"{part}_ms"))
         if self.score is None:
@@ -132,9 +129,8 @@ class _Log(Observer):
             self._watching.add(cycle, self.score.view, **true)
 
     def hold_force(self) -> float:
-        held = [
-            force for force, phase in zip(self.forces, self.phases, strict=True) if phase == "hold"
-        ]
+        pairs = zip(self.forces, self.phases, strict=True)
+        held = [force for force, phase in pairs if phase == "hold"]
         return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
 
     def gave_up(self, period: float) -> str:
@@ -144,14 +140,8 @@ class _Log(Observer):
             return ""
         return (
             f"the controller aborted in phase {before[-1]!r}, {len(before) * period:.1f} s "
-            "after its start" + (f": {self.said}" if self.said else "")
+            "after its start" + (f": {self.stated_reason}" if self.stated_reason else "")
         )
-
-    def ended(self) -> str:
-        """Return the reason if a finished controller did not set the object down, or ""."""
-        if self.left:
-            return "the controller ended (done) with the gripper raised"
-        return ""
 
     def peak_force(self) -> float:
         if np.isfinite(self.forces).any():
@@ -167,25 +157,14 @@ def run_grasp(
     workers: int | None = None,
     error_estimate: bool = False,
 ) -> GraspResult:
-    """Run one grasp.
+    """Run one grasp, with `controller` in place of the scenario's if given.
 
-    Args:
-        scenario: Object, rig and settings of the grasp.
-        observers: Observers of the run.
-        controller: Controller in place of the scenario's.
-        workers: Number of perception processes in simulation, or threads on a real rig (None:
-            automatic); it does not change the result.
-        error_estimate: True to repeat the simulation on a coarser mesh and estimate the force
-            error.
+    `workers` is the number of perception processes in simulation, or threads on a real rig (None:
+    automatic); it does not change the result. With `error_estimate` the simulation is repeated on a
+    coarser mesh to estimate the force error.
 
-    Returns:
-        The result; a fault is raised.
-
-    Raises:
-        InputError: A file or name is invalid.
-        ControllerError: The controller failed.
-        DeviceError: A device failed; the rig is brought to its safe state on every exit path.
-        SimulationError: The simulation failed.
+    Raises InputError for an invalid file or name, ControllerError, DeviceError (the rig is brought
+    to its safe state on every exit path) and SimulationError.
     """
     watching = Observers(observers)
     controller = load_controller(scenario.controller) if controller is None else controller
@@ -269,8 +248,11 @@ def _result(
     parts = {part: float(np.mean(ms)) for part, ms in log.milliseconds.items()}
     parts["rest"] = 1e3 * period / factor - sum(parts.values())
     parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
-    believed = (log.left or "held") if completed else "dropped"
-    outcome = believed if score is None else score.outcome()
+    if score is not None:
+        outcome, reason = score.outcome(), score.reason()
+    else:
+        outcome = (log.left or "held") if completed else "dropped"
+        reason = "the controller ended (done) with the gripper raised" if log.left else ""
     return GraspResult(
         scenario,
         outcome,
@@ -282,9 +264,7 @@ def _result(
         factor,
         len(log.phases),
         parts,
-        reason="; ".join(
-            filter(None, [score.reason() if score else log.ended(), log.gave_up(period)])
-        ),
+        reason="; ".join(filter(None, [reason, log.gave_up(period)])),
         left_out=() if score is None else disabled_effects(score.world.effects),
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.task import SuccessCriteria
-from mjtactile.core.types import Array, Touch
+from mjtactile.core.types import Array, Markers, Touch
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
@@ -99,14 +99,8 @@ class GraspScore:
         `phase` is that of the command sent in this cycle.
         """
         self.send(phase)
-        errors = []
-        for seen, p_SM in zip(touch, self._markers, strict=True):
-            markers = seen.markers
-            if markers is None or not len(markers):
-                errors.append(math.nan)
-                continue
-            distances = np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1)
-            errors.append(float(distances.mean()))
+        pairs = zip(touch, self._markers, strict=True)
+        errors = [_marker_error(one.markers, p_SM) for one, p_SM in pairs]
         return {
             "force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
             "wrench_true": [wrench.tolist() for wrench in self._wrenches],
@@ -211,10 +205,7 @@ class GraspScore:
         """Return the outcome of the grasp.
 
         It is "crushed" if a finger ever loaded the object beyond its limit. It is "held" if the
-        object stayed up and the task did not fail, else "dropped". processes.py::PerceptionPool
-        Pool of `count` processes, started immediately; each handles every `count`-th finger.
-
-        The pool must be closed. Raises OSError if the system cannot start so many processes.
+        object stayed up and the task did not fail, else "dropped".
         """
         if self.crushed_at is not None:
             return "crushed"
@@ -238,3 +229,10 @@ class GraspScore:
     def slip(self) -> float:
         """Slip, m; NaN when the object was never lifted."""
         return self._slip if self._grip_start is not None else float("nan")
+
+
+def _marker_error(markers: Markers | None, p_SM: Array) -> float:
+    """Return the mean position error, m, of detected markers; NaN without any."""
+    if markers is None or not len(markers):
+        return math.nan
+    return float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean())

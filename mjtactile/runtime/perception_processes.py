@@ -32,9 +32,9 @@ _START = 120.0  # timeout, s; a busy computer takes 10 to import the pipeline's 
 
 
 class PerceptionPool:
-    """`count` processes, which start at once; each works on every `count`-th finger. Close them.
+    """Pool of `count` processes, started immediately; each handles every `count`-th finger.
 
-    Raises OSError where there is no room for so many.
+    The pool must be closed. Raises OSError if the system cannot start so many processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -59,10 +59,10 @@ class PerceptionPool:
         """
         self._perceptions = perceptions
         self._names = names
-        for worker, own in self._shares(perceptions):
+        for worker, own in self._parts(perceptions):
             # whole: arrays that may be written to have their address read faster
             worker.begin("take", pickle.dumps(own))
-        for worker, _ in self._shares(perceptions):
+        for worker, _ in self._parts(perceptions):
             if worker.outcome(_START) is None:
                 raise DeviceError(
                     f"a process that runs perception has not started within {_START:g} s"
@@ -70,13 +70,13 @@ class PerceptionPool:
         try:
             yield self
         finally:
-            self._give_back()
+            self._take_states()
 
     def perceive(
         self,
         images: Sequence[Image],
         now: float,
-        disk_wait_time: float = PATIENCE,
+        timeout: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
         """Estimate the touch of every sensor; see
@@ -85,30 +85,30 @@ class PerceptionPool:
         Raises DeviceError for a process that has ended. Raises the error of a pipeline after all
         have answered.
         """
-        for worker, own in self._shares(with_readings(images, readings)):
+        for worker, own in self._parts(with_readings(images, readings)):
             worker.begin("perceive", own, now)
-        end = scaled_clock.monotonic() + disk_wait_time
-        felt = list[Outcome | None]([None] * len(images))
-        for first, (worker, own) in enumerate(self._shares(self._perceptions)):
+        end = scaled_clock.monotonic() + timeout
+        outcomes = list[Outcome | None]([None] * len(images))
+        for first, (worker, own) in enumerate(self._parts(self._perceptions)):
             answer = list[tuple[Outcome, Any]](
                 worker.outcome(max(0.0, end - scaled_clock.monotonic())) or []
             )
             for finger, (perception, (outcome, tracks)) in enumerate(
                 zip(own, answer, strict=False)
             ):
-                felt[first + finger * len(self._workers)] = outcome
+                outcomes[first + finger * len(self._workers)] = outcome
                 # for display; the other parts of a state are large and not needed here
                 if tracks is not None:
                     perception.state = replace(perception.state, tracks=tracks)
         return tuple(
             timeout_touch(name, image, now) if outcome is None else value_of(outcome)
-            for outcome, name, image in zip(felt, self._names, images, strict=True)
+            for outcome, name, image in zip(outcomes, self._names, images, strict=True)
         )
 
-    def _give_back(self) -> None:
+    def _take_states(self) -> None:
         """Those of a process that does not answer any more stay in the states that it began in."""
         with contextlib.suppress(DeviceError):
-            for worker, own in self._shares(self._perceptions):
+            for worker, own in self._parts(self._perceptions):
                 worker.begin("give")
                 for perception, state in zip(own, worker.outcome(PATIENCE) or (), strict=False):
                     perception.state = state
@@ -116,10 +116,10 @@ class PerceptionPool:
     def close(self) -> None:
         self._started.close()
 
-    def _shares(self, values: Sequence[Any]) -> list[tuple[WorkerProcess, list[Any]]]:
+    def _parts(self, values: Sequence[Any]) -> list[tuple[WorkerProcess, list[Any]]]:
         """Return each process that has work, with its part of `values`."""
-        shares = [list(values[first :: len(self._workers)]) for first in range(len(self._workers))]
-        return [(worker, own) for worker, own in zip(self._workers, shares, strict=True) if own]
+        parts = [list(values[first :: len(self._workers)]) for first in range(len(self._workers))]
+        return [(worker, own) for worker, own in zip(self._workers, parts, strict=True) if own]
 
 
 def default_count(cameras: int) -> int:

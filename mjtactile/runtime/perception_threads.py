@@ -67,52 +67,52 @@ class Perceivers:
 
     def __init__(
         self,
-        chains: Sequence[Perceiver],
+        pipelines: Sequence[Perceiver],
         names: Sequence[str],
         threads: int | None = None,
         *,
         busy: int = 0,
     ):
-        threads = default_threads(len(chains), busy) if threads is None else threads
-        own = max(len(chains) - threads, 0)
-        self._chains = [
-            (chain, name, _Thread(name) if k >= own else None)
-            for k, (chain, name) in enumerate(zip(chains, names, strict=True))
+        threads = default_threads(len(pipelines), busy) if threads is None else threads
+        own = max(len(pipelines) - threads, 0)
+        self._pipelines = [
+            (pipeline, name, _Thread(name) if k >= own else None)
+            for k, (pipeline, name) in enumerate(zip(pipelines, names, strict=True))
         ]
-        self._has_threads = own < len(chains)
+        self._has_threads = own < len(pipelines)
 
     def __enter__(self) -> Perceivers:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for _chain, _name, thread in self._chains:
-            if thread is not None:
+        for entry in self._pipelines:
+            if (thread := entry[2]) is not None:
                 thread.close()
 
     def perceive(
         self,
         images: Sequence[Image],
         now: float,
-        disk_wait_time: float = PATIENCE,
+        timeout: float = PATIENCE,
         readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
         """Estimate the touch of every sensor, with the newest pressure readings if available.
 
-        If a thread does not answer within `disk_wait_time`, s, its touch is unknown. It receives no
+        If a thread does not answer within `timeout`, s, its touch is unknown. It receives no
         other image until it has answered. Raises the error of a pipeline after all have ended.
         """
         if not self._has_threads:
             return self._in_turn(images, now, readings)
-        pairs = list(zip(self._chains, images, strict=True))
+        pairs = list(zip(self._pipelines, images, strict=True))
         given = [(image, now, reading) for image, reading in with_readings(images, readings)]
-        for (chain, _, thread), seen in zip(self._chains, given, strict=True):
+        for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True):
             if thread is not None:
-                thread.begin(chain.perceive, *seen)
+                thread.begin(pipeline.perceive, *seen)
         own = [
-            outcome_of(chain.perceive, *seen) if thread is None else None
-            for (chain, _, thread), seen in zip(self._chains, given, strict=True)
+            outcome_of(pipeline.perceive, *seen) if thread is None else None
+            for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True)
         ]
-        end = scaled_clock.monotonic() + disk_wait_time
+        end = scaled_clock.monotonic() + timeout
         found = [
             mine if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
             for ((_, _, thread), _), mine in zip(pairs, own, strict=True)
@@ -126,9 +126,9 @@ class Perceivers:
         self, images: Sequence[Image], now: float, readings: Sequence[PressureReading | None]
     ) -> tuple[Touch, ...]:
         outcomes = [
-            outcome_of(chain.perceive, image, now, reading)
-            for (chain, _, _), (image, reading) in zip(
-                self._chains, with_readings(images, readings), strict=True
+            outcome_of(pipeline.perceive, image, now, reading)
+            for (pipeline, _, _), (image, reading) in zip(
+                self._pipelines, with_readings(images, readings), strict=True
             )
         ]
         return tuple([value_of(outcome) for outcome in outcomes])
@@ -184,12 +184,12 @@ class _Thread:
             self._work.put((act, arguments))
             self._due += 1
 
-    def outcome(self, disk_wait_time: float) -> Outcome | None:
-        """Return the outcome of the call; None if it did not end within `disk_wait_time`, s."""
+    def outcome(self, timeout: float) -> Outcome | None:
+        """Return the outcome of the call; None if it did not end within `timeout`, s."""
         if self._is_late:
             return None
         try:
-            done = self._done.get(timeout=scaled_clock.wall(disk_wait_time))
+            done = self._done.get(timeout=scaled_clock.wall(timeout))
         except queue.Empty:
             return None
         self._due -= 1

@@ -1,4 +1,4 @@
-"""The pressures of a command: who obeys them, where they begin, and how they reach the valves."""
+"""Pressures of a command: checks, start of their rate limits, transfer to the valves."""
 
 from __future__ import annotations
 
@@ -11,27 +11,19 @@ from mjtactile.rig.finger import Rig
 
 
 def check(rig: Rig, wanted: Command) -> None:
-    """Reject pressures that this rig cannot set.
-
-    Raises:
-        InputError: The rig has no controllable valve with a pressure sensor, or the number of
-            pressures differs from that of its fingers.
-    """
+    """Raise InputError if the rig has no controllable valve with a pressure sensor, or the number
+    of pressures differs from that of its fingers."""
     if wanted.gauge_pressure is None:
         return
     if rig.limits.pressure is None:
-        raise InputError(
+        message = (
             f"rig {rig.name!r} has no controllable valves with a pressure sensor: the "
-            "pressure in its fingers cannot be changed",
-            source="Command",
-            field="gauge_pressure",
+            "pressure in its fingers cannot be changed"
         )
+        raise InputError(message, source="Command", field="gauge_pressure")
     if len(wanted.gauge_pressure) != len(rig.fingers):
-        raise InputError(
-            f"{len(wanted.gauge_pressure)} pressures for {len(rig.fingers)} fingers",
-            source="Command",
-            field="gauge_pressure",
-        )
+        message = f"{len(wanted.gauge_pressure)} pressures for {len(rig.fingers)} fingers"
+        raise InputError(message, source="Command", field="gauge_pressure")
 
 
 def started(rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveState]) -> Command:
@@ -50,8 +42,7 @@ def started(rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveStat
 def send(rig: Rig, command: Command, last: Command) -> None:
     """Make each finger's valve follow a command, or stop its control when no pressure is commanded.
 
-    Raises:
-        DeviceError: A valve does not respond.
+    Raises DeviceError if a valve does not respond.
     """
     if command.gauge_pressure is None and last.gauge_pressure is None:
         return

@@ -102,19 +102,9 @@ def run_probe(
 ) -> ProbeResult:
     """Squeeze an object and classify its material.
 
-    Args:
-        scenario: Object, rig and controller of the probe.
-        observers: Observers of the run.
-        settings: Settings of the sensing pipelines and of the classification.
-
-    Returns:
-        The material, and the data of the estimate.
-
-    Raises:
-        InputError: A file or name is invalid.
-        ControllerError: The controller failed.
-        DeviceError: A device failed; the rig is closed on every exit path.
-        SimulationError: The simulation failed.
+    `settings` are those of the sensing pipelines and of the classification. Raises InputError for
+    an invalid file or name, ControllerError, DeviceError (the rig is closed on every exit path) and
+    SimulationError.
     """
     watching = Observers(observers)
     controller = load_controller(scenario.controller)
@@ -140,10 +130,8 @@ def replay_probe(
     name = sensor or str(recording.header.get("sensor", "dense"))
     stages = {reference.stage for reference in recording.references}
     if not {"flat", "rest"} <= stages or not recording.width:
-        raise InputError(
-            "has no reference images (flat and rest): the sensors cannot be zeroed",
-            source=recording.folder,
-        )
+        message = "has no reference images (flat and rest): the sensors cannot be zeroed"
+        raise InputError(message, source=recording.folder)
     rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=name))
     session = Session(rig, settings=settings, contact_shapes=recording.has_shapes)
     session.take_references()

@@ -37,7 +37,7 @@ class Progress(Observer):
         self._live = not quiet and self._stream.isatty()
         self._phase = ""
         self._line_open = False
-        self._start_wall = self._start_time = self._drawn = -math.inf
+        self._start_wall = self._start_time = self._updated = -math.inf
 
     def message(self, text: str) -> None:
         """Print one line."""
@@ -62,22 +62,24 @@ class Progress(Observer):
             self._start_time = time
         changed = phase != self._phase
         self._phase = phase
-        if self._quiet or not (changed or (self._live and now - self._drawn > _REFRESH)):
+        if self._quiet or not (changed or (self._live and now - self._updated > _REFRESH)):
             return
         text = self._text(phase, time, force, now)
         if self._live:
             self._stream.write(f"\r\x1b[2K{self._bar(phase)} {text}")
             self._stream.flush()
             self._line_open = True
-            self._drawn = now
+            self._updated = now
         else:
             print(text, file=self._stream, flush=True)
 
     def _text(self, phase: str, time: float, force: float, now: float) -> str:
-        felt = f"{force:5.2f} N" if math.isfinite(force) else "unknown"
+        shown = f"{force:5.2f} N" if math.isfinite(force) else "unknown"
         spent = now - self._start_wall
         factor = f"{(time - self._start_time) / spent:.2f}x real time" if spent > 0.5 else ""
-        return f"{phase:<9} t = {time - self._start_time:6.2f} s   force {felt}   {factor}".rstrip()
+        return (
+            f"{phase:<9} t = {time - self._start_time:6.2f} s   force {shown}   {factor}".rstrip()
+        )
 
     def _bar(self, phase: str) -> str:
         done = (_STEPS.index(phase) + 1) / len(_STEPS) if phase in _STEPS else 1.0

@@ -40,19 +40,9 @@ def take_references(
 ) -> Iterator[ReferenceImages]:
     """Bring the membranes into each of their two reference states and take images there.
 
-    This is a generator. The second state starts after the caller has processed the first. A sensor
-    that fails its flat reference is therefore not inflated.
-
-    Args:
-        fingers: The sensors, without contact.
-        clock: Clock of their rig.
-        say: Callback for messages about the next state.
-
-    Yields:
-        "flat", then "rest".
-
-    Raises:
-        DeviceError: A device does not answer.
+    Yield "flat", then "rest". The second state starts after the caller has processed the first. A
+    sensor that fails its flat reference is therefore not inflated. `say` receives messages about
+    the next state. Raises DeviceError if a device does not answer.
     """
     valves = [finger.valve for finger in fingers if finger.valve is not None]
     say("reference: flat, valve open")
@@ -105,11 +95,8 @@ def _mean(readings: Sequence[float | None]) -> float | None:
 
 
 def patient_read(camera: CameraDevice, clock: Clock, period: float) -> Image:
-    """Read an image before any motion, and wait for a late one.
-
-    Raises:
-        DeviceError: No image arrives.
-    """
+    """Read an image before any motion, and wait for a late one. Raises DeviceError if none
+    arrives."""
     deadline = clock.now() + PATIENCE
     while True:
         try:

@@ -1,4 +1,5 @@
-"""Retreat to the safe state: lower the hand until the held object stands, then open, both slowly.
+"""Retreat to the safe state: lower the gripper until the held object stands, then open, both
+slowly.
 
 Each step starts from measured values. The end is verified by measurement: the jaws are open, or no
 finger is in contact. A command alone verifies neither.
@@ -50,7 +51,7 @@ class Retreat:
         self._lowering_time_max = RETREAT_TIME_MAX
         self._measured: float | None = None  # last known opening, m
         self._goal: float | None = None  # goal of the opening, m; None: the gripper is not down yet
-        self._way = self._before = math.nan
+        self._opening = self._before = math.nan
         self.doubt = ""
 
     def watch(self, touch: Sequence[Touch], height: float) -> None:
@@ -87,19 +88,21 @@ class Retreat:
     def _open(self, last: Command, touch: Sequence[Touch], opening: float) -> Command | None:
         """Return the next opening command; None: the opening is verified, or took too long."""
         if self._goal is None:
-            self._way = last.opening if self._measured is None else self._measured
-            self._goal = self._way + RETREAT_OPENING
+            self._opening = last.opening if self._measured is None else self._measured
+            self._goal = self._opening + RETREAT_OPENING
         elif last.opening == self._before:
             self._goal = min(self._goal, last.opening)  # the rig opens no further
         self._before = last.opening
         if self._is_safe(last, touch, opening, self._goal):
             return None
         if self._open_time > OPEN_TIME_MAX:
-            self.doubt = _doubt(touch, opening, self._goal)
+            self.doubt = _measured_text(touch, opening, self._goal)
             return None
         self._open_time += self._period
-        self._way = min(self._goal, self._way + RETREAT_SPEED * self._period)
-        return replace(last, opening=max(self._way, last.opening), force_limit=self._force(last))
+        self._opening = min(self._goal, self._opening + RETREAT_SPEED * self._period)
+        return replace(
+            last, opening=max(self._opening, last.opening), force_limit=self._force(last)
+        )
 
     def _is_safe(self, last: Command, touch: Sequence[Touch], opening: float, goal: float) -> bool:
         if last.opening < goal - OPENING_TOLERANCE:
@@ -114,7 +117,7 @@ class Retreat:
         return max(last.force_limit or 0.0, RETREAT_FORCE)
 
 
-def _doubt(touch: Sequence[Touch], opening: float, goal: float) -> str:
+def _measured_text(touch: Sequence[Touch], opening: float, goal: float) -> str:
     """Return the measured values of a gripper that is not verified open, as text."""
     jaws = "the opening is unknown"
     if math.isfinite(opening):

@@ -33,14 +33,9 @@ class StepwiseControl:
         self.images: tuple[Image, ...] = ()
 
     def observe(self) -> Observation:
-        """Wait for the next period, take the images, and estimate the touch.
+        """Wait for the next period, take the images, and return the controller's observation.
 
-        Returns:
-            The observation, as a controller receives it.
-
-        Raises:
-            DeviceError: A device failed; the gripper is being lowered.
-            SimulationError: The simulation failed.
+        Raises DeviceError if a device failed (the gripper is being lowered), and SimulationError.
         """
         if not self._sent:
             self.send(self._cycle.last)
@@ -49,22 +44,15 @@ class StepwiseControl:
         self._cycle.look()
         self._deadline = max(self._deadline, rig.clock.now() - rig.period) + rig.period
         rig.clock.advance_towards(self._deadline)
-        seen = self._cycle.observe()
+        observation = self._cycle.observe()
         if self._cycle.failure is not None:
             raise self._cycle.failure
         self.images = self._cycle.images
         self._sent = False
-        return seen
+        return observation
 
     def send(self, wanted: Command) -> Command:
-        """Send a command.
-
-        Args:
-            wanted: The requested command.
-
-        Returns:
-            The command sent after supervisor and limits.
-        """
+        """Send a command, and return the one sent after supervisor and limits."""
         self._sent = True
         return self._cycle.send(wanted)
 

@@ -115,13 +115,9 @@ class TaskScorer:
         total = mass.sum()
         force = total * self.world.model.opt.gravity
         force = force + data.xfrc_applied[self._bodies, :3].sum(axis=0)
-        middles = []
-        radii = []
-        for number in range(len(self.world.sensors)):
-            middle, radius = self._patch(number)
-            if radius > 0:
-                middles.append(middle)
-                radii.append(radius)
+        patches = [self._patch(number) for number in range(len(self.world.sensors))]
+        middles = [middle for middle, radius in patches if radius > 0]
+        radii = [radius for _, radius in patches if radius > 0]
         if not middles:
             return 0.0
         axis = self._axis()

@@ -9,11 +9,10 @@ import os
 import pickle
 import socket
 import struct
-import tempfile
 from collections.abc import Sequence
 from typing import Any
 
-from mjtactile.core import process, scaled_clock
+from mjtactile.core import platform_support, process, scaled_clock
 from mjtactile.core.errors import DeviceError
 
 _TAKES = 10.0  # time limit for a process to accept a question, s
@@ -40,7 +39,8 @@ class WorkerProcess:
         self._is_late = False
         with its, contextlib.ExitStack() as unless_it_starts:
             unless_it_starts.callback(ours.close)
-            file = _shared_file(_ROOM)
+            file = platform_support.memory_file("mjtactile")
+            os.ftruncate(file, _ROOM)
             try:
                 self._channel = Channel(ours, _TAKES, lent=mmap.mmap(file, _ROOM))
                 self._process = process.start(
@@ -67,12 +67,12 @@ class WorkerProcess:
             self._channel.close()  # who has taken half of a question can be asked no other
             raise self._ended() from error
 
-    def outcome(self, disk_wait_time: float) -> tuple[Any, ...] | None:
-        """The answer; None if there was none within `disk_wait_time` s."""
+    def outcome(self, timeout: float) -> tuple[Any, ...] | None:
+        """The answer; None if there was none within `timeout` s."""
         if self._is_late:
             return None
         try:
-            answer = self._channel.receive(disk_wait_time)
+            answer = self._channel.receive(timeout)
         except OSError as error:
             raise self._ended() from error
         self._due -= answer is not None
@@ -86,17 +86,6 @@ class WorkerProcess:
         return DeviceError(
             f"a process that {self._does} has ended ({process.how_it_ended(self._process)})"
         )
-
-
-def _shared_file(size: int) -> int:
-    """Descriptor of a file of `size` bytes without a name, in memory where the system has such."""
-    if hasattr(os, "memfd_create"):
-        file = os.memfd_create("mjtactile")
-    else:
-        with tempfile.TemporaryFile() as named:
-            file = os.dup(named.fileno())
-    os.ftruncate(file, size)
-    return file
 
 
 class Channel:
@@ -156,13 +145,13 @@ class Channel:
             start += _even(array.nbytes)
         return True
 
-    def receive(self, disk_wait_time: float | None) -> tuple[Any, ...] | None:
+    def receive(self, timeout: float | None) -> tuple[Any, ...] | None:
         """Return the received values.
 
-        Return None if the message is incomplete after `disk_wait_time` s (None: no limit). The next
+        Return None if the message is incomplete after `timeout` s (None: no limit). The next
         call then continues to receive it. Raises OSError if the other end has closed.
         """
-        end = math.inf if disk_wait_time is None else scaled_clock.monotonic() + disk_wait_time
+        end = math.inf if timeout is None else scaled_clock.monotonic() + timeout
         while self._filled < len(self._room) or not self._sized:
             if self._filled == len(self._room):
                 self._room = bytearray(_NUMBER.unpack(self._room)[0])

@@ -58,7 +58,7 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
     capsys.readouterr()
     for arguments, words in (
         ([path], "mine.toml: frame.wall_mm: 0.5 is too thin a wall; at least 1.2"),
-        (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
+        (["dense", "--pixel-um", "0"], "--pixel-um: '0' is not a number from 0.5 to 50"),
         (["dense", "--press-mm", "25"], "--press-mm: 25 "),
         (["dens"], "dens: unknown sensor (valid: dense, "),
     ):

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.paper.force_methods import spring_grid_force
 from benchmarks.touch.area_force_constant import calibrate_area
-from mjtactile.calibrate.force_from_area import AreaCalibration
+from mjtactile.calibrate.force import AreaCalibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline

@@ -11,7 +11,7 @@ from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import check_folder, finish, say
-from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.commands.output import print_result, stdout_to_stderr
 from mjtactile.report.frame_source import read_frames
 
 HELP = "lens and focal length from images of a printed board (ROS camera_info)"
@@ -45,18 +45,19 @@ fewer than 8 usable images, rms above 0.5 px, holdout above 0.7 px, sd of the fo
 above 0.5 %, fewer than 3 images tilted by 15 degrees, corners in less than 60 % of the view.
 """
 
+_LENGTH = arg.number(0.01, 1000)  # mm
 ARGUMENTS = (
     arg.positional("source", "SOURCE", "folder, image or video of the board", nargs="?", type=Path),
     *output_options.arguments("images are taken with its camera", finger="left"),
-    arg.option("--views", "N", "number of images to take live", 20, type=int),
-    arg.option("--seconds", "S", "time limit for taking them", 300.0, type=float),
-    arg.option("--board", "CxR", "number of squares of the board in x and y", "9x7"),
-    arg.option("--square-mm", "MM", "side of a square, as measured", 5.0, type=float),
-    arg.option("--marker-mm", "MM", "side of a marker (default: 0.75 squares)", type=float),
-    arg.option("--dictionary", "NAME", "ArUco dictionary", "4X4_50"),
+    arg.option("--views N", "number of images to take live", 20, type=int),
+    arg.option("--seconds S", "time limit for taking them", 300.0, type=float),
+    arg.option("--board CxR", "number of squares of the board in x and y", "9x7"),
+    arg.option("--square-mm MM", "side of a square, as measured", 5.0, type=arg.number(0.1, 1000)),
+    arg.option("--marker-mm MM", "side of a marker (default: 0.75 squares)", type=float),
+    arg.option("--dictionary NAME", "ArUco dictionary", "4X4_50"),
     arg.flag("--from-circles", "use a board of equal circles on a square grid"),
-    arg.option("--pitch-mm", "MM", "distance between the centers of adjacent circles", type=float),
-    arg.option("--radius-mm", "MM", "radius of the circles", type=float),
+    arg.option("--pitch-mm MM", "distance between the centers of adjacent circles", type=_LENGTH),
+    arg.option("--radius-mm MM", "radius of the circles", type=_LENGTH),
     arg.flag("--bright", "circles are bright on a dark background"),
     arg.flag(
         "--k3",
@@ -64,13 +65,12 @@ ARGUMENTS = (
         "automatically where it is significant",
     ),
     arg.option(
-        "--lens",
-        "MODEL",
+        "--lens MODEL",
         "lens model: plumb_bob, rational_polynomial, or equidistant for a fisheye",
         "plumb_bob",
     ),
     arg.option(
-        "--print", "FILE.png", "write the board as an image and exit", dest="print_to", type=Path
+        "--print FILE.png", "write the board as an image and exit", dest="print_to", type=Path
     ),
 )
 
@@ -148,21 +148,12 @@ def _method(options: argparse.Namespace) -> tuple[Any, Any]:
     from mjtactile.calibrate.camera import BoardFinder, calibrate_camera
     from mjtactile.calibrate.circle_board import CircleFinder, calibrate_from_circles
 
-    if not options.from_circles:
-        for name in ("pitch_mm", "radius_mm"):
-            if getattr(options, name) is not None:
-                raise InputError(
-                    "this option applies only to a board of circles: add --from-circles",
-                    field=f"--{name.replace('_', '-')}",
-                )
-        return BoardFinder(_board(options)), calibrate_camera
     for name in ("pitch_mm", "radius_mm"):
-        value = getattr(options, name)
-        if value is None or not 0.01 <= value <= 1000:
-            raise InputError(
-                f"{value} is outside 0.01 to 1000; measure it on the board",
-                field=f"--{name.replace('_', '-')}",
-            )
+        if (getattr(options, name) is not None) != options.from_circles:
+            message = "--from-circles requires --pitch-mm and --radius-mm, which apply to it only"
+            raise InputError(message, field=f"--{name.replace('_', '-')}")
+    if not options.from_circles:
+        return BoardFinder(_board(options)), calibrate_camera
     return CircleFinder(
         1e-3 * options.pitch_mm, 1e-3 * options.radius_mm, "bright" if options.bright else "dark"
     ), calibrate_from_circles
@@ -181,8 +172,6 @@ def _board(options: argparse.Namespace):
             "direction",
             field="--board",
         )
-    if not 0.1 <= options.square_mm <= 1000:
-        raise InputError(f"{options.square_mm:g} is outside 0.1 to 1000", field="--square-mm")
     square = 1e-3 * options.square_mm
     marker = 0.75 * square if options.marker_mm is None else 1e-3 * options.marker_mm
     board = Board(columns, rows, square, marker, options.dictionary)
@@ -201,10 +190,11 @@ def _print_board(options: argparse.Namespace, board) -> int:
         f"board of {options.board} squares; print it {width:g} x {height:g} mm large (margin "
         "included) and measure a square"
     )
-    if options.json:
-        print_json({"file": options.print_to, "width_mm": width, "height_mm": height})
-    else:
-        print(f"{text}\nwritten to {options.print_to}")
+    print_result(
+        options,
+        {"file": options.print_to, "width_mm": width, "height_mm": height},
+        f"{text}\nwritten to {options.print_to}",
+    )
     return 0
 
 

@@ -63,29 +63,27 @@ ARGUMENTS = (
         type=Path,
     ),
     *output_options.arguments("its sensors are loaded"),
-    arg.option("--flat", "SOURCE", "images of the flat membrane, valve open", type=Path),
-    arg.option("--rest", "SOURCE", "images of the inflated membrane without contact", type=Path),
+    arg.option("--flat SOURCE", "images of the flat membrane, valve open", type=Path),
+    arg.option("--rest SOURCE", "images of the inflated membrane without contact", type=Path),
     arg.option(
-        "--pressure-kPa",
-        "P",
+        "--pressure-kPa P",
         "gauge pressure in the rest images, from the pressure sensor",
         dest="pressure",
         type=float,
     ),
-    arg.option("--recording", "DIR", "use the images of this recording", type=Path),
+    arg.option("--recording DIR", "use the images of this recording", type=Path),
     arg.option(
-        "--delay-s", "S", "delay to add to the load cell's times", 0.0, dest="delay", type=float
+        "--delay-s S", "delay to add to the load cell's times", 0.0, dest="delay", type=float
     ),
     arg.flag("--load-cell", "live: squeeze a load cell between the jaws"),
-    arg.option("--force-N", "F", "live: maximum squeezing force", 1.5, dest="force", type=float),
+    arg.option("--force-N F", "live: maximum squeezing force", 1.5, dest="force", type=float),
     arg.option(
-        "--weights-g",
-        "A,B,…",
+        "--weights-g A,B,…",
         "live: masses to apply one after the other",
         "0,20,50,100",
         dest="weights",
     ),
-    arg.option("--object", "NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
+    arg.option("--object NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
 )
 
 
@@ -98,10 +96,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.result_io import stamp, stamp_of
 
     if options.source is None and options.rig is None:
-        raise InputError(
-            "no loads are given: name a CSV file (SOURCE), or add --rig to load its sensors",
-            field="SOURCE",
-        )
+        message = "no loads are given: name a CSV file (SOURCE), or add --rig to load its sensors"
+        raise InputError(message, field="SOURCE")
     targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
@@ -192,12 +188,11 @@ def _references(
     chain = SensingPipeline(goal.design, replace(before, force=None))
     state = chain.restored_state()
     if state.reference is None:
-        raise InputError(
+        message = (
             "references are missing: add --flat and --rest, or --recording, or run "
-            "`calibrate frame` with rest images for this file",
-            source=goal.path,
-            field="frame.rest",
+            "`calibrate frame` with rest images for this file"
         )
+        raise InputError(message, source=goal.path, field="frame.rest")
     return StatefulPipeline(chain, state)
 
 
@@ -243,11 +238,8 @@ def _recording(
     recording = load_recording(options.recording)
     finger = FINGERS.index(goal.finger)
     if len(recording.references) != 2 or finger >= recording.width:
-        raise InputError(
-            f"the recording has no references of a {goal.finger} sensor",
-            source=options.recording,
-            field="--recording",
-        )
+        message = f"the recording has no references of a {goal.finger} sensor"
+        raise InputError(message, source=options.recording, field="--recording")
     flat, rest = recording.references
     reading = rest.gauge_pressure[finger] if rest.gauge_pressure else None
     chain = ready_perception(
@@ -271,11 +263,8 @@ def _recording(
     if not any(
         times.min() <= row[finger] <= times.max() for row in recording.columns["image_time"]
     ):
-        raise InputError(
-            "the times do not overlap the recording: check --delay-s",
-            source=options.source,
-            field="time_s",
-        )
+        message = "the times do not overlap the recording: check --delay-s"
+        raise InputError(message, source=options.source, field="time_s")
     return chain, loads()
 
 

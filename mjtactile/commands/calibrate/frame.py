@@ -49,10 +49,9 @@ ARGUMENTS = (
         type=Path,
     ),
     *output_options.arguments("images are taken with its valves and cameras"),
-    arg.option("--rest", "SOURCE", "images of the inflated membrane without contact", type=Path),
+    arg.option("--rest SOURCE", "images of the inflated membrane without contact", type=Path),
     arg.option(
-        "--pressure-kPa",
-        "P",
+        "--pressure-kPa P",
         "gauge pressure in the rest images, from the pressure sensor (default: the sensor's "
         "supply pressure)",
         dest="pressure",

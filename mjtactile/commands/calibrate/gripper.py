@@ -44,13 +44,12 @@ _sd; rms_N} and `servo`: zero_ticks, mm_per_rad, torque_Nm_per_A of each. Refuse
 """
 
 ARGUMENTS = (
-    arg.option("--rig", "NAME|FILE.toml", "the gripper's rig file", required=True),
-    arg.option("--openings", "FILE.csv", "caliper readings, instead of moving the jaws", type=Path),
-    arg.option("--forces", "FILE.csv", "load cell readings, instead of squeezing", type=Path),
+    arg.option("--rig NAME|FILE.toml", "the gripper's rig file", required=True),
+    arg.option("--openings FILE.csv", "caliper readings, instead of moving the jaws", type=Path),
+    arg.option("--forces FILE.csv", "load cell readings, instead of squeezing", type=Path),
     arg.flag("--skip-forces", "calibrate only the opening"),
     arg.option(
-        "--opening-mm",
-        ("LOW", "HIGH"),
+        "--opening-mm LOW HIGH",
         "openings to move between; the gap must be free (default: 60 and 90 %% of the "
         "gripper's range)",
         dest="range",
@@ -58,13 +57,12 @@ ARGUMENTS = (
         type=float,
     ),
     arg.option(
-        "--force-N",
-        "F",
+        "--force-N F",
         "maximum squeezing force (default: half of the rig file's force_max_N)",
         dest="force",
         type=float,
     ),
-    arg.option("--object", "NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
+    arg.option("--object NAME|FILE.xml", "emulated rig: object to squeeze", "egg"),
     arg.out(
         "output file (default: the calibration file named in [gripper] of the rig file)",
         "FILE.json",
@@ -80,12 +78,11 @@ def run(options: argparse.Namespace) -> int:
     rig_file = load_rig_file(options.rig)
     out = options.out or rig_file.gripper.calibration
     if out is None:
-        raise InputError(
+        message = (
             'no output file is named: write calibration = "gripper.json" into [gripper] '
-            "(of a copy, for a shipped rig), or add --out",
-            source=rig_file.path,
-            field="gripper.calibration",
+            "(of a copy, for a shipped rig), or add --out"
         )
+        raise InputError(message, source=rig_file.path, field="gripper.calibration")
     check_folder(out)
     recorded = options.openings is not None or options.forces is not None
     with stdout_to_stderr():

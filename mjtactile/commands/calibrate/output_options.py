@@ -18,7 +18,7 @@ def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ..
     """Return the options that specify the calibrated finger. `live` describes the use of a rig
     without a SOURCE."""
     return (
-        arg.option("--rig", "NAME|FILE.toml", f"rig of the finger; without SOURCE, {live}"),
+        arg.option("--rig NAME|FILE.toml", f"rig of the finger; without SOURCE, {live}"),
         arg.choice(
             "--finger", FINGERS, f"finger of the rig (default: {finger or 'all of them'})", finger
         ),

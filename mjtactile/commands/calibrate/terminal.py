@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
-from mjtactile.commands.output import print_json
+from mjtactile.commands.output import print_json, print_result
 
 
 def say(text: str) -> None:
@@ -19,13 +19,9 @@ def say(text: str) -> None:
 
 def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[str]) -> int:
     """Print the result; the exit code is 0 for a good calibration and 1 for a refused one."""
-    if options.json:
-        print_json({**result, "file": path})
-    else:
-        print("\n".join(lines))
-        for reason in result["reasons"]:
-            print(f"  REFUSED: {reason}")
-        print(f"  {result['verdict']}; written to {path}")
+    refused = [f"  REFUSED: {reason}" for reason in result["reasons"]]
+    text = "\n".join([*lines, *refused, f"  {result['verdict']}; written to {path}"])
+    print_result(options, {**result, "file": path}, text)
     return 0 if result["verdict"] == "good" else 1
 
 

@@ -42,13 +42,14 @@ ARGUMENTS = (
     ),
     *output_options.arguments("its valves are stepped"),
     arg.option(
-        "--pressure-kPa",
-        "P",
+        "--pressure-kPa P",
         "gauge pressure of the step (default: the sensor's supply pressure)",
         dest="pressure",
-        type=float,
+        type=arg.POSITIVE,
     ),
-    arg.option("--seal", "S", "duration of the sealed stage (default: 10 s)", 10.0, type=float),
+    arg.option(
+        "--seal S", "duration of the sealed stage (default: 10 s)", 10.0, type=arg.number(2)
+    ),
 )
 
 
@@ -57,14 +58,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.valve import valve_part
 
     if options.source is None and options.rig is None:
-        raise InputError(
-            "no recording is given: name it (SOURCE.csv), or add --rig to step its valves",
-            field="SOURCE",
-        )
-    if options.pressure is not None and not options.pressure > 0 or not options.seal >= 2:
-        raise InputError(
-            "--pressure-kPa must be above 0 and --seal at least 2 s", field="--pressure-kPa"
-        )
+        message = "no recording is given: name it (SOURCE.csv), or add --rig to step its valves"
+        raise InputError(message, field="SOURCE")
     targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:

@@ -111,12 +111,9 @@ class ContactShape:
 
     def __post_init__(self) -> None:
         if self.kind not in (*SHAPES, "unknown"):
-            raise InputError(
-                f"{self.kind!r} is not a contact shape",
-                source="ContactShape",
-                field="kind",
-                choices=(*SHAPES, "unknown"),
-            )
+            message = f"{self.kind!r} is not a contact shape"
+            choices = (*SHAPES, "unknown")
+            raise InputError(message, source="ContactShape", field="kind", choices=choices)
         object.__setattr__(self, "probabilities", MappingProxyType(dict(self.probabilities)))
         for name, shape in (
             ("curvatures", (2,)),
@@ -169,11 +166,8 @@ class Material:
 
     def __post_init__(self) -> None:
         if self.kind not in (*MATERIALS, "unknown"):
-            raise InputError(
-                f"{self.kind!r} is not a material",
-                source="Material",
-                field="kind",
-                choices=(*MATERIALS, "unknown"),
-            )
+            message = f"{self.kind!r} is not a material"
+            choices = (*MATERIALS, "unknown")
+            raise InputError(message, source="Material", field="kind", choices=choices)
         object.__setattr__(self, "probability", MappingProxyType(dict(self.probability)))
         keep_status(self)

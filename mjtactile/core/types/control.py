@@ -83,11 +83,8 @@ class Command:
             pressures = tuple(_finite(one, "gauge_pressure") for one in self.gauge_pressure)
             object.__setattr__(self, "gauge_pressure", pressures)
         if len(self.memory) > MEMORY_MAX:
-            raise InputError(
-                f"has {len(self.memory)} entries; at most {MEMORY_MAX} are allowed",
-                source="Command",
-                field="memory",
-            )
+            message = f"has {len(self.memory)} entries; at most {MEMORY_MAX} are allowed"
+            raise InputError(message, source="Command", field="memory")
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def checked(self) -> Command:
@@ -99,15 +96,7 @@ class Command:
         Raises:
             InputError: A value is invalid.
         """
-        return Command(
-            self.opening,
-            self.force_limit,
-            self.lift_height,
-            self.phase,
-            self.memory,
-            self.reason,
-            self.gauge_pressure,
-        )
+        return Command(*(getattr(self, field.name) for field in fields(Command)))
 
     def __reduce__(self):  # a mappingproxy does not pickle
         values = {one.name: getattr(self, one.name) for one in fields(self)}

@@ -202,12 +202,5 @@ class SyntheticTouch(Image):
 
     @classmethod
     def of(cls, touch: Touch) -> SyntheticTouch:
-        """Wrap a touch for use in place of an image.
-
-        Args:
-            touch: The tactile estimate.
-
-        Returns:
-            The touch in place of an image of its time.
-        """
+        """Return the touch in place of an image of its time."""
         return cls(NO_PIXELS, touch.time, touch)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from mjtactile.calibrate.rig_wizard import _bus, _Offered, _write, edited, flip_of, setup
+from mjtactile.calibrate.rig_wizard import _bus, _PortScan, _write, edited, flip_of, setup
 from mjtactile.commands.emulate import client_text
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
@@ -113,7 +113,7 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     path = tmp_path / "mine.toml"
     path.write_text(load_rig_file("two_xm430").path.read_text())
     said = []
-    changes = _bus(load_rig_file(path), _Offered((), said.append), lambda _: "1", said.append)
+    changes = _bus(load_rig_file(path), _PortScan((), said.append), lambda _: "1", said.append)
     _write(path, changes)
     first, second = load_rig_file(path).gripper.servos
     assert (first.model, first.torque_per_A, first.position_p_gain) == ("XL330-M288", None, None)

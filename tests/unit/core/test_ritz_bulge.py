@@ -3,10 +3,10 @@ which share nothing with it but the rubber's constants."""
 
 from dataclasses import replace
 
+import closed_forms
 import numpy as np
 import pytest
 
-from mjtactile.core import analytical_solutions
 from mjtactile.core.design import load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.ritz_bulge import inflated_height
@@ -34,7 +34,7 @@ def by_splines(design, pressure, spans):
 def test_a_flat_circle_is_henckys():
     membrane = replace(ROUND.membrane, law=Law.STVK, pre_stretch=1.0)
     pressure = 1e-3 * 300 / 15e-3  # p a / E h = 1e-3: the closed form is that of small slopes
-    expected = analytical_solutions.hencky_height(15e-3, 300.0, membrane.poisson, pressure)
+    expected = closed_forms.hencky_height(15e-3, 300.0, membrane.poisson, pressure)
     found = inflated_height(replace(ROUND, membrane=membrane), pressure)
     assert found == pytest.approx(expected, rel=1e-3)
 

@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.fit.identification import _HELD_FIRST, _untold, _with_fixed_values
+from mjtactile.fit.identification import _HELD_FIRST, _first_undetermined, _with_fixed_values
 from mjtactile.fit.membrane_fit import MembraneFit
 from mjtactile.fit.result import covariance_of
 
@@ -23,7 +23,9 @@ def membrane_of(cov):
     ("sd", "held"), [((1e4, 1e-3), None), ((1e5, 1e-2), "pre_stretch"), ((1e5, 1e-3), "young")]
 )
 def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
-    assert _untold(NAMES, VALUES, np.diag(np.square(sd)), "membrane", _HELD_FIRST) == held
+    assert (
+        _first_undetermined(NAMES, VALUES, np.diag(np.square(sd)), "membrane", _HELD_FIRST) == held
+    )
 
 
 def test_thickness_and_modulus_are_one_number():
