@@ -89,7 +89,7 @@ def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
     words = process.stdout.splitlines()[2].split()
     assert (
         words == ["mjtactile", "docs", "sensor_files"]
-        and "Describe a tactile sensor" in mjtactile(*words[1:]).stdout
+        and "describes a tactile sensor" in mjtactile(*words[1:]).stdout
     )
 
 
