@@ -189,17 +189,24 @@ def _varied(summary: Mapping[str, Any]) -> str:
         for result in group["randomized"]:
             by_value.setdefault(result["name"], {})[name] = result
     figures = []
+    even = []
     for value, results in by_value.items():
         labels = list(dict.fromkeys(_bin(b) for result in results.values() for b in result["bins"]))
         series = {name: [_point(own, label) for label in labels] for name, own in results.items()}
-        figures.append(_figure(svg.fractions(labels, series), _caption(value, results)))
+        points = [point for own in series.values() for point in own if point is not None]
+        is_even = all(success == 1.0 for _, success, _ in points)
+        chosen = even if is_even else figures
+        chosen.append(_figure(svg.fractions(labels, series), _caption(value, results)))
     title = "<h2>Success against randomized values</h2>"
-    if not figures:
+    if not (figures or even):
         return f"{title}<p>Nothing was randomized.</p>"
     more = ""
     if len(figures) > _SHOWN:
         summary_text = f"<summary>{len(figures) - _SHOWN} more</summary>"
         more = f"<details>{summary_text}{_grid(figures[_SHOWN:])}</details>"
+    if even:
+        summary_text = f"<summary>{len(even)} values with 100 % success in each bin</summary>"
+        more += f"<details>{summary_text}{_grid(even)}</details>"
     return f"{title}{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{more}"
 
 

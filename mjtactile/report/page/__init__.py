@@ -29,6 +29,9 @@ img.camera{width:100%;display:block}#readout{font-size:13px;min-height:2.9em}#sl
 .columns{display:flex;flex-wrap:wrap;align-items:flex-start;gap:0 3em}h3{margin:.4em 0 .2em}"""
 _FACTS: tuple[tuple[str, str, str], ...] = (
     ("outcome", "outcome", ""),
+    ("task", "task", ""),
+    ("controller", "controller", ""),
+    ("seed", "seed", ""),
     ("reason", "because", ""),
     ("error", "error", ""),
     ("material", "material", ""),
@@ -106,6 +109,7 @@ def _safe(value: Any) -> str:
 
 
 def _facts(summary: Mapping[str, Any]) -> str:
+    summary = {"task": summary.get("scenario", {}).get("task")} | dict(summary)
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS

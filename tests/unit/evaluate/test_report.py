@@ -206,3 +206,19 @@ def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
     bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")
     assert draw(Episode(0, bad), tmp_path / "other") is not None
+
+
+def test_plots_in_which_everything_is_held_are_folded():
+    """Without a failure every bin has 100 %: all plots against randomized values are folded."""
+    table = [line | {"outcome": "held"} for line in lines()]
+    page = report.page(
+        {"options": {"controllers": ["gentle"], "scenario": {}}, "versions": {}}, table, [], {}
+    )
+    folded = page.partition("values with 100 % success in each bin</summary>")[2]
+    assert folded.partition("</details>")[0].count("<svg") >= 3
+    assert "100 % success in each bin" not in report.page(
+        {"options": {"controllers": ["gentle"], "scenario": {}}, "versions": {}},
+        [line | {"outcome": "dropped"} for line in table],
+        [],
+        {},
+    )
