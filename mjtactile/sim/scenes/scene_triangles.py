@@ -18,6 +18,7 @@ _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 _ROUND = 24
 _HIGH = 12
 _SHEET = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
+_PRISM = np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # heights and radii
 _G = mujoco.mjtGeom
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -156,17 +157,9 @@ def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
     kind = int(model.geom_type[geom])
     size = model.geom_size[geom]
     if kind == _G.mjGEOM_BOX:
-        return _grid(
-            np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]),
-            size,
-            4,
-            np.pi / 4,
-            np.sqrt(2),
-        )
+        return _grid(_PRISM, size, 4, np.pi / 4, np.sqrt(2))
     if kind == _G.mjGEOM_CYLINDER:
-        return _grid(
-            np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]), size[[0, 0, 1]], _ROUND
-        )
+        return _grid(_PRISM, size[[0, 0, 1]], _ROUND)
     if kind == _G.mjGEOM_SPHERE:
         return _grid(_arc(), size[[0, 0, 0]], _ROUND)
     if kind == _G.mjGEOM_ELLIPSOID:
