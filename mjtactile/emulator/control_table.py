@@ -1,12 +1,8 @@
-"""Control tables of the emulated servos, from the pages of ROBOTIS's e-manual.
+"""Control tables of the emulated servos, independent of the driver's data.
 
-They are independent of the driver's data.
-
-Each model's page gives addresses, sizes, access, initial values and ranges. Its tables are "Control
-Table of EEPROM Area" and "... of RAM Area". The page is
-https://emanual.robotis.com/docs/en/dxl/x/MODEL/, read in November 2026. Its source is
-github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md. A test compares the addresses with those of
-the SDK.
+Source: "Control Table of EEPROM Area" and "... of RAM Area" of the e-manual,
+https://emanual.robotis.com/docs/en/dxl/x/MODEL/, read in November 2026
+(github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md). A test compares addresses with the SDK.
 """
 
 from __future__ import annotations
@@ -26,27 +22,19 @@ BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_
 POSITION_MODES = (3, 4, 5)
 MODES = (0, 1, 3, 4, 5, 16)
 GOALS = ("Goal PWM", "Goal Current", "Goal Velocity", "Goal Position")
+GAINS = ("Velocity I Gain", "Velocity P Gain", *(f"Position {kind} Gain" for kind in "DIP"))
 BACKED_UP = (
-    "Velocity I Gain",
-    "Velocity P Gain",
-    "Position D Gain",
-    "Position I Gain",
-    "Position P Gain",
-    "Feedforward 2nd Gain",
-    "Feedforward 1st Gain",
-    "Profile Acceleration",
-    "Profile Velocity",
+    *GAINS,
+    *("Feedforward 2nd Gain", "Feedforward 1st Gain", "Profile Acceleration", "Profile Velocity"),
 )
-"""RAM entries stored by the "Control Table Backup" in addition to the EEPROM and the indirect
-addresses (Protocol 2.0, 0x20)."""
+"""RAM entries of "Control Table Backup" (Protocol 2.0, 0x20), with EEPROM and indirect ones."""
 
 Bound = int | str  # a number, or the register that holds it ("-PWM Limit": its negative)
 
 
 @dataclass(frozen=True)
 class TableEntry:
-    """One register. `low` to `high` may be written, or one of `choices`; neither: it is
-    read-only."""
+    """One register. `low` to `high` or one of `choices` may be written; else it is read-only."""
 
     address: int
     size: int
@@ -62,18 +50,14 @@ class TableEntry:
 
     @property
     def signed(self) -> bool:
-        return self.low is not None and (
-            str(self.low).startswith("-") or self.name == "Goal Position"
-        )
+        return str(self.low).startswith("-") or self.name == "Goal Position"
 
 
 @dataclass(frozen=True)
 class _Model:
-    """Differences of a model's page from the others.
+    """Values of a model's page, in its units: size 330, 430 or 540, supply, V, and initial values.
 
-    Initial values are in the page's units. `volts` is the recommended supply. `size` is 330, 430 or
-    540. Voltage limits are in 0.1 V. `gains` are velocity I and P, position D, I and P. `slope` is
-    "PWM Slope".
+    Voltage limits are in 0.1 V. `gains` are in the order of `GAINS`. `slope` is "PWM Slope".
     """
 
     size: int
@@ -115,8 +99,7 @@ _SHUTDOWN_BITS = 0b111101  # "Shutdown": bits 1, 6 and 7 are unused
 WATCHDOG_GOES_ON = {(330, 51)}
 """Size and firmware of servos that report a watchdog trip but continue to turn.
 
-A member of ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
-(https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814).
+Source: https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814.
 """
 
 _FIELDS = (
@@ -178,43 +161,32 @@ _FIELDS = (
 
 
 class ControlTable:
-    """All registers of one model: `fields` by name, `at` by first address.
-
-    `indirect` maps an indirect datum's address to its indirect address'.
-    """
+    """Registers of a model, by name and address; `indirect`: indirect address of each datum."""
 
     def __init__(self, model: str):
         if model not in _MODELS:
-            raise InputError(
-                f"the emulator does not support the servo {model!r}", field="model", choices=_MODELS
-            )
+            what = f"the emulator does not support the servo {model!r}"
+            raise InputError(what, field="model", choices=_MODELS)
         row = _MODELS[model]
         self.size = row.size
         self.volts = row.volts
         own = _own(row)
-        fields = [
-            replace(field, **own[field.name]) if field.name in own else field for field in _FIELDS
-        ]
+        fields = [replace(field, **own.get(field.name, {})) for field in _FIELDS]
         if row.slope is not None:
             fields.append(TableEntry(62, 1, "PWM Slope", row.slope, 1, 255))
-        if row.size == 540:
-            fields += [TableEntry(55 + i, 1, f"External Port Mode {i}", 3, 0, 3) for i in (1, 2, 3)]
-            fields += [
-                TableEntry(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535)
-                for i in (1, 2, 3)
-            ]
+        for i in (1, 2, 3) if row.size == 540 else ():
+            fields.append(TableEntry(55 + i, 1, f"External Port Mode {i}", 3, 0, 3))
+            fields.append(TableEntry(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535))
         self.indirect: dict[int, int] = {}
         last = max(data + count for _, data, count in _INDIRECT[row.size]) - 1
         for block, (address, data, count) in enumerate(_INDIRECT[row.size]):
             for i in range(count):
                 number = i + 1 + 28 * block
-                fields.append(
-                    TableEntry(
-                        address + 2 * i, 2, f"Indirect Address {number}", data + i, EEPROM_END, last
-                    )
-                )
+                name = f"Indirect Address {number}"
+                pointer = address + 2 * i
+                fields.append(TableEntry(pointer, 2, name, data + i, EEPROM_END, last))
                 fields.append(TableEntry(data + i, 1, f"Indirect Data {number}", 0, 0, 255))
-                self.indirect[data + i] = address + 2 * i
+                self.indirect[data + i] = pointer
         self.fields = {field.name: field for field in fields}
         self.at = {field.address: field for field in fields}
         self.defined = frozenset(
@@ -225,8 +197,12 @@ class ControlTable:
 def _own(row: _Model) -> dict[str, dict[str, object]]:
     """Return the model's values that replace those of the common fields."""
     volts: dict[str, object] = {"low": row.volt_low, "high": row.volt_max}
-    velocity_i, velocity_p, d, i, p = row.gains
+    velocity_max = 2047 if row.size == 330 else 1023
     bits = _DRIVE_BITS[row.size]
+    gains: dict[str, dict[str, object]] = {
+        name: {"default": gain} for name, gain in zip(GAINS, row.gains, strict=True)
+    }
+    shutdown = frozenset(v for v in range(64) if v & ~_SHUTDOWN_BITS == 0)
     return {
         "Baud Rate": {"high": 6 if row.size == 330 else 7},
         "Drive Mode": {"choices": frozenset(v for v in range(16) if v & ~bits == 0)},
@@ -235,20 +211,9 @@ def _own(row: _Model) -> dict[str, dict[str, object]]:
         "Max Voltage Limit": {"default": row.volt_max, **volts},
         "Min Voltage Limit": {"default": row.volt_min, **volts},
         "Current Limit": {"default": row.current, "low": 0, "high": row.current},
-        "Velocity Limit": {
-            "default": row.velocity,
-            "low": 0,
-            "high": 2047 if row.size == 330 else 1023,
-        },
-        "Shutdown": {
-            "default": row.shutdown,
-            "choices": frozenset(v for v in range(64) if v & ~_SHUTDOWN_BITS == 0),
-        },
-        "Velocity I Gain": {"default": velocity_i},
-        "Velocity P Gain": {"default": velocity_p},
-        "Position D Gain": {"default": d},
-        "Position I Gain": {"default": i},
-        "Position P Gain": {"default": p},
+        "Velocity Limit": {"default": row.velocity, "low": 0, "high": velocity_max},
+        "Shutdown": {"default": row.shutdown, "choices": shutdown},
+        **gains,
     }
 
 

@@ -1,5 +1,4 @@
-"""Emulated devices and their connection to the world: servos to jaws and lift, valve channels to
-chambers."""
+"""Emulated devices and their connection to the world: jaws, lift and chambers."""
 
 from __future__ import annotations
 
@@ -11,25 +10,15 @@ from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.servo_bus import ServoBus
-from mjtactile.emulator.shared_memory import SharedState
+from mjtactile.emulator.shared_memory import FAULTS_TO_WORLD, SharedState
 from mjtactile.emulator.valve import ValveFirmware, ValvePort
 from mjtactile.rig.file import EmulatorConfig, RigFile
 
 _TICK = 0.003  # update interval of the world's state, s
-_SHARED_FAULTS = (
-    "puncture",
-    "frames_frozen",
-    "frames_dark",
-    "frames_saturated",
-    "frames_stopped",
-    "frames_late",
-    "frames_duplicated",
-)
 
 
 class EmulatedHardware:
-    """Servo bus and valve board of `rig_file`, alive until `close`. They also work with no world
-    behind `shared`."""
+    """Servo bus and valve board of `rig_file` until `close`, with or without a world."""
 
     def __init__(self, rig_file: RigFile, shared: SharedState, faults: Faults):
         emulator = rig_file.emulator or EmulatorConfig()
@@ -77,7 +66,7 @@ class EmulatedHardware:
 
     def _build_servo(self, servo_id: int, model: str, angle: float) -> EmulatedServo:
         emulator = self._rig_file.emulator or EmulatorConfig()
-        servo = EmulatedServo(
+        self.servos[servo_id] = EmulatedServo(
             servo_id,
             model,
             angle=angle,
@@ -86,8 +75,7 @@ class EmulatedHardware:
             firmware=emulator.servo_firmware,
             trip=emulator.watchdog,
         )
-        self.servos[servo_id] = servo
-        return servo
+        return self.servos[servo_id]
 
     def _build_jaws(self) -> GearedJaws:
         jaws = []
@@ -124,13 +112,9 @@ class EmulatedHardware:
         shared["goal"] = math.nan if goal is None else goal
         if self._lift is not None:
             drive = self._lift.drive()
-            if drive.torque_max > 0:
-                shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad
-            else:
-                shared["lift_goal"] = math.nan
-            self._lift.follow_load(
-                shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period
-            )
+            per_rad = self._rig_file.lift.per_rad
+            shared["lift_goal"] = drive.goal * per_rad if drive.torque_max > 0 else math.nan
+            self._lift.follow_load(shared["lift_height"] / per_rad, 0.0, 0.0, period)
         self._jaws.follow_load(shared["opening"], shared["speed"], shared["grip_force"], period)
         self.firmware.tick(now, period)
 
@@ -145,5 +129,5 @@ class EmulatedHardware:
             if servo is not None:
                 self.faults.set(kind, 0)
                 act(servo)
-        for kind in _SHARED_FAULTS:
+        for kind in FAULTS_TO_WORLD:
             self._shared[kind] = self.faults.get(kind)

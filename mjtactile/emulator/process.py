@@ -17,8 +17,7 @@ _STOP_TIME = 5.0  # wait for a regular shutdown, s
 
 
 class EmulatorProcess:
-    """The emulated hardware of `rig_file`, running. Raises InputError for bad options, DeviceError
-    if it does not start."""
+    """The emulated hardware of `rig_file`, running. Raises InputError or DeviceError."""
 
     def __init__(
         self,

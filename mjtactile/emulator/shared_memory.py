@@ -1,8 +1,7 @@
 """Memory page shared by the emulator's two processes: commands to the world, and its state.
 
-Two processes are necessary. A servo must reply within a millisecond, and a physics step holds
-Python's interpreter for longer. Each value has one writer. A double is written atomically, and each
-value is only ever "the newest".
+A servo must reply within a millisecond, and a physics step holds Python's interpreter for longer.
+Each value is the newest, a double that one writer writes atomically.
 """
 
 from __future__ import annotations
@@ -14,36 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 
 FROM_WORLD = (
-    "time",
-    "lost",
-    "opening",
-    "speed",
-    "grip_force",
-    "lift_height",
-    "object_height",
-    "pressure_1",
-    "pressure_2",
-    "contact_1",
-    "contact_2",
-    "picture_delay",
-    "failed",
-    "pictures",
+    *("time", "lost", "opening", "speed", "grip_force", "lift_height", "object_height"),
+    *("pressure_1", "pressure_2", "contact_1", "contact_2"),
+    *("picture_delay", "failed", "pictures"),
+)
+FAULTS_TO_WORLD = (
+    *("puncture", "frames_frozen", "frames_dark", "frames_saturated"),
+    *("frames_stopped", "frames_late", "frames_duplicated"),
 )
 TO_WORLD = (
-    "goal",
-    "force",
-    "lift_goal",
-    "open_1",
-    "supply_1",
-    "open_2",
-    "supply_2",
-    "puncture",
-    "frames_frozen",
-    "frames_dark",
-    "frames_saturated",
-    "frames_stopped",
-    "frames_late",
-    "frames_duplicated",
+    *("goal", "force", "lift_goal", "open_1", "supply_1", "open_2", "supply_2"),
+    *FAULTS_TO_WORLD,
 )
 
 

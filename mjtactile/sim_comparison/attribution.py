@@ -30,19 +30,15 @@ POINTS = 90
 _MIN_EXPLAINED = 0.5
 _LESS_LEFT = 0.6
 """Maximum remainder with a reported cause, as a fraction of the remainder without a cause."""
-
 _CONTENDERS = 3
-"""Number of causes tested in the simulator, if the linear fit explains about as much as the
-best."""
+"""Number of causes tested in the simulator, if they explain about as much as the best."""
 _NEAR = 0.08
 _ALIKE = 0.03
 """Differences in explained fraction below which causes count as close, and as indistinguishable."""
 
 Simulate = Callable[[Mapping[str, Sequence[float]]], Signals]
-"""Simulation of given amounts of the causes.
-
-Raises DeviceError or SimulationError if a rig differs so much that it cannot work.
-"""
+"""Simulation of given amounts of the causes. Raises DeviceError or SimulationError."""
+_Run = Callable[[Mapping[str, Sequence[float]]], Signals | None]
 
 
 @dataclass(frozen=True)
@@ -162,8 +158,13 @@ def explain(
     run_all = many or (lambda wanted: [attempted(simulate, one) for one in wanted])
     probes = [here if one is None else one.at(time) for one in run_all(asked)]
     tried, allowed = _tried(there, here, causes, probes, _shift(plain, time))
+
+    def run(amounts: Mapping[str, Sequence[float]]) -> Signals | None:
+        signals = attempted(simulate, amounts)
+        return None if signals is None else signals.at(time)
+
     checked = [
-        _checked(one, allowed[one.cause.name], there, here, simulate, time)
+        _checked(one, allowed[one.cause.name], there, here, run)
         for one in tried[:_CONTENDERS]
         if one.explains >= tried[0].explains - _NEAR
     ]
@@ -203,53 +204,38 @@ def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
 
 
 def _checked(
-    one: TestedParameter,
-    allowed: Mapping[str, float],
-    there: Signals,
-    here: Signals,
-    simulate: Simulate,
-    time: Array,
+    one: TestedParameter, allowed: Mapping[str, float], there: Signals, here: Signals, run: _Run
 ) -> _Checked:
     """Simulate the cause, and again with the amount that fits the difference best."""
     best = _Checked(one, here, 0.0)
-    one = _on_each_finger(one, allowed, there, here, simulate, time)
+    one = _on_each_finger(one, allowed, there, here, run)
     for _ in range(2):
-        ran = attempted(simulate, _amounts(one, allowed))
-        if ran is None:
+        signals = run(_amounts(one, allowed))
+        if signals is None:
             break
-        signals = ran.at(time)
         rows = _Rows.of([there, here, signals])
         base = rows.vector(here)
-        moved = rows.vector(signals) - base
-        wanted = rows.vector(there) - base
-        explains = 1 - float(np.sum((wanted - moved) ** 2) / (wanted @ wanted))
+        change = rows.vector(signals) - base
+        target = rows.vector(there) - base
+        explains = 1 - float(np.sum((target - change) ** 2) / (target @ target))
         if explains > best.explains or best.signals is here:
             best = _Checked(one, signals, explains)
-        share = float(np.clip(wanted @ moved / max(moved @ moved, 1e-12), 0.3, 2.0))
-        one = replace(one, amounts=tuple(share * amount for amount in one.amounts))
+        factor = float(np.clip(target @ change / max(change @ change, 1e-12), 0.3, 2.0))
+        one = replace(one, amounts=tuple(factor * amount for amount in one.amounts))
     return best
 
 
 def _on_each_finger(
-    one: TestedParameter,
-    allowed: Mapping[str, float],
-    there: Signals,
-    here: Signals,
-    simulate: Simulate,
-    time: Array,
+    one: TestedParameter, allowed: Mapping[str, float], there: Signals, here: Signals, run: _Run
 ) -> TestedParameter:
     """Fit each finger's amount with its effect on all fingers, which share forces."""
     fingers = there.fingers
     if one.cause.on != "sensor" or fingers < 2:
         return one
-    none = _amounts(replace(one, amounts=(0.0,) * fingers), allowed)
-    steps = [none]
     size = max(map(abs, one.amounts)) or one.cause.probe
-    for finger in range(fingers):
-        alone = tuple(size * (k == finger) for k in range(fingers))
-        steps.append(_amounts(replace(one, amounts=alone), allowed))
-    ran = [attempted(simulate, step) for step in steps]
-    found = [signals.at(time) for signals in ran if signals is not None]
+    steps = [(0.0,) * fingers, *(tuple(row) for row in (size * np.eye(fingers)).tolist())]
+    results = [run(_amounts(replace(one, amounts=step), allowed)) for step in steps]
+    found = [signals for signals in results if signals is not None]
     if len(found) < len(steps):
         return one
     rows = _Rows.of([there, here, *found])
@@ -269,10 +255,10 @@ def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Sig
 
 def _amounts(best: TestedParameter, allowed: Mapping[str, float]) -> dict[str, Sequence[float]]:
     count = len(best.amounts)
-    beside: dict[str, Sequence[float]] = {
+    amounts: dict[str, Sequence[float]] = {
         name: (value,) * count for name, value in allowed.items() if name not in ("left", "time")
     }
-    return beside | {best.cause.name: best.amounts}
+    return amounts | {best.cause.name: best.amounts}
 
 
 def _shift(plain: Signals, time: Array) -> tuple[Signals, Signals]:
@@ -298,7 +284,7 @@ def _tried(
     total = float(difference @ difference)
     step = float(np.median(np.diff(here.time)))
     later, earlier = (rows.vector(one) for one in shifted)
-    beside = {"time": ((later - earlier) / (2 * step), _CLOCK)}
+    nuisance = {"time": ((later - earlier) / (2 * step), _CLOCK)}
     columns = {}
     for cause, probe in zip(causes, probes, strict=True):
         change = rows.vector(probe) - base
@@ -308,11 +294,11 @@ def _tried(
         else:
             columns[cause.name] = change[:, None] / cause.probe
         if cause.spread:
-            beside[cause.name] = (change / cause.probe, cause.spread)
-    allowed = {"": _solve(difference, np.zeros((len(base), 0)), beside)[1]}
+            nuisance[cause.name] = (change / cause.probe, cause.spread)
+    allowed = {"": _solve(difference, np.zeros((len(base), 0)), nuisance)[1]}
     tried = []
     for cause in causes:
-        others = {name: one for name, one in beside.items() if name != cause.name}
+        others = {name: one for name, one in nuisance.items() if name != cause.name}
         amounts, found, sd = _solve(difference, columns[cause.name], others)
         if (amounts < cause.low).any():
             held = np.maximum(amounts, cause.low)
@@ -329,14 +315,14 @@ def _tried(
 
 
 def _solve(
-    difference: Array, columns: Array, beside: Mapping[str, tuple[Array, float]]
+    difference: Array, columns: Array, nuisance: Mapping[str, tuple[Array, float]]
 ) -> tuple[Array, dict[str, float], Array]:
     """Return amounts of `columns`, nuisance parameters with remainder, and amounts' sd."""
-    names = list(beside)
-    allowed = [beside[name][0] for name in names]
+    names = list(nuisance)
+    allowed = [nuisance[name][0] for name in names]
     J = np.column_stack([columns, *allowed]) if allowed else columns
     own = columns.shape[1]
-    prior = np.concatenate([np.zeros(own), [1 / beside[name][1] for name in names]])
+    prior = np.concatenate([np.zeros(own), [1 / nuisance[name][1] for name in names]])
     stacked = np.vstack([J, np.diag(prior) / np.sqrt(len(KINDS) * 30)])
     target = np.concatenate([difference, np.zeros(J.shape[1])])
     found, *_ = np.linalg.lstsq(stacked, target, rcond=None)

@@ -1,5 +1,4 @@
-"""HTML report of a comparison: differences between recording and simulation over time, and the
-cause."""
+"""HTML report of a comparison: recording and simulation over time, and the cause."""
 
 from __future__ import annotations
 
@@ -33,10 +32,8 @@ def verdict(shadow: SimComparison) -> str:
     named = say(shadow.named)
     if shadow.alike:
         named += ", or " + ", or ".join(say(one) for one in shadow.alike) + " (indistinguishable)"
-    return (
-        f"differs from the simulator in {where}: {named} (explains {100 * shadow.explains:.0f} % "
-        "of it)"
-    )
+    explained = f"{named} (explains {100 * shadow.explains:.0f} % of it)"
+    return f"differs from the simulator in {where}: {explained}"
 
 
 def parting(shadow: SimComparison) -> list[str]:
@@ -64,12 +61,10 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
     """The result as JSON has it."""
 
     def rms(found: Any) -> dict[str, Any]:
+        units = {kind: UNIT[kind] for kind in KINDS if kind in found}
         return {
-            f"{kind}_{UNIT[kind][1]}": dict(
-                zip(fingers, (UNIT[kind][0] * found[kind]).tolist(), strict=True)
-            )
-            for kind in KINDS
-            if kind in found
+            f"{kind}_{unit}": dict(zip(fingers, (scale * found[kind]).tolist(), strict=True))
+            for kind, (scale, unit) in units.items()
         }
 
     def tried(one: TestedParameter) -> dict[str, Any]:
@@ -106,17 +101,15 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     for number, finger in enumerate(fingers):
         body.append(f"<h2>{escape(finger)}</h2>")
         body += [_chart(kind, shadow, number) for kind in KINDS]
-    body.append("<h2>Differences, rms</h2>")
-    body.append(
-        html.table(["", *fingers, "tolerance", "remaining with the cause"], _apart_rows(shadow))
-    )
+    head = ["", *fingers, "tolerance", "remaining with the cause"]
+    body += ["<h2>Differences, rms</h2>", html.table(head, _apart_rows(shadow))]
     if shadow.tried:
         rows = [
             (escape(one.cause.name), escape(say(one, fingers)), f"{100 * one.explains:.0f} %")
             for one in shadow.tried
         ]
-        body.append("<h2>Tested causes</h2>")
-        body.append(html.table(["cause", "best fit", "explains"], rows, text=True))
+        table = html.table(["cause", "best fit", "explains"], rows, text=True)
+        body += ["<h2>Tested causes</h2>", table]
     return html.document(title, body)
 
 
@@ -146,11 +139,9 @@ def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
         return signals.pressure[:, finger]
     square = ((signals.markers[:, finger] - there.markers[:, finger]) ** 2).sum(axis=-1)
     known = np.isfinite(square)
-    mean = np.full(len(square), np.nan)
-    np.divide(
-        np.where(known, square, 0).sum(axis=1), known.sum(axis=1), out=mean, where=known.any(axis=1)
-    )
-    return 1e6 * np.sqrt(mean)
+    total = np.where(known, square, 0).sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        return 1e6 * np.sqrt(total / known.sum(axis=1))  # NaN without a known marker
 
 
 _WHAT = {

@@ -1,12 +1,9 @@
 """`OpenCvCamera`: a UVC camera through V4L2 (or a network stream).
 
-All settings are verified by read-back.
-
-The order of the settings matters. Size, FOURCC and buffer size reset the stream and its controls,
-so they come first. Exposure, gain and white balance come last. Drivers clamp values although `set`
-returns True. Each value is therefore read back, and a different value is refused. Automatic
-controls cause drift of the forces, so each is switched off. Images queue in the driver's buffers. A
-thread therefore reads all of them and keeps the newest.
+Size, FOURCC and buffer size reset the stream and its controls, so they come first; exposure, gain
+and white balance come last. Drivers clamp values although `set` returns True: each is read back.
+Automatic controls cause drift of the forces, so each is switched off. Images queue in the driver's
+buffers; a thread reads all of them and keeps the newest.
 """
 
 from __future__ import annotations
@@ -68,8 +65,7 @@ class CameraCounters:
 class OpenCvCamera:
     """One finger's camera, streaming. `capture` replaces `cv2.VideoCapture` in tests.
 
-    Raises DeviceError naming the camera in three cases. It is missing, its image size differs from
-    the file, or a control cannot be set.
+    Raises DeviceError if it is missing, has another image size, or refuses a control.
     """
 
     def __init__(
@@ -84,8 +80,7 @@ class OpenCvCamera:
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
         self._period = 1.0 / config.rate
-        # Direct decoding of a JPEG to gray takes 1.2 ms; FFmpeg takes 1.9 ms, since it decodes the
-        # colors.
+        # decoding a JPEG to gray takes 1.2 ms; FFmpeg takes 1.9 ms, since it decodes the colors
         self._is_raw = config.backend == "ffmpeg" and config.fourcc == "MJPG"
         self._condition = threading.Condition()
         self._newest: Image | None = None
@@ -95,10 +90,8 @@ class OpenCvCamera:
         self._capture = (capture or self._open)()
         try:
             if not self._capture.isOpened():
-                raise DeviceError(
-                    f"{self.name} cannot be opened: is it plugged in, and may this user read it "
-                    "(group video)?"
-                )
+                hint = "is it plugged in, and may this user read it (group video)?"
+                raise DeviceError(f"{self.name} cannot be opened: {hint}")
             if config.backend == "v4l2":
                 self._configure()
             self._thread = threading.Thread(target=self._read_loop, name=self.name, daemon=True)
@@ -118,14 +111,13 @@ class OpenCvCamera:
             raise DeviceError(f"{self.name}: {error}")
         assert image is not None
         now = self._clock()
-        if now - image.time > _STALE_PERIODS * self._period + self.config.delay:
-            raise DeviceError(
-                f"{self.name} is stale: its last image is {1e3 * (now - image.time):.0f} ms old"
-            )
-        if now - fresh > _STALE_PERIODS * self._period + self.config.delay:
-            raise DeviceError(
-                f"{self.name} is frozen: the same image for {1e3 * (now - fresh):.0f} ms"
-            )
+        age = now - image.time
+        unchanged = now - fresh
+        maximum = _STALE_PERIODS * self._period + self.config.delay
+        if age > maximum:
+            raise DeviceError(f"{self.name} is stale: its last image is {1e3 * age:.0f} ms old")
+        if unchanged > maximum:
+            raise DeviceError(f"{self.name} is frozen: the same image for {1e3 * unchanged:.0f} ms")
         return image
 
     def wait_newer(self, than: float, timeout: float) -> bool:
@@ -155,26 +147,18 @@ class OpenCvCamera:
     def _open(self) -> Capture:
         config = self.config
         if config.backend == "ffmpeg":
-            # One thread: each further thread would hold back an image and add latency. A JPEG is
-            # passed on undecoded.
-            raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
-            return cv2.VideoCapture(
-                config.source,
-                cv2.CAP_FFMPEG,
-                [
-                    cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-                    round(scaled_clock.wall(_OPEN_TIME_MS)),
-                    cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-                    round(scaled_clock.wall(_READ_TIME_MS)),
-                    cv2.CAP_PROP_N_THREADS,
-                    1,
-                    *raw,
-                ],
-            )
+            settings = {
+                cv2.CAP_PROP_OPEN_TIMEOUT_MSEC: round(scaled_clock.wall(_OPEN_TIME_MS)),
+                cv2.CAP_PROP_READ_TIMEOUT_MSEC: round(scaled_clock.wall(_READ_TIME_MS)),
+                cv2.CAP_PROP_N_THREADS: 1,  # each further thread would hold back an image
+            }
+            if self._is_raw:
+                settings[cv2.CAP_PROP_FORMAT] = -1  # a JPEG is passed on undecoded
+            flat = [number for item in settings.items() for number in item]
+            return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, flat)
         if not Path(config.source).exists():
-            raise DeviceError(
-                f"{self.name} is not connected; `mjtactile doctor` lists the connected cameras"
-            )
+            hint = "`mjtactile doctor` lists the connected cameras"
+            raise DeviceError(f"{self.name} is not connected; {hint}")
         return cv2.VideoCapture(config.source, cv2.CAP_V4L2)
 
     def _configure(self) -> None:
@@ -187,31 +171,25 @@ class OpenCvCamera:
         # where it does not take, the thread empties the buffers anyway
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if config.exposure is not None:
-            # Some drivers ignore "manual" unless the automatic was on before; then the value must
-            # follow.
+            # some drivers ignore "manual" unless the automatic was on before
             self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_AUTO)
             self._set("manual exposure", cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_MANUAL)
             # drivers round to their step
             self._set("exposure", cv2.CAP_PROP_EXPOSURE, config.exposure, tolerance=1.0)
         if config.white_balance is not None:
             self._set("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
-            # steps of 10 K
-            self._set(
-                "white balance", cv2.CAP_PROP_WB_TEMPERATURE, config.white_balance, tolerance=10.0
-            )
+            kelvin = config.white_balance
+            self._set("white balance", cv2.CAP_PROP_WB_TEMPERATURE, kelvin, tolerance=10.0)
         if config.gain is not None:
             self._set("gain", cv2.CAP_PROP_GAIN, config.gain, tolerance=0.5)
 
     def _set(self, what: str, prop: int, value: float, *, tolerance: float = 0.0) -> None:
         self._capture.set(prop, value)
-        found = self._capture.get(prop)
-        if not math.isfinite(found) or abs(found - value) > tolerance:
-            if what == "FOURCC":
-                shown = (_fourcc(value), _fourcc(found))
-            else:
-                shown = (f"{value:g}", f"{found:g}")
+        actual = self._capture.get(prop)
+        if not math.isfinite(actual) or abs(actual - value) > tolerance:
+            text = _fourcc if what == "FOURCC" else "{:g}".format
             raise DeviceError(
-                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile "
+                f"{self.name}: {what} was set to {text(value)} but is {text(actual)}; `mjtactile "
                 "doctor` shows how to list the supported values"
             )
 
@@ -257,9 +235,8 @@ class OpenCvCamera:
         with self._condition:
             last = self._newest
             # Sensor noise makes real images differ, except all-white and all-black ones.
-            same = (
-                last is not None and np.array_equal(gray, last.pixels) and gray.min() != gray.max()
-            )
+            is_uniform = gray.min() == gray.max()
+            same = last is not None and np.array_equal(gray, last.pixels) and not is_uniform
             self.counters.pictures += 1
             if last is not None:
                 self._count(captured - last.time)
@@ -284,8 +261,7 @@ class OpenCvCamera:
             return kernel
         self._fail(
             f"its kernel timestamps ({kernel:.3f} s) are not on the monotonic clock "
-            f"({arrival:.3f} s); write "
-            'timestamps = "arrival" and the delay into the rig file'
+            f'({arrival:.3f} s); write timestamps = "arrival" and the delay into the rig file'
         )
         return arrival
 
@@ -296,8 +272,8 @@ class OpenCvCamera:
         since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""
         busy = ""
         if load > processors:
-            wanted = f"{load:.0f} programs compete for this computer's {processors} processors"
-            busy = f" Or are they late? {wanted}"
+            cause = f"{load:.0f} programs compete for this computer's {processors} processors"
+            busy = f" Or are they late? {cause}"
         return f"it has sent no images{since}: was it unplugged?{busy}"
 
     def _fail(self, reason: str) -> None:

@@ -1,8 +1,6 @@
-"""Video devices of a Linux computer: their names and formats, queried from the kernel without
-starting them.
+"""Names and formats of a Linux computer's video devices, from the kernel, without starting them.
 
-Structures and request numbers: linux/videodev2.h,
-https://docs.kernel.org/userspace-api/media/v4l/.
+Structures and requests: linux/videodev2.h, https://docs.kernel.org/userspace-api/media/v4l/.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ _ENUM_FRAMEINTERVALS = 0xC034564B
 # V4L2_BUF_TYPE_VIDEO_CAPTURE; V4L2_FRMSIZE_TYPE_DISCRETE, which is V4L2_FRMIVAL_TYPE_DISCRETE
 _CAPTURE = 1
 _DISCRETE = 1
-_MOST = 64  # entries of a list; a driver that never ends its list would hold us up for ever
+_ENTRIES_MAX = 64  # entries of a list, in case that a driver never ends it
 
 Ioctl = Callable[[int, int, bytearray], object]
 
@@ -44,25 +42,16 @@ class VideoDevice:
 def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
     """List all devices that send images; `root`: root of the file system."""
     found = []
-    for folder in sorted(
-        (root / "sys/class/video4linux").glob("video*"),
-        key=lambda path: (len(path.name), path.name),
-    ):
-        if (
-            _read_text(folder / "index") != "0"
-        ):  # a second node of the same camera, for its metadata
+    folders = (root / "sys/class/video4linux").glob("video*")
+    for folder in sorted(folders, key=lambda path: (len(path.name), path.name)):
+        if _read_text(folder / "index") != "0":  # a camera's second node, for its metadata
             continue
         device = root / "dev" / folder.name
         formats = tuple(formats_of(device))
-        found.append(
-            VideoDevice(
-                _stable_path(root, device),
-                str(device),
-                _read_text(folder / "name"),
-                _read_text((folder / "device").resolve().parent / "serial"),
-                formats,
-            )
-        )
+        name = _read_text(folder / "name")
+        serial = _read_text((folder / "device").resolve().parent / "serial")
+        path = _stable_path(root, device)
+        found.append(VideoDevice(path, str(device), name, serial, formats))
     return found
 
 
@@ -83,7 +72,7 @@ def _entries(
     number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
 ) -> Iterator[bytes]:
     """Yield the kernel's answers for index 0, 1, … to the last; `head` follows the index."""
-    for index in range(_MOST):
+    for index in range(_ENTRIES_MAX):
         data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
         try:
             ioctl(number, request, data)
@@ -120,13 +109,9 @@ def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl)
 def _stable_path(root: Path, device: Path) -> str:
     """Return a persistent device name: by serial number, or else by socket."""
     for folder in ("by-id", "by-path"):
-        names = [
-            link
-            for link in sorted((root / "dev/v4l" / folder).glob("*"))
-            if link.resolve() == device.resolve()
-        ]
-        if names:
-            return str(names[0])
+        for link in sorted((root / "dev/v4l" / folder).glob("*")):
+            if link.resolve() == device.resolve():
+                return str(link)
     return str(device)
 
 

@@ -76,11 +76,7 @@ class DynamixelBus:
     """Thread-safe bus at `port`. Raises DeviceError when the port is missing or taken."""
 
     def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
-        """Open the bus.
-
-        `reply_timeout`, s, is the allowance for a reply in addition to its transmission time. It
-        covers USB latency and return delay.
-        """
+        """Open the bus; `reply_timeout`, s: USB latency and return delay, without transmission."""
         self.name = port
         self._lock = threading.RLock()
         self._port = Port(port, reply_timeout)
@@ -108,13 +104,11 @@ class DynamixelBus:
     def read(self, servo: int, address: int, size: int, *, again: bool = False) -> Reply:
         """Read `size` bytes of one servo. Raises BusError.
 
-        `again`: the same read was requested just before. A late answer to it is then valid and need
-        not be discarded.
+        `again`: the same read was requested just before, so a late answer to it is valid.
         """
+        body = [2, *_bytes_of_word(address), *_bytes_of_word(size)]
         with self._transaction(servo, again=again):
-            return self._exchange(
-                servo, [2, *_bytes_of_word(address), *_bytes_of_word(size)], reply=size
-            )
+            return self._exchange(servo, body, reply=size)
 
     def write(self, servo: int, address: int, size: int, value: int) -> bool:
         """Write one register and return the alert bit of the status. Raises BusError."""
@@ -144,8 +138,7 @@ class DynamixelBus:
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
         """Read the same registers of several servos (sync or fast sync read).
 
-        Return the replies, and the errors of the other servos. Raises BusError only when the port
-        itself fails.
+        Return replies, and the errors of other servos. Raises BusError when the port fails.
         """
         self.request_many(servos, address, size, fast=fast)
         return self.answers(servos, size, fast=fast)
@@ -168,10 +161,8 @@ class DynamixelBus:
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
         """Return the servos' replies to `request_many` with the same arguments; see `read_many`."""
         with self._transaction(None, again=True):
-            if fast:
-                replies, failures = self._receive_fast(servos, size)
-            else:
-                replies, failures = self._receive_each(servos, size)
+            receive = self._receive_fast if fast else self._receive_each
+            replies, failures = receive(servos, size)
             self._dirty = bool(failures)
             return replies, failures
 
@@ -189,19 +180,13 @@ class DynamixelBus:
                 self._dirty = error.reason != "refused"
                 raise
             except _LOST as error:
-                raise BusError(
-                    f"servo port {self.name} is lost: {_one_line(error)}",
-                    servo=servo,
-                    reason="lost",
-                ) from error
+                what = f"servo port {self.name} is lost: {_one_line(error)}"
+                raise BusError(what, servo=servo, reason="lost") from error
             except (IndexError, ValueError, UnboundLocalError) as error:
                 # the SDK's parser on bad bytes
                 self._dirty = True
-                raise BusError(
-                    f"servo port {self.name}: unreadable reply ({type(error).__name__})",
-                    servo=servo,
-                    reason="corrupt",
-                ) from error
+                what = f"servo port {self.name}: unreadable reply ({type(error).__name__})"
+                raise BusError(what, servo=servo, reason="corrupt") from error
             finally:
                 self._port.is_using = False
 
@@ -245,11 +230,8 @@ class DynamixelBus:
             raise BusError(f"servo {servo} on {self.name} {what}", servo=servo, reason="refused")
         count = self._length(packet)
         if count != expected:
-            raise BusError(
-                f"servo {servo} on {self.name} sent {count} bytes instead of {expected}",
-                servo=servo,
-                reason="short",
-            )
+            what = f"servo {servo} on {self.name} sent {count} bytes instead of {expected}"
+            raise BusError(what, servo=servo, reason="short")
         return Reply(bytes(packet[_PARAMETERS : _PARAMETERS + count]), bool(error & ALERT))
 
     def _receive_each(
