@@ -122,32 +122,27 @@ def import_matplotlib() -> tuple[Any, Any]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MjtactileError(
-            "matplotlib is not installed: pip install 'mjtactile[plots]'"
-        ) from error
+        missing = "matplotlib is not installed: pip install 'mjtactile[plots]'"
+        raise MjtactileError(missing) from error
     return Figure, FigureCanvasAgg
 
 
 def _title(summary: Mapping[str, Any]) -> str:
     parts = [f"{summary.get('object', '?')}: {summary.get('outcome', '?')}"]
-    for key, label in (
-        ("hold_force_N", "hold"),
-        ("hold_force_true_N", "hold (true)"),
-        ("peak_force_true_N", "peak (true)"),
-    ):
+    labels = {"hold_force_N": "hold", "hold_force_true_N": "hold (true)"}
+    for key, label in (labels | {"peak_force_true_N": "peak (true)"}).items():
         if isinstance(summary.get(key), (int, float)) and np.isfinite(summary[key]):
             parts.append(f"{label} {summary[key]:.2f} N")
-    title = "   ·   ".join(
-        [*parts, f"sensor {summary.get('sensor', '?')}", f"seed {summary.get('seed', '?')}"]
-    )
-    return "\n".join([title, *([summary["reason"]] if summary.get("reason") else [])])
+    parts += [f"{key} {summary.get(key, '?')}" for key in ("sensor", "seed")]
+    title = "   ·   ".join(parts)
+    return f"{title}\n{summary['reason']}" if summary.get("reason") else title
 
 
 def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
     """Write the estimated force as text; synthetic touch has neither an image nor a surface."""
     axes.set_axis_off()
-    felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
-    text = f"{name}: synthetic touch\nnormal force {felt}"
+    force = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
+    text = f"{name}: synthetic touch\nnormal force {force}"
     axes.text(0.5, 0.5, text, ha="center", transform=axes.transAxes, fontsize=11)
 
 
@@ -160,9 +155,8 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
         width, height = (ellipses.center_px + 2 * ellipses.semi_axes_px[:, :1]).max(axis=0)
         axes.set_aspect("equal")
     if len(ellipses):
-        curves, _ = boundary(
-            ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60
-        )
+        shapes = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
+        curves, _ = boundary(ellipses.center_px, shapes, 60)
         gap = np.full((len(curves), 1, 2), np.nan)
         # each closed, all of them one line
         curves = np.concatenate([curves, curves[:, :1], gap], axis=1)
@@ -170,10 +164,8 @@ def _plot_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
         axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
     how = "fitted" if image.pixels.size else "(synthetic, no image)"
     axes.set_title(f"{title}: {len(ellipses)} ellipses {how}", fontsize=11)
-    axes.set_xlabel("u [px]")
-    axes.set_ylabel("v [px]")
-    axes.set_xlim(-0.5, width - 0.5)
-    axes.set_ylim(height - 0.5, -0.5)
+    limits = {"xlim": (-0.5, width - 0.5), "ylim": (height - 0.5, -0.5)}
+    axes.set(xlabel="u [px]", ylabel="v [px]", **limits)
 
 
 def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None:
@@ -190,47 +182,26 @@ def plot_surface_map(axes: Any, touch: Touch, unit: float | None = None) -> None
         return
     x, y = np.meshgrid(surface.x * _MM, surface.y * _MM)
     z = surface.z * _MM
-    axes.plot_surface(
-        x,
-        y,
-        z,
-        cmap="viridis",
-        linewidth=0.2,
-        edgecolor="#00000030",
-        rcount=30,
-        ccount=30,
-        alpha=0.9,
-        zorder=1,
-    )
+    edges = {"linewidth": 0.2, "edgecolor": "#00000030", "rcount": 30, "ccount": 30}
+    axes.plot_surface(x, y, z, cmap="viridis", **edges, alpha=0.9, zorder=1)
     low = min(float(z.min()), 0.0)
     high = max(float(z.max()), 1.0)
     length = 0.5 * (high - low)  # of the unit's arrow
     top = max(high, _plot_arrows(axes, touch, surface, length / unit))
     corner = (x.min(), y.min(), low)
-    axes.quiver(
-        *corner, 0, 0, length, color=_ARROW, linewidth=1.6, arrow_length_ratio=0.25, zorder=3
-    )
-    axes.text(
-        *corner[:2],
-        low + 1.1 * length,
-        f"{1e-3 * unit:g} kPa",
-        color=_ARROW,
-        fontsize=9,
-        zorder=3,
-        ha="center",
-    )
-    axes.set_xlabel("x [mm]")
-    axes.set_ylabel("y [mm]")
-    axes.set_zlabel("z [mm]")
+    style = {"color": _ARROW, "zorder": 3}
+    axes.quiver(*corner, 0, 0, length, linewidth=1.6, arrow_length_ratio=0.25, **style)
+    end = (*corner[:2], low + 1.1 * length)
+    axes.text(*end, f"{1e-3 * unit:g} kPa", fontsize=9, ha="center", **style)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
     axes.set_zlim(low, top + 0.05 * (high - low))
     axes.set_box_aspect((float(np.ptp(x)), float(np.ptp(y)), 0.6 * float(np.ptp(y))), zoom=0.93)
     axes.view_init(elev=38, azim=-62)
-    felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
-    axes.set_title(
-        "membrane, and traction with inverted sign\n"
-        f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
-        fontsize=11,
-    )
+    force = f"unknown: {touch.status}"
+    if touch.status == "ok":
+        force = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
+    title = f"membrane, and traction with inverted sign\nnormal force {force}"
+    axes.set_title(title, fontsize=11)
 
 
 def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finger: int) -> None:
@@ -240,15 +211,14 @@ def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finge
         axes.plot(*(_MM * piece.T), color=_TRUE_BODY, linewidth=2.0, zorder=4)
     for line in lines_of(shape):
         axes.plot(*(_MM * line.T), color="#111111", linewidth=1.3, zorder=5)
-    said = describe_shape(shape) + ("; ground truth orange" if len(true) else "")
-    axes.text2D(0.5, 0.98, said, transform=axes.transAxes, ha="center", va="top", fontsize=10)
+    text = describe_shape(shape) + ("; ground truth orange" if len(true) else "")
+    axes.text2D(0.5, 0.98, text, transform=axes.transAxes, ha="center", va="top", fontsize=10)
 
 
 def arrow_unit(touch: Sequence[Touch]) -> float:
     """Return the traction of the scale arrow, Pa: a round value up to the largest estimate."""
-    largest = max(
-        (float(np.linalg.norm(_tractions(t), axis=-1).max(initial=0.0)) for t in touch), default=0.0
-    )
+    norms = (np.linalg.norm(_tractions(one), axis=-1) for one in touch)
+    largest = max((float(norm.max(initial=0.0)) for norm in norms), default=0.0)
     if largest <= 0:
         return 1000.0
     decade = 10.0 ** np.floor(np.log10(largest))
@@ -259,13 +229,9 @@ def _tractions(touch: Touch) -> Array:
     """Force per area (ny, nx, 3) Pa at the nodes in contact, zero elsewhere."""
     traction = touch.traction
     contact = touch.contact
-    if (
-        traction is None
-        or contact is None
-        or not touch.touching
-        or not traction.force.size
-        or contact.mask.shape != traction.force.shape[:2]
-    ):
+    if traction is None or contact is None or not touch.touching or not traction.force.size:
+        return np.zeros((1, 1, 3))
+    if contact.mask.shape != traction.force.shape[:2]:
         return np.zeros((1, 1, 3))
     area = float(np.diff(traction.x).mean() * np.diff(traction.y).mean())
     return np.where(contact.mask[..., None], np.nan_to_num(traction.force), 0.0) / area
@@ -305,27 +271,19 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
     if len(time) == 0:
         axes.text(0.5, 0.5, "no cycle was recorded", ha="center", transform=axes.transAxes)
         return
-    estimated, sd, true = (
-        recording.column(key) for key in ("force_normal", "force_normal_sd", "force_normal_true")
-    )
+    keys = ("force_normal", "force_normal_sd", "force_normal_true")
+    estimated, sd, true = map(recording.column, keys)
+    dashed = {"linewidth": 1.4, "linestyle": (0, (4, 2))}
     for i, (name, colour) in enumerate(zip(recording.fingers, FINGER_COLOURS, strict=False)):
         low = estimated[:, i] - 2 * sd[:, i]
         high = estimated[:, i] + 2 * sd[:, i]
         axes.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0)
         axes.plot(time, estimated[:, i], color=colour, linewidth=1.8, label=f"{name}: felt ± 2 sd")
         if np.isfinite(true[:, i]).any():
-            axes.plot(
-                time,
-                true[:, i],
-                color=colour,
-                linewidth=1.4,
-                linestyle=(0, (4, 2)),
-                label=f"{name}: true",
-            )
+            axes.plot(time, true[:, i], color=colour, label=f"{name}: true", **dashed)
     values = np.concatenate([estimated.ravel(), true.ravel()])
-    top = _sample_break_force(
-        axes, recording.notes.get("break_force_N"), 1.35 * float(np.nanmax(values, initial=0.2))
-    )
+    top = 1.35 * float(np.nanmax(values, initial=0.2))
+    top = _plot_break_force(axes, recording.notes.get("break_force_N"), top)
     axes.set_ylim(min(-0.05 * top, 1.1 * float(np.nanmin(values, initial=0.0))), top)
     axes.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     _shade_phases(axes, recording)
@@ -335,22 +293,14 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
     axes.legend(loc="upper left", ncols=3, fontsize=9, framealpha=0.9)
 
 
-def _sample_break_force(axes: Any, force: Any, top: float) -> float:
+def _plot_break_force(axes: Any, force: Any, top: float) -> float:
     """Plot the break force, or a note if it is too high; return the upper limit."""
     if not isinstance(force, (int, float)) or not np.isfinite(force):
         return top
     if force > 2.5 * top:
-        axes.text(
-            0.995,
-            0.97,
-            f"object breaks at {force:g} N  \u2191",
-            transform=axes.transAxes,
-            ha="right",
-            va="top",
-            color="#b00020",
-            fontsize=10,
-            fontweight="bold",
-        )
+        at = {"transform": axes.transAxes, "ha": "right", "va": "top"}
+        style = {"color": "#b00020", "fontsize": 10, "fontweight": "bold"}
+        axes.text(0.995, 0.97, f"object breaks at {force:g} N  \u2191", **at, **style)
         return top
     axes.axhline(force, color="#b00020", linewidth=1.4, label=f"object breaks at {force:g} N")
     return max(top, 1.25 * force)
@@ -363,15 +313,7 @@ def _shade_phases(axes: Any, recording: Recording) -> None:
         if name == "done":
             continue  # it is the one cycle that ends the run
         axes.axvspan(start, end, color=PHASE_COLOURS.get(name, "#eeeeee"), zorder=0, linewidth=0)
-        turn = 0 if end - start > 0.07 * duration else 40
-        axes.text(
-            (start + end) / 2,
-            1.015,
-            name,
-            transform=axes.get_xaxis_transform(),
-            rotation=turn,
-            ha="center" if turn == 0 else "left",
-            va="bottom",
-            fontsize=9.5,
-            color="#333333",
-        )
+        rotation = 0 if end - start > 0.07 * duration else 40
+        align = {"rotation": rotation, "ha": "left" if rotation else "center", "va": "bottom"}
+        style = {"transform": axes.get_xaxis_transform(), "fontsize": 9.5, "color": "#333333"}
+        axes.text((start + end) / 2, 1.015, name, **align, **style)

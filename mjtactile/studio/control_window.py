@@ -134,31 +134,31 @@ class ControlWindow(plugin.ViewerPlugin):
         state = moment.session
         limits = session.rig.limits
         assert state is not None
-        wish = show.wish
-        changed, on = imgui.Checkbox("override the controller", wish is not None)
+        goal = show.manual_goal
+        changed, on = imgui.Checkbox("override the controller", goal is not None)
         if changed:
-            show.wish = ManualGoal(state.opening, state.lift_height) if on else None
-        if wish is None or not on:
+            show.manual_goal = ManualGoal(state.opening, state.lift_height) if on else None
+        if goal is None or not on:
             return
         maximum = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
-        squeezes = math.isfinite(wish.force)
+        squeezes = math.isfinite(goal.force)
         imgui.BeginDisabled(squeezes)
         _, opening = imgui.SliderFloat(
-            "opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * maximum[0], "%.1f"
+            "opening, mm", 1e3 * goal.opening, 1e3 * limits.opening[0], 1e3 * maximum[0], "%.1f"
         )
         imgui.EndDisabled()
         _, lift = imgui.SliderFloat(
-            "lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * maximum[1], "%.1f"
+            "lift, mm", 1e3 * goal.lift_height, 0.0, 1e3 * maximum[1], "%.1f"
         )
         changed, squeezes = imgui.Checkbox("regulate the force", squeezes)
-        force = (0.5 if changed else wish.force) if squeezes else math.nan
+        force = (0.5 if changed else goal.force) if squeezes else math.nan
         if squeezes:
             _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")
         if changed and not squeezes:
             opening = 1e3 * state.opening
         now = ManualGoal(1e-3 * opening, 1e-3 * lift, force)
-        if now != wish:
-            show.wish = now
+        if now != goal:
+            show.manual_goal = now
 
     def _build_next(self) -> None:
         """Build the controls for object, seed, accuracy and effects of the next world."""

@@ -68,19 +68,19 @@ def _towards(start: float, goal: float, maximum: float) -> float:
 
 
 class ManualControl:
-    """A controller with manual override: while there is a `wish`, the controller does not run."""
+    """A controller that does not run while there is a `manual_goal`."""
 
     def __init__(self, controller: LoadedController):
         self._controller = controller
         self.reads = getattr(controller, "reads", ())
-        self.wish: ManualGoal | None = None
+        self.manual_goal: ManualGoal | None = None
 
     @property
     def path(self) -> Path:
         return self._controller.path
 
     def step(self, observation: Observation) -> Command:
-        wish = self.wish
-        if wish is None:
+        manual_goal = self.manual_goal
+        if manual_goal is None:
             return self._controller.step(observation)
-        return wish.command(observation)
+        return manual_goal.command(observation)

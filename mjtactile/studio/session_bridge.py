@@ -70,8 +70,8 @@ class SessionBridge(Observer):
         self.closed = threading.Event()
         self.pull: Array | None = None
         """Wrenches (bodies, 6) of the mouse on MuJoCo bodies from now on, N and N m."""
-        self._wish: ManualGoal | None = None
-        self._hand: ManualControl | None = None
+        self._manual_goal: ManualGoal | None = None
+        self._manual: ManualControl | None = None
         self._single = False
         self._halted = False
         self._flagged: set[str] = set()
@@ -96,9 +96,9 @@ class SessionBridge(Observer):
 
     def take_over(self, controller: LoadedController) -> LoadedController:
         """Return the controller, wrapped so that manual control can override it."""
-        self._hand = ManualControl(controller)
-        self._hand.wish = self._wish
-        return self._hand
+        self._manual = ManualControl(controller)
+        self._manual.manual_goal = self._manual_goal
+        return self._manual
 
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
@@ -177,15 +177,15 @@ class SessionBridge(Observer):
         return self.session is None or not math.isfinite(self.session.rig.host_timeout)
 
     @property
-    def wish(self) -> ManualGoal | None:
+    def manual_goal(self) -> ManualGoal | None:
         """Manual goal that replaces the controller's commands; None: the controller runs."""
-        return self._wish
+        return self._manual_goal
 
-    @wish.setter
-    def wish(self, wish: ManualGoal | None) -> None:
-        self._wish = wish
-        if self._hand is not None:
-            self._hand.wish = wish
+    @manual_goal.setter
+    def manual_goal(self, manual_goal: ManualGoal | None) -> None:
+        self._manual_goal = manual_goal
+        if self._manual is not None:
+            self._manual.manual_goal = manual_goal
 
     def halt(self) -> None:
         """Execute the red button: the supervisor lowers and opens the gripper."""

@@ -1,7 +1,4 @@
-"""`summary.html` of a run: one file that needs no network.
-
-It shows zoomable curves, images with a slider, and rotatable membranes.
-"""
+"""`summary.html` of a run, without network: curves, images with a slider, rotatable membranes."""
 
 from __future__ import annotations
 
@@ -62,10 +59,9 @@ def write_page(
     summary: Mapping[str, Any],
     snapshot: Seen | None = None,
 ) -> None:
-    """Write the HTML page of a run to `path`.
+    """Write the HTML page of a run to `path`, with the command's `summary`.
 
-    It shows the `recording` and the `strip` of cycles with their scenes (`recording.strip`). It
-    also shows the `summary` that the command printed. The page opens at the cycle `snapshot`.
+    The `strip` are cycles with their scenes. The page opens at the cycle `snapshot`.
     """
     page = document(_title(summary), _body(recording, strip, summary, snapshot), style=_STYLE)
     part = path.with_name(path.name + ".part")
@@ -85,16 +81,14 @@ def _body(
 ) -> Iterator[str]:
     yield f"<h1>{escape(_title(summary))}</h1>"
     yield f'<div class="columns">{_facts(summary)}{_fingers(recording)}</div>'
-    yield _doubts(recording)
+    yield _flags(recording)
     if len(recording):
         data = page_data(recording, strip, snapshot)
         yield _curves(data)
         yield _moment(data, scene=any(shot["scene"] for shot in data["shots"]))
         yield f'<script type="application/json" id="data">{_safe(data)}</script>'
-        yield from (
-            f"<script>{(Path(__file__).parent / name).read_text(encoding='utf-8')}</script>"
-            for name in _SCRIPTS
-        )
+        scripts = [Path(__file__).parent / name for name in _SCRIPTS]
+        yield from (f"<script>{path.read_text(encoding='utf-8')}</script>" for path in scripts)
     else:
         yield "<p>The run ended before the first cycle.</p>"
     yield _simulated(recording)
@@ -103,9 +97,8 @@ def _body(
 
 def _safe(value: Any) -> str:
     """JSON that no text in it can end as a script."""
-    return json.dumps(to_json(value), allow_nan=False, separators=(",", ":")).replace(
-        "<", "\\u003c"
-    )
+    text = json.dumps(to_json(value), allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c")
 
 
 def _facts(summary: Mapping[str, Any]) -> str:
@@ -115,21 +108,17 @@ def _facts(summary: Mapping[str, Any]) -> str:
         for key, label, unit in _FACTS
         if _is_known_kind(summary.get(key))
     ]
-    rows += [
-        [escape(kind), f"{100 * share:.0f} %"]
-        for kind, share in summary.get("probability", {}).items()
-    ]
+    probability = summary.get("probability", {})
+    rows += [[escape(kind), f"{100 * p:.0f} %"] for kind, p in probability.items()]
     return table([], rows)
 
 
-def _doubts(recording: Recording) -> str:
+def _flags(recording: Recording) -> str:
     """Return the table of reasons for reduced simulation accuracy."""
     if not recording.flags:
         return ""
-    return (
-        "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces.</p>"
-        f"{flag_table(recording.flags)}"
-    )
+    text = "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces.</p>"
+    return text + flag_table(recording.flags)
 
 
 def _is_known_kind(value: Any) -> bool:

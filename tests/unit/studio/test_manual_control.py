@@ -1,4 +1,4 @@
-"""A person's hand in place of the controller."""
+"""A person's control in place of the controller."""
 
 import math
 from pathlib import Path
@@ -20,9 +20,9 @@ def observe(command, force=0.0, opening=None):
     return Observation(0.0, PERIOD, (touch, touch), state, (), command)
 
 
-def run(wish, command, cycles, squeeze=lambda opening: 0.0):
+def run(manual_goal, command, cycles, squeeze=lambda opening: 0.0):
     for _ in range(cycles):
-        command = wish.command(observe(command, squeeze(command.opening)))
+        command = manual_goal.command(observe(command, squeeze(command.opening)))
     return command
 
 
@@ -58,12 +58,12 @@ def test_a_force_that_is_not_known_moves_nothing():
 
 
 def test_the_controller_is_asked_while_nothing_is_wished():
-    hand = ManualControl(
+    manual = ManualControl(
         SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
     )
     seen = observe(Command(0.05, 4.0))
-    assert hand.path == Path("mine.py") and hand.step(seen).opening == 0.01
-    hand.wish = ManualGoal(0.05, 0.0)
-    assert hand.step(seen).opening == 0.05
-    hand.wish = None
-    assert hand.step(seen).opening == 0.01
+    assert manual.path == Path("mine.py") and manual.step(seen).opening == 0.01
+    manual.manual_goal = ManualGoal(0.05, 0.0)
+    assert manual.step(seen).opening == 0.05
+    manual.manual_goal = None
+    assert manual.step(seen).opening == 0.01

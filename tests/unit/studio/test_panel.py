@@ -264,17 +264,17 @@ def test_the_desk_asks_the_session(gui, show):
         0
     ][1]
     do("override the controller", True)
-    assert show.wish.opening == show.moment().session.opening
+    assert show.manual_goal.opening == show.moment().session.opening
     do("opening, mm", 40.0)
     do("lift, mm", 20.0)
-    assert (show.wish.opening, show.wish.lift_height) == (0.04, 0.02) and math.isnan(
-        show.wish.force
+    assert (show.manual_goal.opening, show.manual_goal.lift_height) == (0.04, 0.02) and math.isnan(
+        show.manual_goal.force
     )
     do("regulate the force", True)
     do("felt, N", 1.5)
-    assert show.wish.force == 1.5
+    assert show.manual_goal.force == 1.5
     do("override the controller", False)
-    assert show.wish is None
+    assert show.manual_goal is None
     gui.want("pause")
     build(plugin)
     assert show.paused

@@ -174,7 +174,11 @@ def test_a_grasp_shows_its_scene_and_obeys():
         for valve in show.session.rig.valves:
             valve.open(500.0)
 
-    actions = {3: lambda: setattr(show, "wish", ManualGoal(0.075, 0.01)), 10: supply, 20: show.halt}
+    actions = {
+        3: lambda: setattr(show, "manual_goal", ManualGoal(0.075, 0.01)),
+        10: supply,
+        20: show.halt,
+    }
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
         controller = show.take_over(load_controller("gentle"))
         run_grasp(Scenario(), [show, CountingObserver()], controller=controller, workers=0)
