@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import setting_sensitivity
-from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, RecordedPress, feel
+from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, RecordedPress, estimate_presses
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.optics import Camera
@@ -152,12 +152,12 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
     images = pictures(presses, presses[0])
     presses += [torn(force) for force in TORN_FORCES]
-    felt, seen = feel(presses, DEFAULTS), locate(images, DEFAULTS)
+    felt, seen = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
     rows = []
     for name, factor, value in todo[: 2 if quick else None]:
         settings = DEFAULTS.override({name: value})
         row = {"name": name, "factor": factor, "value": value}
-        row |= setting_sensitivity.touch_change(felt, feel(presses, settings))
+        row |= setting_sensitivity.touch_change(felt, estimate_presses(presses, settings))
         row |= change(seen, locate(images, settings))
         rows.append(row)
     return {"rows": rows}

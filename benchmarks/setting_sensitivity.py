@@ -117,7 +117,7 @@ def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> 
     return RecordedPress(design, flat, rest, gauge, images)
 
 
-def feel(presses: Sequence[RecordedPress], settings: Settings) -> TouchResult:
+def estimate_presses(presses: Sequence[RecordedPress], settings: Settings) -> TouchResult:
     """All presses by chains with these settings; where a reference is refused, no force."""
     rows: list[tuple[Any, ...]] = []
     for press in presses:
@@ -286,7 +286,7 @@ def _prepare(quick: bool) -> None:
     presses = [record(*press) for press in (PRESSES[:1] if quick else PRESSES)]
     images = pictures(presses)
     _GIVEN.update(
-        presses=presses, images=images, felt=feel(presses, DEFAULTS), seen=look(images, DEFAULTS)
+        presses=presses, images=images, felt=estimate_presses(presses, DEFAULTS), seen=look(images, DEFAULTS)
     )
 
 
@@ -296,7 +296,7 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
     stage = name.rpartition(".")[0]
     row: dict[str, Any] = {"name": name, "factor": factor, "value": value}
     if stage not in RENDER_STAGES:
-        row |= touch_change(_GIVEN["felt"], feel(_GIVEN["presses"], settings))
+        row |= touch_change(_GIVEN["felt"], estimate_presses(_GIVEN["presses"], settings))
     if stage in (*RENDER_STAGES, *IMAGE_STAGES):
         row |= image_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
     return row

@@ -53,7 +53,7 @@ def test_press_feels_what_the_load_cell_reads(capsys):
     assert 13 < shape["radius_mm"] < 19  # estimate of a radius of 16 on a mesh of 13 x 11 vertices
     low, high = shape["area_interval_mm2"]
     assert 0 < low < shape["area_mm2"] < high
-    assert "13 x 11" in result["flags"]["shape"]
+    assert "13 x 11" in result["flags"]["shape"]["reason"]
 
 
 def test_open_valve_keeps_the_pressure(capsys):
