@@ -20,7 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import setting_sensitivity
-from benchmarks.setting_sensitivity import FACTORS, INTERVAL, REFERENCE_IMAGES, RecordedPress, estimate_presses
+from benchmarks.setting_sensitivity import (
+    FACTORS,
+    INTERVAL,
+    REFERENCE_IMAGES,
+    RecordedPress,
+    estimate_presses,
+)
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.optics import Camera

@@ -286,7 +286,10 @@ def _prepare(quick: bool) -> None:
     presses = [record(*press) for press in (PRESSES[:1] if quick else PRESSES)]
     images = pictures(presses)
     _GIVEN.update(
-        presses=presses, images=images, felt=estimate_presses(presses, DEFAULTS), seen=look(images, DEFAULTS)
+        presses=presses,
+        images=images,
+        felt=estimate_presses(presses, DEFAULTS),
+        seen=look(images, DEFAULTS),
     )
 
 
