@@ -14,6 +14,7 @@ differences and active sets (Hintermueller, Ito, Kunisch 2003).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +30,14 @@ _TINY = 1e-9  # of a cell's pressure, and m
 
 @dataclass(frozen=True, eq=False)
 class ObstacleContact:
-    """Solution: heights `w` (nx, ny) m, contact fraction `share` and `force` N of each cell of
-    `spacing` m.
+    """Solution: heights `w` (nx, ny) m on `obstacle` (nx, ny) m, contact fraction `share` and
+    `force` N of each cell of `spacing` m.
 
     `settled` is True if the active set converged.
     """
 
     w: Array
+    obstacle: Array
     share: Array
     force: Array
     spacing: float
@@ -43,12 +45,29 @@ class ObstacleContact:
 
     @property
     def area(self) -> float:
-        """Area of the membrane in contact, m^2."""
-        slopes = np.gradient(self.w, self.spacing)
-        return (
-            float((self.share * np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)).sum())
-            * self.spacing**2
-        )
+        """Area of the membrane in contact, m^2. Its slopes are at most those of the obstacle."""
+        squares = [
+            np.minimum(np.abs(slope), _steepest(self.obstacle, self.spacing, axis)) ** 2
+            for axis, slope in enumerate(np.gradient(self.w, self.spacing))
+        ]
+        return float((self.share * np.sqrt(1 + squares[0] + squares[1])).sum()) * self.spacing**2
+
+
+def _steepest(obstacle: Array, spacing: float, axis: int) -> Array:
+    """Return the larger slope (nx, ny) between a node and its neighbors along `axis`; 0 without any
+    on the obstacle."""
+    solid = np.isfinite(obstacle)
+    heights = np.where(solid, obstacle, 0.0)
+    both = np.logical_and(*_pairs(solid, axis))
+    slopes = np.where(both, np.abs(np.diff(heights, axis=axis)) / spacing, 0.0)
+    edge = np.zeros_like(heights.take([0], axis=axis))
+    return np.maximum(*_pairs(np.concatenate([edge, slopes, edge], axis=axis), axis))
+
+
+def _pairs(field: NDArray[Any], axis: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return each node's value and that of its successor along `axis`, without the last node."""
+    along = np.moveaxis(field, axis, 0)
+    return np.moveaxis(along[:-1], 0, axis), np.moveaxis(along[1:], 0, axis)
 
 
 def solve_contact(
@@ -89,7 +108,7 @@ def solve_contact(
     share = np.where(q > 0, _share(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable]
     fields = np.zeros((3, *inside.shape))
     fields[:, inside] = w, share, tension * q
-    return ObstacleContact(fields[0], fields[1], fields[2], spacing, settled)
+    return ObstacleContact(fields[0], obstacle, fields[1], fields[2], spacing, settled)
 
 
 def _carry(

@@ -22,7 +22,8 @@ from mjtactile.sim.sensor.mesh import MarkerInterpolator
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
 _LENGTH = 0.03  # length of a cylinder along its axis, m
 _CLEARANCE = 0.002  # initial height of the indenter above first touch, m
-AWAY = 0.05  # retracted height of the drive above the world's origin, m: clear of any bulge
+_AWAY = 0.05  # minimum retracted height of the drive above the world's origin, m
+_CLEAR = 0.01  # minimum initial distance of the indenter from the flat membrane, m: above any bulge
 # settling speed, m/s: by the solver's tolerance, vertices in contact keep moving this fast; the
 # force changes by 0.1 %
 _STILL = 2e-4
@@ -136,7 +137,8 @@ class PressWorld(World):
             spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects
         )
         self.design = attachment.design
-        body = carrier.add_body(name="indenter", pos=[*at, AWAY], gravcomp=1.0)
+        self.start_height = max(_AWAY, _reach(indenter) + _CLEAR)
+        body = carrier.add_body(name="indenter", pos=[*at, self.start_height], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
             drive = spec.add_actuator(
@@ -228,7 +230,7 @@ class PressWorld(World):
 
     def lift_off(self) -> None:
         """Move the indenter to a position without contact."""
-        self._place(AWAY)
+        self._place(_AWAY)
 
     def _find_touch(self) -> None:
         """Lower the indenter onto the smooth membrane of the markers, then raise it by a clearance.
@@ -244,7 +246,7 @@ class PressWorld(World):
             )
         points = self._surface.marker_poses(sensor.p_SV)[0]
         probe = int(sensor.vertex_geom_ids[0])
-        height = AWAY
+        height = _AWAY
         R_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy()
         p_WS = self.data.xpos[sensor.body_id].copy()
         for _ in range(50):
@@ -272,6 +274,17 @@ class PressWorld(World):
         self.data.qpos[self._joints[1]] = height
         self.set_control(self._z, height)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _reach(indenter: Indentations) -> float:
+    """Return the distance of the indenter's farthest point from its origin, m, or an upper bound of
+    it."""
+    spec = mujoco.MjSpec()
+    indenter.add_to(spec, spec.worldbody.add_body())
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return float((np.linalg.norm(data.geom_xpos, axis=1) + model.geom_rbound).max())
 
 
 def _subtree(model: mujoco.MjModel, root: int) -> list[int]:

@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.recording.stage_protocol import Move
-from mjtactile.sim.scenes.indentation import AWAY, PressWorld
+from mjtactile.sim.scenes.indentation import PressWorld
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, read_spec
 
 LIFTED = -2e-3  # depth relative to first touch, m: no contact
@@ -116,7 +116,7 @@ class ObjectOnStageWorld(PressWorld):
     def p_SH(self) -> Array:
         """Position (3,) m of the holder's origin in S, as the stage shows it."""
         drive = [self.data.qpos[joint] for joint in self._joints]
-        return np.array([drive[0], 0.0, drive[1] + AWAY]) + [
+        return np.array([drive[0], 0.0, drive[1] + self.start_height]) + [
             *self.model.body_pos[self._body, :2],
             0.0,
         ]

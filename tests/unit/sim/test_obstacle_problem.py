@@ -85,3 +85,19 @@ def test_contact_area_of_a_face_and_of_nothing():
     world.lift_off()
     world.step(5)
     assert ground_truth.contact_area(world, 0) == 0.0
+
+
+@pytest.mark.parametrize("depth", [8e-3, 13e-3])
+def test_the_contact_area_is_at_most_that_of_the_lower_half_of_the_ball(depth):
+    # the membrane beside a deep ball is steeper than the ball
+    world = PressWorld("dense", Indenter("sphere", 5e-3))
+    world.inflate(world.design.chamber.supply_gauge, seal=True)
+    world.press(depth)
+    assert 0 < ground_truth.contact_area(world, 0) <= 2 * np.pi * 5e-3**2
+
+
+def test_the_contact_area_of_a_box_is_its_face():
+    x, y, inside = grid(2e-4)
+    height = np.where(np.maximum(np.abs(x), np.abs(y)) < 5e-3, 0.0, np.inf)
+    contact = solve_contact(height, inside, 2e-4, pressure=4e3, tension=60.0, force=3.0)
+    assert contact.area == pytest.approx((height == 0).sum() * 2e-4**2)
