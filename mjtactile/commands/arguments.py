@@ -170,6 +170,17 @@ def pair(text: str) -> tuple[float, float]:
     return x, y
 
 
+def mesh(text: str) -> tuple[int, int]:
+    """Read "NXxNY"."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isascii() and part.isdigit() for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of vertices NXxNY")
+    counts = [int(part[:6]) for part in parts]
+    if not all(5 <= count <= 101 for count in counts):
+        raise argparse.ArgumentTypeError(f"{text!r}: each side has 5 to 101 vertices")
+    return counts[0], counts[1]
+
+
 def values(text: str) -> list[float]:
     """Read "2", or the range "0:4:0.5" (both ends included)."""
     try:

@@ -30,8 +30,8 @@ JSON: {"sensor", "object", "effects": [{"effect", "kind", "on", "built", "why",
 SHARED = (
     arg.option(
         "--accuracy 0.02N|realtime",
-        "coarsest simulation with this force error or real-time factor (default: a mesh of "
-        "13 x 11)",
+        "coarsest simulation with this force error or real-time factor (default: the command's "
+        "own mesh)",
         "",
     ),
     arg.option(

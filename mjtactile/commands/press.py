@@ -31,7 +31,8 @@ examples:
   mjtactile press --indenter sphere:8 --position-mm -5,3 --depth-mm 2 --shear-mm 1 --valve open
   mjtactile press --indenter part.stl --tilt-deg 10 --depth-mm 0.5:3:0.5 --out runs/part
 
-JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
+JSON: {"sensor": …, "mesh": [nx, ny],
+"steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
 on the membrane, frame S: z is negative under load), "wrench_estimated" (force N, torque N m
 about the frame center), "force_estimated_sd_N", "drive_force_N" (load cell on the drive),
 "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (penetration of the simulated
@@ -69,6 +70,12 @@ ARGUMENTS = (
     ),
     arg.option("--seed N", "seed of the camera noise", 0, type=arg.whole(0)),
     *effects.SHARED,
+    arg.option(
+        "--mesh NXxNY",
+        "vertices of the simulated membrane along x and y (default: that of --accuracy, or one "
+        "fine enough for the contact shape, 25x21 for most sensors)",
+        type=arg.mesh,
+    ),
     effects.ESTIMATE,
     arg.out("write press.json and press.png there"),
 )
@@ -76,7 +83,7 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.experiments.fidelity_options import simulation_of
-    from mjtactile.experiments.indentation import IndentationPlan, Indenter, press
+    from mjtactile.experiments.indentation import IndentationPlan, Indenter, press, with_shape_mesh
 
     design = load_sensor(options.sensor)
     _check(options, design)
@@ -88,14 +95,16 @@ def run(options: argparse.Namespace) -> int:
         1e-3 * options.shear_mm,
         sealed=options.valve == "closed",
     )
-    design, simulation = simulation_of(design, options.accuracy, options.effects)
+    say = Progress(quiet=options.json).message
+    design, simulation = simulation_of(design, options.accuracy, options.effects, options.mesh)
+    simulation = with_shape_mesh(design, simulation, say)
     with optional_folder(options.out, "press.json", "press.png") as out:
         with stdout_to_stderr():
             result = press(
                 design,
                 plan,
                 seed=options.seed,
-                say=Progress(quiet=options.json).message,
+                say=say,
                 error_estimate=options.error_estimate,
                 **simulation,
             )
@@ -153,7 +162,7 @@ def _shape_line(shape: dict[str, Any]) -> str:
     if shape["kind"] == "unknown":
         return f"shape unknown: {shape['status']}"
     share = shape["probabilities"][shape["kind"]]
-    words = [f"shape: {shape['family']} ({100 * share:.0f} % {shape['kind']})"]
+    words = [f"shape: {shape['kind']} ({100 * share:.0f} %), best model {shape['family']}"]
     if shape["radius_mm"] is not None:
         words.append(f"radius {shape['radius_mm']:.1f} +- {shape['radius_sd_mm']:.1f} mm")
     elif shape["kind"] == "smooth":

@@ -109,7 +109,7 @@ _KINDS = (
         "shape",
         "`press` only: the simulated membrane is too coarse for the contact shape",
         "the mesh bends at its vertices only",
-        "`--accuracy 0.005N`",
+        "`press --mesh` with the numbers in the flag's reason",
         Cadence.START,
     ),
     FlagKind(

@@ -33,12 +33,15 @@ def effects_of(
 
 
 def simulation_of(
-    design: SensorDesign, accuracy: str, overrides: str
+    design: SensorDesign, accuracy: str, overrides: str, mesh: tuple[int, int] | None = None
 ) -> tuple[SensorDesign, dict[str, Any]]:
-    """Return the sensor with its effects, and effects, mesh and time step of its world."""
+    """Return the sensor with its effects, and effects, mesh and time step of its world. `mesh`
+    replaces that of the required accuracy."""
     fidelity = _fidelity(accuracy)
     effects = choose(design, force_error=_force_error(fidelity), overrides=overrides).on
     how = {} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep}
+    if mesh is not None:
+        how["mesh"] = mesh
     return set_design(design, effects), {"effects": effects} | how
 
 

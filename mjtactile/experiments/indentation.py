@@ -19,8 +19,10 @@ from mjtactile.core.types import ContactShape, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.runtime.discretization_error import press_errors
 from mjtactile.sim import ground_truth
+from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.sensor.mesh import make_mesh
 
 _COARSEST = 1.7e-3  # vertex spacing, m; marker heights are then 25 um off, as from pixel noise
 _NOWHERE = Indenter("sphere", 1e-3)
@@ -111,8 +113,8 @@ def press(
             f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, estimated "
             f"{-steps[-1]['force_estimated_N'][2]:.3f} N"
         )
+    grid = world.sensors[0].mesh
     if error_estimate:
-        grid = world.sensors[0].mesh
         errors = press_errors(
             lambda m, t: _bare_steps(design, plan, m, simulation | {"timestep": t}),
             steps,
@@ -122,7 +124,13 @@ def press(
         for step, error in zip(steps, errors, strict=True):
             step["force_error_estimate_N"] = error
     shape = shape_report(view.perception.shape(touches))
-    return {"sensor": design.name, "steps": steps, "shape": shape, "flags": world.flags}
+    return {
+        "sensor": design.name,
+        "mesh": [grid.nx, grid.ny],
+        "steps": steps,
+        "shape": shape,
+        "flags": world.flags,
+    }
 
 
 def shape_report(shape: ContactShape) -> dict[str, Any]:
@@ -166,16 +174,61 @@ def shape_report(shape: ContactShape) -> dict[str, Any]:
     }
 
 
+def shape_mesh(design: SensorDesign) -> tuple[int, int]:
+    """Return the number of vertices along x and y that contact shapes require.
+
+    Args:
+        design: Sensor.
+
+    Returns:
+        The default mesh, with its spacing halved until it is at most 1.7 mm.
+    """
+    frame = design.frame
+    nx, ny = default_mesh(design)
+    while (
+        2 * max(nx, ny) - 1 <= 101
+        and make_mesh(frame.length, frame.width, nx, ny, outline=frame.outline).spacing > _COARSEST
+    ):
+        nx, ny = 2 * nx - 1, 2 * ny - 1
+    return nx, ny
+
+
+def with_shape_mesh(
+    design: SensorDesign, simulation: dict[str, Any], say: Say = lambda _: None
+) -> dict[str, Any]:
+    """Return the settings with the mesh that contact shapes require, unless they have a mesh.
+
+    Args:
+        design: Sensor.
+        simulation: Settings of the world, with its `effects`.
+        say: Receiver of a message about the mesh and its cost.
+
+    Returns:
+        The settings; unchanged without the effect "mesh".
+    """
+    if "mesh" in simulation or Effect.SHEET not in simulation["effects"]:
+        return simulation
+    nx, ny = shape_mesh(design)
+    coarse = default_mesh(design)
+    if (nx, ny) != coarse:
+        say(
+            f"mesh of {nx} x {ny} vertices for the contact shape; for forces alone "
+            f"--mesh {coarse[0]}x{coarse[1]} is sufficient and about 1.5 times as fast"
+        )
+    return simulation | {"mesh": (nx, ny)}
+
+
 def _coarse(world: PressWorld) -> Reasons:
     """Return a flag if the mesh of the simulated membrane is too coarse for the contact shape."""
     mesh = world.sensors[0].mesh
     if mesh.spacing <= _COARSEST:
         return {}
+    nx, ny = shape_mesh(world.design)
     return {
         "shape": (
             f"the simulated membrane bends only at its vertices, {1e3 * mesh.spacing:.1f} mm "
-            f"apart on {mesh.nx} x {mesh.ny}, which limits the contact shape; a finer mesh "
-            "(--accuracy 0.005N) has the shape of real rubber"
+            f"apart on {mesh.nx} x {mesh.ny}, which limits the contact shape; --mesh {nx}x{ny} "
+            "has the shape of real rubber"
         )
     }
 

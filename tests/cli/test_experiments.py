@@ -5,6 +5,7 @@ import json
 import pytest
 
 from mjtactile.cli import main
+from mjtactile.commands.press import _shape_line
 
 
 def run_json(capsys, *args):
@@ -50,10 +51,37 @@ def test_press_feels_what_the_load_cell_reads(capsys):
     )
     shape = result["shape"]
     assert shape["kind"] == "smooth"
-    assert 13 < shape["radius_mm"] < 19  # estimate of a radius of 16 on a mesh of 13 x 11 vertices
+    assert 13 < shape["radius_mm"] < 19
     low, high = shape["area_interval_mm2"]
     assert 0 < low < shape["area_mm2"] < high
-    assert "13 x 11" in result["flags"]["shape"]["reason"]
+    assert "shape" not in result["flags"]
+
+
+def test_press_simulates_a_mesh_that_has_the_shape_it_reports(capsys):
+    press = ("press", "--indenter", "sphere:5.3")
+    fine = run_json(capsys, *press)
+    assert fine["mesh"] == [25, 21] and not fine["flags"]
+    # 10 % is one standard deviation of the radius; a mesh of 13 x 11 is 15 % off
+    assert fine["shape"]["radius_mm"] == pytest.approx(5.3, rel=0.1)
+    area = fine["steps"][-1]["contact_area_true_mm2"]
+    assert fine["shape"]["area_mm2"] == pytest.approx(area, rel=0.1)
+    # an explicit mesh is kept, and the advice of its flag is the mesh without a flag
+    coarse = run_json(capsys, *press, "--mesh", "13x11", "--depth-mm", "1")
+    assert coarse["mesh"] == [13, 11]
+    assert "--mesh 25x21" in coarse["flags"]["shape"]["reason"]
+
+
+def test_the_printed_probability_is_that_of_the_printed_kind():
+    shape = {
+        "kind": "edge",
+        "family": "cylinder",
+        "probabilities": {"smooth": 0.04, "edge": 0.96},
+        "radius_mm": None,
+        "direction_deg": None,
+        "area_mm2": 20.0,
+        "area_interval_mm2": (18.0, 22.0),
+    }
+    assert _shape_line(shape).startswith("shape: edge (96 %), best model cylinder")
 
 
 def test_open_valve_keeps_the_pressure(capsys):
@@ -77,6 +105,8 @@ def test_open_valve_keeps_the_pressure(capsys):
     ("args", "words"),
     [
         (("press", "--indenter", "sphere"), ("--indenter", "sphere:R_mm", "FILE.stl")),
+        (("press", "--indenter", "sphere:8", "--mesh", "3x11"), ("--mesh", "5 to 101")),
+        (("press", "--indenter", "sphere:8", "--mesh", "25"), ("--mesh", "NXxNY")),
         (("press", "--indenter", "cone:3"), ("cone:3", "box:A_mm")),
         (("press", "--indenter", "missing.stl"), ("missing.stl", "no such file")),
         (("press", "--indenter", "sphere:8", "--position-mm", "30,0"), ("--position-mm", "20 mm")),
