@@ -65,7 +65,7 @@ class Oracle(Observer):
         """Take hold of the truth."""
         self._judge = TaskScorer.of(self._scenario, session.rig)
         fingers = len(session.rig.fingers)
-        self._drawn = load_task(self._scenario.task).draw(self._scenario.seed, fingers)
+        self._drawn = load_task(self._scenario.task).sample(self._scenario.seed, fingers)
 
     def on_images(self) -> None:
         """Look at the world while it stands."""
@@ -104,17 +104,17 @@ class Oracle(Observer):
         pull = GRAVITY
         push = 0.0
         for event in drawn.events:
-            done = (time - event.begin) / event.last
+            done = (time - event.start) / event.duration
             if event.kind == "fill" and 0 < done < 1:
-                since = max(now, event.begin)
-                still = (time - since) / (event.begin + event.last - since)
+                since = max(now, event.start)
+                still = (time - since) / (event.start + event.duration - since)
                 mass += (event.values["mass"] - mass) * still
             elif event.kind == "fill" and done >= 1:
                 mass = event.values["mass"]
             elif event.kind == "shake" and 0 < done < 1:
                 pull += event.values["acceleration"]
             elif event.kind == "push" and 0 < done < 1:
-                push = max(push, event.values["impulse"] / event.last)
+                push = max(push, event.values["impulse"] / event.duration)
             elif event.kind == "pull" and done > 0:
                 push = max(push, PULL_ESTIMATE)
         return (mass * pull + push) / judge.friction_sum()

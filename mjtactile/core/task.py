@@ -63,8 +63,8 @@ class GoalSettings:
     handover: bool = flag("handover", default=False, about="true if the object will be taken")
     push: float = number("push_N", 0, 20, default=0.0, about="maximum announced push")
 
-    def goal(self) -> TaskGoal:
-        """The value that controllers see."""
+    def task_goal(self) -> TaskGoal:
+        """Return the value that controllers see."""
         return TaskGoal(**{one.name: getattr(self, one.name) for one in fields(self)})
 
 
@@ -98,11 +98,12 @@ class ObjectRandomization:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """One disturbance. It starts `begin` s after the lift is complete, and lasts `last` s."""
+    """One disturbance. It starts `start` s after the lift is complete and takes
+    `duration` s."""
 
     kind: str = text("kind", KINDS)
-    begin: Range = numbers("start_s", _SPAN, 0, 600, about="start time after the lift")
-    last: Range = numbers("duration_s", _SPAN, 0.001, 600)
+    start: Range = numbers("start_s", _SPAN, 0, 600, about="start time after the lift")
+    duration: Range = numbers("duration_s", _SPAN, 0.001, 600)
     mass: Range | None = _range("final_mass_g", 0.1, 2000, 1e-3, of="fill", about="mass at the end")
     acceleration: Range | None = _range("acceleration_m_s2", 0, 20, of="shake", about="amplitude")
     rate: Range | None = _range("rate_Hz", 0.1, 20, of="shake")
@@ -118,7 +119,7 @@ class Disturbance:
     )
 
     def validate(self, section: Section) -> None:
-        wanted = {
+        required = {
             "fill": ("mass",),
             "shake": ("acceleration", "rate"),
             "push": ("impulse",),
@@ -126,7 +127,7 @@ class Disturbance:
             "pull": ("force",),
         }
         _require_order(self, section)
-        for name in wanted[self.kind]:
+        for name in required[self.kind]:
             if getattr(self, name) is None:
                 raise section.fail(entries(Disturbance)[name].key, "is missing")
 
@@ -135,16 +136,16 @@ class Disturbance:
 class SuccessCriteria:
     """Criteria of success, in addition to an object that is held and intact."""
 
-    upright: float = number(
+    max_tilt: float = number(
         "tilt_max_deg", 0, 180, DEGREE, default=math.inf, about="maximum tilt at the end, standing"
     )
-    let_go: float = number(
+    release_within: float = number(
         "release_within_s", 0, 60, default=math.inf, about="time limit after a pull, not before it"
     )
-    fall: float = number(
+    max_drop: float = number(
         "drop_max_mm", 0.1, 200, MM, default=0.015, about="maximum fall at release"
     )
-    bump: float = number(
+    max_impact: float = number(
         "impact_max_N_s", 0, 10, default=math.inf, about="maximum impact at set-down"
     )
 
@@ -154,8 +155,8 @@ class SampledDisturbance:
     """Sampled `Disturbance`: SI values by the names of its fields, and a direction."""
 
     kind: str
-    begin: float
-    last: float
+    start: float
+    duration: float
     values: Mapping[str, float]
     direction: tuple[float, float, float]
 
@@ -176,7 +177,7 @@ class SampledTask:
         """Return the time after the lift at which a pull exceeds 0.3 N, s; NaN without a pull."""
         for event in self.events:
             if event.kind == "pull":
-                return event.begin + event.last * min(_PULL / event.values["force"], 1.0)
+                return event.start + event.duration * min(_PULL / event.values["force"], 1.0)
         return math.nan
 
     def need(self, mass: float, friction: float, fingers: int) -> float:
@@ -188,7 +189,8 @@ class SampledTask:
         heaviest = max([mass, *(event.values.get("mass", 0.0) for event in self.events)])
         shaken = max((event.values.get("acceleration", 0.0) for event in self.events), default=0.0)
         pushed = max(
-            (event.values.get("impulse", 0.0) / event.last for event in self.events), default=0.0
+            (event.values.get("impulse", 0.0) / event.duration for event in self.events),
+            default=0.0,
         )
         return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * friction)
 
@@ -198,69 +200,71 @@ class Task:
     """A task file."""
 
     name: str
-    happenings: tuple[Disturbance, ...] = parts("disturbance", Disturbance, 0, 20)
+    disturbances: tuple[Disturbance, ...] = parts("disturbance", Disturbance, 0, 20)
     about: str = text("about", default="")
     version: str = text("version", default="")
     time_limit: float = number("time_limit_s", 0.1, 86400, default=60.0)
-    orders: GoalSettings = part("goal", GoalSettings, default=GoalSettings())
-    thing: ObjectRandomization = part("object", ObjectRandomization, default=ObjectRandomization())
-    counts: SuccessCriteria = part("success", SuccessCriteria, default=SuccessCriteria())
+    goal: GoalSettings = part("goal", GoalSettings, default=GoalSettings())
+    object: ObjectRandomization = part("object", ObjectRandomization, default=ObjectRandomization())
+    success: SuccessCriteria = part("success", SuccessCriteria, default=SuccessCriteria())
 
     @property
     def is_plain(self) -> bool:
         """True if the task has neither randomization nor disturbances."""
-        return not self.happenings and self.thing == ObjectRandomization()
+        return not self.disturbances and self.object == ObjectRandomization()
 
-    def draw(self, seed: int, fingers: int) -> SampledTask:
+    def sample(self, seed: int, fingers: int) -> SampledTask:
         """Sample the task of a seed for a gripper with `fingers` fingers.
 
         A value depends only on the seed and on its own name.
         """
         events = []
         values: dict[str, float] = {}
-        for number_, happening in enumerate(self.happenings, 1):
-            drawn = {
-                name: _at(span, _share(seed, f"{number_}.{name}"))
+        for number_, disturbance in enumerate(self.disturbances, 1):
+            sampled = {
+                name: _at(span, _share(seed, f"{number_}.{_STREAMS.get(name, name)}"))
                 for name in entries(Disturbance)
-                if isinstance(span := getattr(happening, name), tuple)
+                if isinstance(span := getattr(disturbance, name), tuple)
             }
             values |= {
-                f"task.{happening.kind}{number_}.{_key(Disturbance, name)}": _written(
+                f"task.{disturbance.kind}{number_}.{_key(Disturbance, name)}": _written(
                     Disturbance, name, value
                 )
-                for name, value in drawn.items()
+                for name, value in sampled.items()
             }
-            begin = drawn.pop("begin")
-            last = drawn.pop("last")
+            start = sampled.pop("start")
+            duration = sampled.pop("duration")
             way = _direction(seed, f"{number_}.direction")
-            events.append(SampledDisturbance(happening.kind, begin, last, drawn, way))
-        thing = self._sample_object(seed, fingers, tuple(events))
+            events.append(SampledDisturbance(disturbance.kind, start, duration, sampled, way))
+        grasped = self._sample_object(seed, fingers, tuple(events))
         for name in ("mass", "friction", "breaking"):
-            value = getattr(thing, name)
+            value = getattr(grasped, name)
             if value is not None:
                 values[f"task.{_key(ObjectRandomization, name)}"] = _written(
                     ObjectRandomization, name, value
                 )
-        return SampledTask(thing.mass, thing.friction, thing.breaking, thing.events, values)
+        return SampledTask(grasped.mass, grasped.friction, grasped.breaking, grasped.events, values)
 
     def _sample_object(
         self, seed: int, fingers: int, events: tuple[SampledDisturbance, ...]
     ) -> SampledTask:
-        spans = self.thing
+        spans = self.object
         breaking = None if spans.breaking is None else _at(spans.breaking, _share(seed, "breaking"))
         attempt = 0
         while True:
             shares = [_share(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
             mass = None if spans.mass is None else _logarithmic(spans.mass, shares[0])
             friction = None if spans.friction is None else _at(spans.friction, shares[1])
-            drawn = SampledTask(mass, friction, breaking, events, {})
+            sampled = SampledTask(mass, friction, breaking, events, {})
             attempt += 1
             if mass is None or friction is None or attempt > _ATTEMPTS:
-                return drawn
-            if drawn.need(mass, friction, fingers) <= spans.need_max:
-                return drawn
+                return sampled
+            if sampled.need(mass, friction, fingers) <= spans.need_max:
+                return sampled
 
 
+# names of random streams; the seed of a stream is a hash of its name
+_STREAMS = {"start": "begin", "duration": "last"}
 _PULL = 0.3  # threshold of a pull, N
 # maximum number of samples; then the last one is used, although it exceeds the limit
 _ATTEMPTS = 1000

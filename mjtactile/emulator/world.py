@@ -27,7 +27,7 @@ from mjtactile.emulator.mjpeg_server import StreamServer
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared_memory import SharedState
 from mjtactile.rig.as_built_sensor import camera_pose, marker_radii, true_design
-from mjtactile.rig.domain_randomization import Drawn
+from mjtactile.rig.domain_randomization import SampledWorld
 from mjtactile.rig.file import EmulatorConfig, load_sim_rig
 from mjtactile.sim import ground_truth
 from mjtactile.sim.mujoco_log import route_warnings
@@ -64,7 +64,7 @@ class EmulatedWorld:
         self.scene = build_sim_rig(
             Scenario(object=options.object_name, sensor=options.design, seed=options.seed),
             file=file,
-            drawn=Drawn(specimens=emulator.specimens),
+            sampled=SampledWorld(specimens=emulator.specimens),
         ).scene
         self._shared = shared
         self._travel = options.rig_file.lift.travel

@@ -176,7 +176,7 @@ def _sampled_values(scenario: Scenario) -> dict[str, Any]:
     if emulated.check(scenario):
         return values
     file = load_sim_rig(scenario.rig)
-    values |= dict(load_task(scenario.task).draw(scenario.seed, len(file.fingers)).values)
+    values |= dict(load_task(scenario.task).sample(scenario.seed, len(file.fingers)).values)
     sample = draw(scenario.randomization, scenario.seed, scenario.design(), file)
     return values | dict(sample.values)
 

@@ -24,7 +24,7 @@ from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.stage import SimulatedStage
 from mjtactile.explore.surface_fusion import fuse
 from mjtactile.explore.surface_patch import Patch
-from mjtactile.rig.domain_randomization import Drawn, ObjectChange
+from mjtactile.rig.domain_randomization import ObjectChange, SampledWorld
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.session import Session
 from mjtactile.sim.rig import build_sim_rig
@@ -181,8 +181,8 @@ def _grip(
     """Simulate one grip of the rotated object."""
     # a seed first samples the camera noise, so each grip gets its own seed
     file = load_sim_rig(scenario.rig)
-    change = Drawn(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
-    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, drawn=change)
+    change = SampledWorld(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
+    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, sampled=change)
     log = Log()
     try:
         session = Session(rig, threads=0)

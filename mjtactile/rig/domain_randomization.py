@@ -104,7 +104,7 @@ FAULTLESS = RigChange()
 
 
 @dataclass(frozen=True)
-class Drawn:
+class SampledWorld:
     """Sampled world of one grasp.
 
     `values` are the samples by name in the file's units, as stored with a result.
@@ -173,7 +173,7 @@ class Randomization:
     spreads: Mapping[str, tuple[Number, Spread]]
     path: Path | None = None
 
-    def draw(self, seed: int, *, fingers: Sequence[str], markers: int) -> Drawn:
+    def sample(self, seed: int, *, fingers: Sequence[str], markers: int) -> SampledWorld:
         """Return the randomized world of `seed` for these fingers, with `markers` on each.
 
         The result does not depend on other randomized values or runs.
@@ -186,7 +186,7 @@ class Randomization:
             inner = f"{CAMERA}." if section == CAMERA else ""
             place, stream = f"{inner}{key}", f"{inner}{old_key(key)}"
             values |= {
-                f"{owner}.{place}": _draw(f"{owner}.{stream}", entry, spread, seed, markers)
+                f"{owner}.{place}": _sample(f"{owner}.{stream}", entry, spread, seed, markers)
                 for owner in owners
             }
         own: dict[str, dict[str, Any]] = {owner: {} for owner in ("object", "rig", *fingers)}
@@ -196,7 +196,7 @@ class Randomization:
             for section in inner:
                 table = table.setdefault(section, {})
             table[key] = value
-        return Drawn(
+        return SampledWorld(
             from_table(ObjectChange, own["object"], self.name),
             from_table(RigChange, own["rig"], self.name),
             tuple(
@@ -224,10 +224,12 @@ def load_variation(name_or_path: str | Path) -> Randomization:
     return variation_from_table(read_toml(path), path)
 
 
-def draw(randomization: str | Path, seed: int, design: SensorDesign, file: SimRigFile) -> Drawn:
+def sample_world(
+    randomization: str | Path, seed: int, design: SensorDesign, file: SimRigFile
+) -> SampledWorld:
     """The world of `seed` for the rig of `file` with `design` on its fingers; `randomization` as in
     `load_variation`."""
-    return load_variation(randomization).draw(
+    return load_variation(randomization).sample(
         seed, fingers=[finger.name for finger in file.fingers], markers=design.markers.count
     )
 
@@ -286,12 +288,12 @@ def _read_spread(section: Section, entry: Number) -> Spread | None:
     return spread
 
 
-def _draw(name: str, entry: Number, spread: Spread, seed: int, markers: int) -> Any:
+def _sample(name: str, entry: Number, spread: Spread, seed: int, markers: int) -> Any:
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     if entry.key == MISSING:
         count = min(int(spread.at(rng.random()) + 0.5), markers)
         return sorted(int(number) for number in rng.choice(markers, count, replace=False))
     # as it will be written
     names = entry.names if isinstance(entry, Numbers) else ()
-    drawn = [float(f"{spread.at(fraction):.6g}") for fraction in rng.random(max(len(names), 1))]
-    return drawn if names else drawn[0]
+    rounded = [float(f"{spread.at(fraction):.6g}") for fraction in rng.random(max(len(names), 1))]
+    return rounded if names else rounded[0]

@@ -77,7 +77,7 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     if kind not in SIMULATES and wanted.randomization != NONE:
         message = f"the rig {name!r} is not a simulated rig: its world cannot be randomized"
         raise InputError(message, field="--randomization", choices=[NONE])
-    goal = load_task(wanted.task).orders.goal()
+    goal = load_task(wanted.task).goal.task_goal()
     rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
     return replace(rig, goal=goal)
 

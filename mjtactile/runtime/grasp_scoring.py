@@ -141,7 +141,7 @@ class GraspScore:
         milliseconds.
         """
         sets_down = self.phase in ("lower", "release")
-        counts = self.judge is not None and math.isfinite(self.judge.task.counts.bump)
+        counts = self.judge is not None and math.isfinite(self.judge.task.success.max_impact)
         return self.world.time if sets_down and counts else math.inf
 
     def _watch_fall(self) -> None:
@@ -149,8 +149,8 @@ class GraspScore:
         height = float(self._object_position()[2])
         if math.isnan(self._let_go_height):
             self._let_go_height = height
-        counts = SuccessCriteria() if self.judge is None else self.judge.task.counts
-        self.fell |= self._let_go_height - height > counts.fall
+        counts = SuccessCriteria() if self.judge is None else self.judge.task.success
+        self.fell |= self._let_go_height - height > counts.max_drop
 
     def _is_torn(self) -> bool:
         """Return True if the strain of a soft object exceeds its material's limit."""

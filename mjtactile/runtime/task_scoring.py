@@ -46,7 +46,7 @@ class TaskScorer:
     margins: list[float] = field(default_factory=list)
     ready: list[float] = field(default_factory=list)
     """Ratio of grip force to the minimum that also withstands the announced push."""
-    bump: float = math.nan
+    set_down_impact: float = math.nan
     """Impulse on the object during its placement, beyond its weight, N s."""
     let_go_at: float = math.nan
     """Time of release after the lift, s; a single finger in contact does not hold an object."""
@@ -67,7 +67,7 @@ class TaskScorer:
     def of(cls, scenario: Scenario, rig: Rig) -> TaskScorer:
         """Create the scorer of a scenario with the events sampled for its seed."""
         task = load_task(scenario.task)
-        return cls(rig.scene, task, task.draw(scenario.seed, len(rig.fingers)).pulls())
+        return cls(rig.scene, task, task.sample(scenario.seed, len(rig.fingers)).pulls())
 
     def after_stretch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
         """Evaluate the ground truth after `steps` physics steps, with normal `forces`, N, per
@@ -85,20 +85,22 @@ class TaskScorer:
             pressed = max(
                 ground_truth.support_force(self.world, self._bodies) - self._weight(), 0.0
             )
-            self.bump = np.nan_to_num(self.bump) + pressed * steps * self.world.timestep
+            self.set_down_impact = (
+                np.nan_to_num(self.set_down_impact) + pressed * steps * self.world.timestep
+            )
         is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_check:
             self._next_check = time + _EVERY
             need = self.need()
             if need > 0 and second > _LET_GO and not is_pulled:
                 grip = float(np.mean(forces))
-                announced = self.task.orders.push / self.friction_sum()
+                announced = self.task.goal.push / self.friction_sum()
                 self.margins.append(grip / need)
                 self.ready.append(grip / (need + announced))
 
     def is_up(self) -> bool:
         """Return True if the gripper is at the height at which the task's events start."""
-        return self._height() > 0.9 * self.task.orders.lift_height
+        return self._height() > 0.9 * self.task.goal.lift_height
 
     def in_the_air(self) -> bool:
         """Return True if the fingers alone carry the object."""
@@ -129,32 +131,32 @@ class TaskScorer:
 
     def failure(self) -> str:
         """Return the failed requirement of the task, or ""."""
-        counts = self.task.counts
-        if math.isfinite(counts.let_go):
-            return self._handover_failure(counts.let_go)
-        if math.isfinite(counts.upright):
+        counts = self.task.success
+        if math.isfinite(counts.release_within):
+            return self._handover_failure(counts.release_within)
+        if math.isfinite(counts.max_tilt):
             tilt, height = self._standing()
-            if math.degrees(abs(tilt)) > math.degrees(counts.upright):
+            if math.degrees(abs(tilt)) > math.degrees(counts.max_tilt):
                 return f"it is not upright: tilted by {math.degrees(tilt):.0f} deg"
             if abs(height - self._start[1]) > _STANDS:
                 return (
                     "it does not stand at its place: height off by "
                     f"{1e3 * (height - self._start[1]):+.0f} mm"
                 )
-        if self.bump > counts.bump:
-            return f"it was set down with an impact of {self.bump:.2g} N s"
+        if self.set_down_impact > counts.max_impact:
+            return f"it was set down with an impact of {self.set_down_impact:.2g} N s"
         return ""
 
     def measures(self) -> dict[str, float]:
         """Return the available measures by name; non-finite values are omitted."""
-        found = {"impact_N_s_true": self.bump}
+        found = {"impact_N_s_true": self.set_down_impact}
         if self.margins:
             margins = np.array(self.margins)
             found["margin_true"] = float(np.median(margins))
             found["margin_above_2_true"] = float(np.mean(margins > _GENEROUS))
-        if self.ready and self.task.orders.push > 0:
+        if self.ready and self.task.goal.push > 0:
             found["margin_ready_true"] = float(np.median(self.ready))
-        if math.isfinite(self.task.counts.upright):
+        if math.isfinite(self.task.success.max_tilt):
             found["tilt_deg_true"] = math.degrees(self._standing()[0])
         if math.isfinite(self.pulls):
             found["release_delay_s_true"] = self.let_go_at - self.pulls

@@ -12,7 +12,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import SampledTask, Task, load_task
 from mjtactile.rig.as_built_sensor import AsBuiltSensor, true_design
 from mjtactile.rig.command_limits import CommandLimits
-from mjtactile.rig.domain_randomization import Drawn, ObjectChange, draw
+from mjtactile.rig.domain_randomization import ObjectChange, SampledWorld, sample_world
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
@@ -44,7 +44,7 @@ class _Plan:
 
     scenario: Scenario
     file: SimRigFile
-    drawn: Drawn
+    sampled: SampledWorld
     task: Task
     sample_task: SampledTask
     object: ObjectModel
@@ -67,26 +67,26 @@ class _Plan:
 
 
 def build_sim_rig(
-    scenario: Scenario, *, file: SimRigFile | None = None, drawn: Drawn | None = None
+    scenario: Scenario, *, file: SimRigFile | None = None, sampled: SampledWorld | None = None
 ) -> Rig:
     """Build a simulated grasp.
 
     The world uses the randomized values; sensing uses the fingers' designs, and the limits are the
-    file's. `file` and `drawn` replace the scenario's rig and the randomized world of its seed.
+    file's. `file` and `sampled` replace the scenario's rig and the randomized world of its seed.
     Raises InputError for bad names or files.
     """
     file = load_sim_rig(scenario.rig) if file is None else file
-    if drawn is None:
-        drawn = draw(scenario.randomization, scenario.seed, scenario.design(), file)
-    plan = _plan(scenario, file, drawn)
+    if sampled is None:
+        sampled = sample_world(scenario.randomization, scenario.seed, scenario.design(), file)
+    plan = _plan(scenario, file, sampled)
     return _rig(plan, _world(plan))
 
 
-def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
+def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
     design = scenario.design()
     fingers = len(file.fingers)
     task = load_task(scenario.task)
-    sample_task = task.draw(scenario.seed, fingers)
+    sample_task = task.sample(scenario.seed, fingers)
     grasped = load_object(scenario.object)
     overrides = scenario.effects
     fidelity = None
@@ -94,17 +94,17 @@ def _plan(scenario: Scenario, file: SimRigFile, drawn: Drawn) -> _Plan:
         films = quasistatic_is_valid(design, grasped, overrides)
         fidelity = Fidelity.parse(scenario.accuracy, films=films)
         overrides = fidelity.with_effects(overrides)
-    drawn = replace(drawn, object=_with_task(drawn.object, sample_task, grasped, design))
-    grasped = _breaking(grasped.changed(drawn.object), task, sample_task, fingers)
+    sampled = replace(sampled, object=_with_task(sampled.object, sample_task, grasped, design))
+    grasped = _breaking(grasped.changed(sampled.object), task, sample_task, fingers)
     force_error = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
-    specimens = tuple(drawn.specimen(finger.name) for finger in file.fingers)
+    specimens = tuple(sampled.specimen(finger.name) for finger in file.fingers)
     # unknown to sensing: its design has no creep
     creeps = {Effect.RELAXATION} if any(one.creep for one in specimens) else set()
     return _Plan(
         scenario,
         file,
-        drawn,
+        sampled,
         task,
         sample_task,
         grasped,
@@ -120,7 +120,7 @@ def _world(plan: _Plan) -> GraspWorld:
     """Return the ground-truth world with its disturbances."""
     grip = plan.file.gripper
     true = [
-        set_design(_true_design(design, specimen, plan.drawn), plan.on)
+        set_design(_true_design(design, specimen, plan.sampled), plan.on)
         for design, specimen in zip(plan.designs, plan.specimens, strict=True)
     ]
     fidelity = plan.fidelity
@@ -129,7 +129,7 @@ def _world(plan: _Plan) -> GraspWorld:
         set_design(plan.scenario.design(), plan.on),
         plan.object,
         rig=replace(
-            plan.file, gripper=replace(grip, speed=(1 + plan.drawn.rig.speed) * grip.speed)
+            plan.file, gripper=replace(grip, speed=(1 + plan.sampled.rig.speed) * grip.speed)
         ),
         timestep=1 / plan.steps_per_second,
         effects=plan.on,
@@ -140,7 +140,7 @@ def _world(plan: _Plan) -> GraspWorld:
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     if plan.sample_task.events:
-        schedule = DisturbanceSchedule(world, plan.sample_task.events, plan.task.orders.lift_height)
+        schedule = DisturbanceSchedule(world, plan.sample_task.events, plan.task.goal.lift_height)
         world.after_each_stretch(schedule.step, schedule.due)
     for sensor, own in zip(world.sensors, plan.specimens, strict=True):
         if own.leak or own.warming:
@@ -156,7 +156,12 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     clock = SimClock(world)
     _, seeds = start_of(seed)
     cameras = _cameras(
-        world.sensors, seeds(len(world.sensors)), plan.on, plan.designs, plan.specimens, plan.drawn
+        world.sensors,
+        seeds(len(world.sensors)),
+        plan.on,
+        plan.designs,
+        plan.specimens,
+        plan.sampled,
     )
     clock.on_arrival += [camera.draw for camera in cameras]
     valves = tuple(
@@ -171,11 +176,11 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     return Rig(
         name=file.name,
         fingers=make_fingers(names, assumed, cameras, valves),
-        gripper=SimGripper(world, clock, plan.drawn.rig, seed),
+        gripper=SimGripper(world, clock, plan.sampled.rig, seed),
         clock=clock,
         limits=_limits(file),
         close=clock.close,
-        varied={**plan.drawn.values, **plan.sample_task.values},
+        varied={**plan.sampled.values, **plan.sample_task.values},
         flags=lambda: world.flags,
         touch_is_synthetic=Effect.CHAIN not in plan.on,
         scene=world,
@@ -193,7 +198,7 @@ def _cameras(
     on: frozenset[str],
     designs: Sequence[SensorDesign],
     specimens: Sequence[AsBuiltSensor],
-    drawn: Drawn,
+    sampled: SampledWorld,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
     """Return the image source of each sensor: a camera, or a synthetic touch source."""
     if Effect.CHAIN in on:
@@ -203,7 +208,7 @@ def _cameras(
         )
     return tuple(
         SyntheticTouchSource(
-            sensor, load_errors(own, drawn.values != {}), own.membrane.friction, seed
+            sensor, load_errors(own, sampled.values != {}), own.membrane.friction, seed
         )
         for sensor, own, seed in zip(sensors, designs, seeds, strict=True)
     )
@@ -234,12 +239,12 @@ def _with_task(
     return change
 
 
-def _breaking(grasped: ObjectModel, task: Task, drawn: SampledTask, fingers: int) -> ObjectModel:
+def _breaking(grasped: ObjectModel, task: Task, sampled: SampledTask, fingers: int) -> ObjectModel:
     """Return the object with a break force proportional to the required force, if specified."""
-    if drawn.breaking is None or drawn.friction is None:
+    if sampled.breaking is None or sampled.friction is None:
         return grasped
-    need = drawn.need(grasped.mass, drawn.friction, fingers)
-    return replace(grasped, break_force=max(task.thing.breaking_min, drawn.breaking * need))
+    need = sampled.need(grasped.mass, sampled.friction, fingers)
+    return replace(grasped, break_force=max(task.object.breaking_min, sampled.breaking * need))
 
 
 def build(request: RigRequest) -> Rig:
@@ -263,12 +268,14 @@ def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float
     return x, y, min(max(yaw, -grasped.turn), grasped.turn)
 
 
-def _true_design(design: SensorDesign, specimen: AsBuiltSensor, drawn: Drawn) -> SensorDesign:
+def _true_design(
+    design: SensorDesign, specimen: AsBuiltSensor, sampled: SampledWorld
+) -> SensorDesign:
     """Return the sensor as built, with the friction of its pair with the object."""
     true = true_design(design, specimen)
     return replace(
         true,
         membrane=replace(
-            true.membrane, friction=(1 + drawn.object.friction) * true.membrane.friction
+            true.membrane, friction=(1 + sampled.object.friction) * true.membrane.friction
         ),
     )

@@ -23,7 +23,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.stage_protocol import Stage, stage_from_note
 from mjtactile.rig.as_built_sensor import NOMINAL, AsBuiltSensor, true_design
-from mjtactile.rig.domain_randomization import UNCHANGED, Drawn
+from mjtactile.rig.domain_randomization import UNCHANGED, SampledWorld
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
@@ -68,7 +68,7 @@ class GripperReplay:
                 field="--rig",
             )
         names = [finger.name for finger in file.fingers]
-        rig = build_sim_rig(self.scenario, file=file, drawn=self._drawn(amounts, names))
+        rig = build_sim_rig(self.scenario, file=file, sampled=self._sampled_world(amounts, names))
         try:
             session = Session(rig, threads=0)
             session.take_references()
@@ -77,7 +77,7 @@ class GripperReplay:
         finally:
             rig.close()
 
-    def _drawn(self, amounts: Amounts, names: Sequence[str]) -> Drawn:
+    def _sampled_world(self, amounts: Amounts, names: Sequence[str]) -> SampledWorld:
         pose, _ = start_of(self.scenario.seed)
         along = float(amounts.get("along", (0.0,))[0])
         mass = float(amounts.get("mass", (0.0,))[0])
@@ -85,7 +85,7 @@ class GripperReplay:
         specimens = tuple(
             replace(_specimen(amounts, k), finger=name) for k, name in enumerate(names)
         )
-        return Drawn(object=thing, specimens=specimens)
+        return SampledWorld(object=thing, specimens=specimens)
 
 
 @dataclass(frozen=True)

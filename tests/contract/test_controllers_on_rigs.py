@@ -166,7 +166,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     rig = build_emulated_rig(
         patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
     )
-    rig = replace(rig, goal=load_task("place").orders.goal())
+    rig = replace(rig, goal=load_task("place").goal.task_goal())
     heights = {}
     try:
         session = Session(rig)

@@ -26,8 +26,8 @@ def world_with(*events):
     return world
 
 
-def event(kind, begin, last, direction=(1.0, 0.0, 0.0), **values):
-    return SampledDisturbance(kind, begin, last, values, direction)
+def event(kind, start, duration, direction=(1.0, 0.0, 0.0), **values):
+    return SampledDisturbance(kind, start, duration, values, direction)
 
 
 def advance(world, seconds):

@@ -71,7 +71,7 @@ class DisturbanceSchedule:
         force = np.zeros(3)
         gravity = self._gravity.copy()
         for event in self._events:
-            done = min(max((time - event.begin) / event.last, 0.0), 1.0)
+            done = min(max((time - event.start) / event.duration, 0.0), 1.0)
             is_on = 0.0 < done < 1.0
             if event.kind == "fill" and done > 0:
                 self._fill(event.values["mass"], done)
@@ -79,9 +79,9 @@ class DisturbanceSchedule:
                 height = event.values["height"] * done
                 world.model.body_pos[self._places, 2] = self._place_height + height
             elif event.kind == "shake" and is_on:
-                gravity = _shaken(gravity, event, time - event.begin, done)
+                gravity = _shaken(gravity, event, time - event.start, done)
             elif event.kind == "push" and is_on:
-                force += np.array(event.direction) * event.values["impulse"] / event.last
+                force += np.array(event.direction) * event.values["impulse"] / event.duration
             elif event.kind == "pull" and done > 0:
                 force += self._pull(event, done)
         world.model.opt.gravity[:] = gravity
@@ -96,10 +96,10 @@ class DisturbanceSchedule:
         time = world.time - self.up_since
         due = math.inf
         for event in self._events:
-            goes_on = event.kind == "pull" or time < event.begin + event.last + world.timestep
+            goes_on = event.kind == "pull" or time < event.start + event.duration + world.timestep
             if goes_on:
                 waits = _FILLS_EVERY if event.kind == "fill" else 0.0
-                due = min(due, max(event.begin, time + waits))
+                due = min(due, max(event.start, time + waits))
         return self.up_since + due
 
     def _risen(self) -> float:

@@ -26,9 +26,9 @@ NAMES = resources.names("models/tasks", ".toml")
 def test_the_shipped_ones_are_read_and_say_what_they_are(name):
     task = load_task(name)
     assert task.name == name and task.about and task.version
-    drawn = task.draw(3, 2)
-    assert drawn == task.draw(3, 2)
-    assert task.is_plain or drawn.values != task.draw(4, 2).values
+    sampled = task.sample(3, 2)
+    assert sampled == task.sample(3, 2)
+    assert task.is_plain or sampled.values != task.sample(4, 2).values
 
 
 def test_lift_is_what_it_was_and_shows_every_field():
@@ -37,7 +37,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
     Every earlier result was of this task: nothing is sampled, and no disturbance occurs.
     """
     task = load_task("lift")
-    assert task.is_plain and task.orders.goal() == TaskGoal() and task.time_limit == 60.0
+    assert task.is_plain and task.goal.task_goal() == TaskGoal() and task.time_limit == 60.0
     assert task == replace(Task("lift", ()), about=task.about, version=task.version)
     text = resources.find("lift", "models/tasks", ".toml").read_text()
     whole = "\n".join(
@@ -55,47 +55,50 @@ def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
     table = tomllib.loads(resources.find("pour", "models/tasks", ".toml").read_text())
     task = load_task("pour")
     for seed in range(50):
-        drawn = task.draw(seed, 2)
+        sampled = task.sample(seed, 2)
         low, high = table["object"]["mass_g"]
-        assert low <= drawn.values["task.mass_g"] <= high
-        assert drawn.mass == pytest.approx(1e-3 * drawn.values["task.mass_g"], rel=1e-5)
+        assert low <= sampled.values["task.mass_g"] <= high
+        assert sampled.mass == pytest.approx(1e-3 * sampled.values["task.mass_g"], rel=1e-5)
         low, high = table["disturbance"][0]["final_mass_g"]
-        assert low <= drawn.values["task.fill1.final_mass_g"] <= high
+        assert low <= sampled.values["task.fill1.final_mass_g"] <= high
         # nothing that the fingers cannot hold: heaviest of both, two fingers
-        heaviest = max(drawn.mass, drawn.events[0].values["mass"])
+        heaviest = max(sampled.mass, sampled.events[0].values["mass"])
         assert (
-            heaviest * 9.81 / (2 * drawn.friction) <= table["object"]["required_grip_max_N"] + 1e-9
+            heaviest * 9.81 / (2 * sampled.friction)
+            <= table["object"]["required_grip_max_N"] + 1e-9
         )
 
 
 def test_masses_are_as_likely_per_doubling():
-    masses = [load_task("weigh").thing.mass]
-    task = Task("mine", (), thing=ObjectRandomization(mass=masses[0]))
-    drawn = [math.log(task.draw(seed, 2).mass) for seed in range(400)]
+    masses = [load_task("weigh").object.mass]
+    task = Task("mine", (), object=ObjectRandomization(mass=masses[0]))
+    sampled = [math.log(task.sample(seed, 2).mass) for seed in range(400)]
     low, high = (math.log(value) for value in masses[0])
-    assert sum(drawn) / 400 == pytest.approx((low + high) / 2, abs=4 * (high - low) / 12**0.5 / 20)
+    assert sum(sampled) / 400 == pytest.approx(
+        (low + high) / 2, abs=4 * (high - low) / 12**0.5 / 20
+    )
 
 
 def test_one_more_happening_leaves_the_others_as_they_were():
     task = load_task("bump")
     assert (
-        task.draw(7, 2).events[0]
-        == replace(task, happenings=task.happenings[:1]).draw(7, 2).events[0]
+        task.sample(7, 2).events[0]
+        == replace(task, disturbances=task.disturbances[:1]).sample(7, 2).events[0]
     )
 
 
 def test_the_need_is_coulombs_at_the_worst_moment():
-    drawn = load_task("shake").draw(5, 2)
-    shaken = drawn.events[0].values["acceleration"]
-    assert drawn.need(0.05, 0.5, 2) == pytest.approx(0.05 * (9.81 + shaken))
-    assert drawn.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
+    sampled = load_task("shake").sample(5, 2)
+    shaken = sampled.events[0].values["acceleration"]
+    assert sampled.need(0.05, 0.5, 2) == pytest.approx(0.05 * (9.81 + shaken))
+    assert sampled.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
 
 
 def test_when_somebody_pulls_with_three_tenths_of_a_newton():
-    drawn = load_task("hand-over").draw(5, 2)
-    pull = drawn.events[1]
-    force = (drawn.pulls() - pull.begin) / pull.last * pull.values["force"]
-    assert force == pytest.approx(0.3) and math.isnan(load_task("lift").draw(5, 2).pulls())
+    sampled = load_task("hand-over").sample(5, 2)
+    pull = sampled.events[1]
+    force = (sampled.pulls() - pull.start) / pull.duration * pull.values["force"]
+    assert force == pytest.approx(0.3) and math.isnan(load_task("lift").sample(5, 2).pulls())
 
 
 @pytest.mark.parametrize(
@@ -131,7 +134,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
 
 
 def test_the_robot_is_told_what_the_file_says_and_no_more():
-    told = load_task("place").orders.goal()
+    told = load_task("place").goal.task_goal()
     assert (told.lift_height, told.place_height) == (0.06, 0.02)
     assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}
     assert {one.name for one in fields(Disturbance)}.isdisjoint(fields(TaskGoal))

@@ -19,7 +19,7 @@ from mjtactile.emulator.mechanism import GearedJaws, Jaw
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.valve import ValveFirmware, framed, unframed
 from mjtactile.rig.as_built_sensor import AsBuiltSensor, camera_pose, true_design
-from mjtactile.rig.domain_randomization import Drawn
+from mjtactile.rig.domain_randomization import SampledWorld
 from mjtactile.rig.file import ServoConfig, load_rig_file, rig_from_table
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.rendering.renderer import Effects, Renderer
@@ -171,7 +171,8 @@ def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
     assert true.membrane == design.membrane
     # an emulated world has relaxation although the sensing file has none
     rig = build_sim_rig(
-        Scenario(effects="-images"), drawn=Drawn(specimens=(AsBuiltSensor("left", creep=0.05),))
+        Scenario(effects="-images"),
+        sampled=SampledWorld(specimens=(AsBuiltSensor("left", creep=0.05),)),
     )
     [left, right] = rig.scene.sensors
     assert left.design.relaxation is not None and right.design.relaxation is None

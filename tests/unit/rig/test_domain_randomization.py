@@ -47,8 +47,8 @@ def read(table):
     return variation_from_table(table, Path("my.toml"))
 
 
-def drawn(table, seed=0):
-    return read(table).draw(seed, fingers=("left", "right"), markers=81)
+def sampled(table, seed=0):
+    return read(table).sample(seed, fingers=("left", "right"), markers=81)
 
 
 def test_the_shipped_file_varies_every_name_that_there_is():
@@ -63,12 +63,12 @@ def test_the_shipped_file_varies_every_name_that_there_is():
 
 def test_a_value_depends_on_its_seed_and_its_name_alone():
     table = read_toml(DEFAULT)
-    whole = drawn(table, 5)
-    again = drawn(table, 5)
-    other = drawn(table, 6)
+    whole = sampled(table, 5)
+    again = sampled(table, 5)
+    other = sampled(table, 6)
     assert whole == again and whole.values != other.values
     del table["object"]["size_percent"], table["gas"]
-    part = drawn(table, 5).values
+    part = sampled(table, 5).values
     assert part and all(whole.values[name] == value for name, value in part.items())
     assert whole.values["left.stiffness_percent"] != whole.values["right.stiffness_percent"]
 
@@ -136,11 +136,11 @@ def test_a_wrong_name_lists_the_choices():
         match=r"unknown variation 'defalt' \(valid: " r"camera, default, harsh, none, FILE.toml\)",
     ):
         load_variation("defalt")
-    assert not load_variation(NONE).draw(1, fingers=("left",), markers=81).values
+    assert not load_variation(NONE).sample(1, fingers=("left",), markers=81).values
 
 
 def test_units_and_fingers():
-    world = drawn(
+    world = sampled(
         {
             "object": {"mass_percent": 20, "place_mm": [2, 2], "yaw_deg": 90},
             "rig": {"delay_ms": 10, "backlash_mm": 0.2},
@@ -187,7 +187,7 @@ def test_a_changed_object_weighs_and_measures_what_it_should(name):
 
 def test_the_world_is_as_drawn_and_sensing_does_not_know():
     world = draw("default", 3, DESIGN, FILE)
-    rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), drawn=world)
+    rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), sampled=world)
     try:
         for finger, sensor in zip(rig.fingers, rig.scene.sensors, strict=True):
             assert (

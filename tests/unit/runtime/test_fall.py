@@ -31,7 +31,7 @@ def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
     for _ in range(5):
         score._watch_fall()
     assert score.outcome() == outcome
-    fragile = SimpleNamespace(task=Task("place", (), counts=SuccessCriteria(fall=0.008)))
+    fragile = SimpleNamespace(task=Task("place", (), success=SuccessCriteria(fall=0.008)))
     score.fell, score._let_go_height = False, float("nan")
     score.judge = cast(Any, fragile)
     heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)

@@ -168,7 +168,7 @@ def test_a_rig_file_and_a_variation_name_them():
 def test_a_seed_draws_them_for_each_finger():
     variation = load_variation("camera")
     assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
-    drawn = variation.draw(3, fingers=("left", "right"), markers=81)
+    drawn = variation.sample(3, fingers=("left", "right"), markers=81)
     left, right = (drawn.specimen(finger).camera for finger in ("left", "right"))
     assert left != right and left.gamma == drawn.values["left.camera.gamma"]
     assert replace(drawn.specimen("left"), camera=UNTROUBLED) == AsBuiltSensor("left")

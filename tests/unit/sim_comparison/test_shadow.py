@@ -15,7 +15,7 @@ from mjtactile.experiments.motion_stage import record_stage
 from mjtactile.recording.stage_protocol import Move, Stage
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.as_built_sensor import AsBuiltSensor, true_design
-from mjtactile.rig.domain_randomization import Drawn
+from mjtactile.rig.domain_randomization import SampledWorld
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
@@ -187,7 +187,9 @@ def test_a_hand_whose_left_chamber_leaks(tmp_path):
     """The commands of a grasp's beginning, given to a simulated hand without the leak."""
     scenario = Scenario(seed=SEED, sensor="paper16", effects="-images")
     specimens = (AsBuiltSensor("left", leak=0.04 * ML_S_KPA),)
-    rig = build_sim_rig(scenario, file=load_sim_rig("sim"), drawn=Drawn(specimens=specimens))
+    rig = build_sim_rig(
+        scenario, file=load_sim_rig("sim"), sampled=SampledWorld(specimens=specimens)
+    )
     try:
         session = Session(rig, threads=0)
         with Recorder(tmp_path / "recording", scenario.header(), frames=0) as recorder:
