@@ -64,7 +64,7 @@ def nominal_text() -> str:
     )
 
 
-def specimen(nominal: SensorDesign, seed: int) -> SensorDesign:
+def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
     """Each number up to DIFFERS off, and thickness and modulus both."""
     rng = np.random.default_rng(seed)
 
@@ -128,7 +128,7 @@ def _row(
 ) -> dict[str, Any]:
     (folder / "nominal.toml").write_text(nominal_text(), encoding="utf-8")
     nominal = load_sensor(folder / "nominal.toml")
-    true = specimen(nominal, seed)
+    true = random_sample(nominal, seed)
     for number, recording in enumerate((*FITTED, HELD_OUT)):
         _record(folder, true, recording, 1000 * seed + number, mesh)
     say(f"seed {seed}: recorded")

@@ -21,7 +21,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
 from mjtactile.runtime.probe import ProbeResult, run_probe
-from mjtactile.sim.scenes.material_specimens import Kind, Specimen, to_mjcf
+from mjtactile.sim.scenes.material_samples import Kind, MaterialSample, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")
@@ -30,7 +30,7 @@ BODIES_QUICK = 4
 TARGETS = {"class_right": (0.93, 0.98), "modulus_within_2": (0.85, 0.95)}
 
 
-def random_specimen(seed: int) -> Specimen:
+def random_material_sample(seed: int) -> MaterialSample:
     """The body of a seed; four seeds in a row are one of each kind."""
     rng = np.random.default_rng(seed)
 
@@ -43,10 +43,12 @@ def random_specimen(seed: int) -> Specimen:
     )
     if kind == "rigid":
         shape = ("box", "cylinder", "sphere")[int(rng.integers(3))]
-        return Specimen(kind, length, length if shape == "cylinder" else width, height, shape=shape)
+        return MaterialSample(
+            kind, length, length if shape == "cylinder" else width, height, shape=shape
+        )
     if kind == "elastic":
         stiffness = spread(120, 4000)
-        return Specimen(
+        return MaterialSample(
             kind,
             length,
             width,
@@ -56,7 +58,7 @@ def random_specimen(seed: int) -> Specimen:
         )
     if kind == "viscoelastic":
         stiffness = spread(150, 1500)
-        return Specimen(
+        return MaterialSample(
             kind,
             length,
             width,
@@ -65,7 +67,7 @@ def random_specimen(seed: int) -> Specimen:
             arm_stiffness=stiffness * float(rng.uniform(0.5, 2.5)),
             relaxation_time=spread(0.15, 1.0),
         )
-    return Specimen(
+    return MaterialSample(
         kind,
         length,
         width,
@@ -95,18 +97,18 @@ def run(
 
 
 def _row(seed: int, folder: Path) -> dict[str, Any]:
-    specimen = random_specimen(seed)
+    sample = random_material_sample(seed)
     path = folder / f"body{seed}.xml"
-    path.write_text(to_mjcf(specimen, path.stem), encoding="utf-8")
-    row: dict[str, Any] = {"seed": seed, "kind": specimen.kind, "material_true": specimen.material}
+    path.write_text(to_mjcf(sample, path.stem), encoding="utf-8")
+    row: dict[str, Any] = {"seed": seed, "kind": sample.kind, "material_true": sample.material}
     scenario = Scenario(object=str(path), controller="probe", seed=seed)
     try:
-        return row | _compare(specimen, run_probe(scenario))
+        return row | _compare(sample, run_probe(scenario))
     except MjtactileError as error:
         return row | {"material": "fault", "error": str(error)}
 
 
-def _compare(specimen: Specimen, result: ProbeResult) -> dict[str, Any]:
+def _compare(sample: MaterialSample, result: ProbeResult) -> dict[str, Any]:
     """The verdict and the truth in one row; stiffness and modulus at the force of the hold."""
     found = result.summary()
     row = {
@@ -124,12 +126,12 @@ def _compare(specimen: Specimen, result: ProbeResult) -> dict[str, Any]:
             "permanent_set_mm",
         )
     }
-    if specimen.material == "soft":
+    if sample.material == "soft":
         force = row["force_N"] if math.isfinite(row["force_N"]) else 0.9
         row |= {
-            "stiffness_true_N_m": specimen.secant_stiffness(force),
-            "modulus_true_kPa": 1e-3 * specimen.modulus(force),
-            "relaxation_time_true_s": specimen.relaxation_time,
+            "stiffness_true_N_m": sample.secant_stiffness(force),
+            "modulus_true_kPa": 1e-3 * sample.modulus(force),
+            "relaxation_time_true_s": sample.relaxation_time,
         }
     return row
 

@@ -11,8 +11,8 @@ from mjtactile.emulator.control_table import control_table
 from tests.emulated import servo_bench
 
 # ms for a reply, where the SDK has 34 (tests share their processors), and for none
-PATIENCE = 1500.0
-SILENCE = 60.0
+REPLY_TIMEOUT_MS = 1500.0
+NO_REPLY_TIMEOUT_MS = 60.0
 OK = sdk.COMM_SUCCESS
 
 
@@ -24,10 +24,8 @@ class SdkClient:
         self.table = control_table(model).fields
         self.port = sdk.PortHandler(bench.bus.path)
         self.packets = sdk.PacketHandler(2.0)
-        self.disk_wait_time = PATIENCE
-        self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(
-            self.disk_wait_time
-        )
+        self.timeout = REPLY_TIMEOUT_MS
+        self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(self.timeout)
         assert self.port.openPort() and self.port.setBaudRate(1_000_000)
 
     def read(self, name, servo=1):
@@ -49,9 +47,9 @@ class SdkClient:
 
     def is_silent(self, ask, *arguments):
         """Return True if a call of the SDK gets no reply."""
-        self.disk_wait_time = SILENCE
+        self.timeout = NO_REPLY_TIMEOUT_MS
         result = [part for part in ask(self.port, *arguments) if part == sdk.COMM_RX_TIMEOUT]
-        self.disk_wait_time = PATIENCE
+        self.timeout = REPLY_TIMEOUT_MS
         return bool(result)
 
     def is_absent(self, servo):

@@ -22,7 +22,7 @@ OK = Touch(0.0, 0.0, 0.5, 0.01, True)
 BLIND = Touch(0.0, 0.0, math.nan, math.nan, False, status="too dark")
 SEALED = ValveState(False, 1000.0)
 LAST = Command(0.05, 4.0, 0.02, "hold")
-FEELS = SimpleNamespace(perceive=lambda images, now, disk_wait_time, readings: (OK,))
+FEELS = SimpleNamespace(perceive=lambda images, now, timeout, readings: (OK,))
 
 
 def loaded(shear):

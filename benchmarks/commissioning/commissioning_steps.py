@@ -162,15 +162,15 @@ class Day:
         self.file.write_text(text, encoding="utf-8")
         return {"questions": len(asked), "cameras_told_apart": right}
 
-    def _specimen(self, finger: str) -> AsBuiltSensor:
+    def _as_built_sensor(self, finger: str) -> AsBuiltSensor:
         emulator = load_rig_file(self.world).emulator
         assert emulator is not None
-        return emulator.specimen(finger)
+        return emulator.as_built_sensor(finger)
 
     def lens(self, finger: str) -> dict[str, Any]:
         """`calibrate camera` from twelve pictures of a printed board."""
         photos = self.folder / f"photos_{finger}"
-        true = true_design(load_sensor("dense"), self._specimen(finger)).camera
+        true = true_design(load_sensor("dense"), self._as_built_sensor(finger)).camera
         photograph_board(photos, true)
         self._command("camera", str(photos), "--rig", str(self.file), "--finger", finger)
         lens = load_calibration(self.folder / f"{finger}.json").lens
@@ -196,10 +196,10 @@ class Day:
 
     def fit(self) -> dict[str, Any]:
         """`record` on a stand, and `fit --relaxation`: the left finger's sheet and gas."""
-        specimen = self._specimen("left")
+        as_built = self._as_built_sensor("left")
         nominal = load_sensor("dense")
-        true = true_design(nominal, specimen)
-        chamber = replace(nominal.chamber, leak_conductance=specimen.leak)
+        true = true_design(nominal, as_built)
+        chamber = replace(nominal.chamber, leak_conductance=as_built.leak)
         true = replace(true, camera=nominal.camera, markers=nominal.markers, chamber=chamber)
         folders = []
         for number, (name, pressure) in enumerate((*_PRESSES, ("still", 2000.0))):

@@ -68,8 +68,8 @@ def run(
     checks = {}
     for name, randomization in WORLDS.items():
         grasps = list(_grasps(sensor, randomization, count, say))
-        fitted, judged = grasps[::2], grasps[1::2]
-        checks[name] = check(fit(joined(fitted)), joined(judged)) | {"grasps": len(grasps)}
+        fitted, checked = grasps[::2], grasps[1::2]
+        checks[name] = check(fit(joined(fitted)), joined(checked)) | {"grasps": len(grasps)}
         table[name] = fit(joined(grasps)).table()
     write_json(out / f"{design.name}.json", table)
     if not quick:

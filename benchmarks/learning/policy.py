@@ -59,13 +59,13 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     say = say or Progress().message
     saved = out / "policy.npz"
     learned = _learn(saved, SECONDS_QUICK if quick else SECONDS, say)
-    judged = {}
+    evaluated = {}
     for effects in LEVELS:
         say(f"policy: episodes with --effects={effects}")
-        judged[effects] = _judge(saved, effects, EPISODES_QUICK if quick else EPISODES)
+        evaluated[effects] = _evaluate(saved, effects, EPISODES_QUICK if quick else EPISODES)
     say("policy: the ten lines of docs/how-to/train.md")
     ten_lines = _time_page(out, DECISIONS)
-    return {"learned": learned, "judged": judged, "ten_lines": ten_lines}
+    return {"learned": learned, "judged": evaluated, "ten_lines": ten_lines}
 
 
 def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
@@ -88,7 +88,7 @@ def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
     return rows
 
 
-def _judge(saved: Path, effects: str, episodes: int) -> dict[str, Any]:
+def _evaluate(saved: Path, effects: str, episodes: int) -> dict[str, Any]:
     """Evaluate the policy on unseen random objects, without exploration noise."""
     folder = saved.parent / f"judged{effects.replace(',', '')}"
     command = [sys.executable, "-m", "mjtactile", "evaluate", "--controller", "policy"]
@@ -154,7 +154,9 @@ def table(result: Mapping[str, Any]) -> str:
         "| largest force, median (worst), N | grip force relative to required force, median |",
         "|---|---|---|---|---|---|",
     ]
-    lines += [_judged_row(LEVELS[level], judged) for level, judged in result["judged"].items()]
+    lines += [
+        _evaluation_row(LEVELS[level], evaluated) for level, evaluated in result["judged"].items()
+    ]
     rate = result["ten_lines"]["decisions"] / result["ten_lines"]["seconds"]
     whole = result["ten_lines"]["meant"] / rate / 60
     lines += [
@@ -172,18 +174,18 @@ def _some(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [rows[k] for k in chosen]
 
 
-def _judged_row(name: str, judged: Mapping[str, Any]) -> str:
-    low, high = judged["success_interval"]
-    ends = [judged[end] for end in ("dropped", "crushed", "unsafe", "hung", "error")]
-    peak = judged["peak_N"]
+def _evaluation_row(name: str, evaluated: Mapping[str, Any]) -> str:
+    low, high = evaluated["success_interval"]
+    ends = [evaluated[end] for end in ("dropped", "crushed", "unsafe", "hung", "error")]
+    peak = evaluated["peak_N"]
     return (
-        f"| {name} | {judged['held']} of {judged['episodes']} "
+        f"| {name} | {evaluated['held']} of {evaluated['episodes']} "
         f"| {100 * low:.0f}-{100 * high:.0f} % | {' / '.join(map(str, ends))} "
-        f"| {_said(peak['median'], 2)} ({_said(peak['most'], 2)}) "
-        f"| {_said(judged['margin']['median'], 1)} |"
+        f"| {_known(peak['median'], 2)} ({_known(peak['most'], 2)}) "
+        f"| {_known(evaluated['margin']['median'], 1)} |"
     )
 
 
-def _said(value: float | None, digits: int) -> str:
+def _known(value: float | None, digits: int) -> str:
     """None: no episode has come so far that it has one."""
     return "-" if value is None else f"{value:.{digits}f}"

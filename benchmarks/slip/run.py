@@ -95,9 +95,9 @@ def run(
 
 def with_test(rows: Sequence[Row]) -> dict[str, Any]:
     """Count slips that the test detects within 0.4 s of their onset, and alarms in holds."""
-    judged = [row for row in rows if row["outcome"] in OUTCOMES]
-    slips = [row for row in judged if row["outcome"] in SLIPS]
-    holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
+    evaluated = [row for row in rows if row["outcome"] in OUTCOMES]
+    slips = [row for row in evaluated if row["outcome"] in SLIPS]
+    holds = [row["outcome"] for row in evaluated if row["outcome"] in ("quiet", "false")]
     said = [row for row in slips if row["outcome"] not in ("missed", "early")]
     in_time = sum(row["latency_ms"] <= 1e3 * active_slip_test.IN_TIME + 0.1 for row in said)
     kinds = sorted({row["case"] for row in slips})
@@ -183,9 +183,9 @@ def _sensor(rate: float) -> tuple[SensorDesign, SensingPipeline, PipelineState]:
 
 def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
     """Counts and shares; `rate` Hz of the cameras."""
-    judged = [row for row in rows if row["outcome"] in OUTCOMES]
+    evaluated = [row for row in rows if row["outcome"] in OUTCOMES]
     slow = 0.5 * rate / _SEEN  # mm/s
-    groups = {"all slips": [row for row in judged if row["outcome"] in SLIPS]}
+    groups = {"all slips": [row for row in evaluated if row["outcome"] in SLIPS]}
     groups[f"up to {slow:.0f} mm/s"] = [
         row for row in groups["all slips"] if row["speed_mm_s"] <= slow
     ]
@@ -193,14 +193,14 @@ def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
     for key in ("case", "body"):
         for value in sorted({row[key] for row in groups["all slips"]}):
             groups[value] = [row for row in groups["all slips"] if row[key] == value]
-    holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
+    holds = [row["outcome"] for row in evaluated if row["outcome"] in ("quiet", "false")]
     detected = [row for row in groups["all slips"] if row["outcome"] not in ("missed", "early")]
     false = holds.count("false") + sum(row["outcome"] == "early" for row in groups["all slips"])
     return {
         "rows": rows,
         "cases": len({row["seed"] for row in rows}),
         "not_simulated": sum(row["outcome"] == "not simulated" for row in rows),
-        "between": sum(row["outcome"] == "between" for row in judged),
+        "between": sum(row["outcome"] == "between" for row in evaluated),
         "groups": {name: _group(group) for name, group in groups.items()},
         "holds": len(holds),
         "false": holds.count("false"),

@@ -1,1 +1,1 @@
-"""Hard cases of the simulation, each judged by physics."""
+"""Hard cases of the simulation, each checked by physics."""

@@ -79,7 +79,9 @@ def run(
         multiprocessing.get_context("spawn").Pool(min(2, platform_support.processors())) as pool,
         log.open("a") as file,
     ):
-        for row in pool.imap_unordered(judge, [c for c in cases if (c.axis, c.label) not in done]):
+        for row in pool.imap_unordered(
+            evaluate, [c for c in cases if (c.axis, c.label) not in done]
+        ):
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
             if row["outcome"] == "FAILED" or len(rows) % 25 == 0:
@@ -108,7 +110,7 @@ def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any
     return [row for key, row in rows.items() if key in place]
 
 
-def judge(case: Case) -> dict[str, Any]:
+def evaluate(case: Case) -> dict[str, Any]:
     """Run one case and return its outcome."""
     row: dict[str, Any] = {
         "axis": case.axis,
@@ -141,7 +143,7 @@ def _compare(case: Case) -> dict[str, Any]:
     """Run at the step and at a quarter of it; errors of the first run propagate."""
     full = measure(case)
     problems = dict(full.pop("problems"))
-    if case.kind != "hold":  # a million steps are judged by themselves
+    if case.kind != "hold":  # a million steps are evaluated by themselves
         try:
             quarter = measure(replace(case, timestep=max(case.timestep / 4, 1.25e-4)))
         except SimulationError as error:

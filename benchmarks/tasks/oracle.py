@@ -55,29 +55,29 @@ class Oracle(Observer):
         module: Any = sys.modules[own.function.__module__]
         module.grip_as_needed = lambda observation, command: command
         self._scenario = scenario
-        self._judge: TaskScorer | None = None
-        self._drawn: SampledTask | None = None
+        self._scorer: TaskScorer | None = None
+        self._sampled: SampledTask | None = None
         self._up_since = math.nan
         self._lever = 1.0
         self.need = 0.0
 
     def begin(self, session: Any) -> None:
         """Take hold of the truth."""
-        self._judge = TaskScorer.of(self._scenario, session.rig)
+        self._scorer = TaskScorer.of(self._scenario, session.rig)
         fingers = len(session.rig.fingers)
-        self._drawn = load_task(self._scenario.task).sample(self._scenario.seed, fingers)
+        self._sampled = load_task(self._scenario.task).sample(self._scenario.seed, fingers)
 
     def on_images(self) -> None:
         """Look at the world while it stands."""
-        judge = self._judge
-        if judge is None:
+        scorer = self._scorer
+        if scorer is None:
             return
-        if math.isnan(self._up_since) and judge.is_up():
-            self._up_since = judge.world.time
-        time = -1.0 if math.isnan(self._up_since) else judge.world.time - self._up_since
-        now = judge.need()
+        if math.isnan(self._up_since) and scorer.is_up():
+            self._up_since = scorer.world.time
+        time = -1.0 if math.isnan(self._up_since) else scorer.world.time - self._up_since
+        now = scorer.need()
         plain = self._plain(time, time)
-        if judge.in_the_air() and plain > 0 and now > 0:
+        if scorer.in_the_air() and plain > 0 and now > 0:
             self._lever = min(max(now / plain, 1.0), _MAX_LEVER)
         moments = np.linspace(time, time + AHEAD, _LOOKS)
         ahead = max(self._plain(moment, time) for moment in moments)
@@ -95,15 +95,15 @@ class Oracle(Observer):
 
         It holds at `time`, s after the hand was up, as predicted at `now`, s.
         """
-        judge = self._judge
-        drawn = self._drawn
-        if judge is None or drawn is None:
+        scorer = self._scorer
+        sampled = self._sampled
+        if scorer is None or sampled is None:
             return 0.0
-        bodies = ground_truth.object_bodies(judge.world)
-        mass = float(judge.world.model.body_mass[bodies].sum())
+        bodies = ground_truth.object_bodies(scorer.world)
+        mass = float(scorer.world.model.body_mass[bodies].sum())
         pull = GRAVITY
         push = 0.0
-        for event in drawn.events:
+        for event in sampled.events:
             done = (time - event.start) / event.duration
             if event.kind == "fill" and 0 < done < 1:
                 since = max(now, event.start)
@@ -117,4 +117,4 @@ class Oracle(Observer):
                 push = max(push, event.values["impulse"] / event.duration)
             elif event.kind == "pull" and done > 0:
                 push = max(push, PULL_ESTIMATE)
-        return (mass * pull + push) / judge.friction_sum()
+        return (mass * pull + push) / scorer.friction_sum()

@@ -58,7 +58,7 @@ def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "failed": [scene["error"] for scene in scenes if scene["error"]],
         "images": len(rows),
         "status": {status: said.count(status) for status in sorted(set(said))},
-        "groups": {name: _judge(group) for name, group in groups.items() if group},
+        "groups": {name: _evaluate(group) for name, group in groups.items() if group},
         "areas": _areas(known),
     }
 
@@ -67,7 +67,7 @@ def _force(row: Row) -> float:
     return -row["wrench_true"][2]
 
 
-def _judge(rows: Sequence[Row]) -> dict[str, Any]:
+def _evaluate(rows: Sequence[Row]) -> dict[str, Any]:
     error = np.array([row["wrench"] for row in rows]) - [row["wrench_true"] for row in rows]
     sd = np.array([row["sd"] for row in rows])
     z = error / sd

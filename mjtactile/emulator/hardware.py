@@ -30,7 +30,8 @@ class EmulatedHardware:
         self._lift = self._build_lift()
         shared["goal"] = math.nan
         zeros = {
-            valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves
+            valve.channel: emulator.as_built_sensor(valve.finger).valve_zero
+            for valve in rig_file.valves
         }
         self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
         self.firmware = ValveFirmware(self, faults, zeros=zeros, sensors=emulator.valve_sensors)

@@ -64,7 +64,7 @@ class EmulatedWorld:
         self.scene = build_sim_rig(
             Scenario(object=options.object_name, sensor=options.design, seed=options.seed),
             file=file,
-            sampled=SampledWorld(specimens=emulator.specimens),
+            sampled=SampledWorld(as_built=emulator.as_built),
         ).scene
         self._shared = shared
         self._travel = options.rig_file.lift.travel
@@ -209,7 +209,8 @@ class Cameras:
         self.streams = StreamServer(FINGERS[:count])
         seeds = np.random.default_rng(options.seed).integers(2**31, size=count)
         fingers = [
-            (options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS[:count]
+            (options.finger_design(finger), emulator.as_built_sensor(finger))
+            for finger in FINGERS[:count]
         ]
         self._renderers = [
             Renderer(

@@ -49,8 +49,10 @@ def check(scenario: Scenario) -> bool:
             choices=[NONE],
         )
     task = load_task(scenario.task)
-    drawn = not task.is_plain and any(one.kind != "move_support" for one in task.disturbances)
-    if drawn or task.object != type(task.object)():
+    is_randomized = not task.is_plain and any(
+        one.kind != "move_support" for one in task.disturbances
+    )
+    if is_randomized or task.object != type(task.object)():
         raise InputError(
             f"the disturbances of {task.name!r} are not available on an emulated rig",
             field="--task",

@@ -25,7 +25,7 @@ from mjtactile.evaluate import emulated
 from mjtactile.recording.files import to_json
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
-from mjtactile.rig.domain_randomization import draw
+from mjtactile.rig.domain_randomization import sample_world
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.controller import LoadedController
 from mjtactile.runtime.cycle import Cycle
@@ -177,7 +177,7 @@ def _sampled_values(scenario: Scenario) -> dict[str, Any]:
         return values
     file = load_sim_rig(scenario.rig)
     values |= dict(load_task(scenario.task).sample(scenario.seed, len(file.fingers)).values)
-    sample = draw(scenario.randomization, scenario.seed, scenario.design(), file)
+    sample = sample_world(scenario.randomization, scenario.seed, scenario.design(), file)
     return values | dict(sample.values)
 
 

@@ -1,7 +1,7 @@
 """Simulated sensor on a stand, an indenter on a stage that follows a protocol, and its recording.
 
 The recording has the format of `mjtactile record` on a real rig: images, pressures, times and stage
-moves. It contains no true sensor parameters: `specimen` may differ from the sensor file named in
+moves. It contains no true sensor parameters: `as_built` may differ from the sensor file named in
 the recording.
 """
 
@@ -55,14 +55,14 @@ class _Cycle:
 class StageWorld:
     """Test sensor on its stand, with camera, pressure sensor and the stage's load cell."""
 
-    def __init__(self, specimen: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
+    def __init__(self, as_built: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
         """`world` goes to `PressWorld`, such as the mesh."""
-        self.period = 1 / specimen.camera.rate
+        self.period = 1 / as_built.camera.rate
         timestep = self.period / math.ceil(self.period / _LARGEST_STEP)
         self.world = PressWorld(
-            specimen, Indenter.parse(stage.indenter), at=stage.at, timestep=timestep, **world
+            as_built, Indenter.parse(stage.indenter), at=stage.at, timestep=timestep, **world
         )
-        self._renderer = Renderer(specimen, seed=seed)
+        self._renderer = Renderer(as_built, seed=seed)
         self._rng = np.random.default_rng(seed)
 
     def inflate(self, gauge_pressure: float, *, seal: bool) -> None:
@@ -89,7 +89,7 @@ class StageWorld:
 
 
 def record_stage(
-    specimen: SensorDesign,
+    as_built: SensorDesign,
     stage: Stage,
     recorder: Recorder,
     *,
@@ -100,13 +100,13 @@ def record_stage(
     **world: Any,
 ) -> int:
     """Record references and `seconds` s of moves, with a load cell; return the cycles."""
-    bench = StageWorld(specimen, stage, seed=seed, **world)
+    bench = StageWorld(as_built, stage, seed=seed, **world)
     recorder.note(fingers=["left"], stage=stage.note())
     say("reference: flat, valve open")
     bench.inflate(0.0, seal=False)
     recorder.add_reference("flat", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [0.0])
     say("reference: inflated, no contact")
-    bench.inflate(specimen.chamber.supply_gauge, seal=True)
+    bench.inflate(as_built.chamber.supply_gauge, seal=True)
     readings = [bench.pressure() for _ in range(_REFERENCE_IMAGES)]
     recorder.add_reference(
         "rest", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [float(np.mean(readings))]

@@ -116,7 +116,7 @@ class FittedParameter:
         return f"not in these recordings; {ABOUT[self.field].record}"
 
 
-def judge(
+def classify(
     field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf
 ) -> FittedParameter:
     """Return the fitted value, or the file's value if the recordings do not determine it.

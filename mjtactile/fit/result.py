@@ -16,7 +16,7 @@ from mjtactile.fit.gas import GasFit
 from mjtactile.fit.image_noise import ImageNoiseFit
 from mjtactile.fit.measurements import Evidence
 from mjtactile.fit.membrane_fit import MembraneFit
-from mjtactile.fit.parameter_info import ABOUT, FittedParameter, judge, missing
+from mjtactile.fit.parameter_info import ABOUT, FittedParameter, classify, missing
 
 _UNKNOWN_FRACTION = 0.3  # relative uncertainty of an unmeasured thickness
 SI = {
@@ -85,7 +85,7 @@ def numbers_of(
     for section, attribute, value, variance in [*pressed, *filled]:
         field = FIELD[section, attribute]
         scale = SI[field][2]
-        numbers[field] = judge(
+        numbers[field] = classify(
             field,
             value / scale,
             math.sqrt(variance) / scale,
@@ -95,7 +95,7 @@ def numbers_of(
         )
     for field, (value, sd) in picture.values.items():
         before = value_before(nominal, field)
-        numbers[field] = judge(field, value, sd, before, f"{evidence[0].name}, flat")
+        numbers[field] = classify(field, value, sd, before, f"{evidence[0].name}, flat")
     for field, value in known.items():
         before = value_before(nominal, field)
         numbers[field] = FittedParameter(field, value, 0.0, "known", "measured by hand", before)

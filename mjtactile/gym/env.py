@@ -141,7 +141,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
                 perception.state = state  # type: ignore[attr-defined]
         rig = self._rig
         self._score = GraspScore(rig.scene, TaskScorer.of(self._scenario_of(self._seed), rig))
-        rig.scene.after_each_stretch(self._score.after_stretch, self._score.due)
+        rig.scene.after_each_step_batch(self._score.after_step_batch, self._score.due)
         self._over = False
         self._max_progress = 0.0
         assert self._session is not None

@@ -123,7 +123,7 @@ NOMINAL = AsBuiltSensor("")
 """Sensor without deviations from its file."""
 
 
-def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
+def true_design(design: SensorDesign, as_built: AsBuiltSensor) -> SensorDesign:
     """Return the as-built design of a sensor.
 
     It excludes the camera pose (`camera_pose`), missing markers (`marker_radii`), and changes of
@@ -131,9 +131,9 @@ def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
     """
     camera = design.camera
     k = design.camera.distortion
-    focal = 1 + specimen.focal_fraction
-    du, dv = specimen.center
-    k1 = (k[0] if specimen.k1 is None else specimen.k1) + specimen.k1_offset
+    focal = 1 + as_built.focal_fraction
+    du, dv = as_built.center
+    k1 = (k[0] if as_built.k1 is None else as_built.k1) + as_built.k1_offset
     camera = replace(
         camera,
         fx=focal * camera.fx,
@@ -141,22 +141,22 @@ def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
         cx=camera.cx + du,
         cy=camera.cy + dv,
         distortion=(k1, *k[1:]),
-        blur_px=max(camera.blur_px + specimen.blur, 0.0),
-        noise_dn=(1 + specimen.noise_fraction) * camera.noise_dn,
+        blur_px=max(camera.blur_px + as_built.blur, 0.0),
+        noise_dn=(1 + as_built.noise_fraction) * camera.noise_dn,
     )
     membrane = design.membrane
     membrane = replace(
         membrane,
-        young=(1 + specimen.stiffness_fraction) * membrane.young,
-        thickness=(1 + specimen.thickness_fraction) * membrane.thickness,
-        pre_stretch=membrane.pre_stretch + specimen.pre_stretch,
-        friction=(1 + specimen.friction_fraction) * membrane.friction,
+        young=(1 + as_built.stiffness_fraction) * membrane.young,
+        thickness=(1 + as_built.thickness_fraction) * membrane.thickness,
+        pre_stretch=membrane.pre_stretch + as_built.pre_stretch,
+        friction=(1 + as_built.friction_fraction) * membrane.friction,
     )
-    light = 1 + specimen.light_fraction
+    light = 1 + as_built.light_fraction
     leds = design.leds
     leds = replace(leds, membrane_dn=light * leds.membrane_dn, marker_dn=light * leds.marker_dn)
-    markers = replace(design.markers, radius=design.markers.radius + specimen.radius)
-    creep = Relaxation(decades(specimen.creep, *_CREEP_TIMES)) if specimen.creep else None
+    markers = replace(design.markers, radius=design.markers.radius + as_built.radius)
+    creep = Relaxation(decades(as_built.creep, *_CREEP_TIMES)) if as_built.creep else None
     return replace(
         design,
         camera=camera,
@@ -167,18 +167,18 @@ def true_design(design: SensorDesign, specimen: AsBuiltSensor) -> SensorDesign:
     )
 
 
-def camera_pose(design: SensorDesign, specimen: AsBuiltSensor) -> tuple[Array, Array]:
+def camera_pose(design: SensorDesign, as_built: AsBuiltSensor) -> tuple[Array, Array]:
     """Return the as-built pose of the camera with its glass and LEDs: R_SC (3, 3), p_SC (3,), m, in
     S."""
-    position = design.camera.p_SC + np.array(specimen.shift)
-    return geometry.rotation_from_vector(specimen.tilt), position
+    position = design.camera.p_SC + np.array(as_built.shift)
+    return geometry.rotation_from_vector(as_built.tilt), position
 
 
-def marker_radii(design: SensorDesign, specimen: AsBuiltSensor) -> Array:
+def marker_radii(design: SensorDesign, as_built: AsBuiltSensor) -> Array:
     """Return the rendered radius (N,) m of each marker of the true `design`.
 
     It is 0 for missing markers.
     """
     radii = np.full(design.markers.count, design.markers.radius)
-    radii[[number for number in specimen.missing if number < len(radii)]] = 0.0
+    radii[[number for number in as_built.missing if number < len(radii)]] = 0.0
     return radii

@@ -112,12 +112,12 @@ class SampledWorld:
 
     object: ObjectChange = UNCHANGED
     rig: RigChange = FAULTLESS
-    specimens: tuple[AsBuiltSensor, ...] = ()
+    as_built: tuple[AsBuiltSensor, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
 
-    def specimen(self, finger: str) -> AsBuiltSensor:
+    def as_built_sensor(self, finger: str) -> AsBuiltSensor:
         """Return the as-built sensor of a finger; without an entry it equals the sensor file."""
-        return next((one for one in self.specimens if one.finger == finger), AsBuiltSensor(finger))
+        return next((one for one in self.as_built if one.finger == finger), AsBuiltSensor(finger))
 
 
 def _entries_of(group: str) -> tuple[Number, ...]:

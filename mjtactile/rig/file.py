@@ -204,20 +204,20 @@ class EmulatorConfig:
     backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
     servo_firmware: int | None = whole("servo_firmware", 1, 255, default=None)
     watchdog: str = text("watchdog", ("brake", "limp"), default="brake")
-    specimens: tuple[AsBuiltSensor, ...] = ()
+    as_built: tuple[AsBuiltSensor, ...] = ()
 
     @classmethod
     def from_section(cls, section: Section) -> EmulatorConfig:
         """`[emulator]` with its `[emulator.as_built.left]` and so on."""
         values = read_fields(cls, section)
-        return cls(**values, specimens=_specimens(section.optional("as_built")))
+        return cls(**values, as_built=_as_built(section.optional("as_built")))
 
-    def specimen(self, finger: str) -> AsBuiltSensor:
+    def as_built_sensor(self, finger: str) -> AsBuiltSensor:
         """Return the as-built sensor of a finger; without an entry it equals the sensor file."""
-        return next((s for s in self.specimens if s.finger == finger), AsBuiltSensor(finger))
+        return next((s for s in self.as_built if s.finger == finger), AsBuiltSensor(finger))
 
 
-def _specimens(section: Section | None) -> tuple[AsBuiltSensor, ...]:
+def _as_built(section: Section | None) -> tuple[AsBuiltSensor, ...]:
     """Those of the fingers that have one."""
     if section is None:
         return ()

@@ -122,7 +122,7 @@ class GraspEstimate:
             mesh=mesh,
             opening=start,
             effects=old.effects,
-            specimens=old.specimens,
+            as_built_designs=old.as_built_designs,
         )
         for i in range(len(world.sensors)):
             world.sensors[i].open_valve()

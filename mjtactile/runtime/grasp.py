@@ -222,7 +222,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     from mjtactile.runtime.task_scoring import TaskScorer
 
     score = GraspScore(rig.scene, TaskScorer.of(scenario, rig))
-    rig.scene.after_each_stretch(score.after_stretch, score.due)
+    rig.scene.after_each_step_batch(score.after_step_batch, score.due)
     force = rig.scene.object.break_force
     varied = {"randomized": rig.varied} if rig.varied else {}
     observer.note(break_force_N=force if math.isfinite(force) else None, **varied)

@@ -35,7 +35,7 @@ class GraspScore:
     began it."""
 
     world: GraspWorld
-    judge: TaskScorer | None = None
+    task_scorer: TaskScorer | None = None
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
@@ -55,7 +55,7 @@ class GraspScore:
     """True if the gripper rose and the object did not rise with it."""
     fell: bool = False
     """True if the object was released in the air and fell."""
-    _let_go_height: float = math.nan
+    _release_height: float = math.nan
     _carried: float = 0.0
     _grip_start: Array | None = None
     _slip: float = 0.0
@@ -108,16 +108,16 @@ class GraspScore:
             **self._object_pose,
         }
 
-    def after_stretch(self) -> None:
+    def after_step_batch(self) -> None:
         """Sample the truth; call after every physics step, or stretch of them."""
-        each = ground_truth.stretch_forces(self.world)
+        each = ground_truth.step_batch_forces(self.world)
         forces = each[-1].tolist()
         peak = float(each.max())
         self.peak_force = max(self.peak_force, peak)
         if (peak > self.world.object.break_force or self._is_torn()) and self.crushed_at is None:
             self.crushed_at = self.world.time
-        if self.judge is not None:
-            self.judge.after_stretch(forces, self.phase, len(each))
+        if self.task_scorer is not None:
+            self.task_scorer.after_step_batch(forces, self.phase, len(each))
         if self.phase == "release":
             self._watch_fall()
         if self.phase not in ("lift", "hold"):
@@ -135,22 +135,24 @@ class GraspScore:
             self._held.append(risen)
 
     def due(self) -> float:
-        """Return the latest world time of the next call to `after_stretch`, s.
+        """Return the latest world time of the next call to `after_step_batch`, s.
 
         If the task measures the placement impact, it is after each step, since an impact lasts
         milliseconds.
         """
         sets_down = self.phase in ("lower", "release")
-        counts = self.judge is not None and math.isfinite(self.judge.task.success.max_impact)
+        counts = self.task_scorer is not None and math.isfinite(
+            self.task_scorer.task.success.max_impact
+        )
         return self.world.time if sets_down and counts else math.inf
 
     def _watch_fall(self) -> None:
         """Detect a fall of the object from its height at release."""
         height = float(self._object_position()[2])
-        if math.isnan(self._let_go_height):
-            self._let_go_height = height
-        counts = SuccessCriteria() if self.judge is None else self.judge.task.success
-        self.fell |= self._let_go_height - height > counts.max_drop
+        if math.isnan(self._release_height):
+            self._release_height = height
+        counts = SuccessCriteria() if self.task_scorer is None else self.task_scorer.task.success
+        self.fell |= self._release_height - height > counts.max_drop
 
     def _is_torn(self) -> bool:
         """Return True if the strain of a soft object exceeds its material's limit."""
@@ -189,8 +191,8 @@ class GraspScore:
         """
         if self.outcome() == "dropped" and self._is_held and self.fell:
             return "it was released in the air and fell"
-        if self.outcome() == "dropped" and self._is_held and self.judge is not None:
-            return self.judge.failure()
+        if self.outcome() == "dropped" and self._is_held and self.task_scorer is not None:
+            return self.task_scorer.failure()
         model = self.world.model
         weight = float(model.body_mass[self._bodies].sum() * np.linalg.norm(model.opt.gravity))
         if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
@@ -209,7 +211,7 @@ class GraspScore:
         """
         if self.crushed_at is not None:
             return "crushed"
-        fails = self.judge is not None and self.judge.failure()
+        fails = self.task_scorer is not None and self.task_scorer.failure()
         return "held" if self._is_held and not fails and not self.fell else "dropped"
 
     @property
@@ -218,7 +220,7 @@ class GraspScore:
 
     def measures(self) -> dict[str, float]:
         """Return additional measures of the task, by name."""
-        return {} if self.judge is None else self.judge.measures()
+        return {} if self.task_scorer is None else self.task_scorer.measures()
 
     @property
     def hold_force(self) -> float:

@@ -23,7 +23,7 @@ from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.session import Session, open_session
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.touch.material import judge
+from mjtactile.sensing.touch.material import estimate_material
 from mjtactile.sensing.touch.squeeze import Squeeze
 
 
@@ -45,7 +45,7 @@ class _Log(Observer):
 
     def result(self, names: dict[str, Any], settings: Settings, flags: Flags) -> ProbeResult:
         squeeze = Squeeze.of(self.touches, self.openings, settings.squeeze)
-        material = judge(squeeze, settings.material)
+        material = estimate_material(squeeze, settings.material)
         return ProbeResult(names, material, squeeze, tuple(self.phases), flags)
 
 

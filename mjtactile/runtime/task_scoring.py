@@ -48,7 +48,7 @@ class TaskScorer:
     """Ratio of grip force to the minimum that also withstands the announced push."""
     set_down_impact: float = math.nan
     """Impulse on the object during its placement, beyond its weight, N s."""
-    let_go_at: float = math.nan
+    released_at: float = math.nan
     """Time of release after the lift, s; a single finger in contact does not hold an object."""
     torn: bool = False
     """It slid out of a grip that was not opened."""
@@ -69,7 +69,7 @@ class TaskScorer:
         task = load_task(scenario.task)
         return cls(rig.scene, task, task.sample(scenario.seed, len(rig.fingers)).pulls())
 
-    def after_stretch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
+    def after_step_batch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
         """Evaluate the ground truth after `steps` physics steps, with normal `forces`, N, per
         finger."""
         height = self._height()
@@ -78,8 +78,8 @@ class TaskScorer:
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
-        elif math.isnan(self.let_go_at) and second < _LET_GO:
-            self.let_go_at = time - self._up_since
+        elif math.isnan(self.released_at) and second < _LET_GO:
+            self.released_at = time - self._up_since
             self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
             pressed = max(
@@ -159,11 +159,11 @@ class TaskScorer:
         if math.isfinite(self.task.success.max_tilt):
             found["tilt_deg_true"] = math.degrees(self._standing()[0])
         if math.isfinite(self.pulls):
-            found["release_delay_s_true"] = self.let_go_at - self.pulls
+            found["release_delay_s_true"] = self.released_at - self.pulls
         return {name: value for name, value in found.items() if math.isfinite(value)}
 
     def _handover_failure(self, within: float) -> str:
-        late = self.let_go_at - self.pulls
+        late = self.released_at - self.pulls
         if math.isnan(late):
             return "it was never released"
         if late < 0:

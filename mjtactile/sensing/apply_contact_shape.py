@@ -56,8 +56,8 @@ def apply_shape_and_motion(
     after = replace(after, press=found.press)
     if felt.slip is None:
         return felt, after
-    judged, history = with_motion(felt.slip, after.slip, found.shape.motion, settings)
-    return replace(felt, slip=judged), replace(after, slip=history)
+    slip_state, history = with_motion(felt.slip, after.slip, found.shape.motion, settings)
+    return replace(felt, slip=slip_state), replace(after, slip=history)
 
 
 def membrane_displacement(before: PipelineState, after: PipelineState) -> MembraneMotion | None:

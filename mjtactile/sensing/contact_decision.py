@@ -96,7 +96,7 @@ class ContactDecision:
             return patches
         return tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
 
-    def judge(
+    def evaluate(
         self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
     ) -> tuple[Touch, PipelineState]:
         """Decide on contact, contact position and slip, or set a status if the estimate is
@@ -107,7 +107,9 @@ class ContactDecision:
         before = state.detection
         found = contact_detection.detect_touch(touch.time, traction, before, s.zero)
         patches = self._patches(estimate) if found.touching else ()
-        judged, history = slip.judge(touch.time, self._inverse, shape, patches, state.slip, s.slip)
+        slip_state, history = slip.classify(
+            touch.time, self._inverse, shape, patches, state.slip, s.slip
+        )
         state = replace(
             state, shape=shape, detection=found, slip=history, unexplained=0, lost_at=None
         )
@@ -150,7 +152,7 @@ class ContactDecision:
             touching=found.touching,
             contact=together(patches, (len(traction.y), len(traction.x))),
             patches=patches,
-            slip=judged,
+            slip=slip_state,
         )
         return felt, state
 

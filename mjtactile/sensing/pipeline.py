@@ -82,7 +82,7 @@ class SensingPipeline:
         self.estimator = MembraneEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
         self.detector = MarkerDetector(design, self.camera, self.estimator, settings)
-        self._judge = ContactDecision(self.inverse, self._measured.force, settings)
+        self._contact_decision = ContactDecision(self.inverse, self._measured.force, settings)
 
     def initial_state(self) -> PipelineState:
         """Make the state before any measurement, from the sensor file.
@@ -409,8 +409,8 @@ class SensingPipeline:
         estimate = self.estimator.estimate(state, reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
         if not self.estimator.fits_markers(estimate.shape):
-            state = self._judge.lost(estimate.state)
-            status = self._judge.failure_status(state)
+            state = self._contact_decision.lost(estimate.state)
+            status = self._contact_decision.failure_status(state)
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state
         if self.inverse.rubber is not None and state.rubber is not None:
@@ -419,5 +419,7 @@ class SensingPipeline:
             estimate = replace(estimate, state=replace(estimate.state, rubber=rubber))
         air_moved = estimate.rest.gauge_pressure - reference.rest.gauge_pressure
         air_moved = air_moved if math.isfinite(air_moved) else 0.0  # no gauge
-        traction = self._judge.traction(estimate, air_moved, time)
-        return self._judge.judge(replace(unknown, traction=traction), traction, estimate, air_moved)
+        traction = self._contact_decision.traction(estimate, air_moved, time)
+        return self._contact_decision.evaluate(
+            replace(unknown, traction=traction), traction, estimate, air_moved
+        )

@@ -25,12 +25,12 @@ class SimCamera:
         sensor: AnySensor,
         seed: int,
         effects: frozenset[str] = CAMERA,
-        specimen: AsBuiltSensor = NOMINAL,
+        as_built: AsBuiltSensor = NOMINAL,
     ):
         """Create the camera with the rendered `effects`.
 
         Without IMAGES, `read` gives a `SyntheticEllipses`. LATENCY returns the previous image,
-        MOTION_BLUR averages over the exposure. `specimen` gives the true camera pose, the missing
+        MOTION_BLUR averages over the exposure. `as_built` gives the true camera pose, the missing
         markers, and the image faults. Raises InputError for image faults without IMAGES, and
         without CHAIN.
         """
@@ -39,13 +39,13 @@ class SimCamera:
                 "synthetic touch is available in grasps only", field="--effects -pipeline"
             )
         self._sensor = sensor
-        self._faulty = FaultyImage(specimen.camera, seed)
+        self._faulty = FaultyImage(as_built.camera, seed)
         if self._faulty.has_faults and Effect.IMAGES not in effects:
             raise InputError(
                 "image faults need images, and none are rendered", field="--effects -images"
             )
         design = set_camera_effects(sensor.design, effects)
-        place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
+        place = {"pose": camera_pose(design, as_built), "radius": marker_radii(design, as_built)}
         self._sampler = (
             None if Effect.IMAGES in effects else EllipseSampler(design, seed=seed, **place)
         )

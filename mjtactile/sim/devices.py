@@ -180,7 +180,7 @@ class SimGripper:
         self._force_limit = world.rig.gripper.force_max
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
-            world.after_each_stretch(self._apply_late, self._due)
+            world.after_each_step_batch(self._apply_late, self._due)
 
     def reseed(self, seed: int) -> None:
         """Set the generator of noise and delays."""

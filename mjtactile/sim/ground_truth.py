@@ -85,11 +85,11 @@ def contact_loads(world: World, devices: Sequence[AnySensor]) -> Array:
     )
 
 
-def stretch_forces(world: World) -> Array:
+def step_batch_forces(world: World) -> Array:
     """Return the normal forces (n, sensors) N of the last batch of n steps."""
-    if world.stretch is None:
+    if world.batch_forces is None:
         return -contact_loads(world, world.sensors)[None, :, 2]
-    return -world.stretch[:, :, 2]
+    return -world.batch_forces[:, :, 2]
 
 
 def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:

@@ -39,7 +39,7 @@ _QS_STEP_MAX = 2.1e-3
 
 @dataclass(frozen=True)
 class _Plan:
-    """Components of a scenario's rig, with `designs` and as-built `specimens` in the rig file's
+    """Components of a scenario's rig, with `designs` and as-built `as_built` in the rig file's
     order."""
 
     scenario: Scenario
@@ -52,7 +52,7 @@ class _Plan:
     chosen: Chosen
     on: frozenset[Effect]
     designs: tuple[SensorDesign, ...]
-    specimens: tuple[AsBuiltSensor, ...]
+    as_built: tuple[AsBuiltSensor, ...]
 
     @property
     def steps_per_second(self) -> float:
@@ -98,9 +98,9 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
     grasped = _breaking(grasped.changed(sampled.object), task, sample_task, fingers)
     force_error = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
-    specimens = tuple(sampled.specimen(finger.name) for finger in file.fingers)
+    as_built = tuple(sampled.as_built_sensor(finger.name) for finger in file.fingers)
     # unknown to sensing: its design has no creep
-    creeps = {Effect.RELAXATION} if any(one.creep for one in specimens) else set()
+    creeps = {Effect.RELAXATION} if any(one.creep for one in as_built) else set()
     return _Plan(
         scenario,
         file,
@@ -112,7 +112,7 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
         chosen,
         chosen.on | creeps,
         tuple(finger_designs(file, design)),
-        specimens,
+        as_built,
     )
 
 
@@ -120,8 +120,8 @@ def _world(plan: _Plan) -> GraspWorld:
     """Return the ground-truth world with its disturbances."""
     grip = plan.file.gripper
     true = [
-        set_design(_true_design(design, specimen, plan.sampled), plan.on)
-        for design, specimen in zip(plan.designs, plan.specimens, strict=True)
+        set_design(_true_design(design, as_built, plan.sampled), plan.on)
+        for design, as_built in zip(plan.designs, plan.as_built, strict=True)
     ]
     fidelity = plan.fidelity
     pose, _ = start_of(plan.scenario.seed)
@@ -135,14 +135,14 @@ def _world(plan: _Plan) -> GraspWorld:
         effects=plan.on,
         mesh=fidelity.mesh if fidelity is not None and Effect.SHEET in plan.on else None,
         object_pose=place(plan.object, pose),
-        specimens=true,
+        as_built_designs=true,
     )
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     if plan.sample_task.events:
         schedule = DisturbanceSchedule(world, plan.sample_task.events, plan.task.goal.lift_height)
-        world.after_each_stretch(schedule.step, schedule.due)
-    for sensor, own in zip(world.sensors, plan.specimens, strict=True):
+        world.after_each_step_batch(schedule.step, schedule.due)
+    for sensor, own in zip(world.sensors, plan.as_built, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
             sensor.warm(own.warming)
@@ -156,20 +156,15 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     clock = SimClock(world)
     _, seeds = start_of(seed)
     cameras = _cameras(
-        world.sensors,
-        seeds(len(world.sensors)),
-        plan.on,
-        plan.designs,
-        plan.specimens,
-        plan.sampled,
+        world.sensors, seeds(len(world.sensors)), plan.on, plan.designs, plan.as_built, plan.sampled
     )
     clock.on_arrival += [camera.draw for camera in cameras]
     valves = tuple(
         SimValve(sensor, seed + k, own.valve_zero, clock.defer)
-        for k, (sensor, own) in enumerate(zip(world.sensors, plan.specimens, strict=True))
+        for k, (sensor, own) in enumerate(zip(world.sensors, plan.as_built, strict=True))
     )
     for valve in valves:
-        world.after_each_stretch(valve.move)
+        world.after_each_step_batch(valve.move)
     sheet = world.sensors[0].mesh
     names = tuple(finger.name for finger in file.fingers)
     assumed = tuple(set_design(design, plan.on) for design in plan.designs)
@@ -197,14 +192,14 @@ def _cameras(
     seeds: Sequence[int],
     on: frozenset[str],
     designs: Sequence[SensorDesign],
-    specimens: Sequence[AsBuiltSensor],
+    as_built: Sequence[AsBuiltSensor],
     sampled: SampledWorld,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
     """Return the image source of each sensor: a camera, or a synthetic touch source."""
     if Effect.CHAIN in on:
         return tuple(
             SimCamera(sensor, seed, on, own)
-            for sensor, seed, own in zip(sensors, seeds, specimens, strict=True)
+            for sensor, seed, own in zip(sensors, seeds, as_built, strict=True)
         )
     return tuple(
         SyntheticTouchSource(
@@ -269,10 +264,10 @@ def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float
 
 
 def _true_design(
-    design: SensorDesign, specimen: AsBuiltSensor, sampled: SampledWorld
+    design: SensorDesign, as_built: AsBuiltSensor, sampled: SampledWorld
 ) -> SensorDesign:
     """Return the sensor as built, with the friction of its pair with the object."""
-    true = true_design(design, specimen)
+    true = true_design(design, as_built)
     return replace(
         true,
         membrane=replace(

@@ -82,10 +82,10 @@ class GripperReplay:
         along = float(amounts.get("along", (0.0,))[0])
         mass = float(amounts.get("mass", (0.0,))[0])
         thing = replace(UNCHANGED, place=(pose[0] + along, pose[1]), mass=mass)
-        specimens = tuple(
-            replace(_specimen(amounts, k), finger=name) for k, name in enumerate(names)
+        as_built = tuple(
+            replace(_as_built_sensor(amounts, k), finger=name) for k, name in enumerate(names)
         )
-        return SampledWorld(object=thing, specimens=specimens)
+        return SampledWorld(object=thing, as_built=as_built)
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ class StageReplay:
         """
         episode = RecordedEpisode(self.folder)
         stage = stage_from_note(episode.recording.notes["stage"], self.folder)
-        specimen = _specimen(amounts, 0)
-        true = true_design(episode.design, specimen)
+        as_built = _as_built_sensor(amounts, 0)
+        true = true_design(episode.design, as_built)
         leaking = replace(true.chamber, leak_conductance=true.chamber.leak_conductance)
-        leaking = replace(leaking, leak_conductance=leaking.leak_conductance + specimen.leak)
+        leaking = replace(leaking, leak_conductance=leaking.leak_conductance + as_built.leak)
         offset = float(amounts.get("touch", (0.0,))[0])
-        watch = _Watch(episode.design, specimen.valve_zero)
+        watch = _Watch(episode.design, as_built.valve_zero)
         times = episode.recording.columns["time"]
         seconds = min(float(times[-1] - times[0]), self.until) + 1 / episode.design.camera.rate
         record_stage(
@@ -156,7 +156,7 @@ def _deeper(stage: Stage, offset: float) -> Stage:
     return replace(stage, moves=moves)
 
 
-def _specimen(amounts: Amounts, finger: int) -> AsBuiltSensor:
+def _as_built_sensor(amounts: Amounts, finger: int) -> AsBuiltSensor:
     def own(name: str) -> float:
         given = amounts.get(name, ())
         return float(given[finger]) if finger < len(given) else 0.0

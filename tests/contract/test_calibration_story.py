@@ -157,10 +157,10 @@ def calibrate(file, emulator, monkeypatch, *options):
 
 def calibrate_cameras(path, file):
     design = load_sensor(path.parent / "slower.toml")
-    specimens = load_rig_file(path).emulator
+    as_built = load_rig_file(path).emulator
     for finger in FINGERS:
         photos = path.parent / f"photos_{finger}"
-        photograph_board(photos, true_design(design, specimens.specimen(finger)).camera)
+        photograph_board(photos, true_design(design, as_built.as_built_sensor(finger)).camera)
         what = ["calibrate", "camera", str(photos), "--rig", str(file), "--finger", finger]
         assert main([*what, "--sensor", str(path.parent / "slower.toml")]) == 0
 

@@ -129,8 +129,8 @@ def test_one_that_hangs_is_unknown_until_it_answers():
 
     with Perceivers([chain(felt), chain(hangs)], NAMES, 2) as both:
         # the second call does not wait for it
-        for now, disk_wait_time in ((1.0, 0.01), (2.0, 1e9)):
-            left, right = both.perceive([IMAGE, IMAGE], now, disk_wait_time)
+        for now, timeout in ((1.0, 0.01), (2.0, 1e9)):
+            left, right = both.perceive([IMAGE, IMAGE], now, timeout)
             assert left.status == "ok" and right.status == (
                 "right sensor: its perception does not answer"
             )

@@ -117,7 +117,7 @@ def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     )
 
 
-def judge(
+def validate_fits(
     fit: edge_fit.EdgeFit,
     found: candidates.Candidates,
     polarity: str,

@@ -31,11 +31,11 @@ def test_steps_in_one_go_are_those_one_by_one():
         if not ahead:
             world._batches = None
         forces = []
-        world.after_each_stretch(
+        world.after_each_step_batch(
             lambda world=world, forces=forces: forces.extend(
                 [[s.wrench[2] for s in world.sensors]]
-                if world.stretch is None
-                else world.stretch[:, :, 2].tolist()
+                if world.batch_forces is None
+                else world.batch_forces[:, :, 2].tolist()
             )
         )
         world.set_finger_target(0.03, 1.0)
@@ -68,7 +68,7 @@ def test_what_happens_to_it_does_so_in_the_same_steps(task):
             level = world.model.opt.gravity[:2]
             stretches.append(bool(world.data.xfrc_applied.any() or level.any()))
 
-        world.after_each_stretch(call)
+        world.after_each_step_batch(call)
         world.set_finger_target(0.03, 1.0)
         world.step(500)
         world.set_lift_target(0.05, 0.1)
@@ -95,7 +95,7 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
         world.step(500)
         bodies = ground_truth.object_bodies(world)
         found = []
-        world.after_each_stretch(lambda: found.append(world.model.body_mass[bodies].sum()))  # noqa: B023
+        world.after_each_step_batch(lambda: found.append(world.model.body_mass[bodies].sum()))  # noqa: B023
         world.step(1500)
         rig.close()
         masses.append(found)
@@ -158,7 +158,7 @@ def test_a_stretch_ends_where_somebody_is_due():
         due[0] = np.inf
 
     start = round(world.time / world.timestep)
-    world.after_each_stretch(call, lambda: due[0])
+    world.after_each_step_batch(call, lambda: due[0])
     world.step(20)
     assert calls[0] - start == 4 and calls[-1] - start == 20
     rig.close()

@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core import resources
-from mjtactile.sim.scenes.material_specimens import SHIPPED, to_mjcf
+from mjtactile.sim.scenes.material_samples import SHIPPED, to_mjcf
 from mjtactile.sim.scenes.objects import MATERIALS, load_object
 from tests.emulated_host import shipped_with
 
@@ -44,14 +44,14 @@ def probe(capsys, *args):
 def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor, brisk):
     words = ["--object", "sponge", "--sensor", sensor, "--controller", brisk(APPROACH_SPEED=0.03)]
     code, found = probe(capsys, *words, "--out", tmp_path / "live")
-    specimen = SHIPPED["sponge"][0]
+    sample = SHIPPED["sponge"][0]
     assert (code, found["material"], found["status"]) == (0, "soft", "ok")
     # the free width is known to 50 um of 2 mm; the force to 5 %
     assert found["stiffness_N_m"] == pytest.approx(
-        specimen.secant_stiffness(found["force_N"]), rel=0.15
+        sample.secant_stiffness(found["force_N"]), rel=0.15
     )
     # the area of the contact comes in besides, from markers 3 to 4 mm apart on a face of 18 x 16 mm
-    assert found["modulus_kPa"] == pytest.approx(1e-3 * specimen.modulus(found["force_N"]), rel=0.4)
+    assert found["modulus_kPa"] == pytest.approx(1e-3 * sample.modulus(found["force_N"]), rel=0.4)
     assert found["relaxation_time_s"] == 0 and abs(found["permanent_set_mm"]) < 0.15
     assert {"probe.json", "probe.png", "probe.html", "recording"} <= {
         path.name for path in (tmp_path / "live").iterdir()
@@ -77,12 +77,12 @@ def test_class(capsys, name, kind, sensor, brisk):
 
 @pytest.mark.parametrize("name", list(SHIPPED))
 def test_shipped_specimens_are_what_their_writer_writes(name):
-    specimen, comment = SHIPPED[name]
+    sample, comment = SHIPPED[name]
     path = resources.find(name, "models/objects", ".xml")
-    assert path.read_text(encoding="utf-8") == to_mjcf(specimen, name, comment)
+    assert path.read_text(encoding="utf-8") == to_mjcf(sample, name, comment)
     read = load_object(name)
     # 2 degrees
-    assert read.material == specimen.material in MATERIALS and read.turn == pytest.approx(
+    assert read.material == sample.material in MATERIALS and read.turn == pytest.approx(
         0.0349, rel=1e-3
     )
 

@@ -52,7 +52,7 @@ def references(
     return chain
 
 
-def some_specimen(rng):
+def random_as_built(rng):
     """Stiffness within 30 %, focal length 3 %, centre 6 px, k1 0.04, the camera moved and turned,
     larger markers."""
 
@@ -77,7 +77,7 @@ def test_a_sensor_that_is_only_different_is_not_refused(sensor):
     for seed in range(5):
         references(
             sensor,
-            some_specimen(rng),
+            random_as_built(rng),
             float(rng.choice([600.0, 1000.0, 1500.0])),
             pre_stretch=rng.uniform(-0.02, 0.02),
             seed=seed,

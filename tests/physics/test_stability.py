@@ -22,13 +22,13 @@ def test_the_matrix_is_large_and_its_cases_are_distinct():
 @pytest.mark.slow
 @pytest.mark.parametrize("case", pruned(), ids=lambda case: f"{case.axis}: {case.label}")
 def test_pruned_case(case):
-    row = run.judge(case)
+    row = run.evaluate(case)
     assert row["outcome"] in ("ok", "flagged", "refused"), row["reason"]
 
 
 def test_a_plain_press_is_plainly_ok():
     case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "4 ms"))
-    assert run.judge(case)["outcome"] == "ok"
+    assert run.evaluate(case)["outcome"] == "ok"
 
 
 @pytest.mark.parametrize(("problem", "words"), [("force", "quarter"), ("settled", "settle")])
@@ -44,7 +44,7 @@ def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
         }
 
     monkeypatch.setattr(run, "measure", measure)
-    row = run.judge(case)
+    row = run.evaluate(case)
     assert row["outcome"] == "FAILED" and words in row["reason"]
 
 

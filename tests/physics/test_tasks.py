@@ -115,13 +115,13 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     [("release", ""), ("hold", "it was pulled out of the gripper, which did not open")],
 )
 def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase, failure):
-    judge = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
+    scorer = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
     monkeypatch.setattr(TaskScorer, "is_up", lambda _: True)
-    judge.after_stretch([0.4, 0.4], "hold")
-    advance(judge.world, 0.2)
-    judge.after_stretch([0.0, 0.9], phase)  # pressed against one finger it is held by none
-    assert judge.failure() == failure
-    assert judge.measures()["release_delay_s_true"] == pytest.approx(
+    scorer.after_step_batch([0.4, 0.4], "hold")
+    advance(scorer.world, 0.2)
+    scorer.after_step_batch([0.0, 0.9], phase)  # pressed against one finger it is held by none
+    assert scorer.failure() == failure
+    assert scorer.measures()["release_delay_s_true"] == pytest.approx(
         0.2, abs=0.01
     )  # of steps of 3 ms
 
@@ -133,16 +133,16 @@ def test_the_need_is_coulombs_for_a_grip_in_the_middle():
     It increases with an external pull and with the torque of an off-center load.
     """
     world = GraspWorld("paper16", "vial", mesh=MESH)
-    judge = TaskScorer(world, load_task("lift"))
-    assert judge.need() == 0.0  # nothing touches
+    scorer = TaskScorer(world, load_task("lift"))
+    assert scorer.need() == 0.0  # nothing touches
     world.set_finger_target(0.0, 0.5)
     advance(world, 1.6)
     friction = world.sensors[0].design.membrane.friction
     # 0.2 mm between the patches' middles and the centre of mass, patches of 3 mm: 0.2 %
-    assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)
+    assert scorer.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)
     body = ground_truth.object_bodies(world)[0]
     world.data.xfrc_applied[body, :3] = [0.0, 0.0, -0.3]
-    assert judge.need() == pytest.approx((MASS * 9.81 + 0.3) / (2 * friction), rel=0.02)
+    assert scorer.need() == pytest.approx((MASS * 9.81 + 0.3) / (2 * friction), rel=0.02)
     # along the line through both fingers: the normal forces carry it
     world.data.xfrc_applied[body, :3] = [0.3, 0.0, 0.0]
-    assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)
+    assert scorer.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)

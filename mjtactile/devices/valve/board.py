@@ -139,11 +139,11 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name} is silent or broken: {why}")
         return reading
 
-    def measure(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
+    def measure(self, channel: int, timeout: float | None = None) -> ValveReading:
         """Query the board within `disk_wait_time` s (None: a command's time)."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
-            return self._with_retry(lambda: self._read(channel, disk_wait_time))
+            return self._with_retry(lambda: self._read(channel, timeout))
 
     def close(self, *, quiet: bool = False) -> None:
         """Vent every channel, even after a failure, and release the port."""
@@ -257,16 +257,14 @@ class ValveBoard:
                 return act()
         return act()
 
-    def _ask(self, text: str, disk_wait_time: float | None = None) -> str:
+    def _ask(self, text: str, timeout: float | None = None) -> str:
         """The text of the answer to one command, within `disk_wait_time` s (None: a command's).
         Raises DeviceError."""
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
                 write(self._serial, protocol.encode(self._sequence, text))
-                reply = self._answer(
-                    self._command_time if disk_wait_time is None else disk_wait_time
-                )
+                reply = self._answer(self._command_time if timeout is None else timeout)
             except (serial.SerialException, OSError, termios.error, TypeError) as error:
                 # TypeError: a closed port
                 raise DeviceError(f"valve port {self.name} is lost: {error}") from error
@@ -276,7 +274,7 @@ class ValveBoard:
             )
         return reply
 
-    def _answer(self, disk_wait_time: float) -> str:
+    def _answer(self, timeout: float) -> str:
         """Return the line with the number of the last command.
 
         Damaged lines and late replies to other commands are skipped.
@@ -297,16 +295,16 @@ class ValveBoard:
             self._received += data
             waited = scaled_clock.monotonic() - asked
             # received data is read first: this thread may be late
-            if waited > disk_wait_time and (not data or waited > 2 * disk_wait_time):
+            if waited > timeout and (not data or waited > 2 * timeout):
                 raise _NoReply(
                     f"valve board {self.name}: "
                     f"{'only noise' if damaged or self._received else 'no reply'}"
                 )
 
-    def _read(self, channel: int, disk_wait_time: float | None = None) -> ValveReading:
+    def _read(self, channel: int, timeout: float | None = None) -> ValveReading:
         # the board measures after this, so that a reading is never thought younger than it is
         asked = scaled_clock.monotonic()
-        reply = self._ask(f"state {channel}", disk_wait_time)
+        reply = self._ask(f"state {channel}", timeout)
         match = re.fullmatch(
             rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) "
             rf"({'|'.join(protocol.FAULTS)})",

@@ -22,7 +22,7 @@ from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
-from mjtactile.sensing.image.fit_validation import implausible, judge
+from mjtactile.sensing.image.fit_validation import implausible, validate_fits
 from mjtactile.sensing.settings import DEFAULTS, ExhaustiveDetectionSettings, Settings
 
 
@@ -70,7 +70,7 @@ def detect_thoroughly(
     fit = _second_try(
         grey, found, fit_candidates(grey, found, settings), polarity, min_radius_px, settings
     )
-    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
+    status, keep = validate_fits(fit, found, polarity, grey.shape, min_radius_px, s)
     kept = as_ellipses(fit.take(keep), status[keep])
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
     places = np.concatenate([first.center[why != ""], found.center[~keep]])
@@ -170,7 +170,7 @@ def _second_try(
 ) -> edge_fit.EdgeFit:
     """Return `fit` with the rejected candidates refitted, at a blur near that of the trusted
     markers."""
-    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
+    status, keep = validate_fits(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
     if keep.all():
         return fit
     good = status == "ok"

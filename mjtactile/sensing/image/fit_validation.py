@@ -37,7 +37,7 @@ def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> N
     return np.where(codes, STATUSES[codes], "")
 
 
-def judge(
+def validate_fits(
     fit: EdgeFit,
     found: Candidates,
     polarity: str,

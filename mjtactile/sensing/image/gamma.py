@@ -134,7 +134,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         if abs(step) < _SETTLED:
             break
     settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.min_blur
-    return _judged(log_gamma, own, sd, s) if settled else UNKNOWN
+    return _from_estimate(log_gamma, own, sd, s) if settled else UNKNOWN
 
 
 def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
@@ -166,7 +166,7 @@ def _moved(theta: Array, change: Array) -> Array:
     return new
 
 
-def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
+def _from_estimate(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
     """Return the common gamma, with a standard deviation that includes the scatter of circles.
     `own` are the deviations of the circles from it. It is unknown if it is not plausible for a
     camera."""

@@ -14,7 +14,7 @@ from mjtactile.sensing.image import candidates
 from mjtactile.sensing.image.edge_fit import EdgeFit
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates
-from mjtactile.sensing.image.fit_validation import implausible, judge
+from mjtactile.sensing.image.fit_validation import implausible, validate_fits
 from mjtactile.sensing.settings import DEFAULTS, LocateSettings, Settings
 
 Polarity = Literal["dark", "bright"]
@@ -64,7 +64,7 @@ def search(
     if max_radius_px < math.inf:
         found = found.take(np.sqrt(found.shape[:, 0] * found.shape[:, 2]) < max_radius_px)
     fit = fit_candidates(grey, found, settings)
-    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
+    status, keep = validate_fits(fit, found, polarity, grey.shape, min_radius_px, s)
     return (fit, status) if keep.all() else (fit.take(keep), status[keep])
 
 

@@ -20,7 +20,7 @@ from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import edge_fit, markers
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates
-from mjtactile.sensing.image.fit_validation import judge
+from mjtactile.sensing.image.fit_validation import validate_fits
 from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 
 
@@ -85,7 +85,7 @@ def _tracked(
     center = before.fit.center + step * before.velocity
     start = Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
     fit = fit_candidates(grey, start, settings)
-    status, _ = judge(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
+    status, _ = validate_fits(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
     if (status == "ok").all() and _believable(fit, start, before.fit, s):
         return fit
     return None

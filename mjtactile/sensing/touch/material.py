@@ -65,7 +65,7 @@ class _Curve:
         return math.sqrt(max(float(gradient @ self.cov @ gradient), 0.0))
 
 
-def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
+def estimate_material(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
     """Classify the material from a probe: loading, hold, release and (optionally) a second touch.
     For "unknown" the `status` gives the reason."""
     seen = (

@@ -77,7 +77,7 @@ def unknown(code: StatusCode, reason: str) -> Slip:
     return Slip("unknown", np.full(2, np.nan), np.nan, np.nan, status=Status(code, reason))
 
 
-def judge(
+def classify(
     time: float,
     estimator: InverseMembrane,
     shape: Shape,

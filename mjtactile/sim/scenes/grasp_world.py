@@ -42,19 +42,19 @@ class GraspWorld(GripperWorld):
         object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         opening: float | None = None,
         effects: frozenset[str] = PHYSICS,
-        specimens: Sequence[SensorDesign] = (),
+        as_built_designs: Sequence[SensorDesign] = (),
     ):
         """Create the scene.
 
         `object_pose` is x, y (m) and yaw (rad) of the object's file on the table, relative to the
-        gripper. `opening` m is the initial jaw opening (default: the rig file's). `specimens` are
-        the as-built sensors of the fingers, if they differ from `sensor`.
+        gripper. `opening` m is the initial jaw opening (default: the rig file's).
+        `as_built_designs` are the designs of the fingers, if they differ from `sensor`.
         """
         self.design = load_sensor(sensor)
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
-        self.specimens = tuple(specimens)
+        self.as_built_designs = tuple(as_built_designs)
         rig = rig if isinstance(rig, SimRigFile) else load_sim_rig(rig)
-        designs = self.specimens or finger_designs(rig, self.design)
+        designs = self.as_built_designs or finger_designs(rig, self.design)
 
         def furnish(spec: mujoco.MjSpec, start: Start) -> None:
             x, y, yaw = object_pose

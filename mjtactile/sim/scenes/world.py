@@ -46,10 +46,10 @@ class World:
         )
         self._stepper = Stepper(self.model, self.data, self.sensors)
         self._after_step: list[Callable[[], None]] = []
-        self._after_stretch: list[Callable[[], None]] = []
+        self._after_step_batch: list[Callable[[], None]] = []
         self._dues: list[Callable[[], float]] = []
         self._batches: QuasistaticStepper | None = None
-        self.stretch: Array | None = None
+        self.batch_forces: Array | None = None
         """Wrench (n, sensors, 6) on each sensor in each of the last n steps.
 
         Set only where the steps ran in one call.
@@ -95,7 +95,7 @@ class World:
 
     def step(self, count: int = 1) -> None:
         """Advance by `count` time steps. Raises SimulationError if the state is no longer valid."""
-        watched = self._after_step or self._after_stretch
+        watched = self._after_step or self._after_step_batch
         if not (self.sensors or watched or self._moves):  # no work between the steps
             mujoco.mj_step(self.model, self.data, count)
             self._stepper.after_step(count)
@@ -107,17 +107,19 @@ class World:
         """Run up to `count` steps in one kernel call if possible, else one; return how many."""
         batches = self._batches
         if batches is None or self._after_step or not batches.is_ready():
-            self.stretch = None
+            self.batch_forces = None
             self._before_step()
             self._stepper.step()
             done = 1
         else:
             maximum = min(count, MAX_STEPS, self._stepper.steps_to_check, self._until_due())
             self._write_goals(batches)
-            done, unsolved, self.stretch = batches.run(maximum, not self._stepper.is_speed_flagged)
+            done, unsolved, self.batch_forces = batches.run(
+                maximum, not self._stepper.is_speed_flagged
+            )
             self._read_goals(batches)
             self._stepper.after_step(done, unsolved)
-        for call in (*self._after_step, *self._after_stretch):
+        for call in (*self._after_step, *self._after_step_batch):
             call()
         return done
 
@@ -138,14 +140,14 @@ class World:
         """From now on, `call()` after every step."""
         self._after_step.append(call)
 
-    def after_each_stretch(
+    def after_each_step_batch(
         self, call: Callable[[], None], due: Callable[[], float] | None = None
     ) -> None:
         """Register `call` to run after every batch of steps, at least every 20 ms.
 
         `due` returns the latest time of the next call, s; it is evaluated before each batch.
         """
-        self._after_stretch.append(call)
+        self._after_step_batch.append(call)
         if due is not None:
             self._dues.append(due)
 

@@ -9,29 +9,29 @@ import pytest
 
 from mjtactile.core import config_fields, resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
-from mjtactile.fit.parameter_info import ABOUT, FittedParameter, correlations, digits, judge
+from mjtactile.fit.parameter_info import ABOUT, FittedParameter, classify, correlations, digits
 from mjtactile.fit.rewrite_sensor_file import rewrite
 
 TEXT = resources.find("dense", "models/sensors", ".toml").read_text()
 
 
 def test_a_number_with_a_small_sd_is_fitted_and_says_its_interval():
-    number = judge("membrane.young_MPa", 1.1, 0.01, 1.0, "runs/press")
+    number = classify("membrane.young_MPa", 1.1, 0.01, 1.0, "runs/press")
     assert number.state == "fitted" and number.interval == pytest.approx((1.0804, 1.1196))
     assert number.comment == "fitted: 1.080 to 1.120 (95 %), runs/press"
 
 
 def test_a_number_that_is_not_known_keeps_the_file_s_value_and_says_what_to_record():
-    number = judge("membrane.friction", 0.5, 0.4, 0.9, "runs/press")
+    number = classify("membrane.friction", 0.5, 0.4, 0.9, "runs/press")
     assert (number.state, number.value) == ("not in these recordings", 0.9)
     assert "drag a loaded indenter" in number.comment
 
 
 def test_gas_volume_counts_as_known_against_all_of_the_gas():
     """The extra volume may be nothing; 0.5 mL of 24 are 2 %."""
-    assert judge("chamber.extra_volume_mL", 0.1, 0.5, 0.0, "", gas_mL=24.0).state == "fitted"
+    assert classify("chamber.extra_volume_mL", 0.1, 0.5, 0.0, "", gas_mL=24.0).state == "fitted"
     assert (
-        judge("chamber.extra_volume_mL", 0.1, 3.0, 0.0, "", gas_mL=24.0).state
+        classify("chamber.extra_volume_mL", 0.1, 3.0, 0.0, "", gas_mL=24.0).state
         == "not in these recordings"
     )
 

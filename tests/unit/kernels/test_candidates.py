@@ -91,8 +91,8 @@ def test_judgement(polarity):
             )
             args = fit, found, polarity, SIZE, minimum, DEFAULTS.markers
             (status, keep), (wanted, keep_requested) = (
-                fit_validation.judge(*args),
-                numpy_candidates.judge(*args),
+                fit_validation.validate_fits(*args),
+                numpy_candidates.validate_fits(*args),
             )
             np.testing.assert_array_equal(status, wanted)
             np.testing.assert_array_equal(keep, keep_requested)

@@ -25,8 +25,8 @@ from mjtactile.rig.domain_randomization import (
     ObjectChange,
     RigChange,
     Spread,
-    draw,
     load_variation,
+    sample_world,
     variation_from_table,
 )
 from mjtactile.rig.file import load_sim_rig
@@ -152,8 +152,8 @@ def test_units_and_fingers():
         mass=0.2, place=(0.002, 0.002), yaw=pytest.approx(np.pi / 2)
     )
     assert (world.rig.delay, world.rig.backlash) == (pytest.approx(0.01), pytest.approx(2e-4))
-    left = world.specimen("left")
-    right = world.specimen("right")
+    left = world.as_built_sensor("left")
+    right = world.as_built_sensor("right")
     np.testing.assert_allclose(left.tilt, np.pi / 180)
     assert left.leak == pytest.approx(1e-11) and left.warming == pytest.approx(0.1)
     assert len(left.missing) == len(right.missing) == 2 and left.missing != right.missing
@@ -186,14 +186,14 @@ def test_a_changed_object_weighs_and_measures_what_it_should(name):
 
 
 def test_the_world_is_as_drawn_and_sensing_does_not_know():
-    world = draw("default", 3, DESIGN, FILE)
+    world = sample_world("default", 3, DESIGN, FILE)
     rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), sampled=world)
     try:
         for finger, sensor in zip(rig.fingers, rig.scene.sensors, strict=True):
             assert (
                 finger.design.membrane == DESIGN.membrane and finger.design.camera == DESIGN.camera
             )
-            share = 1 + world.specimen(finger.name).stiffness_fraction
+            share = 1 + world.as_built_sensor(finger.name).stiffness_fraction
             assert sensor.design.membrane.young == pytest.approx(share * DESIGN.membrane.young)
         stands = load_object("egg").break_force * (1 + world.object.breaking)
         assert rig.scene.object.break_force == pytest.approx(stands) and rig.varied == world.values
@@ -249,7 +249,7 @@ class FakeWorld:
         jaws = SimpleNamespace(opening=(0.0, 0.1), force_max=8.0)
         self.rig = SimpleNamespace(gripper=jaws, lift=SimpleNamespace(travel=0.1))
 
-    def after_each_stretch(self, call, due):
+    def after_each_step_batch(self, call, due):
         """Steps are stretches here, so short that nothing is due within one."""
         assert due() > self.time - 1e-9
         self.calls.append(call)

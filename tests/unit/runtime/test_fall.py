@@ -21,9 +21,9 @@ def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
     """
     heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)
     score = GraspScore.__new__(GraspScore)
-    score.crushed_at = score.judge = None
+    score.crushed_at = score.task_scorer = None
     score.fell = False
-    score._let_go_height = float("nan")
+    score._release_height = float("nan")
     score._held = [True] * 5
     monkeypatch.setattr(
         GraspScore, "_object_position", lambda _: np.array([0.0, 0.0, next(heights)])
@@ -31,13 +31,13 @@ def test_what_falls_from_an_open_hand_was_dropped(monkeypatch, falls, outcome):
     for _ in range(5):
         score._watch_fall()
     assert score.outcome() == outcome
-    fragile = SimpleNamespace(task=Task("place", (), success=SuccessCriteria(fall=0.008)))
-    score.fell, score._let_go_height = False, float("nan")
-    score.judge = cast(Any, fragile)
+    fragile = SimpleNamespace(task=Task("place", (), success=SuccessCriteria(max_drop=0.008)))
+    score.fell, score._release_height = False, float("nan")
+    score.task_scorer = cast(Any, fragile)
     heights = iter(0.07 - falls * np.linspace(0, 1, 5) ** 2)
     for _ in range(5):
         score._watch_fall()
     assert score.fell == (falls > 0.008)  # a task's own word on it
-    score.judge = None
+    score.task_scorer = None
     if outcome == "dropped":
         assert score.reason() == "it was released in the air and fell"

@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Contact, Material, Surface, Touch, Traction
-from mjtactile.sensing.touch.material import judge
+from mjtactile.sensing.touch.material import estimate_material
 from mjtactile.sensing.touch.squeeze import Squeeze, covered_area, object_width
 
 PERIOD = 1 / 30
@@ -103,7 +103,7 @@ def rigid():
 
 
 def test_solid():
-    found = judge(squeeze(rigid))
+    found = estimate_material(squeeze(rigid))
     assert found.kind == "solid" and found.probability["solid"] > 0.9 and found.status == "ok"
     # three sd of the fit's free width, 10 um noise over 50 images
     assert abs(found.deformation) < 20e-6
@@ -114,7 +114,7 @@ def test_solid():
 
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0, 3000.0])
 def test_soft_gives_back_its_stiffness_and_modulus(stiffness):
-    found = judge(squeeze(standard_linear_solid(stiffness)))
+    found = estimate_material(squeeze(standard_linear_solid(stiffness)))
     assert found.kind == "soft" and found.status == "ok"
     # the free width is known to some 20 um, of 0.3 mm for the stiffest
     assert found.stiffness == pytest.approx(stiffness, rel=0.1)
@@ -126,13 +126,13 @@ def test_soft_gives_back_its_stiffness_and_modulus(stiffness):
 def test_membranes_do_not_count(monkeypatch):
     """The same object between softer membranes has the same estimated stiffness."""
     monkeypatch.setattr(sys.modules[__name__], "GRIP", GRIP / 1.6)
-    found = judge(squeeze(standard_linear_solid(1000.0)))
+    found = estimate_material(squeeze(standard_linear_solid(1000.0)))
     assert found.stiffness == pytest.approx(1000.0, rel=0.1)
 
 
 @pytest.mark.parametrize("tau", [0.2, 0.5])
 def test_relaxation_time(tau):
-    found = judge(squeeze(standard_linear_solid(300.0, arm=500.0, tau=tau)))
+    found = estimate_material(squeeze(standard_linear_solid(300.0, arm=500.0, tau=tau)))
     assert found.kind == "soft"
     # the creep seen at held jaws is slower, tau (GRIP + K + arm) / (GRIP + K) = 1.8 tau: the
     # membranes are accounted for
@@ -142,7 +142,7 @@ def test_relaxation_time(tau):
 
 @pytest.mark.parametrize(("yield_force", "viscosity"), [(0.4, 40.0), (0.05, 400.0)])
 def test_amorphous_keeps_its_set(yield_force, viscosity):
-    found = judge(squeeze(yielding(3000.0, yield_force, viscosity)))
+    found = estimate_material(squeeze(yielding(3000.0, yield_force, viscosity)))
     assert found.kind == "amorphous" and found.status == "ok"
     assert (
         found.permanent_set == pytest.approx(found.deformation, rel=0.35)
@@ -163,26 +163,27 @@ def test_too_little_contact_is_a_verdict():
         history.width_sd,
         history.area,
     )
-    for found in (judge(faint), judge(Squeeze(*np.zeros((7, 0))))):
+    for found in (estimate_material(faint), estimate_material(Squeeze(*np.zeros((7, 0))))):
         assert found.kind == "unknown" and found.status.startswith("not enough contact yet")
         assert sum(found.probability.values()) == pytest.approx(1.0)
 
 
 def test_a_paste_need_not_push_back():
     """It never reaches the least force, but its width has shrunk by millimetres."""
-    found = judge(squeeze(yielding(3000.0, 0.08, 30.0)))
+    found = estimate_material(squeeze(yielding(3000.0, 0.08, 30.0)))
     assert found.kind == "amorphous" and found.force < 0.35
 
 
 def test_without_a_second_touch_the_release_decides():
-    found = judge(squeeze(yielding(3000.0, 0.3, 40.0), second=False))
+    found = estimate_material(squeeze(yielding(3000.0, 0.3, 40.0), second=False))
     assert found.kind == "amorphous" and "no second touch" in found.status
 
 
 def test_noise_makes_it_undecided_not_wrong():
     """With 0.4 mm of noise, the class of an object that yields by 0.2 mm stays undecided."""
     kinds = [
-        judge(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed)) for seed in range(5)
+        estimate_material(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed))
+        for seed in range(5)
     ]
     assert all(found.probability[found.kind] < 0.97 for found in kinds if found.kind != "unknown")
 

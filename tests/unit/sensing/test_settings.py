@@ -19,7 +19,7 @@ from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.settings.tunable_parameter import GAUGED, PRESSED, SEEN, TRIED
-from mjtactile.sensing.touch.material import judge
+from mjtactile.sensing.touch.material import estimate_material
 from mjtactile.sensing.touch.squeeze import Squeeze
 
 TRIALS = (TRIED, GAUGED, SEEN, PRESSED)
@@ -127,7 +127,10 @@ def test_every_stage_works_with_what_it_is_given():
         sample, width, force, np.full(60, 3e-3), width, np.full(60, 2e-5), np.full(60, 3e-4)
     )
     hard = DEFAULTS.override({"material.solid_compliance": 1e-3}).material
-    assert judge(squeeze).probability["solid"] < 0.1 and judge(squeeze, hard).kind == "solid"
+    assert (
+        estimate_material(squeeze).probability["solid"] < 0.1
+        and estimate_material(squeeze, hard).kind == "solid"
+    )
     image = cv2.GaussianBlur(
         cv2.circle(np.full((120, 160), 200, np.uint8), (80, 60), 20, 40, -1), (0, 0), 1.0
     )

@@ -87,7 +87,7 @@ def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=
             estimator, (shear[k], 0.0, -NORMAL), (place[k], 0.0), sticks=float(sticks[k])
         )
         shape = replace(flat, c=c, traction=traction)
-        verdict, history = slip.judge(
+        verdict, history = slip.classify(
             k / rate, estimator, shape, find_patches(estimator, shape, rest), history
         )
         said.append(verdict)
@@ -108,7 +108,7 @@ def test_states_that_need_no_history(sensor):
     # beyond the file's friction, but it holds
     for share, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):
         assert states(verdicts(sensor, np.full(9, share * mu * NORMAL), np.zeros(9)))[-1] == state
-    none, history = slip.judge(0.0, sensor[0], sensor[2], (), None)
+    none, history = slip.classify(0.0, sensor[0], sensor[2], (), None)
     assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
 
 
@@ -215,7 +215,7 @@ def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
     history, said = None, []
     shapes = [holds] * 4 + [slides] * 2 + [holds]
     for k, shape in enumerate(shapes):
-        verdict, history = slip.judge(
+        verdict, history = slip.classify(
             k / RATE, estimator, shape, find_patches(estimator, shape, rest), history
         )
         said.append(verdict.state == "slipping")

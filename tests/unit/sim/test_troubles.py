@@ -157,9 +157,9 @@ def test_a_rig_file_and_a_variation_name_them():
         "emulator": {"as_built": {"left": {"camera": {"gamma": 1.3, "scale_percent": 0.3}}}},
     }
     emulator = rig_from_table(table, Path("my.toml")).emulator
-    assert emulator.specimen("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
-    assert emulator.specimen("right").camera == UNTROUBLED
-    assert load_rig_file("emulated_specimen").emulator.specimen("left").camera == UNTROUBLED
+    assert emulator.as_built_sensor("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
+    assert emulator.as_built_sensor("right").camera == UNTROUBLED
+    assert load_rig_file("emulated_specimen").emulator.as_built_sensor("left").camera == UNTROUBLED
     table["emulator"]["as_built"]["left"]["camera"] = {"gama": 1.3}
     with pytest.raises(InputError, match=r"camera.gama: unknown field, did you mean 'gamma'"):
         rig_from_table(table, Path("my.toml"))
@@ -169,9 +169,9 @@ def test_a_seed_draws_them_for_each_finger():
     variation = load_variation("camera")
     assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
     drawn = variation.sample(3, fingers=("left", "right"), markers=81)
-    left, right = (drawn.specimen(finger).camera for finger in ("left", "right"))
+    left, right = (drawn.as_built_sensor(finger).camera for finger in ("left", "right"))
     assert left != right and left.gamma == drawn.values["left.camera.gamma"]
-    assert replace(drawn.specimen("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
+    assert replace(drawn.as_built_sensor("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
 
 
 def test_troubles_without_pictures_are_refused():

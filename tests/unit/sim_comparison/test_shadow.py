@@ -24,7 +24,7 @@ from mjtactile.sim_comparison.attribution import explain
 from mjtactile.sim_comparison.compare import shadow_of
 from mjtactile.sim_comparison.discrepancy_parameters import causes_of
 from mjtactile.sim_comparison.html_report import page, verdict
-from mjtactile.sim_comparison.resimulate import _specimen
+from mjtactile.sim_comparison.resimulate import _as_built_sensor
 from mjtactile.sim_comparison.signals import Signals
 
 SEED = 201  # of the camera: none that the tolerances were chosen with
@@ -112,10 +112,10 @@ def test_what_no_cause_does_is_not_named():
 # --------------------------------------------------------------------------------
 
 
-def staged(folder, specimen):
-    """A recording of `specimen` that calls itself "dense"."""
+def staged(folder, as_built):
+    """A recording of `as_built` that calls itself "dense"."""
     with Recorder(folder / "recording", {"object": None, "sensor": "dense", "seed": SEED}) as own:
-        record_stage(specimen, PRESS, own, seconds=1.6, seed=SEED)
+        record_stage(as_built, PRESS, own, seconds=1.6, seed=SEED)
         own.close(outcome="recorded")
     return folder
 
@@ -150,11 +150,14 @@ def test_creep_is_given_to_the_simulated_sheet():
     stiffness and pre-stretch were nearly as good. In a shorter time, creep is the same as
     stiffness.
     """
-    design = true_design(load_sensor("dense"), _specimen({"creep": (0.0, 0.1)}, 1))
+    design = true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 1))
     assert design.relaxation is not None
     shares = [share for share, _ in design.relaxation.terms]
     assert shares == [0.1] * len(shares)
-    assert true_design(load_sensor("dense"), _specimen({"creep": (0.0, 0.1)}, 0)).relaxation is None
+    assert (
+        true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 0)).relaxation
+        is None
+    )
 
 
 @pytest.mark.slow(10)
@@ -186,10 +189,8 @@ class Begins:
 def test_a_hand_whose_left_chamber_leaks(tmp_path):
     """The commands of a grasp's beginning, given to a simulated hand without the leak."""
     scenario = Scenario(seed=SEED, sensor="paper16", effects="-images")
-    specimens = (AsBuiltSensor("left", leak=0.04 * ML_S_KPA),)
-    rig = build_sim_rig(
-        scenario, file=load_sim_rig("sim"), sampled=SampledWorld(specimens=specimens)
-    )
+    as_built = (AsBuiltSensor("left", leak=0.04 * ML_S_KPA),)
+    rig = build_sim_rig(scenario, file=load_sim_rig("sim"), sampled=SampledWorld(as_built=as_built))
     try:
         session = Session(rig, threads=0)
         with Recorder(tmp_path / "recording", scenario.header(), frames=0) as recorder:

@@ -37,7 +37,7 @@ def table():
 
 def test_the_shipped_specimens_are_read_with_their_units():
     emulator = load_rig_file("emulated_specimen").emulator
-    left = emulator.specimen("left")
+    left = emulator.as_built_sensor("left")
     assert (left.focal_fraction, left.shift, left.valve_zero) == (
         pytest.approx(0.03),
         pytest.approx((4e-4, 0, 0)),
@@ -55,7 +55,7 @@ def test_the_shipped_specimens_are_read_with_their_units():
 
 
 def test_a_finger_without_a_specimen_is_as_its_sensor_file_says():
-    own = load_rig_file("emulated").emulator.specimen("right")
+    own = load_rig_file("emulated").emulator.as_built_sensor("right")
     assert true_design(DESIGN, own) == DESIGN
     R, p = camera_pose(DESIGN, own)
     assert np.array_equal(R, np.eye(3)) and np.array_equal(p, DESIGN.camera.p_SC)
@@ -172,7 +172,7 @@ def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
     # an emulated world has relaxation although the sensing file has none
     rig = build_sim_rig(
         Scenario(effects="-images"),
-        sampled=SampledWorld(specimens=(AsBuiltSensor("left", creep=0.05),)),
+        sampled=SampledWorld(as_built=(AsBuiltSensor("left", creep=0.05),)),
     )
     [left, right] = rig.scene.sensors
     assert left.design.relaxation is not None and right.design.relaxation is None

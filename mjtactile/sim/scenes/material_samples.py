@@ -1,7 +1,8 @@
 """Test objects with a known material, written as MJCF files.
 
-The format is that of docs/reference/object_files.md. A soft `Specimen` is lumped: two rigid plates
-(its faces) on slides along x. The elements of a rheological model connect each plate to the center.
+The format is that of docs/reference/object_files.md. A soft `MaterialSample` is lumped: two rigid
+plates (its faces) on slides along x. The elements of a rheological model connect each plate to the
+center.
 
 A block of modulus E squeezed between two flat faces acts as a spring. With the area A of a face, K
 = E A / L. Here the spring is specified directly, so that the ground truth is exact. Left out:
@@ -36,7 +37,7 @@ CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic
 
 
 @dataclass(frozen=True)
-class Specimen:
+class MaterialSample:
     """Block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
 
     Values refer to the whole block, face to face: F = K d + B d^2 with the relaxed `stiffness` N/m
@@ -79,9 +80,9 @@ class Specimen:
         return self.secant_stiffness(force) * self.length / self.area
 
 
-def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
+def to_mjcf(sample: MaterialSample, name: str, comment: str = "") -> str:
     """Return the object's MJCF file, with the ground truth in <custom>."""
-    s = specimen
+    s = sample
     numerics = {"break_force_N": s.break_force, "rotation_deg": 2.0}
     if s.kind != "rigid":
         numerics |= {
@@ -100,7 +101,7 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
     foot = s.height / 2 + 0.002
     slim = 0.2 * s.length
     return f"""<!-- {comment or name}
-     Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.material_specimens;
+     Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.material_samples;
      docs/reference/object_files.md says what it stands for. -->
 <mujoco model="{name}">
   <custom>
@@ -125,7 +126,7 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
 """
 
 
-def _rigid(s: Specimen) -> tuple[str, str]:
+def _rigid(s: MaterialSample) -> tuple[str, str]:
     """One geom, the height of a cylinder along z."""
     half = (s.length / 2, s.width / 2, s.height / 2)
     size = {
@@ -140,7 +141,7 @@ def _rigid(s: Specimen) -> tuple[str, str]:
     ), ""
 
 
-def _halves(s: Specimen) -> tuple[str, str]:
+def _halves(s: MaterialSample) -> tuple[str, str]:
     """Return the MJCF of both halves, each twice as stiff, with four times the stiffening."""
     middle = max(s.length / 2 - 0.006, 0.001)
     lines = [
@@ -177,7 +178,7 @@ def _halves(s: Specimen) -> tuple[str, str]:
     return "\n".join(lines), "\n".join(["  <tendon>", *tendons, "  </tendon>\n"])
 
 
-def _arm(s: Specimen, side: str, sign: int) -> list[str]:
+def _arm(s: MaterialSample, side: str, sign: int) -> list[str]:
     """Return the inner MuJoCo body, connected to the center by a dashpot or dry friction."""
     if s.kind == "viscoelastic":
         hold = f'damping="{2 * s.arm_stiffness * s.relaxation_time:.6g}"'
@@ -194,48 +195,51 @@ def _arm(s: Specimen, side: str, sign: int) -> list[str]:
     ]
 
 
-SHIPPED: dict[str, tuple[Specimen, str]] = {
-    "block": (Specimen("rigid"), "A rigid block (12 g) on a low stand."),
+SHIPPED: dict[str, tuple[MaterialSample, str]] = {
+    "block": (MaterialSample("rigid"), "A rigid block (12 g) on a low stand."),
     "rod": (
-        Specimen("rigid", length=0.02, width=0.02, height=0.028, shape="cylinder"),
+        MaterialSample("rigid", length=0.02, width=0.02, height=0.028, shape="cylinder"),
         "An upright rigid rod.",
     ),
     "pebble": (
-        Specimen("rigid", length=0.024, width=0.03, height=0.02, shape="sphere"),
+        MaterialSample("rigid", length=0.024, width=0.03, height=0.02, shape="sphere"),
         "A rigid, rounded pebble.",
     ),
-    "foam": (Specimen("elastic", stiffness=200.0), "Soft open foam, E = 17 kPa: 1 mm for 0.2 N."),
+    "foam": (
+        MaterialSample("elastic", stiffness=200.0),
+        "Soft open foam, E = 17 kPa: 1 mm for 0.2 N.",
+    ),
     "sponge": (
-        Specimen("elastic", stiffness=300.0, stiffening=1e5),
+        MaterialSample("elastic", stiffness=300.0, stiffening=1e5),
         "A sponge that stiffens as its cells close, E = 25 kPa at rest.",
     ),
     "sponge_firm": (
-        Specimen("elastic", stiffness=1200.0, stiffening=2e5),
+        MaterialSample("elastic", stiffness=1200.0, stiffening=2e5),
         "A firm sponge, E = 100 kPa at rest.",
     ),
     "eraser": (
-        Specimen("elastic", stiffness=4000.0),
+        MaterialSample("elastic", stiffness=4000.0),
         "A rubber eraser, E = 0.33 MPa: 0.25 mm for 1 N.",
     ),
     "memory_foam": (
-        Specimen("viscoelastic", stiffness=250.0, arm_stiffness=450.0, relaxation_time=0.4),
+        MaterialSample("viscoelastic", stiffness=250.0, arm_stiffness=450.0, relaxation_time=0.4),
         "Visco-elastic foam: gives way slowly and comes back slowly (standard "
         "linear solid, 0.4 s).",
     ),
     "clay": (
-        Specimen("plastic", stiffness=2500.0, yield_force=0.45, viscosity=40.0),
+        MaterialSample("plastic", stiffness=2500.0, yield_force=0.45, viscosity=40.0),
         "Clay: yields at 0.45 N and keeps its set.",
     ),
     "dough": (
-        Specimen("plastic", stiffness=1200.0, yield_force=0.15, viscosity=200.0),
+        MaterialSample("plastic", stiffness=1200.0, yield_force=0.15, viscosity=200.0),
         "Dough: flows slowly above 0.15 N and keeps its set.",
     ),
     "paste": (
-        Specimen("plastic", stiffness=1500.0, yield_force=0.03, viscosity=100.0),
+        MaterialSample("plastic", stiffness=1500.0, yield_force=0.03, viscosity=100.0),
         "A tube of paste: flows under almost any force and stays as it was left.",
     ),
     "bean_bag": (
-        Specimen("plastic", stiffness=900.0, yield_force=0.3, viscosity=10.0),
+        MaterialSample("plastic", stiffness=900.0, yield_force=0.3, viscosity=10.0),
         "A bag of grains: rearranges above 0.3 N, nearly at once, and keeps its set.",
     ),
 }
