@@ -209,3 +209,75 @@ class PinchWorld(World):
 _HIGH = 0.5
 _APART = 0.04
 _FILLING = 0.3
+
+
+class FaceWorld(World):
+    """A weight with a flat face of `count` equal boxes that rests on a sensor and slides along x.
+
+    The face is 18 x 56 mm if `speed` is 0, so that its edges touch, and 100 x 80 mm otherwise, so
+    that it covers the membrane throughout a slide. The weight moves along z and x only.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path,
+        *,
+        count: int,
+        weight: float,
+        speed: float = 0.0,
+        gauge_pressure: float = 1000.0,
+        timestep: float = 4e-3,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+    ):
+        """Inflate the sensor, and lay the face of `weight` N on it."""
+        spec = mujoco.MjSpec()
+        configure_options(spec, timestep)
+        spec.worldbody.add_site(name="base")
+        attachment = attach_membrane(spec, sensor, site="base", mesh=mesh)
+        body = spec.worldbody.add_body(name="face", pos=[0, 0, _HIGH])
+        for name, axis, damping in (("z", [0, 0, 1], 1.0), ("x", [1, 0, 0], 0.0)):
+            joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+            joint.damping = [damping, 0.0, 0.0]
+        half = (0.05, 0.04) if speed else (0.009, 0.028)
+        part = half[1] / count
+        for row in range(count):
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=[half[0], part, _HALF_FACE],
+                pos=[0, (2 * row + 1) * part - half[1] + _OFF_CENTER, 0],
+                mass=weight / 9.81 / count,
+            )
+        drive = spec.add_actuator(name="drive", trntype=mujoco.mjtTrn.mjTRN_JOINT, target="x")
+        drive.set_to_velocity(kv=_DRIVE)
+        super().__init__(spec, [attachment])
+        self._speed = speed
+        self._dof = int(self.model.joint("z").dofadr[0])
+        self._height = int(self.model.joint("z").qposadr[0])
+        sensor_ = self.sensors[0]
+        sensor_.open_valve(gauge_pressure)
+        for _ in range(round(_FILLING / timestep)):
+            self.data.qpos[self._height] = 0.0
+            self.data.qvel[self._dof] = 0.0
+            self.step()
+        sensor_.close_valve()
+        top = sensor_.height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
+        self.data.qpos[self._height] = top + _HALF_FACE + 1e-5 - _HIGH
+        self.data.qvel[self._dof] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    def forces(self, settling: float, duration: float) -> np.ndarray:
+        """Normal forces (n,) N of the contact in each step, after `settling` s at rest and as long
+        at the speed."""
+        self.step(round(settling / self.timestep))
+        self.data.ctrl[0] = self._speed
+        self.step(round(settling / self.timestep))
+        forces = []
+        for _ in range(round(duration / self.timestep)):
+            self.step()
+            forces.append(self.data.qfrc_constraint[self._dof])
+        return np.array(forces)
+
+
+_HALF_FACE = 0.004  # half the thickness of a face, m
+_OFF_CENTER = 0.005  # of the face along y, m: seams do not pass through the center
+_DRIVE = 200.0  # gain of the slide's drive, N s/m

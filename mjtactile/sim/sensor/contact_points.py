@@ -104,7 +104,7 @@ class ContactPoints:
         self._eased = np.zeros(len(vertex_geom_ids))  # low-pass filtered loads, for thin shapes
         self._radius = float(model.geom_size[self._first, 0])
         self._blunt = max(_BLUNT * float(self._sizes[0]), self._radius)
-        if self._cores:
+        if self._shapes:
             _widen(model, model.geom_bodyid[vertex_geom_ids], self._sizes[0])
         self._back = np.zeros_like(self._places)
         self._reach = np.full(len(self._places), _TAKES)

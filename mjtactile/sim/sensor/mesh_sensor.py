@@ -79,8 +79,10 @@ class TactileSensor(BaseSensor):
         self._contact_stiffness = ContactStiffness(
             model, vertices, self.flex_id, mesh, sheet, remembers=on_vertices
         )
-        # a live view
+        # live views
         self._margins = model.geom_margin[vertices[0] : vertices[-1] + 1]
+        bodies = model.geom_bodyid[vertices]
+        self._body_margins = model.body_margin[bodies[0] : bodies[-1] + 1]
         self._stand_off = StandOff(model, data, vertices, mesh)
         self._approach: ThinObjectMargin | None = None
         self._points: ContactPoints | None = None
@@ -186,6 +188,8 @@ class TactileSensor(BaseSensor):
             self._stiction.update(self._stand_off.margins)
         else:
             self._margins[:] = self._stand_off.margins  # only vertices remember
+        # MuJoCo compiles this maximum and searches contacts of bodies with several geoms within it
+        self._body_margins[:] = self._margins
 
     @property
     def p_SV(self) -> Array:
