@@ -205,12 +205,6 @@ class PinchWorld(World):
         self.step(round(0.1 / self.timestep))
 
 
-# height of the object during filling, m; jaw distance from the center, m; filling time, s
-_HIGH = 0.5
-_APART = 0.04
-_FILLING = 0.3
-
-
 class FaceWorld(World):
     """A weight with a flat face of `count` equal boxes that rests on a sensor and slides along x.
 
@@ -253,14 +247,14 @@ class FaceWorld(World):
         self._speed = speed
         self._dof = int(self.model.joint("z").dofadr[0])
         self._height = int(self.model.joint("z").qposadr[0])
-        sensor_ = self.sensors[0]
-        sensor_.open_valve(gauge_pressure)
+        device = self.sensors[0]
+        device.open_valve(gauge_pressure)
         for _ in range(round(_FILLING / timestep)):
             self.data.qpos[self._height] = 0.0
             self.data.qvel[self._dof] = 0.0
             self.step()
-        sensor_.close_valve()
-        top = sensor_.height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
+        device.close_valve()
+        top = device.height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
         self.data.qpos[self._height] = top + _HALF_FACE + 1e-5 - _HIGH
         self.data.qvel[self._dof] = 0.0
         mujoco.mj_forward(self.model, self.data)
@@ -278,6 +272,10 @@ class FaceWorld(World):
         return np.array(forces)
 
 
+# height of the object during filling, m; jaw distance from the center, m; filling time, s
+_HIGH = 0.5
+_APART = 0.04
+_FILLING = 0.3
 _HALF_FACE = 0.004  # half the thickness of a face, m
 _OFF_CENTER = 0.005  # of the face along y, m: seams do not pass through the center
 _DRIVE = 200.0  # gain of the slide's drive, N s/m
