@@ -30,6 +30,7 @@ from mjtactile.core.config_fields import entry, read, read_fields, text, write
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Texts
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import PressureReading, ValveState
 
@@ -58,6 +59,7 @@ class PartState:
     text: str
 
 
+@validated()
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """Calibration of one finger's sensor. For a part that is None, the sensor file's values apply.
@@ -80,6 +82,7 @@ class Calibration:
     force: ForceScale | None = None
     refused: Mapping[str, Refusal] = field(default_factory=dict)
 
+    @validated()
     def part(self, kind: str) -> Part | None:
         """Look up one part.
 
@@ -88,9 +91,15 @@ class Calibration:
 
         Returns:
             The part, or None where it was never measured.
+
+        Raises:
+            InputError: An unknown kind.
         """
+        if kind not in KINDS:
+            raise InputError(f"{kind!r} is unknown", source="part", field="kind", choices=KINDS)
         return getattr(self, kind)
 
+    @validated()
     def with_part(self, part: Part) -> Calibration:
         """Replace a part and delete its refusal.
 
@@ -127,6 +136,7 @@ class Calibration:
         old = [state.kind for state in self.states(design) if state.state == "outdated"]
         return replace(self, **dict.fromkeys(old)) if old else self
 
+    @validated()
     def states(self, design: SensorDesign) -> list[PartState]:
         """Return the state of every part.
 
@@ -163,6 +173,7 @@ class Calibration:
             text += f"; measured again on {_day(refusal.date)} and refused: {reasons}"
         return PartState(kind, "good", text)
 
+    @validated()
     def design(self, design: SensorDesign) -> SensorDesign:
         """Replace the sensor file's values by the measured ones.
 
@@ -176,6 +187,7 @@ class Calibration:
             return design
         return replace(design, camera=replace(design.camera, **self.lens.intrinsics))
 
+    @validated()
     def pressure(self, reading: float) -> float:
         """Subtract the zero of the pressure sensor from a reading.
 
@@ -231,7 +243,8 @@ class Calibration:
             "refused": {kind: write(refusal) for kind, refusal in self.refused.items()},
         }
 
-    def save(self, path: Path) -> None:
+    @validated()
+    def save(self, path: str | Path) -> None:
         """Write the file atomically.
 
         Args:
@@ -240,6 +253,9 @@ class Calibration:
         Raises:
             InputError: It cannot be written.
         """
+        path = Path(path)
+        if not path.name:
+            raise InputError("is not a file", source=path, field="calibration")
         part = path.with_name(path.name + ".part")
         try:
             part.write_text(json.dumps(self.table(), indent=1) + "\n", encoding="utf-8")
@@ -249,7 +265,8 @@ class Calibration:
             raise InputError(message, source=path, field="calibration") from error
 
 
-def load_calibration(path: Path) -> Calibration:
+@validated()
+def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration file.
 
     Args:
@@ -261,7 +278,7 @@ def load_calibration(path: Path) -> Calibration:
     Raises:
         InputError: The file is not a calibration file; names the file and the field.
     """
-    return calibration_from_table(read_json(path), str(path))
+    return calibration_from_table(read_json(Path(path)), str(path))
 
 
 def calibration_from_table(table: Any, source: str) -> Calibration:

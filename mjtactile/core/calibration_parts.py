@@ -21,12 +21,14 @@ from mjtactile.core.field_types import NumberArray, Table
 from mjtactile.core.lens import PLUMB_BOB
 from mjtactile.core.renamed import old_keys
 from mjtactile.core.sensor_parts import Pinhole
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array, FiducialDetections, Markers, Traction
 
 _FAR = 1e9  # maximum value of any calibration parameter
 
 
+@validated()
 @dataclass(frozen=True)
 class CalibrationMetadata:
     """Origin of a part of a calibration.
@@ -65,6 +67,7 @@ def fingerprint(design: SensorDesign) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
+@validated()
 @dataclass(frozen=True)
 class LensCalibration(Pinhole):
     """Measured intrinsics of one camera.

@@ -29,6 +29,7 @@ from mjtactile.core.sensor_parts import (
     MarkerLayout,
     Membrane,
 )
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, read_toml
 
 _RIM = 2 * np.pi * np.arange(16) / 16  # points on a marker's edge
@@ -155,6 +156,7 @@ class SensorDesign:
             self.relaxation.check(section)
 
 
+@validated()
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
     """Read a sensor.
 

@@ -20,11 +20,13 @@ from numpy.typing import ArrayLike
 from mjtactile.core import camera_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import Glass, Pinhole
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 
 _NEWTON_STEPS = 30
 
 
+@validated()
 @dataclass(frozen=True)
 class Camera(Pinhole):
     """Pinhole camera with lens distortion, and the glass in front of it.
@@ -60,6 +62,7 @@ class Camera(Pinhole):
             raise InputError(message, source="Camera")
 
     @classmethod
+    @validated()
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
         """Create the camera of a sensor design.
 
@@ -72,6 +75,7 @@ class Camera(Pinhole):
         """
         return cls(**camera.intrinsics).behind(glass)
 
+    @validated()
     def behind(self, glass: Glass | None) -> Camera:
         """Place a glass in front of this camera.
 
@@ -121,6 +125,7 @@ class Camera(Pinhole):
         )
 
     @classmethod
+    @validated()
     def from_file(cls, path: str | Path, glass: Glass | None = None) -> Camera:
         """Read a camera file of ROS, OpenCV or Kalibr.
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, Command, Observation, Touch
 
 # limits of an action's range: m/s, N, m/s
@@ -56,6 +57,7 @@ _RIG = (
 )
 
 
+@validated(fingers=within(0, 1000))
 def policy_observation_names(fingers: int = 2) -> list[str]:
     """Name the entries of a policy's vector.
 
@@ -83,6 +85,7 @@ def _bounds(fingers: int) -> Array:
     )
 
 
+@validated()
 def policy_observation(observation: Observation) -> Array:
     """Compute the observation vector of a policy.
 
@@ -114,6 +117,7 @@ def policy_observation(observation: Observation) -> Array:
     return np.minimum(np.maximum(values, -maximum), maximum).astype(np.float32)
 
 
+@validated()
 def command_from_action(observation: Observation, action: ArrayLike) -> Command:
     """Compute the command of a policy's action.
 
@@ -124,8 +128,15 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
 
     Returns:
         The command, with the current phase of the grasp.
+
+    Raises:
+        InputError: The action has not three values.
     """
-    rate, limit, lift = (_within_one(value) for value in np.asarray(action, float).tolist())
+    values = np.asarray(action, float)
+    if values.shape != (3,):
+        text = f"shape {values.shape} does not match (3,)"
+        raise InputError(text, source="command_from_action", field="action")
+    rate, limit, lift = (_within_one(value) for value in values.tolist())
     last = observation.command
     period = observation.period
     gripper = observation.gripper
@@ -151,6 +162,7 @@ def fraction_released(sent: Command) -> float:
     return (sent.opening - grip + _LEAD) / (_CLEAR + _LEAD)
 
 
+@validated(period=above(0))
 def action_from_commands(before: Command, after: Command, period: float) -> Array:
     """Compute the action between two commands, as training data from a teacher.
 

@@ -19,6 +19,7 @@ from mjtactile.core.config_fields import entry, flag, text, whole
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Entry, Number
+from mjtactile.core.signature_checks import validated, within
 from mjtactile.core.toml import Section
 
 TIME_LIMIT = 60.0  # default limit on the rig's clock, s; a gentle grasp takes about 10
@@ -98,6 +99,7 @@ def _file(key: str, folder: str, suffix: str, *others: str, default: str) -> Any
     return entry(FileName(key=key, folder=folder, suffix=suffix, others=others), default)
 
 
+@validated(seed=within(0, 2**63 - 1))
 @dataclass(frozen=True)
 class Scenario:
     """One run. Names are of shipped files, or paths of a user's own; every field has a default.
@@ -140,8 +142,6 @@ class Scenario:
     contact_shapes: bool = flag("contact_shapes", default=False)
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"{self.seed} is not an integer of at least 0", field="seed")
         if not self.time_limit > 0:
             raise InputError(f"{self.time_limit:g} is not above 0", field="time_limit_s")
 

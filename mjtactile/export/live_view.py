@@ -14,6 +14,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 from mjtactile.export import messages
 from mjtactile.export.episode import Perceived
@@ -43,6 +44,7 @@ class Sink(Protocol):
     def close(self) -> None: ...
 
 
+@validated()
 class LiveView(Observer):
     """Live display of images with ellipses, membranes, tractions, forces and the scene.
 

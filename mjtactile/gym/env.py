@@ -17,8 +17,11 @@ import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.fidelity_levels import disabled_effects
+from mjtactile.core.not_copyable import NotCopyable
+from mjtactile.core.option_requirements import require_effects
 from mjtactile.core.policy import command_from_action, fraction_released
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.signature_checks import above, validated
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
 from mjtactile.gym.observation_space import show, space_of
@@ -53,11 +56,14 @@ PROGRESS = {
 `reward="progress"` pays the increase over the episode's maximum so far, with contact on all fingers
 except while closing and releasing. An object that was never held earns no release.
 """
+_DEFAULTS = vars(Scenario())
+_RESET: Any = {"source": "Grasp-v0: reset"}
 _TOUCHLESS = ("approach", "close", "release", "done")
 _AFTER_HOLDING = ("release", "done")
 
 
-class GraspEnv(gymnasium.Env[Any, Array]):
+@validated(time_limit=above(0, math.inf))
+class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
     """Environment with one grasp per episode.
 
     Actions: speed of opening, force limit and lift speed, each in [-1, 1]
@@ -72,14 +78,15 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         reward: "outcome", at the end only, or "progress", in addition for contact and phases
             reached: for learning from scratch.
         render_mode: None, or "rgb_array": the cameras' images.
-        scenario: Replacement for all of these names; its own seed, controller and time limit are
-            ignored.
+        scenario: Replacement for all of these names, which are then not given; its own seed,
+            controller and time limit are ignored.
         task: Task: a shipped name, or FILE.toml.
 
     Raises:
-        InputError: A name does not exist.
+        InputError: A name does not exist, or the options cannot be combined.
     """
 
+    REMEDY = "create another environment and reset it with the same seed"
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
     def __init__(
@@ -109,16 +116,25 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._max_progress = 0.0
         world: Any = {"object": object, "sensor": sensor, "rig": rig, "task": task}
         levels: Any = {"randomization": randomization, "effects": effects, "accuracy": accuracy}
+        given = [name for name in (world | levels) if (world | levels)[name] != _DEFAULTS[name]]
+        if scenario is not None and given:
+            text = "is already in the scenario; use dataclasses.replace to change it"
+            raise InputError(text, source="Grasp-v0", field=given[0])
         self.scenario = scenario or Scenario(**world, **levels)
         self._session: Session | None = None
         self._restart: Restart | None = None
         self._cycle: Any = None  # before the first reset
+        self._over = True
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
-        self._has_images = "images" in self._rig.scene.effects
-        self._left_out = dict.fromkeys(disabled_effects(self._rig.scene.effects), False)
-        if observation == "image" and not self._has_images:
-            raise _refusal("no image is rendered", "observation", ["wrench", "markers"])
+        effects_on = self._rig.scene.effects
+        self._left_out = dict.fromkeys(disabled_effects(effects_on), False)
+        try:
+            options = {"observation": observation, "render_mode": render_mode}
+            require_effects(effects_on, "Grasp-v0", **options)
+        except InputError:
+            self.close()
+            raise
         self.observation_space = space_of(observation, designs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
@@ -131,7 +147,14 @@ class GraspEnv(gymnasium.Env[Any, Array]):
     ) -> tuple[Any, dict[str, Any]]:
         """Start the episode of `seed` (None: the generator's next), inflated and without
         contact."""
-        super().reset(seed=seed)
+        self._require_open()
+        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+            text = f"{seed!r} is not a whole number of at least 0"
+            raise InputError(text, **_RESET, field="seed")
+        if options is not None and not (isinstance(options, Mapping) and not options):
+            text = f"{options!r} has no effect; object and task are arguments of the environment"
+            raise InputError(text, **_RESET, field="options", choices=["None"])
+        super().reset(seed=None if seed is None else int(seed))
         self._seed = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         if self._restart is None:
             self._build(self._seed)
@@ -156,8 +179,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One camera period with `action`. After the end of an episode it must be reset."""
+        self._require_open()
         if self._over:
-            raise gymnasium.error.ResetNeeded("the episode has ended: call reset()")
+            text = "no episode has started" if self._cycle is None else "the episode has ended"
+            raise gymnasium.error.ResetNeeded(f"{text}: call reset()")
         rig = self._rig
         cycle = self._cycle
         deadline = cycle.now + rig.period
@@ -182,7 +207,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     def render(self) -> Array | None:
         """The cameras' images side by side (h, w, 3) uint8."""
-        if self.render_mode is None or self._cycle is None or not self._has_images:
+        self._require_open()
+        if self.render_mode is None or self._cycle is None:
             return None
         grey = np.concatenate([image.pixels for image in self._cycle.images], axis=1)
         return np.repeat(grey[..., None], 3, axis=2)
@@ -192,6 +218,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if self._session is not None:
             self._session.rig.close()
             self._session = None
+
+    def _require_open(self) -> None:
+        if self._session is None:
+            raise InputError("is closed: create another one", source="Grasp-v0")
 
     # -- inside --------------------------------------------------------------------------------
 

@@ -15,11 +15,14 @@ import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mjtactile.core import platform_support
+from mjtactile.core.not_copyable import NotCopyable
+from mjtactile.core.signature_checks import at_least, validated
 from mjtactile.core.types import Array
 from mjtactile.gym.env import GraspEnv
 
 
-class ThreadedVectorEnv(SyncVectorEnv):
+@validated(num_envs=at_least(1), threads=at_least(1))
+class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
     """`num_envs` of `GraspEnv` with the other arguments `how`; seeds are s, s + 1, ….
 
     `threads` step them (None: one for each processor). `autoreset_mode` is that of Gymnasium.

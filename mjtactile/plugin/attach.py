@@ -27,6 +27,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import above, at_least, validated
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
 from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect
@@ -44,6 +45,7 @@ class AttachedSensor:
 
     membrane: Attachment
 
+    @validated(seed=at_least(0))
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, *, seed: int = 0) -> SimFinger:
         """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 
@@ -66,6 +68,7 @@ class AttachedSensor:
         return SimFinger(self.membrane, model, data, seed)
 
 
+@validated(mass=above(0))
 def attach(
     spec: mujoco.MjSpec,
     sensor: SensorDesign | str | Path,

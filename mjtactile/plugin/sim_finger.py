@@ -14,13 +14,15 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
+from mjtactile.core.not_copyable import NotCopyable
+from mjtactile.core.signature_checks import at_least, validated
 from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
 from mjtactile.rig.finger import Finger
 from mjtactile.runtime.references import take_references
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
-from mjtactile.sim.attach import Attachment, attach_membrane, configure_options
+from mjtactile.sim.attach import NEEDED_FLAGS, Attachment, attach_membrane, configure_options
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.devices import SimClock, SimValve
@@ -66,6 +68,16 @@ def at_rest(
     return Rest(sensor.displacements, sensor.gauge_pressure, perception.chain, perception.state)
 
 
+_OPTIONS = (
+    "timestep",
+    "integrator",
+    "solver",
+    "cone",
+    "jacobian",
+    "noslip_iterations",
+    "disableflags",
+)
+"""Options of a model that must not change while sensors are bound."""
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` added by `attach`, with their numbers of values."""
 
@@ -84,7 +96,7 @@ class SensorReading:
     temperature: float
 
 
-class SimFinger:
+class SimFinger(NotCopyable):
     """Sensor in a scene that the user steps: membrane, gas, camera and sensing pipeline.
 
     It differs from `mjtactile.Finger`, which is part of a rig and is read by a session. `SimFinger`
@@ -97,7 +109,11 @@ class SimFinger:
     is unknown.
     """
 
+    REMEDY = "call bind with the copied model and data"
+
     def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
+        if data.model is not model:
+            raise InputError("is not the data of this model", source="bind", field="data")
         self._membrane = membrane
         self._model = model
         self._data = data
@@ -177,6 +193,7 @@ class SimFinger:
         mesh = self._membrane.mesh
         effects = self._membrane.effects
         rest = at_rest(self.design, (mesh.nx, mesh.ny), effects, self._seed)
+        self._options = _options(self._model)
         self.sensor: AnySensor = self._membrane.bind(self._model, self._data)
         """The membrane, its gas and its valve."""
         self.sensor.inflate(rest.displacements, rest.gauge_pressure)
@@ -200,12 +217,43 @@ class SimFinger:
         """
         return data is self._data
 
+    def require_scene(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Check that a scene is the one to which this finger is bound, with the same options.
+
+        Args:
+            model: MuJoCo model.
+            data: MuJoCo data.
+
+        Raises:
+            InputError: The finger is bound to another model or other data, or an option of the
+                model was changed after `bind`.
+        """
+        for field, given, own in (("data", data, self._data), ("model", model, self._model)):
+            if given is not own:
+                raise InputError(
+                    f"is bound to another {field}; call bind with this one",
+                    source=f"finger {self.name!r}",
+                    field=field,
+                )
+        options = _options(model)
+        if options == self._options:
+            return
+        for name, old, new in zip(_OPTIONS, self._options, options, strict=True):
+            if old != new:
+                raise InputError(
+                    f"was changed from {old:g} to {new:g} after bind: set it back, or call "
+                    "reset() of every finger",
+                    source=f"finger {self.name!r}",
+                    field=f"option.{name}",
+                )
+
     def before_step(self) -> None:
         """Bring the gas up to the present state; for those who call `mj_step` themselves, right
         before it.
 
         Raises InputError when the scene was stepped or reset without this finger.
         """
+        self.require_scene(self._model, self._data)
         self._require_time()
         self._stepper.before_step()
 
@@ -267,6 +315,7 @@ class SimFinger:
             )
 
 
+@validated(nstep=at_least(0))
 def step(
     model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1
 ) -> None:
@@ -281,19 +330,30 @@ def step(
         nstep: Number of time steps.
 
     Raises:
-        InputError: The scene was stepped or reset without a finger, or a finger is bound to other
-            data.
+        InputError: The scene was stepped or reset without a finger, a finger is given twice or
+            bound to another model or other data, or an option was changed after `bind`.
         SimulationError: The state is no longer reliable.
     """
     for finger in fingers:
-        if not finger.belongs_to(data):
-            raise InputError("is bound to other data", source=f"finger {finger.name!r}")
+        finger.require_scene(model, data)
+    names = [finger.name for finger in fingers]
+    if len(set(names)) < len(names):
+        text = f"each finger must be given once, not {', '.join(names)}"
+        raise InputError(text, source="step", field="fingers")
     for _ in range(nstep):
         for finger in fingers:
             finger.before_step()
         advance(model, data)
         for finger in fingers:
             finger.after_step()
+
+
+def _options(model: mujoco.MjModel) -> tuple[float, ...]:
+    """Return the values of `_OPTIONS`."""
+    option = model.opt
+    values = [getattr(option, name) for name in _OPTIONS]
+    values[-1] &= NEEDED_FLAGS  # others, such as autoreset, may change
+    return tuple(values)
 
 
 def _address(model: mujoco.MjModel, name: str, size: int) -> slice:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import argument_checks
@@ -43,6 +44,7 @@ _MIXED_AREA = 1.05
 """Area ratio of the tension's slope; steps depend on it, results do not."""
 
 
+@validated()
 class QuasistaticMembrane:
     """Quasi-static model of a sensor's membrane.
 
@@ -128,6 +130,7 @@ class QuasistaticMembrane:
         self._bind()
 
     @staticmethod
+    @validated()
     def obstacle(
         kind: str,
         sizes: ArrayLike = (),
@@ -276,6 +279,7 @@ class QuasistaticMembrane:
             )
         return self._finer[by]
 
+    @validated()
     def derivatives(
         self,
         state: MembraneSolution,
@@ -307,6 +311,7 @@ class QuasistaticMembrane:
         given = rows.reshape(len(listed), -1, obstacle_rows.NUMBERS), pool
         return sensitivities_of(self, state, *given, by)
 
+    @validated()
     def derivatives_by_pose(self, state: MembraneSolution) -> SolutionSensitivities:
         """Compute the derivatives of a state by a common rigid motion of all obstacles.
 
@@ -337,6 +342,7 @@ class QuasistaticMembrane:
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not an equilibrium of this membrane", field="state")
 
+    @validated()
     def patches(self, state: MembraneSolution) -> list[StuckPatch]:
         """Compute the in-plane stiffness of each contact patch, if it sticks.
 
@@ -353,6 +359,7 @@ class QuasistaticMembrane:
         self._require_rest(state)
         return patches_of(self.x, self.y, state, self.stiffness_factor(state))
 
+    @validated()
     def stiffness_factor(self, state: MembraneSolution) -> Array:
         """Factor the stiffness of the membrane in a state, with gas at constant pressure.
 
@@ -377,10 +384,16 @@ class QuasistaticMembrane:
 
         Returns:
             (n,) Heights, m; infinite where there is no obstacle.
+
+        Raises:
+            InputError: An argument is not an obstacle or not a list of points.
         """
         listed = obstacle_rows.as_list(obstacles, "obstacles")
         rows, pool = obstacle_rows.rows_and_pool(listed, self.grid)
-        where = np.asarray(places, dtype=float).reshape(-1, 2)
+        where = np.asarray(places, dtype=float)
+        if where.ndim == 0 or where.shape[-1] != 2:
+            raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
+        where = where.reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)
         kernel("qs_obstacle_heights")(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import FINITE, validated
 from mjtactile.core.types import Array
 
 NUMBERS = 20
@@ -46,6 +47,7 @@ _SAME_PLANE = 9  # digits of m, and of a normal
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 
+@validated()
 @dataclass(frozen=True, eq=False)
 class Obstacle:
     """One obstacle in contact with a membrane.
@@ -62,6 +64,7 @@ class Obstacle:
     pool: Array
     corners: Array | None = None
 
+    @validated(p_SO=FINITE, R_SO=FINITE)
     def at(self, p_SO: ArrayLike, R_SO: ArrayLike | None = None) -> Obstacle:
         """Return the obstacle at another pose, at a tenth of the cost of creating it.
 

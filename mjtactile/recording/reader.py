@@ -16,6 +16,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, read_flags
 from mjtactile.core.image_decoding import decode
 from mjtactile.core.renamed import current_row
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array, Image, ValveState
 from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
@@ -220,6 +221,7 @@ def _read_image(path: Path, time: float) -> Image:
     return Image(pixels.astype(np.uint8), time)
 
 
+@validated()
 def load_recording(path: str | Path) -> Recording:
     """Read a recording, even if its run was interrupted.
 

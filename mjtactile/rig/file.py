@@ -32,6 +32,7 @@ from mjtactile.core.config_fields import (
 )
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Pairs
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import FINGERS
 from mjtactile.rig.as_built_sensor import AsBuiltSensor
@@ -284,6 +285,7 @@ def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
     return sim_rig_from_table(table, path) if "sim" in table else rig_from_table(table, path)
 
 
+@validated()
 def load_rig_file(name_or_path: str | Path) -> RigFile:
     """Read the rig file of real or emulated devices.
 

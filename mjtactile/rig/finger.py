@@ -11,11 +11,13 @@ from typing import Any
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.flags import Flags
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import DEFAULT_GOAL, PressureReading, TaskGoal, ValveState
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 
 
+@validated()
 @dataclass(frozen=True)
 class Finger:
     """One sensor of a rig with its calibration.

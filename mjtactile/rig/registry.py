@@ -18,6 +18,7 @@ from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.task import load_task
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.file import RigFile, read_rig_file
@@ -25,6 +26,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.scenario import with_sensors
 from mjtactile.rig.simulated import SimRigFile
 
+_FIELDS = [name for name in Scenario.__dataclass_fields__ if name != "rig"]
 RIGS = "mjtactile.rigs"
 CAMERAS = "mjtactile.cameras"
 
@@ -43,6 +45,7 @@ class RigRequest:
     file: RigFile | SimRigFile | None = None
 
 
+@validated()
 def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fields: Any) -> Rig:
     """Build the rig of a scenario.
 
@@ -91,11 +94,18 @@ def as_scenario(
     object.
     """
     if isinstance(scenario, Scenario):
+        given = [*fields, *([] if design is None else ["design"])]
+        if given:
+            message = "is already in the scenario; use dataclasses.replace to change it"
+            raise InputError(message, source="scenario", field=given[0])
         return scenario
     if "object_name" in fields:
         fields["object"] = fields.pop("object_name")
     if design is not None:
         fields["sensor"] = design
+    for name in fields:
+        if name not in _FIELDS:
+            raise InputError("is not a field", source="scenario", field=name, choices=_FIELDS)
     return Scenario(rig=scenario, **fields)
 
 

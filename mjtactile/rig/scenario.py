@@ -15,12 +15,14 @@ from mjtactile.core.config_fields import read
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, read_json, read_toml
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.simulated import SimRigFile
 
 
+@validated()
 def load_scenario(source: str | Path) -> Scenario:
     """Read a scenario from a TOML file, or from the `summary.json` of a run.
 
@@ -58,6 +60,7 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
     return read(Scenario, Section(table, label, str(path)))
 
 
+@validated()
 def resolve_scenario(scenario: Scenario) -> Scenario:
     """Fill in the actual sensor of each of the rig's fingers.
 

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 from mjtactile.core import resources, scaled_clock
 from mjtactile.core.errors import ControllerError, InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Command, Observation
 
 # Minimum timeout of the first step, s: it may import modules, and no object is grasped yet
@@ -168,6 +169,7 @@ class _AsItStands(importlib.machinery.SourceFileLoader):
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
+@validated()
 def load_controller(name_or_path: str | Path) -> Controller:
     """Load a controller.
 

@@ -16,9 +16,10 @@ import numpy.ma  # noqa: F401
 
 from mjtactile.core import signals
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, merge_flags
+from mjtactile.core.option_requirements import require_effects
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.signature_checks import above, at_least, validated
 from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
 from mjtactile.rig.finger import Rig
@@ -39,6 +40,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 Say = Callable[[str], None]
 
 
+@validated(threads=at_least(0))
 class Session:
     """Rig with its sensing pipelines and their references.
 
@@ -159,6 +161,7 @@ class Session:
                 calibration={name: calibration.table() for name, calibration in known.items()}
             )
 
+    @validated(time_limit=above(0, math.inf))
     def run(
         self,
         controller: LoadedController,
@@ -228,15 +231,14 @@ class Session:
 
     def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
         if asks and self.rig.touch_is_synthetic:
-            who = (
-                "--contact-shapes" if source is None else "a controller that requires contact_shape"
-            )
-            raise InputError(
-                f"{who} needs the sensing pipeline", source=source, field="--effects -pipeline"
-            )
+            asked: Any = {"contact_shapes": True}
+            if source is not None:
+                asked = {"REQUIRES": "contact_shape"}
+            require_effects((), source, **asked)
         for perception in self.perceptions:
             perception.contact_shapes = asks
 
+    @validated()
     def make_safe(self, reason: str) -> None:
         """Lower and open the gripper from the next cycle of `run` on.
 
@@ -249,6 +251,7 @@ class Session:
 
 
 @contextlib.contextmanager
+@validated(workers=at_least(0))
 def open_session(
     scenario: Scenario | str,
     design: SensorDesign | None = None,

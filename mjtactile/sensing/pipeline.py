@@ -22,6 +22,7 @@ from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.status import OK, Status
 from mjtactile.core.types import (
     Array,
@@ -51,6 +52,7 @@ from mjtactile.sensing.surface.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
 
 
+@validated()
 class SensingPipeline:
     """Sensing pipeline of one sensor. Stateless; its operators are made from the design once.
 
@@ -113,6 +115,7 @@ class SensingPipeline:
 
     # -- the sensor's own reference
 
+    @validated()
     def measure_flat_reference(
         self, state: PipelineState, images: Sequence[Image]
     ) -> PipelineState:
@@ -137,6 +140,7 @@ class SensingPipeline:
         flat_at = max((image.time for image in images), default=-math.inf)
         return replace(nominal, flat=flat, expected=self.design.markers.p_SM, flat_at=flat_at)
 
+    @validated()
     def measure_rest_reference(
         self,
         state: PipelineState,
@@ -165,6 +169,7 @@ class SensingPipeline:
         time = max(image.time for image in images)
         return self.load_rest_reference(state, markers, gauge_pressure, sealed=sealed, time=time)
 
+    @validated()
     def detect_rest_markers(self, state: PipelineState, images: Sequence[Image]) -> Markers:
         """Detect the markers of an inflated membrane without contact.
 
@@ -188,6 +193,7 @@ class SensingPipeline:
             raise DeviceError(f"sensor {self.design.name}: rest reference: no images")
         return average(seen)
 
+    @validated()
     def load_rest_reference(
         self,
         state: PipelineState,
@@ -248,6 +254,7 @@ class SensingPipeline:
 
     # -- contact shape
 
+    @validated()
     def make_shape_estimator(self, state: PipelineState) -> ContactShapeEstimator:
         """Make the contact shape estimator for this rest reference; takes 0.1 s, once per
         reference.
@@ -320,6 +327,7 @@ class SensingPipeline:
 
     # -- an image
 
+    @validated()
     def step(
         self, state: PipelineState, image: Image, now: float, reading: PressureReading | None = None
     ) -> tuple[Touch, PipelineState]:
@@ -352,6 +360,7 @@ class SensingPipeline:
         touch, state = self.estimate_touch(state, markers, surface, image.time, reading)
         return replace(touch, age=unknown.age, camera=unknown.camera), state
 
+    @validated()
     def detect_markers(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """Find and identify the markers in one image.
 
@@ -364,6 +373,7 @@ class SensingPipeline:
         """
         return self.detector.detect_markers(state, image)
 
+    @validated()
     def check_markers(self, markers: Markers) -> Status:
         """Check that enough markers were detected to determine the shape.
 
@@ -375,6 +385,7 @@ class SensingPipeline:
         """
         return self.detector.check_markers(markers)
 
+    @validated()
     def estimate_touch(
         self,
         state: PipelineState,

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import ContactShape, Image, Markers, PressureReading, Touch
 from mjtactile.sensing.apply_contact_shape import attach_shape, finder_gauge
 from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator, uninformative_status
@@ -16,6 +18,7 @@ from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 
+@validated()
 class StatefulPipeline:
     """Sensing pipeline and its newest state, for callers that only go forward in time.
 
@@ -39,6 +42,7 @@ class StatefulPipeline:
         self._finder: tuple[tuple[InverseRest, float], ContactShapeEstimator] | None = None
 
     @classmethod
+    @validated()
     def of(
         cls,
         design: SensorDesign,
@@ -58,6 +62,7 @@ class StatefulPipeline:
         """
         return cls(SensingPipeline(design, calibration, settings=settings))
 
+    @validated()
     def measure_flat_reference(self, images: Sequence[Image]) -> FlatReference:
         """Take the flat reference; see `SensingPipeline.measure_flat_reference`.
 
@@ -70,6 +75,7 @@ class StatefulPipeline:
         self.state = self.chain.measure_flat_reference(self.state, images)
         return self.state.flat
 
+    @validated()
     def measure_rest_reference(
         self, images: Sequence[Image], gauge_pressure: float, *, sealed: bool = True
     ) -> Markers:
@@ -90,6 +96,7 @@ class StatefulPipeline:
         )
         return markers
 
+    @validated()
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
         """Estimate the touch from one image, and keep the state; see `SensingPipeline.step`.
 
@@ -113,6 +120,7 @@ class StatefulPipeline:
         )
         return touch
 
+    @validated()
     def shape(self, touches: Touch | Sequence[Touch]) -> ContactShape:
         """Estimate the contact shape.
 
@@ -126,8 +134,11 @@ class StatefulPipeline:
 
         Raises:
             DeviceError: The rest reference is missing.
+            InputError: There is no touch.
         """
         history = [touches] if isinstance(touches, Touch) else list(touches)
+        if not history:
+            raise InputError("is empty", source="shape", field="touches")
         lacking = uninformative_status(history[-1], self.chain.settings.body)
         if lacking is not None:
             return lacking

@@ -33,6 +33,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
+from mjtactile.core.signature_checks import validated, within
 from mjtactile.sim.sensor import feature_size, validity_checks
 from mjtactile.sim.sensor.effect_switches import (
     PHYSICS,
@@ -79,6 +80,8 @@ _NEEDED = {
     mujoco.mjtDisableBit.mjDSBL_SPRING: "membrane and gas are passive forces",
     mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces",
 }
+NEEDED_FLAGS = sum(int(flag) for flag in _NEEDED)
+"""Bits of `disableflags` that must be 0."""
 _WALLS = 24  # around an outline: 0.1 mm off one of 30 mm
 _MIN_MEMORY = 1 << 24  # bytes
 
@@ -197,6 +200,7 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
     return 2 * math.ceil((along - 1) / 2) + 1, 2 * math.ceil((across - 1) / 2) + 1
 
 
+@validated(timestep=within(*TIMESTEP_RANGE))
 def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
     """Set the scene options required or recommended for membranes; gravity and all others stay
     unchanged.
@@ -303,6 +307,8 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
             field="site",
             choices=[s.name for s in spec.sites if s.name],
         )
+    if found.parent is None or (found.name and spec.site(found.name) is None):
+        raise InputError("the site is of another scene", source="attach", field="site")
     carrier = _mocap_carrier(found.parent)
     if carrier is not None:
         raise InputError(

@@ -29,7 +29,11 @@ def freeze(
 ) -> NDArray:
     """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None:
     any length)."""
-    array = np.asarray(value, dtype=dtype)
+    try:
+        array = np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError, OverflowError):
+        text = f"{type(value).__name__} is not an array of {np.dtype(dtype).name} values"
+        raise InputError(text, source=type(owner).__name__, field=name) from None
     if array.shape != shape and not _fits(array.shape, shape):
         raise InputError(
             f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types.devices import GripperState, ValveState
 from mjtactile.core.types.touch import Touch
 
@@ -80,8 +81,14 @@ class Command:
         if not isinstance(self.reason, str):
             raise InputError(f"{self.reason!r} is not text", source="Command", field="reason")
         if self.gauge_pressure is not None:
-            pressures = tuple(_finite(one, "gauge_pressure") for one in self.gauge_pressure)
+            given = self.gauge_pressure
+            if not isinstance(given, Iterable) or isinstance(given, (str, bytes, Mapping)):
+                text = f"{given!r} is not a pressure for each finger, Pa"
+                raise InputError(text, source="Command", field="gauge_pressure")
+            pressures = tuple(_finite(one, "gauge_pressure") for one in given)
             object.__setattr__(self, "gauge_pressure", pressures)
+        if not isinstance(self.memory, Mapping):
+            raise InputError(f"{self.memory!r} is not a mapping", source="Command", field="memory")
         if len(self.memory) > MEMORY_MAX:
             message = f"has {len(self.memory)} entries; at most {MEMORY_MAX} are allowed"
             raise InputError(message, source="Command", field="memory")
@@ -126,6 +133,7 @@ class TaskGoal:
 DEFAULT_GOAL = TaskGoal()
 
 
+@validated()
 @dataclass(frozen=True, eq=False)
 class Observation:
     """Observation of a controller in one control cycle: only sensor data.

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mjtactile.core.signature_checks import validated
+
 FINGERS = ("left", "right")
 """Names of the fingers of a pair, in this order."""
 
 
+@validated()
 @dataclass(frozen=True)
 class GripperState:
     """State of the gripper.
@@ -29,6 +32,7 @@ class GripperState:
     age: float = float("nan")
 
 
+@validated()
 @dataclass(frozen=True)
 class ValveState:
     """State of the valve of one chamber.

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types.arrays import Array, fixed, freeze
 
 NO_PIXELS = fixed(np.zeros((0, 0), np.uint8))
 
 
+@validated()
 @dataclass(frozen=True, eq=False)
 class Image:
     """An image of one camera.

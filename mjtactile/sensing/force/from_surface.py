@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
+from mjtactile.core.types.arrays import freeze
 
 _PRESSED = 0.35  # of the gas's pressure: more is contact
 _AROUND = 1.5  # contact margin, in smoothing lengths: counts pressure smeared by smoothing
@@ -32,6 +34,7 @@ _MIN_SEEN = 0.25  # minimum ratio of a cell's point count to the usual one: less
 _FREE_MIN = 0.2  # minimum free fraction of the surface for a tension estimate
 
 
+@validated()
 @dataclass(frozen=True, eq=False)
 class RestSurface:
     """Membrane without contact, measured in the same way as with contact.
@@ -43,6 +46,9 @@ class RestSurface:
 
     points: Array
     pressure: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", self.points, (None, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +76,7 @@ class SurfaceForce:
     tension: float
 
 
+@validated()
 def estimate_force_from_surface(
     points: ArrayLike,
     pressure: float,
@@ -195,7 +202,9 @@ class _Grid:
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
-        given = np.asarray(points, float).reshape(-1, 3)
+        given = np.asarray(points, float)
+        if given.ndim != 2 or given.shape[1] != 3:
+            raise InputError(f"shape {given.shape} does not match (n, 3)", field=field)
         low = np.array([self.x[0], self.y[0]])
         last = np.array([self.x[-1], self.y[-1]])
         on = (given[:, :2] > low) & (given[:, :2] < last)

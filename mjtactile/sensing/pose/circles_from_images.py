@@ -15,6 +15,7 @@ from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.image_decoding import decode
 from mjtactile.core.sensor_parts import CameraDesign
+from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.exhaustive_detection import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
@@ -86,6 +87,7 @@ class DetectedCircles:
         return "no circle found"
 
 
+@validated(radius=above(0), min_radius_px=above(0), gamma=within(*GAMMAS))
 def detect_circles(
     image: NDArray | Image,
     camera: optics.Camera | CameraDesign,
@@ -269,6 +271,7 @@ def plain_grey(image: NDArray | Image) -> NDArray | Image:
     return image
 
 
+@validated()
 def circles_to_records(found: DetectedCircles) -> list[dict[str, Any]]:
     """Make plain records of the circles, for JSON.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.sensor_parts import CameraDesign
+from mjtactile.core.signature_checks import above, validated
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity, grey_image
@@ -55,6 +56,7 @@ class _Skin:
     size: float
 
 
+@validated(radius=above(0), min_radius_px=above(0))
 def track_circles(
     images: Iterable[NDArray | Image],
     camera: optics.Camera | CameraDesign | None = None,

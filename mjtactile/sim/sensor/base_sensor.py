@@ -9,6 +9,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.not_copyable import NotCopyable
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.effect_switches import make_gas
 from mjtactile.sim.sensor.gas import ChamberGas
@@ -16,13 +17,15 @@ from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
 
 
-class BaseSensor(ABC):
+class BaseSensor(NotCopyable, ABC):
     """Run-time state of one sensor in a compiled model, except its membrane.
 
     Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
     valve starts open to a supply at 0 Pa, so that the membrane stays flat. Raises InputError if the
     model has no such sensor.
     """
+
+    REMEDY = "bind the sensor to the copied model and data"
 
     def __init__(
         self,
@@ -57,7 +60,7 @@ class BaseSensor(ABC):
     def _update_to_now(self) -> None:
         """Update membrane and gas to the present state, awake, before the valve is moved."""
 
-    def wake(self) -> None:  # noqa: B027 a quasi-static membrane never sleeps
+    def wake(self) -> None:
         """Resume from the state in which the sensor fell asleep, as after a change of the model."""
 
     def _gas_now(self) -> ChamberGas:

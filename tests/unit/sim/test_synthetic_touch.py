@@ -123,7 +123,7 @@ def test_who_needs_the_chain_is_told():
     with (
         open_session(Scenario(effects=DRAWN)) as session,
         pytest.raises(
-            InputError, match=r"mine.py: .*requires contact_shape needs the sensing pipeline"
+            InputError, match=r"mine.py: REQUIRES: 'contact_shape' needs the effect 'pipeline'"
         ),
     ):
         session.run(reads, time_limit=1.0)

@@ -1,0 +1,113 @@
+"""Misuse of a bound sensor and of the environment: one named error each."""
+
+import copy
+import pickle
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjtactile
+from mjtactile.core.errors import InputError
+from mjtactile.gym.env import GraspEnv
+
+SYNTHETIC = "-mesh,-pipeline"
+COPIES = [copy.copy, copy.deepcopy, pickle.dumps]
+
+
+def scene():
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    mount = mjtactile.attach(spec, "dense", site="tip")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    return spec, mount, model, data, mount.bind(model, data)
+
+
+@pytest.fixture(scope="module")
+def bound():
+    return scene()
+
+
+@pytest.mark.parametrize("copied", COPIES)
+def test_a_bound_sensor_cannot_be_copied(bound, copied):
+    """Copies shared the model's buffers and gave wrong forces."""
+    finger = bound[-1]
+    with pytest.raises(InputError, match="SimFinger: cannot be copied or pickled"):
+        copied(finger)
+    with pytest.raises(InputError, match="TactileSensor: cannot be copied or pickled"):
+        copied(finger.sensor)
+
+
+def test_another_model_or_other_data_is_refused(bound):
+    spec, mount, model, data, finger = bound
+    other = spec.compile()
+    with pytest.raises(InputError, match="finger 'tactile': model: is bound to another model"):
+        mjtactile.step(other, data, [finger])
+    with pytest.raises(InputError, match="finger 'tactile': data: is bound to another data"):
+        mjtactile.step(model, mujoco.MjData(model), [finger])
+    with pytest.raises(InputError, match="bind: data: is not the data of this model"):
+        mount.bind(model, mujoco.MjData(other))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("timestep", 0.002), ("integrator", 0), ("solver", 2), ("cone", 0), ("disableflags", 1)],
+)
+def test_an_option_changed_after_bind_is_refused(bound, name, value):
+    _, _, model, data, finger = bound
+    before = getattr(model.opt, name)
+    setattr(model.opt, name, value)
+    try:
+        with pytest.raises(InputError, match=f"option.{name}: was changed from .* after bind"):
+            mjtactile.step(model, data, [finger])
+        with pytest.raises(InputError, match=f"option.{name}: was changed from .* after bind"):
+            finger.before_step()
+    finally:
+        setattr(model.opt, name, before)
+    mjtactile.step(model, data, [finger])
+
+
+def test_a_finger_is_given_once_and_is_a_finger(bound):
+    _, _, model, data, finger = bound
+    with pytest.raises(InputError, match="fingers: each finger must be given once"):
+        mjtactile.step(model, data, [finger, finger])
+    with pytest.raises(InputError, match=r"step: fingers: .* not a sequence, each a SimFinger"):
+        mjtactile.step(model, data, [None])
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ({"render_mode": "rgb_array"}, "render_mode: 'rgb_array' needs the effect 'images'"),
+        ({"observation": "image"}, "observation: 'image' needs the effect 'images'"),
+        ({"observation": "markers"}, "observation: 'markers' needs the effect 'pipeline'"),
+        ({"time_limit": 0.0}, "time_limit: 0.0 is not above 0"),
+    ],
+)
+def test_options_without_their_effect_are_refused(option, says):
+    with pytest.raises(InputError, match=says):
+        GraspEnv(effects=SYNTHETIC, **option)
+
+
+def test_names_next_to_a_scenario_are_refused():
+    with pytest.raises(InputError, match="object: is already in the scenario"):
+        GraspEnv(scenario=mjtactile.Scenario(effects=SYNTHETIC), object="cube")
+
+
+def test_an_environment_names_what_is_wrong_with_its_use():
+    env = GraspEnv(effects=SYNTHETIC)
+    for copied in COPIES:
+        with pytest.raises(InputError, match="GraspEnv: cannot be copied or pickled"):
+            copied(env)
+    with pytest.raises(Exception, match="no episode has started: call reset"):
+        env.step(np.zeros(3))
+    with pytest.raises(InputError, match=r"options: .* has no effect"):
+        env.reset(options={"object": "cube"})
+    with pytest.raises(InputError, match="seed: -1 is not a whole number"):
+        env.reset(seed=-1)
+    env.close()
+    for use in (env.reset, env.render, lambda: env.step(np.zeros(3))):
+        with pytest.raises(InputError, match="Grasp-v0: is closed"):
+            use()
