@@ -83,7 +83,7 @@ def above(low: float, high: float = _LARGEST) -> Range:
     return Range(low, high, is_open=True)
 
 
-def at_least(low: float) -> Range:
+def not_below(low: float) -> Range:
     """Return the range of finite numbers from `low` on."""
     return Range(low, _LARGEST)
 

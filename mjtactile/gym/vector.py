@@ -16,12 +16,12 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mjtactile.core import platform_support
 from mjtactile.core.not_copyable import NotCopyable
-from mjtactile.core.signature_checks import at_least, validated
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array
 from mjtactile.gym.env import GraspEnv
 
 
-@validated(num_envs=at_least(1), threads=at_least(1))
+@validated(num_envs=not_below(1), threads=not_below(1))
 class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
     """`num_envs` of `GraspEnv` with the other arguments `how`; seeds are s, s + 1, ….
 

@@ -27,7 +27,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.signature_checks import above, at_least, validated
+from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
 from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect
@@ -45,7 +45,7 @@ class AttachedSensor:
 
     membrane: Attachment
 
-    @validated(seed=at_least(0))
+    @validated(seed=not_below(0))
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, *, seed: int = 0) -> SimFinger:
         """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 

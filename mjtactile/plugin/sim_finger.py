@@ -15,7 +15,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
 from mjtactile.core.not_copyable import NotCopyable
-from mjtactile.core.signature_checks import at_least, validated
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
 from mjtactile.rig.finger import Finger
 from mjtactile.runtime.references import take_references
@@ -315,7 +315,7 @@ class SimFinger(NotCopyable):
             )
 
 
-@validated(nstep=at_least(0))
+@validated(nstep=not_below(0))
 def step(
     model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1
 ) -> None:

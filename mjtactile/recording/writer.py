@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
-from mjtactile.core.signature_checks import at_least, validated
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Image
 from mjtactile.recording import png
 from mjtactile.recording.decimated_history import DecimatedHistory
@@ -40,7 +40,7 @@ _FLUSH_TIME = 5.0  # maximum wait for the disk at the end of a run, s
 _logger = logging.getLogger(__name__)
 
 
-@validated(frames=at_least(0))
+@validated(frames=not_below(0))
 class Recorder(Observer):
     """Observer that writes a recording during a run.
 

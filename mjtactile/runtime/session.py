@@ -19,7 +19,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.option_requirements import require_effects
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.signature_checks import above, at_least, validated
+from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
 from mjtactile.rig.finger import Rig
@@ -40,7 +40,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 Say = Callable[[str], None]
 
 
-@validated(threads=at_least(0))
+@validated(threads=not_below(0))
 class Session:
     """Rig with its sensing pipelines and their references.
 
@@ -251,7 +251,7 @@ class Session:
 
 
 @contextlib.contextmanager
-@validated(workers=at_least(0))
+@validated(workers=not_below(0))
 def open_session(
     scenario: Scenario | str,
     design: SensorDesign | None = None,
