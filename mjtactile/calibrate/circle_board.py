@@ -112,9 +112,7 @@ def calibrate_from_circles(
         return with_k3
     without = calibrate_camera(finder, views, size, options)
     plain = abs(with_k3.lens.coefficients[4]) > _PLAIN * with_k3.sd[8]
-    if plain and with_k3.holdout_px <= without.holdout_px:
-        return with_k3
-    return without
+    return with_k3 if plain and with_k3.holdout_px <= without.holdout_px else without
 
 
 def number_grid(uv: Array) -> dict[int, tuple[int, int]]:

@@ -67,7 +67,7 @@ def collect_views(
             view is not None
             and before is not None
             and _moved(view, before) < _STILL_PX
-            and _is_new(view, taken, gray.shape[1])
+            and all(_moved(view, other) > _NEW_VIEW_FRACTION * gray.shape[1] for other in taken)
         ):
             taken.append(view)
             say(
@@ -99,10 +99,6 @@ def _moved(view: BoardView, other: BoardView) -> float:
     if len(shared):
         return float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1)))
     return np.inf
-
-
-def _is_new(view: BoardView, taken: Sequence[BoardView], width: int) -> bool:
-    return all(_moved(view, other) > _NEW_VIEW_FRACTION * width for other in taken)
 
 
 def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:

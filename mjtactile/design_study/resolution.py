@@ -169,9 +169,8 @@ class ResolutionPredictor:
         """Return the reference of the shape's parameters, except for its height."""
         rounding = _ROUNDING * self._forward.spacing
         in_round = self._frame.outline is not None
-        nodes = self._forward.nodes
         return InitialGuess(
-            place, 0.0, 0.0, 0.0, self._sides, nodes, rounding, force, round=in_round
+            place, 0.0, 0.0, 0.0, self._sides, self._forward.nodes, rounding, force, round=in_round
         )
 
 

@@ -78,8 +78,7 @@ class VirtualBench:
         columns, rows = (max(round(side / _SPACING) + 1, 9) for side in sides)
         self.film = QuasistaticMembrane(design, (columns, rows))
         self.chain = SensingPipeline(design)
-        material = design.markers.p_SM
-        self._by_node = interpolation_matrix_with_gradient(self.film, material[:, :2])
+        self._by_node = interpolation_matrix_with_gradient(self.film, design.markers.p_SM[:, :2])
         self._sighter = EllipseSampler(design)
         flat = self._sighter.sight(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
         self._require_all(flat, "flat")

@@ -146,9 +146,7 @@ def _model_name(bus: DynamixelBus, servo: int) -> str:
             raise
         return ""
     known = MODEL_BY_NUMBER.get(number)
-    if known:
-        return known.name
-    return NO_CURRENT_CONTROL.get(number, f"model {number}")
+    return known.name if known else NO_CURRENT_CONTROL.get(number, f"model {number}")
 
 
 def _stable_path(device: str) -> str:

@@ -91,9 +91,7 @@ class EmulatedHardware:
 
     def _build_lift(self) -> EmulatedServo | None:
         lift = self._rig_file.lift
-        if lift.kind != "servo":
-            return None
-        return self._build_servo(lift.id, lift.model, 0.0)
+        return None if lift.kind != "servo" else self._build_servo(lift.id, lift.model, 0.0)
 
     def _run(self) -> None:
         last = scaled_clock.monotonic()

@@ -145,8 +145,6 @@ class Registers:
 
     def _bound(self, bound: ct.Bound | None) -> int:
         if isinstance(bound, str):
-            if bound.startswith("-"):
-                return -self.get(bound[1:])
-            return self.get(bound)
+            return -self.get(bound[1:]) if bound.startswith("-") else self.get(bound)
         assert bound is not None
         return bound

@@ -160,9 +160,7 @@ class ServoBus:
                 continue
             error, data = servo.read(address, size)
             parts.append((servo_id, error | servo.alert, data.ljust(size, b"\0")))
-        if parts:
-            return p2.fast_status(parts, sum(lengths) + 4 * len(lengths))
-        return b""
+        return p2.fast_status(parts, sum(lengths) + 4 * len(lengths)) if parts else b""
 
     def _sync_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         address, size = _two_registers(parameters[:4])
@@ -242,9 +240,7 @@ def _reboot(servo: EmulatedServo, parameters: bytes, now: float) -> int:
 
 
 def _reset(servo: EmulatedServo, parameters: bytes, now: float) -> int:
-    if len(parameters) == 1:
-        return servo.factory_reset(parameters[0], now)
-    return LENGTH_ERROR
+    return servo.factory_reset(parameters[0], now) if len(parameters) == 1 else LENGTH_ERROR
 
 
 def _clear(servo: EmulatedServo, parameters: bytes, now: float) -> int:
@@ -252,9 +248,7 @@ def _clear(servo: EmulatedServo, parameters: bytes, now: float) -> int:
 
 
 def _back_up(servo: EmulatedServo, parameters: bytes, now: float) -> int:
-    if parameters[1:] == _BACKUP:
-        return servo.back_up(parameters[0], now)
-    return INSTRUCTION_ERROR
+    return servo.back_up(parameters[0], now) if parameters[1:] == _BACKUP else INSTRUCTION_ERROR
 
 
 _INSTRUCTIONS: Mapping[int, Callable[[EmulatedServo, bytes, float], tuple[int, bytes] | int]] = {

@@ -139,8 +139,7 @@ class _Bag:
 
     def _items(self) -> Any:
         """Yield the reference images, the items of the episode, and a command for each log line."""
-        recording = self._episode.recording
-        for reference in recording.references:
+        for reference in self._episode.recording.references:
             for k, finger in enumerate(self._episode.fingers):
                 topic = f"/{finger}/reference/{reference.stage}"
                 frame = f"{finger}_camera"
@@ -269,9 +268,7 @@ def _value(value: Any, field: str, kind: Any) -> Any:
     if field in ("touching", "valve_open"):
         return bool(value) if value is not None and value == value else False
     if kind[0].name == "ARRAY":
-        if value is None:
-            return np.full(kind[1][1], np.nan)
-        return np.asarray(value, float)
+        return np.full(kind[1][1], np.nan) if value is None else np.asarray(value, float)
     return float("nan") if value is None else float(value)
 
 

@@ -38,9 +38,7 @@ class Scale:
 
     def scaled(self, value: float, nominal: float) -> float:
         """x of a value."""
-        if self.unit:
-            return (value - nominal) / self.unit
-        return math.log(value / nominal)
+        return (value - nominal) / self.unit if self.unit else math.log(value / nominal)
 
     def slope(self, value: float) -> float:
         """d(value)/dx."""

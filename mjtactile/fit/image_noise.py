@@ -77,9 +77,8 @@ def _blur(image: Image) -> float:
 
 def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, float]], Array]:
     camera = Camera.from_design(design.camera, design.glass)
-    flat = design.markers.p_SM
     shape = 1 - Light(replace(design, leds=replace(design.leds, vignetting=1.0)), camera).field(
-        flat
+        design.markers.p_SM
     )
     away, inside = _areas(design, camera, mean.shape)
     good = mean < _SATURATED

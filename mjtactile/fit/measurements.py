@@ -54,9 +54,7 @@ class Hold:
     @property
     def force(self) -> float:
         """Load cell reading, N; NaN: no reading, or a weight, which determines the depth."""
-        if self.move is None or self.move.is_weight:
-            return math.nan
-        return self.move.force
+        return math.nan if self.move is None or self.move.is_weight else self.move.force
 
     @property
     def is_weighed(self) -> bool:

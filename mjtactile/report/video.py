@@ -122,7 +122,7 @@ class _Film:
         self._time = recording.column("time")[:, 0]
         self.start = float(self._time[0])
         self.end = float(self._time[-1])
-        self._images = self._shots()
+        self._images = (images for images in self._recording.images() if images)
         self._shown: list[Pixels] = []
         self._next: tuple[Image, ...] = next(self._images)
         self._scene: tuple[int, Pixels | None] = (-1, None)
@@ -132,9 +132,6 @@ class _Film:
     @property
     def _width(self) -> int:
         return (_SCENE if self._views else 0) + _CAMERA * self._recording.width
-
-    def _shots(self) -> Iterator[tuple[Image, ...]]:
-        return (images for images in self._recording.images() if images)
 
     def frame(self, time: float) -> Pixels:
         """BGR pixels at `time` s, which never goes back."""

@@ -52,9 +52,7 @@ class JawLaw:
             a, x = zip(*sorted(self.table, key=lambda pair: pair[1]), strict=True)
             return float(np.interp(part, x, a))
         coordinate = (part - self.offset) / self.ratio
-        if self.kind == CRANK:
-            return math.asin(max(-1.0, min(1.0, coordinate)))
-        return coordinate
+        return math.asin(max(-1.0, min(1.0, coordinate))) if self.kind == CRANK else coordinate
 
     def slope(self, coordinate: float) -> float:
         """dx/da at a coordinate; never below a hundredth of its size, where a crank is at its

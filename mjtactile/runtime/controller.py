@@ -132,8 +132,7 @@ class ControllerThread:
                 self._answers.put(error)
             except BaseException as error:  # noqa: BLE001  # a bad Command, or no controller file
                 text = f"step() raised {type(error).__name__}: {error}"
-                path = self.controller.path
-                self._answers.put(ControllerError(text, source=path, field="step"))
+                self._answers.put(ControllerError(text, source=self.controller.path, field="step"))
 
     def _late(self, time: float) -> ControllerError:
         """Return the error for a step that timed out, and request the thread to exit to save CPU

@@ -205,10 +205,9 @@ class ControlCycle:
         rig = self.rig
         wanted = wanted.checked()
         pressure_command.check(rig, wanted)
-        height = self.gripper.lift_height
         opening = self.gripper.opening
         allowed = self.supervisor.decide(
-            self.now, wanted, self.last, self.touch, self.valves, height, opening
+            self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height, opening
         )
         last = pressure_command.started(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)

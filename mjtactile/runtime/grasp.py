@@ -144,9 +144,7 @@ class _Log(Observer):
         )
 
     def peak_force(self) -> float:
-        if np.isfinite(self.forces).any():
-            return float(np.nanmax(self.forces))
-        return math.nan
+        return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
 
 
 def run_grasp(

@@ -152,9 +152,7 @@ def default_threads(cameras: int = 2, busy: int = 0) -> int:
 
     It is one per camera if there are processors for all of them, else zero.
     """
-    if cameras > 1 and platform_support.processors() >= cameras + busy:
-        return cameras
-    return 0
+    return cameras if cameras > 1 and platform_support.processors() >= cameras + busy else 0
 
 
 Outcome = tuple[bool, Any]

@@ -118,9 +118,7 @@ class RecordingHistory(History):
 
     def curves(self) -> Curves | None:
         found = super().curves()
-        if found is None:
-            return None
-        return replace(found, now=found.time[0] + self._tape.at)
+        return None if found is None else replace(found, now=found.time[0] + self._tape.at)
 
 
 class PlaybackWindow(plugin.ViewerPlugin):

@@ -129,8 +129,7 @@ class ValveBoard:
     def reading(self, channel: int) -> ValveReading:
         """Return the heartbeat's newest reading without waiting. Raises DeviceError."""
         now = scaled_clock.monotonic()
-        before = self._last_call
-        if now - before > _SILENCE:  # the heartbeat had been let die
+        if now - self._last_call > _SILENCE:  # the heartbeat had been let die
             return self.measure(channel)
         self._last_call = now
         reading = self._readings[channel]

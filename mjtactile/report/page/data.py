@@ -71,9 +71,7 @@ PLOTS = (
 
 def _wrench_true(recording: Recording) -> Array:
     found = recording.column("wrench_true")
-    if found.ndim == 3:
-        return found
-    return np.full((len(recording), recording.width, 6), np.nan)
+    return found if found.ndim == 3 else np.full((len(recording), recording.width, 6), np.nan)
 
 
 def page_data(
