@@ -286,7 +286,7 @@ class Day:
         if code not in (0, 1):
             raise MjtactileError(f"shadow: exit code {code}")
         found = read_json(page / "shadow.json")
-        return {"verdict": found["verdict"], "apart": found["apart"]}
+        return {"verdict": found["verdict"], "difference_rms": found["difference_rms"]}
 
 
 def _since(begin: float) -> float:

@@ -53,10 +53,10 @@ class Watched(SessionBridge):
         self.cycles.append((cycle.time, now, core_time()))
         self.spent[-1] += now - begin
 
-    def moment(self) -> Any:
+    def snapshot(self) -> Any:
         if threading.current_thread().name != "studio":
             self.looks += 1
-        return super().moment()
+        return super().snapshot()
 
 
 def studio() -> dict[str, Any]:
@@ -65,7 +65,7 @@ def studio() -> dict[str, Any]:
     Return its speed, its share of the session's thread, and the times when each cycle's images were
     ready.
     """
-    show = Watched()
+    bridge = Watched()
     upload = panel.Panel._upload
 
     def marked(self: Any, k: int, what: str, rgb: Any) -> None:
@@ -75,21 +75,21 @@ def studio() -> dict[str, Any]:
         upload(self, k, what, rgb)
 
     panel.Panel._upload = marked
-    show.step()
-    threading.Thread(target=_begin, args=(show,), daemon=True).start()
-    watch(show, browser=False, runs=1)
+    bridge.step()
+    threading.Thread(target=_begin, args=(bridge,), daemon=True).start()
+    watch(bridge, browser=False, runs=1)
     return {
-        **_speed(show.cycles),
-        "spent_ms": 1e3 * sorted(show.spent[2:])[len(show.spent) // 2],
-        "taken": show.taken,
+        **_speed(bridge.cycles),
+        "spent_ms": 1e3 * sorted(bridge.spent[2:])[len(bridge.spent) // 2],
+        "taken": bridge.taken,
     }
 
 
-def _begin(show: Watched) -> None:
+def _begin(bridge: Watched) -> None:
     """Go on when the page is up."""
-    while show.looks < 3 * _FRAMES:  # three windows ask in each frame
+    while bridge.looks < 3 * _FRAMES:  # three windows ask in each frame
         time.sleep(0.05)
-    show.paused = False
+    bridge.paused = False
 
 
 class Plain(Observer):

@@ -42,9 +42,9 @@ quasi-static membrane has no solution for this force.
 JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
 "force_noise_mN", "place_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_most_N"}, "picture":
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
-[{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "wish", "begun_from",
-"tried": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}], "best": [{"file",
-...}], "checked": [...]}. More: `mjtactile docs how-to/design`."""
+[{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
+"initial", "candidates": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}],
+"best": [{"file", ...}], "checked": [...]}. More: `mjtactile docs how-to/design`."""
 _REQUIREMENTS = ("detect_force_mN", "range_N", "edge_mm", "radius_mm")
 
 ARGUMENTS = (
@@ -207,10 +207,10 @@ def _print_file(result: dict[str, Any]) -> None:
 def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
     from mjtactile.design_study import plots
 
-    rows = [{"file": result["sensor"], "meets": not result["begun_from"]["missed"]}]
-    rows[0] |= result["begun_from"]
-    meeting = sum(one["meets"] for one in result["tried"])
-    count = len(result["tried"])
+    rows = [{"file": result["sensor"], "meets": not result["initial"]["missed"]}]
+    rows[0] |= result["initial"]
+    meeting = sum(one["meets"] for one in result["candidates"])
+    count = len(result["candidates"])
     print(
         f"{meeting} of {count} designs meet the requirements. Predicted for contacts of "
         f"{result['force_N']:g} N:"

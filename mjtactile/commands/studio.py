@@ -63,12 +63,12 @@ def run(options: argparse.Namespace) -> int:
     scenario.apply_time_scale(options.time_scale, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
     if backend == "replay" and folder:
-        show = RecordingPlayer(wanted, load_recording(folder), say)
+        bridge = RecordingPlayer(wanted, load_recording(folder), say)
     else:
-        show = SessionBridge(wanted, say)
-    show.fastest = float("inf") if options.no_realtime else 1.0
+        bridge = SessionBridge(wanted, say)
+    bridge.fastest = float("inf") if options.no_realtime else 1.0
     watch(
-        show,
+        bridge,
         port=options.port,
         browser=not options.no_browser,
         native=options.native,

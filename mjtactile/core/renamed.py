@@ -43,6 +43,7 @@ KEYS: Mapping[str, str] = {
     "zoom_percent": "scale_percent",
     "law": "transmission",
     "specimen": "as_built",
+    "judge": "scoring_version",
     # sections of tasks, lights of sensors, scenarios
     "told": "goal",
     "happens": "disturbance",

@@ -86,7 +86,7 @@ class DesignCandidate:
 def sweep(
     design: SensorDesign,
     force: float,
-    wish: Requirements,
+    requirements: Requirements,
     *,
     count: int = 48,
     seed: int = 0,
@@ -97,7 +97,7 @@ def sweep(
     Args:
         design: Initial design, which defines frame, camera, chamber and glass.
         force: Indenting force, N.
-        wish: Requirements.
+        requirements: Requirements.
         count: Number of designs.
         seed: Seed of the samples, which fill their ranges evenly (Sobol).
         say: Called with progress messages.
@@ -110,27 +110,29 @@ def sweep(
     """
     # as scipy 1.14 calls it; newer ones take it, too
     drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
-    tried: list[DesignCandidate] = []
+    candidates: list[DesignCandidate] = []
     for _ in range(_TRIES * count):
-        if len(tried) == count:
+        if len(candidates) == count:
             break
         unit = drawn.random(1)[0]
-        one = _tried(design, _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1), force, wish)
+        one = _evaluate_candidate(
+            design, _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1), force, requirements
+        )
         if one is not None:
-            tried.append(one)
-            if len(tried) % 8 == 0:
-                say(f"{len(tried)} of {count} designs")
-    if not tried:
+            candidates.append(one)
+            if len(candidates) % 8 == 0:
+                say(f"{len(candidates)} of {count} designs")
+    if not candidates:
         raise InputError(
             f"none of {_TRIES * count} sampled designs could be built and used for sensing",
             source=design.name,
             field="--sensor",
         )
-    return with_front(tried)
+    return with_front(candidates)
 
 
-def _tried(
-    design: SensorDesign, numbers: Array, force: float, wish: Requirements
+def _evaluate_candidate(
+    design: SensorDesign, numbers: Array, force: float, requirements: Requirements
 ) -> DesignCandidate | None:
     try:
         made = rebuilt(made_of(design, numbers))
@@ -141,7 +143,7 @@ def _tried(
         return None
     if not math.isfinite(reached.force_sd):
         return None
-    return DesignCandidate(made, reached, tuple(wish.missed(reached)))
+    return DesignCandidate(made, reached, tuple(requirements.missed(reached)))
 
 
 def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
@@ -195,40 +197,43 @@ def radius_px(design: SensorDesign) -> float:
     return design.camera.fx * design.markers.radius / design.camera.distance
 
 
-def with_front(tried: Sequence[DesignCandidate]) -> list[DesignCandidate]:
+def with_front(candidates: Sequence[DesignCandidate]) -> list[DesignCandidate]:
     """Mark the Pareto front among the designs with the fewest missed requirements. The criteria are
     force sd, edge sd and number of markers.
 
     Args:
-        tried: Designs.
+        candidates: Designs.
 
     Returns:
         The same designs, marked.
     """
-    fewest = min(len(one.missed) for one in tried)
+    fewest = min(len(one.missed) for one in candidates)
     costs = np.array(
-        [(one.score.force_sd, _last(one.score.edge_sd), one.design.markers.count) for one in tried]
+        [
+            (one.score.force_sd, _last(one.score.edge_sd), one.design.markers.count)
+            for one in candidates
+        ]
     )
-    may = np.array([len(one.missed) == fewest for one in tried])
+    may = np.array([len(one.missed) == fewest for one in candidates])
     marked = []
-    for number, one in enumerate(tried):
+    for number, one in enumerate(candidates):
         as_good = (costs[may] <= costs[number]).all(axis=1)
         better = as_good & (costs[may] < costs[number]).any(axis=1)
         marked.append(replace(one, on_front=bool(may[number] and not better.any())))
     return marked
 
 
-def best(tried: Sequence[DesignCandidate], count: int) -> list[DesignCandidate]:
+def best(candidates: Sequence[DesignCandidate], count: int) -> list[DesignCandidate]:
     """Select designs of the front, from the best force to the best edge.
 
     Args:
-        tried: Result of `sweep`.
+        candidates: Result of `sweep`.
         count: Maximum number of designs.
 
     Returns:
         Designs, the best force first.
     """
-    front = sorted((one for one in tried if one.on_front), key=lambda one: one.score.force_sd)
+    front = sorted((one for one in candidates if one.on_front), key=lambda one: one.score.force_sd)
     picked = np.unique(np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int))
     return [front[number] for number in picked]
 

@@ -30,7 +30,7 @@ def of_file(
 def from_requirements(
     design: SensorDesign,
     force: float,
-    wish: Requirements,
+    requirements: Requirements,
     *,
     count: int,
     check: int = 0,
@@ -42,7 +42,7 @@ def from_requirements(
     Args:
         design: Initial design.
         force: Indenting force, N.
-        wish: Requirements.
+        requirements: Requirements.
         count: Number of sampled designs.
         check: Number of the best designs that are checked in full simulation.
         seed: Seed of samples and indentations.
@@ -52,22 +52,22 @@ def from_requirements(
         The JSON's object, and the best sensors' files by name.
     """
     say(f"what {design.name} reaches")
-    begun = score(design, force)
-    tried = sweep(design, force, wish, count=count, seed=seed, say=say)
-    picked = best(tried, max(_WRITTEN, check))
+    initial = score(design, force)
+    candidates = sweep(design, force, requirements, count=count, seed=seed, say=say)
+    picked = best(candidates, max(_WRITTEN, check))
     named = {f"best_{number}": one for number, one in enumerate(picked, 1)}
     texts = {f"{name}.toml": _text(name, one, force) for name, one in named.items()}
     result = {
         "sensor": design.name,
         "force_N": force,
-        "wish": {
-            "detect_force_mN": None if wish.touch is None else 1e3 * wish.touch,
-            "range_N": wish.maximum,
-            "edge_mm": None if wish.edge is None else 1e3 * wish.edge,
-            "radius_mm": None if wish.radius is None else 1e3 * wish.radius,
+        "requirements": {
+            "detect_force_mN": None if requirements.touch is None else 1e3 * requirements.touch,
+            "range_N": requirements.maximum,
+            "edge_mm": None if requirements.edge is None else 1e3 * requirements.edge,
+            "radius_mm": None if requirements.radius is None else 1e3 * requirements.radius,
         },
-        "begun_from": {"reaches": begun.table(), "missed": wish.missed(begun)},
-        "tried": [_row(one) for one in tried],
+        "initial": {"reaches": initial.table(), "missed": requirements.missed(initial)},
+        "candidates": [_row(one) for one in candidates],
         "best": [{"file": f"{name}.toml"} | _row(one) for name, one in named.items()],
         "checked": [
             _checked(replace(one.design, name=name), 4, seed, say)

@@ -133,11 +133,11 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         swept: The JSON's object of a sweep.
     """
     axes = figure.subplots()
-    tried = [one for one in swept["tried"] if np.isfinite(one["reaches"]["edge_sd_mm"])]
-    x = np.array([one["reaches"]["force_sd_mN"] for one in tried], float)
-    y = np.array([one["reaches"]["edge_sd_mm"] for one in tried], float)
-    markers = np.array([one["rows"] * one["columns"] for one in tried], float)
-    meets = np.array([one["meets"] for one in tried], bool)
+    candidates = [one for one in swept["candidates"] if np.isfinite(one["reaches"]["edge_sd_mm"])]
+    x = np.array([one["reaches"]["force_sd_mN"] for one in candidates], float)
+    y = np.array([one["reaches"]["edge_sd_mm"] for one in candidates], float)
+    markers = np.array([one["rows"] * one["columns"] for one in candidates], float)
+    meets = np.array([one["meets"] for one in candidates], bool)
     for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
         if those.any():
             drawn = axes.scatter(
@@ -145,20 +145,20 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
                 vmin=0, vmax=markers.max(), cmap="viridis",
             )  # fmt: skip
     figure.colorbar(drawn, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
-    on_front = np.array([one["on_front"] for one in tried], bool)
+    on_front = np.array([one["on_front"] for one in candidates], bool)
     front = sorted(zip(x[on_front], y[on_front], strict=True))
     axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")
-    begun = swept["begun_from"]["reaches"]
-    axes.plot(begun["force_sd_mN"], begun["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
-    wish = swept["wish"]["edge_mm"]
-    if wish is not None:
-        axes.axhline(wish, color="0.6", ls=":", label="required sd of an edge")
+    initial = swept["initial"]["reaches"]
+    axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
+    required = swept["requirements"]["edge_mm"]
+    if required is not None:
+        axes.axhline(required, color="0.6", ls=":", label="required sd of an edge")
     axes.set(
         xlabel=f"sd of a force of {swept['force_N']:g} N, mN",
         ylabel="sd of an edge position, mm",
         xscale="log",
         yscale="log",
-        title=f"{len(tried)} designs, predicted",
+        title=f"{len(candidates)} designs, predicted",
     )
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=8)

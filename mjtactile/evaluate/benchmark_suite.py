@@ -15,6 +15,7 @@ from typing import Any
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import hint
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import store
 from mjtactile.evaluate.pool import HERE, Running
@@ -112,7 +113,10 @@ def load_suite(name_or_path: str | Path) -> Suite:
     """
     path = resources.find(name_or_path, FOLDER, ".json")
     try:
-        suite = Suite(**json.loads(path.read_text(encoding="utf-8")))
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(table, dict) and (old := "".join(map(hint, table))):
+            raise InputError(f"is a suite of an older version{old}", source=path)
+        suite = Suite(**table)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"is not a suite of tasks: {error}", source=path) from error
     if suite.scoring_version != VERSION:

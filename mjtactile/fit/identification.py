@@ -190,7 +190,7 @@ def _gas(
     options.say(_report_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [
-        (lambda design, run: replay(design, evidence[i], sheet.offsets[i], options.mesh))
+        _replayed(evidence[i], sheet.offsets[i], options.mesh)
         if _can_replay(evidence[i])
         else predict
         for i in with_pressure
@@ -237,6 +237,12 @@ def _touch_mode(
     return np.array(
         [replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)]
     )
+
+
+def _replayed(
+    evidence: Evidence, offset: float, mesh: tuple[int, int] | None
+) -> Callable[..., Array]:
+    return lambda design, run: replay(design, evidence, offset, mesh)
 
 
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:

@@ -67,7 +67,7 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
             for kind, (scale, unit) in units.items()
         }
 
-    def tried(one: TestedParameter) -> dict[str, Any]:
+    def tested(one: TestedParameter) -> dict[str, Any]:
         scale = one.cause.scale
         return {
             "cause": one.cause.name,
@@ -81,13 +81,13 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
     return {
         "verdict": verdict(shadow),
         "differs": shadow.differs,
-        "named": None if shadow.named is None else tried(shadow.named),
+        "named": None if shadow.named is None else tested(shadow.named),
         "explains": shadow.explains,
         "alike": [one.cause.name for one in shadow.alike],
         "remedy": "" if shadow.named is None else shadow.named.cause.remedy,
-        "apart": rms(shadow.apart),
+        "difference_rms": rms(shadow.apart),
         "left": rms(shadow.left),
-        "tried": [tried(one) for one in shadow.tried],
+        "tested": [tested(one) for one in shadow.tried],
     }
 
 

@@ -35,70 +35,70 @@ _PULL_SHOWN = 0.005  # minimum displayed pull force, N
 
 
 class ControlWindow(plugin.ViewerPlugin):
-    """Window with the controls of the session of `show`."""
+    """Window with the controls of the session of `bridge`."""
 
-    def __init__(self, show: SessionBridge):
-        self.show = show
-        self.complain = show.message
+    def __init__(self, bridge: SessionBridge):
+        self.bridge = bridge
+        self.complain = bridge.message
         self._layout = WindowLayout()
         self._supply: float | None = None
         self._pierced: set[int] = set()
         self._session: Session | None = None
-        self._next = show.scenario
+        self._next = bridge.scenario
 
     @messages.handler
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        show = self.show
-        moment = self.show.moment()
-        if show.session is not self._session:  # another world
-            self._session = show.session
+        bridge = self.bridge
+        snapshot = self.bridge.snapshot()
+        if bridge.session is not self._session:  # another world
+            self._session = bridge.session
             self._pierced = set()
-            self._next = show.scenario
+            self._next = bridge.scenario
         self._layout.begin(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Session")[0]:
-            self._build_state(moment)
+            self._build_state(snapshot)
             self._build_buttons()
-            if show.session is not None:
-                self._build_valves(show.session)
-                if moment is not None and moment.session is not None:
-                    self._build_gripper(show.session, moment)
+            if bridge.session is not None:
+                self._build_valves(bridge.session)
+                if snapshot is not None and snapshot.session is not None:
+                    self._build_gripper(bridge.session, snapshot)
             self._build_next()
         imgui.End()
 
-    def _build_state(self, moment: StudioSnapshot | None) -> None:
-        show = self.show
-        if moment is None or moment.session is None:
-            imgui.TextUnformatted("measuring the reference state" if not show.outcome else "")
+    def _build_state(self, snapshot: StudioSnapshot | None) -> None:
+        bridge = self.bridge
+        if snapshot is None or snapshot.session is None:
+            imgui.TextUnformatted("measuring the reference state" if not bridge.outcome else "")
         else:
-            state = moment.session
-            imgui.TextUnformatted(f"t = {moment.time:.2f} s   {state.phase}   {state.state}")
+            state = snapshot.session
+            imgui.TextUnformatted(f"t = {snapshot.time:.2f} s   {state.phase}   {state.state}")
             imgui.TextUnformatted(
                 f"opening {1e3 * state.opening:.1f} mm   lift {1e3 * state.lift_height:.1f} mm"
             )
             if state.reason and state.state not in ("armed", "running"):
                 imgui.TextWrapped(state.reason)
-        if (newtons := show.pulls) > _PULL_SHOWN:
+        if (newtons := bridge.pulls) > _PULL_SHOWN:
             imgui.TextUnformatted(f"the mouse pulls with {newtons:.2f} N")
-        imgui.TextWrapped(show.outcome or show.said)
+        imgui.TextWrapped(bridge.outcome or bridge.last_message)
 
     def _build_buttons(self) -> None:
-        show = self.show
+        bridge = self.bridge
         imgui.PushStyleColor(int(imgui.Col.Button), RED)
         imgui.PushStyleColor(int(imgui.Col.Text), _WHITE)
         if imgui.Button("make it safe", imgui.Vec2(-1, 30)):
-            show.halt()
+            bridge.halt()
         imgui.PopStyleColor(2)
-        if show.may_pause:
-            if imgui.Button("resume###pause" if show.paused else "pause###pause"):
-                show.paused = not show.paused
+        if bridge.may_pause:
+            if imgui.Button("resume###pause" if bridge.paused else "pause###pause"):
+                bridge.paused = not bridge.paused
             imgui.SameLine()
             if imgui.Button("one cycle"):
-                show.step()
+                bridge.step()
             imgui.SameLine()
         if imgui.Button("again"):
-            show.again(replace(show.scenario, seed=show.scenario.seed + 1))
+            bridge.again(replace(bridge.scenario, seed=bridge.scenario.seed + 1))
 
     def _build_valves(self, session: Session) -> None:
         if not session.rig.valves or not imgui.CollapsingHeader("valves", _OPEN):
@@ -126,18 +126,18 @@ class ControlWindow(plugin.ViewerPlugin):
                 self._pierced ^= {k}
                 self._ask(_puncture, k, _HOLE if pierced else 0.0)
 
-    def _build_gripper(self, session: Session, moment: StudioSnapshot) -> None:
+    def _build_gripper(self, session: Session, snapshot: StudioSnapshot) -> None:
         """Build the manual sliders of jaws and lift, which override the controller."""
         if not imgui.CollapsingHeader("by hand"):
             return
-        show = self.show
-        state = moment.session
+        bridge = self.bridge
+        state = snapshot.session
         limits = session.rig.limits
         assert state is not None
-        goal = show.manual_goal
+        goal = bridge.manual_goal
         changed, on = imgui.Checkbox("override the controller", goal is not None)
         if changed:
-            show.manual_goal = ManualGoal(state.opening, state.lift_height) if on else None
+            bridge.manual_goal = ManualGoal(state.opening, state.lift_height) if on else None
         if goal is None or not on:
             return
         maximum = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
@@ -158,14 +158,14 @@ class ControlWindow(plugin.ViewerPlugin):
             opening = 1e3 * state.opening
         now = ManualGoal(1e-3 * opening, 1e-3 * lift, force)
         if now != goal:
-            show.manual_goal = now
+            bridge.manual_goal = now
 
     def _build_next(self) -> None:
         """Build the controls for object, seed, accuracy and effects of the next world."""
         if not imgui.CollapsingHeader("another run"):
             return
         now = self._next
-        if self.show.session is None or self.show.session.rig.scene is not None:
+        if self.bridge.session is None or self.bridge.session.rig.scene is not None:
             now = replace(
                 now,
                 object=_choice("object", now.object, resources.names("models/objects", ".xml")),
@@ -174,7 +174,7 @@ class ControlWindow(plugin.ViewerPlugin):
         _, number = imgui.InputInt("seed", now.seed)
         self._next = replace(now, seed=max(int(number), 0))
         if imgui.Button("start"):
-            self.show.again(self._next)
+            self.bridge.again(self._next)
         if now.rig == "sim" and imgui.TreeNode("effects"):
             self._build_effects()
             imgui.TreePop()
@@ -197,7 +197,7 @@ class ControlWindow(plugin.ViewerPlugin):
                     self._next = replace(now, effects=wanted)
 
     def _ask(self, task: Callable[..., None], *arguments: Any) -> None:
-        self.show.ask(lambda session: task(session, *arguments))
+        self.bridge.ask(lambda session: task(session, *arguments))
 
 
 def toggled(overrides: str, name: str, on: bool) -> str:

@@ -42,7 +42,7 @@ class SnapshotSource(Protocol):
 
     history: History
 
-    def moment(self) -> StudioSnapshot | None: ...
+    def snapshot(self) -> StudioSnapshot | None: ...
 
 
 def ellipses_of(felt: FingerSnapshot) -> Ellipses:
@@ -86,27 +86,27 @@ class Panel(plugin.ViewerPlugin):
     @messages.handler
     @guarded
     def on_update(self, _: messages.UpdateEvent) -> None:
-        moment = self.source.moment()
-        if moment is None:
+        snapshot = self.source.snapshot()
+        if snapshot is None:
             return
-        fingers = self._placed(moment.fingers)
+        fingers = self._placed(snapshot.fingers)
         now = wall.monotonic()
         # a changed selection is shown immediately
         is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]
-        if ((moment, self.look) != self._marked and is_due) or not self._mine:
-            self._marked = (moment, self.look)
+        if ((snapshot, self.look) != self._marked and is_due) or not self._mine:
+            self._marked = (snapshot, self.look)
             self._drawn = now
             before = self._mine
             scene_overlays.draw(
                 self._brush,
                 fingers,
                 self.look,
-                minimum=_LEAST if self._has_membranes(moment) else 0.0,
+                minimum=_LEAST if self._has_membranes(snapshot) else 0.0,
             )
             self._mine = self._brush.drawn
             scene_overlays.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
-        if (moment, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
-            self._pictured = (moment, self.look.surface)
+        if (snapshot, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
+            self._pictured = (snapshot, self.look.surface)
             self._when = now
             self._make_figures(fingers)
 
@@ -117,9 +117,9 @@ class Panel(plugin.ViewerPlugin):
         self._marked = (None, None)
 
     @staticmethod
-    def _has_membranes(moment: StudioSnapshot) -> bool:
+    def _has_membranes(snapshot: StudioSnapshot) -> bool:
         """Return True if the scene itself has membranes: then only indented parts are colored."""
-        return moment.scene is not None or any(felt.body is not None for felt in moment.fingers)
+        return snapshot.scene is not None or any(felt.body is not None for felt in snapshot.fingers)
 
     def _placed(self, fingers: Sequence[FingerSnapshot]) -> tuple[FingerSnapshot, ...]:
         """Return the fingers with poses in the viewer's scene, if only the MuJoCo body is known."""
@@ -170,18 +170,20 @@ class Panel(plugin.ViewerPlugin):
     @messages.handler
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        moment = self.source.moment()
+        snapshot = self.source.snapshot()
         self._layout.begin(imgui.GetIO().DisplaySize)
-        self._build_overlay({} if moment is None else moment.flags)
-        if moment is None:
+        self._build_overlay({} if snapshot is None else snapshot.flags)
+        if snapshot is None:
             return
-        for k, felt in enumerate(moment.fingers):
+        for k, felt in enumerate(snapshot.fingers):
             self._build_finger(
-                felt, k, float("nan") if moment.session is None else moment.session.perception_ms
+                felt,
+                k,
+                float("nan") if snapshot.session is None else snapshot.session.perception_ms,
             )
         self._layout.place(LEFT + 14, -_CURVES, -(LEFT + _FINGER[0] + 32), _CURVES)
         if imgui.Begin("Curves")[0]:
-            plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
+            plots.build(self.source.history.curves(), [felt.name for felt in snapshot.fingers])
         imgui.End()
 
     def _build_overlay(self, flags: Flags) -> None:

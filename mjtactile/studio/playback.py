@@ -20,7 +20,7 @@ from mjtactile.recording.reader import Recording
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.studio.callback_guard import guarded
 from mjtactile.studio.layout import ABOVE_CAMERA, LEFT, WindowLayout
-from mjtactile.studio.session_bridge import ChamberReadings, SessionBridge, moment_of
+from mjtactile.studio.session_bridge import ChamberReadings, SessionBridge, snapshot_of
 from mjtactile.studio.snapshot import Curves, History, StudioSnapshot
 
 
@@ -36,7 +36,7 @@ class RecordingPlayer(SessionBridge):
         super().__init__(scenario, say)
         self.recording = recording
         self.history = RecordingHistory(self)
-        self._moments: list[StudioSnapshot] = []
+        self._snapshots: list[StudioSnapshot] = []
         self._times: list[float] = []
         self._true = recording.column("force_normal_true")
         self._lock = threading.Lock()
@@ -49,20 +49,22 @@ class RecordingPlayer(SessionBridge):
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Keep a cycle without its images: the recording has them."""
-        number = len(self._moments)
+        number = len(self._snapshots)
         if number < len(self._true):
             true = {"force_normal_true": self._true[number].tolist()}
         else:
             true = {}
-        moment = moment_of(cycle, self.session, view, true, ChamberReadings(), number)
-        self.history.add(moment)
+        snapshot = snapshot_of(cycle, self.session, view, true, ChamberReadings(), number)
+        self.history.add(snapshot)
         if not self._times:
             self.at = 0.0
-        self._moments.append(
-            replace(moment, fingers=tuple(replace(felt, image=_NOTHING) for felt in moment.fingers))
+        self._snapshots.append(
+            replace(
+                snapshot, fingers=tuple(replace(felt, image=_NOTHING) for felt in snapshot.fingers)
+            )
         )
-        self._times.append(moment.time)
-        self.latest = moment
+        self._times.append(snapshot.time)
+        self.latest = snapshot
         self._leave()
 
     # called by the viewer's thread
@@ -92,20 +94,20 @@ class RecordingPlayer(SessionBridge):
         self.at = 0.0 if playing and self.at >= self.length else self.at
         self._playing = playing
 
-    def moment(self) -> StudioSnapshot | None:
+    def snapshot(self) -> StudioSnapshot | None:
         """Return the snapshot at the time `at`, with its images from the disk."""
         with self._lock:
             if not self._times:
                 return None
             number = max(bisect.bisect_right(self._times, self._times[0] + self.at + 1e-9) - 1, 0)
             if self._shown is None or self._shown.number != number:
-                moment = self._moments[number]
+                snapshot = self._snapshots[number]
                 images = self.recording.images_of(number)
                 fingers = (
                     replace(felt, image=image)
-                    for felt, image in zip(moment.fingers, images, strict=True)
+                    for felt, image in zip(snapshot.fingers, images, strict=True)
                 )
-                self._shown = replace(moment, fingers=tuple(fingers))
+                self._shown = replace(snapshot, fingers=tuple(fingers))
             return self._shown
 
 
@@ -137,11 +139,9 @@ class PlaybackWindow(plugin.ViewerPlugin):
         self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Recording")[0]:
             imgui.TextWrapped(str(tape.recording.folder))
-            moment = tape.moment()
-            if moment is not None and moment.session is not None:
-                imgui.TextUnformatted(
-                    f"t = {moment.time:.2f} s   {moment.session.phase}   {moment.session.state}"
-                )
+            snapshot = tape.snapshot()
+            if snapshot is not None and (state := snapshot.session) is not None:
+                imgui.TextUnformatted(f"t = {snapshot.time:.2f} s   {state.phase}   {state.state}")
             if imgui.Button("stop###play" if tape.playing else "play###play"):
                 tape.playing = not tape.playing
             imgui.SameLine()
@@ -152,7 +152,7 @@ class PlaybackWindow(plugin.ViewerPlugin):
                 tape.at = at
             felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles processed"
             imgui.TextUnformatted(felt if len(tape.history.rows) < len(tape.recording) else "")
-            imgui.TextWrapped(tape.outcome or tape.said)
+            imgui.TextWrapped(tape.outcome or tape.last_message)
         imgui.End()
 
 

@@ -55,7 +55,7 @@ def launch_window(
 
 
 def watch(
-    show: SessionBridge,
+    bridge: SessionBridge,
     *,
     port: int = 0,
     browser: bool = True,
@@ -71,74 +71,76 @@ def watch(
     continues.
     """
     config = viewer_protocol.ViewerConfig(
-        title=f"mjtactile: {show.scenario.object}",
+        title=f"mjtactile: {bridge.scenario.object}",
         http_port=port,
         open_browser=browser,
         gfx="" if native else "web",
     )
-    mirror = StateSync(show)
+    mirror = StateSync(bridge)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
-    desk = PlaybackWindow(show) if isinstance(show, RecordingPlayer) else ControlWindow(show)
-    plugins = [studio_app, desk, Panel(show), mirror]
+    desk = PlaybackWindow(bridge) if isinstance(bridge, RecordingPlayer) else ControlWindow(bridge)
+    plugins = [studio_app, desk, Panel(bridge), mirror]
     handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
-    studio = threading.Thread(target=_sync, args=(handle, mirror, show), name="studio", daemon=True)
+    studio = threading.Thread(
+        target=_sync, args=(handle, mirror, bridge), name="studio", daemon=True
+    )
     studio.start()
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         if wait and not native:
-            _wait_for_page(show)
-        while not show.closed.is_set():
-            show.restart.clear()
-            _run(show)
-            if runs and show.runs >= runs:
+            _wait_for_page(bridge)
+        while not bridge.closed.is_set():
+            bridge.restart.clear()
+            _run(bridge)
+            if runs and bridge.runs >= runs:
                 return
-            while not (show.restart.wait(0.1) or show.closed.is_set()):
+            while not (bridge.restart.wait(0.1) or bridge.closed.is_set()):
                 pass
     finally:
-        show.closed.set()
+        bridge.closed.set()
         studio.join(5.0)
         sys.setswitchinterval(before)
 
 
-def _wait_for_page(show: SessionBridge) -> None:
+def _wait_for_page(bridge: SessionBridge) -> None:
     """Wait until a page is open, so that its user sees the whole run. Raises Interrupted."""
     if not checked_at.is_set():
-        show.message("the grasp starts when the page is open (--no-wait: immediately)")
-    while not (checked_at.wait(0.1) or show.closed.is_set()):
+        bridge.message("the grasp starts when the page is open (--no-wait: immediately)")
+    while not (checked_at.wait(0.1) or bridge.closed.is_set()):
         signals.check()
 
 
-def _run(show: SessionBridge) -> None:
+def _run(bridge: SessionBridge) -> None:
     """Run one grasp and show its errors; raise them if there was no image yet."""
-    before = show.runs
+    before = bridge.runs
     try:
         # no time limit, because manual control may take any time
-        scenario = replace(show.scenario, time_limit=math.inf)
-        controller = show.take_over(load_controller(scenario.controller))
-        result = run_grasp(scenario, [show], controller=controller)
-        show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
+        scenario = replace(bridge.scenario, time_limit=math.inf)
+        controller = bridge.take_over(load_controller(scenario.controller))
+        result = run_grasp(scenario, [bridge], controller=controller)
+        bridge.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except RestartRequested:
-        show.outcome = "again"
+        bridge.outcome = "again"
     except Interrupted:
         raise
     except MjtactileError as error:
-        if before == 0 and show.latest is None:
+        if before == 0 and bridge.latest is None:
             raise
-        show.outcome = str(error)
+        bridge.outcome = str(error)
 
 
-def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, show: SessionBridge) -> None:
+def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, bridge: SessionBridge) -> None:
     """Run Studio's simulation loop; new states, and some repeated ones, are sent."""
     try:
         sent = 0.0
         with handle:
-            while handle.is_running() and not show.closed.is_set():
+            while handle.is_running() and not bridge.closed.is_set():
                 if mirror.follow() or time.monotonic() - sent > _EVERY:
                     handle.sync()
                     sent = time.monotonic()
                 time.sleep(_PERIOD)
     except Exception as error:  # noqa: BLE001  # the viewer ended; the session is told
-        show.message(f"{type(error).__name__}: {error}")
+        bridge.message(f"{type(error).__name__}: {error}")
     finally:
-        show.closed.set()
+        bridge.closed.set()

@@ -60,7 +60,7 @@ class SessionBridge(Observer):
         self.session: Session | None = None
         self.latest: StudioSnapshot | None = None
         self.history = History()
-        self.said = ""
+        self.last_message = ""
         self.outcome = ""
         self.runs = 0
         self.paused = False
@@ -103,14 +103,14 @@ class SessionBridge(Observer):
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
-        self.said = ""  # that it is taken
+        self.last_message = ""  # that it is taken
         if self._halted:  # no motion has started that the supervisor could reverse
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
             raise RestartRequested
 
     def message(self, text: str) -> None:
-        self.said = text
+        self.last_message = text
         self._say(text)
 
     def note(self, **facts: Any) -> None:
@@ -145,15 +145,15 @@ class SessionBridge(Observer):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Show a cycle, and keep to the clock. Raises Restart when another run was asked for."""
         number = 0 if self.latest is None else self.latest.number + 1
-        moment = moment_of(cycle, self.session, view, truth, self._gas, number)
-        self.history.add(moment)
-        self.latest = moment
+        snapshot = snapshot_of(cycle, self.session, view, truth, self._gas, number)
+        self.history.add(snapshot)
+        self.latest = snapshot
         self._leave()
         self._wait(cycle.time)
 
     # called by the viewer's thread
 
-    def moment(self) -> StudioSnapshot | None:
+    def snapshot(self) -> StudioSnapshot | None:
         """Return the snapshot to show."""
         return self.latest
 
@@ -246,7 +246,7 @@ def interrupted() -> bool:
     return False
 
 
-def moment_of(
+def snapshot_of(
     cycle: Cycle,
     session: Session | None,
     view: Any,

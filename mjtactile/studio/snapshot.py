@@ -159,11 +159,11 @@ class Row:
     state: str
 
 
-def row_of(moment: StudioSnapshot) -> Row:
-    fingers = moment.fingers
-    session = moment.session
+def row_of(snapshot: StudioSnapshot) -> Row:
+    fingers = snapshot.fingers
+    session = snapshot.session
     return Row(
-        moment.time,
+        snapshot.time,
         tuple(f.touch.force_normal for f in fingers),
         tuple(f.touch.force_normal_sd for f in fingers),
         tuple(f.true for f in fingers),
@@ -238,8 +238,8 @@ class History:
     rows: deque[Row] = field(default_factory=deque)
     _made: tuple[Row | None, Curves | None] = (None, None)
 
-    def add(self, moment: StudioSnapshot) -> None:
-        row = row_of(moment)
+    def add(self, snapshot: StudioSnapshot) -> None:
+        row = row_of(snapshot)
         if self.rows and row.time < self.rows[-1].time:  # it began again
             self.rows.clear()
         self.rows.append(row)

@@ -73,10 +73,10 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
 class StateSync(plugin.SimPlugin):
     """Transfer of the session's state; without a scene, of the estimated membranes."""
 
-    def __init__(self, show: SessionBridge):
-        self.show = show
-        self.complain = show.message
-        self._moment: StudioSnapshot | None = None
+    def __init__(self, bridge: SessionBridge):
+        self.bridge = bridge
+        self.complain = bridge.message
+        self._snapshot: StudioSnapshot | None = None
         self._model: Any = None
         self._pulled = 0.0
 
@@ -85,18 +85,18 @@ class StateSync(plugin.SimPlugin):
 
         Call it in the loop around `sync`. Studio does not step without a model.
         """
-        moment = self.show.moment()
-        if moment is None:
+        snapshot = self.bridge.snapshot()
+        if snapshot is None:
             return False
-        model = None if moment.scene is None else moment.scene[0]
+        model = None if snapshot.scene is None else snapshot.scene[0]
         if self.handle.model is None or model is not self._model:
             self._model = model
             if model is None:
                 shown = mujoco.MjModel.from_xml_string(_STAGE)
             else:
-                shown = displayed_model(model, moment.fingers)
+                shown = displayed_model(model, snapshot.fingers)
             self.handle.set_model(shown)
-        return moment is not self._moment
+        return snapshot is not self._snapshot
 
     @messages.handler(priority=messages.Priority.USER)
     def on_load(self, _: messages.LoadModelEvent) -> bool:
@@ -111,22 +111,22 @@ class StateSync(plugin.SimPlugin):
     @messages.handler(priority=messages.Priority.USER)
     @guarded
     def on_step(self, _: messages.StepEvent) -> bool:
-        moment = self.show.moment()
+        snapshot = self.bridge.snapshot()
         model = self.handle.model
         data = self.handle.data
         if (
-            moment is not None
-            and moment is not self._moment
-            and moment.scene is not None
-            and moment.scene[0] is self._model
+            snapshot is not None
+            and snapshot is not self._snapshot
+            and snapshot.scene is not None
+            and snapshot.scene[0] is self._model
         ):
             assert model is not None and data is not None  # it was published
             if wall.monotonic() - self._pulled < _HELD:
                 pull = data.xfrc_applied.copy()
             else:
                 pull = np.zeros_like(data.xfrc_applied)
-            mujoco.mj_setState(model, data, moment.scene[1], _STATE)
+            mujoco.mj_setState(model, data, snapshot.scene[1], _STATE)
             data.xfrc_applied[:] = pull
-            self.show.pull = pull
-        self._moment = moment
+            self.bridge.pull = pull
+        self._snapshot = snapshot
         return True

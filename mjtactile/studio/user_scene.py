@@ -32,7 +32,7 @@ class UserFingers:
         self._latest: StudioSnapshot | None = None
         self._seen: tuple[object, ...] = ()
 
-    def moment(self) -> StudioSnapshot | None:
+    def snapshot(self) -> StudioSnapshot | None:
         fingers = tuple(self._fingers)
         seen = tuple(finger.seen for finger in fingers)
         if not seen:

@@ -67,7 +67,7 @@ class Clerk(plugin.ViewerPlugin):
     """Plugin that records the texts and widgets of the windows in each frame."""
 
     def __init__(self, source, shown, app):
-        self.show = source
+        self.bridge = source
         self._panel = shown
         self._app = app
 
@@ -93,17 +93,17 @@ class Clerk(plugin.ViewerPlugin):
             camera.distance = 0.75 * camera.distance
             camera.lookat = [
                 *camera.lookat[:2],
-                camera.lookat[2] + self.show.latest.session.lift_height,
+                camera.lookat[2] + self.bridge.latest.session.lift_height,
             ]
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        moment = self.show.moment()
-        now = self.show
+        snapshot = self.bridge.snapshot()
+        now = self.bridge
         found = {
-            "number": -1 if moment is None else moment.number,
-            "phase": "" if moment is None else moment.session.phase,
-            "felt": [] if moment is None else [describe(felt) for felt in moment.fingers],
+            "number": -1 if snapshot is None else snapshot.number,
+            "phase": "" if snapshot is None else snapshot.session.phase,
+            "felt": [] if snapshot is None else [describe(felt) for felt in snapshot.fingers],
             "paused": now.paused,
             "geoms": len(self.viewer.extra_geoms),
             "outcome": now.outcome,

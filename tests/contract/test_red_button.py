@@ -48,14 +48,14 @@ def emulator(half_speed):
 def test_the_red_button_while_holding_sets_down_lets_go_and_vents(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
-    show = Pressed()
+    bridge = Pressed()
     scenario = Scenario(sensor="paper16", rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
-    controller = show.take_over(load_controller(tmp_path / "mine.py"))
+    controller = bridge.take_over(load_controller(tmp_path / "mine.py"))
     with pytest.raises(DeviceError, match=RED_BUTTON):
-        run_grasp(scenario, [show], controller=controller)
+        run_grasp(scenario, [bridge], controller=controller)
     truth = emulator.truth()
     assert not any(truth["torque"].values()) and set(truth["valve"].values()) == {"vent"}
     # height of the egg's center, m: the egg stands at its initial place
     assert truth["object_height"] == pytest.approx(0.031, abs=0.003)
-    assert max(lift for _, lift in show.states) > 0.03  # height in m; the egg was in the air
-    assert show.states[-1][0] in ("safe", "latched") and show.states[-1][1] < 2e-3
+    assert max(lift for _, lift in bridge.states) > 0.03  # height in m; the egg was in the air
+    assert bridge.states[-1][0] in ("safe", "latched") and bridge.states[-1][1] < 2e-3

@@ -148,7 +148,7 @@ def test_a_wish_becomes_sensor_files(tmp_path, capsys):
     options = ["--sensor", "paper16", "--detect-force-mN", "12", "--count", "2", "--json"]
     assert main(["design", *options, "--out", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert len(result["tried"]) == 2 and any(one["on_front"] for one in result["tried"])
+    assert len(result["candidates"]) == 2 and any(one["on_front"] for one in result["candidates"])
     for best in result["best"]:
         made = load_sensor(tmp_path / "out" / best["file"])
         assert made.markers.rows == best["rows"]

@@ -87,7 +87,7 @@ def test_what_is_compared_met_the_same_episodes(new, tmp_path):
     assert "| all 2 | mine | 5 of 5 (57-100 %) | 2.5 | +60 (" in benchmark_suite.table(known, found)
 
 
-def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, monkeypatch):
+def test_nothing_is_compared_with_other_files_or_another_scoring(new, tmp_path, monkeypatch):
     path = tmp_path / "mine.json"
     replace(new, files={**new.files, "pour.toml": "0" * 64}).write(path)
     with pytest.raises(InputError, match=r"other versions of these files: pour\.toml"):
@@ -97,6 +97,9 @@ def test_nothing_is_compared_with_other_files_or_another_judge(new, tmp_path, mo
     with pytest.raises(
         InputError, match=rf"was scored by version {VERSION}, but this is version 99"
     ):
+        benchmark_suite.load_suite(path)
+    path.write_text('{"judge": "1"}')
+    with pytest.raises(InputError, match="`judge` is now `scoring_version`"):
         benchmark_suite.load_suite(path)
     path.write_text("{}")
     with pytest.raises(InputError, match="is not a suite"):

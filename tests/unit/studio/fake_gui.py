@@ -13,7 +13,7 @@ class FakeGui:
 
     def __init__(self, real):
         self._real = real
-        self.said = []
+        self.texts = []
         self._wanted = {}
 
     def __getattr__(self, name):
@@ -24,7 +24,7 @@ class FakeGui:
         self._wanted[label.split("###")[0]] = value
 
     def _take(self, label):
-        self.said.append(label)
+        self.texts.append(label)
         return self._wanted.pop(label.split("###")[0], None)
 
     @staticmethod
@@ -62,12 +62,12 @@ class FakeGui:
         return (False, value) if wanted is None else (True, items.index(wanted))
 
     def TextUnformatted(self, text):
-        self.said.append(text)
+        self.texts.append(text)
 
     TextWrapped = TextDisabled = TextUnformatted
 
     def TextColored(self, _, text):
-        self.said.append(text)
+        self.texts.append(text)
 
     def IsItemHovered(self, *_):
         return False

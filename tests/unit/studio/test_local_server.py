@@ -42,9 +42,9 @@ def _listens(port):
 
 def get(port, path, **headers):
     """(status, headers, body) of a GET; `{port}` in a header is the server's."""
-    said = {name.replace("_", "-"): text.format(port=port) for name, text in headers.items()}
+    sent = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
     with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as client:
-        client.request("GET", path, headers=said)
+        client.request("GET", path, headers=sent)
         answer = client.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
 
@@ -62,8 +62,10 @@ def get(port, path, **headers):
     ids=["another site", "no origin", "another port", "another name", "a script"],
 )
 def test_strangers_get_nothing(port, path, headers):
-    status, said, body = get(port, path, **headers)
-    assert status == 403 and MODEL not in body and "Access-Control-Allow-Origin" not in said
+    status, reply_headers, body = get(port, path, **headers)
+    assert (
+        status == 403 and MODEL not in body and "Access-Control-Allow-Origin" not in reply_headers
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,11 +79,11 @@ def test_strangers_get_nothing(port, path, headers):
     ids=["no browser", "the page", "a tunnel", "a link"],
 )
 def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
-    status, said, body = get(port, "/model", **headers)
+    status, reply_headers, body = get(port, "/model", **headers)
     assert (status, body) == (200, MODEL)
-    assert "Access-Control-Allow-Origin" not in said
-    assert said["Cross-Origin-Resource-Policy"] == "same-origin"
-    assert said["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
+    assert "Access-Control-Allow-Origin" not in reply_headers
+    assert reply_headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert reply_headers["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
 
 
 def test_a_page_that_looks_is_known_and_a_stranger_is_none(port):

@@ -49,7 +49,7 @@ class FakeValve:
 
 
 @pytest.fixture
-def show():
+def bridge():
     """A show of a simulated session's stand-in, 40 cycles old."""
     fingers = [
         SimpleNamespace(name=name, design=load_sensor("dense"), valve=None)
@@ -73,14 +73,14 @@ def show():
     rest = SimpleNamespace(
         state=SimpleNamespace(reference=SimpleNamespace(surface=fake_touch(0.0, 0.0).surface))
     )
-    show = SessionBridge(Scenario(seed=4))
-    show.fastest = np.inf
+    bridge = SessionBridge(Scenario(seed=4))
+    bridge.fastest = np.inf
     flags = {"sharp_edge": Flag("an edge presses", 0.1, 0.4, 0.2)}
-    show.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
+    bridge.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
     for i in range(40):
-        show.on_images()
-        show.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
-    return show
+        bridge.on_images()
+        bridge.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
+    return bridge
 
 
 def build(plugin, cycle=None):
@@ -90,9 +90,9 @@ def build(plugin, cycle=None):
     plugin.on_build_gui(None)
 
 
-def test_the_panels_numbers_are_the_sessions(gui, show):
-    build(Panel(show))
-    for felt in show.moment().fingers:
+def test_the_panels_numbers_are_the_sessions(gui, bridge):
+    build(Panel(bridge))
+    for felt in bridge.snapshot().fingers:
         touch = felt.touch
         shear = np.hypot(*touch.traction.wrench[:2])
         for text in (
@@ -102,21 +102,22 @@ def test_the_panels_numbers_are_the_sessions(gui, show):
             f"area   {1e6 * touch.contact.area:.0f} mm2",
             "20.9 C",
         ):
-            assert any(text in said for said in gui.said), text
-    assert "gas    closed, 1.00 kPa" in " ".join(gui.said)
-    assert "warning (sharp_edge): an edge presses" in gui.said
-    assert "0.10 to 0.40 s, 20 % of the time" in gui.said
+            assert any(text in line for line in gui.texts), text
+    assert "gas    closed, 1.00 kPa" in " ".join(gui.texts)
+    assert "warning (sharp_edge): an edge presses" in gui.texts
+    assert "0.10 to 0.40 s, 20 % of the time" in gui.texts
     time, force = gui.plot.drawn["left, felt"]
     assert (
-        time[-1] == show.moment().time and force[-1] == show.moment().fingers[0].touch.force_normal
+        time[-1] == bridge.snapshot().time
+        and force[-1] == bridge.snapshot().fingers[0].touch.force_normal
     )
     np.testing.assert_allclose(gui.plot.drawn["right, true"][1], 0.2)
     np.testing.assert_allclose(gui.plot.drawn["left, felt, bars"][1], 0.06)  # 2 sd
     np.testing.assert_allclose(gui.plot.drawn["left"][1][0], 1.0)  # kPa
 
 
-def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, show):
-    plugin = Panel(show)
+def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, bridge):
+    plugin = Panel(bridge)
     build(plugin)
     assert len(plugin.viewer.images) == 4 and all(
         image.std() > 5 for image in plugin.viewer.images.values()
@@ -178,14 +179,14 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     ] == [0, 0]
 
 
-def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
-    plugin = Panel(show)
+def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, bridge):
+    plugin = Panel(bridge)
     plugin.viewer = FakeViewer()
     stranger = mujoco.MjvGeom()
     plugin.viewer.extra_geoms.append(stranger)
     for _ in range(3):
         build(plugin)
-        show.add(fake_cycle(40))
+        bridge.add(fake_cycle(40))
     kinds = [int(geom.type) for geom in plugin.viewer.extra_geoms]
     assert plugin.viewer.extra_geoms[0] is stranger
     # two cells of 12 x 10 a finger
@@ -235,25 +236,25 @@ def test_why_an_ellipse_is_not_trusted_is_said():
     assert flagged_text(None) == ""
 
 
-def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, show, monkeypatch):
-    plugin = Panel(show)
+def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, bridge, monkeypatch):
+    plugin = Panel(bridge)
     monkeypatch.setattr(scene_overlays, "draw", lambda *_, **__: 1 / 0)
     build(plugin)
     assert any(
-        said.startswith("ZeroDivisionError: division by zero (test_panel.py, line")
-        for said in gui.said
+        text.startswith("ZeroDivisionError: division by zero (test_panel.py, line")
+        for text in gui.texts
     )
-    assert any(said.startswith("normal") for said in gui.said)
+    assert any(text.startswith("normal") for text in gui.texts)
 
 
-def test_the_desk_asks_the_session(gui, show):
-    plugin = ControlWindow(show)
-    session = show.session
+def test_the_desk_asks_the_session(gui, bridge):
+    plugin = ControlWindow(bridge)
+    session = bridge.session
 
     def do(label, value=True):
         gui.want(label, value)
         build(plugin)
-        show.on_images()
+        bridge.on_images()
 
     do("supply, kPa", 0.5)  # the valves are open: it counts at once
     do("close valves")
@@ -264,27 +265,28 @@ def test_the_desk_asks_the_session(gui, show):
         0
     ][1]
     do("override the controller", True)
-    assert show.manual_goal.opening == show.moment().session.opening
+    assert bridge.manual_goal.opening == bridge.snapshot().session.opening
     do("opening, mm", 40.0)
     do("lift, mm", 20.0)
-    assert (show.manual_goal.opening, show.manual_goal.lift_height) == (0.04, 0.02) and math.isnan(
-        show.manual_goal.force
-    )
+    assert (bridge.manual_goal.opening, bridge.manual_goal.lift_height) == (
+        0.04,
+        0.02,
+    ) and math.isnan(bridge.manual_goal.force)
     do("regulate the force", True)
     do("felt, N", 1.5)
-    assert show.manual_goal.force == 1.5
+    assert bridge.manual_goal.force == 1.5
     do("override the controller", False)
-    assert show.manual_goal is None
+    assert bridge.manual_goal is None
     gui.want("pause")
     build(plugin)
-    assert show.paused
+    assert bridge.paused
     gui.want("resume")
     build(plugin)
-    assert not show.paused
+    assert not bridge.paused
 
 
-def test_another_run_is_of_another_object_with_other_effects(gui, show):
-    plugin = ControlWindow(show)
+def test_another_run_is_of_another_object_with_other_effects(gui, bridge):
+    plugin = ControlWindow(bridge)
     for label, value in (
         ("object", "vial"),
         ("accuracy", "0.05N"),
@@ -293,23 +295,23 @@ def test_another_run_is_of_another_object_with_other_effects(gui, show):
     ):
         gui.want(label, value)
         build(plugin)
-    assert not show.restart.is_set()
+    assert not bridge.restart.is_set()
     gui.want("start")
     build(plugin)
-    assert show.restart.is_set()
-    assert (show.scenario.object, show.scenario.accuracy, show.scenario.seed) == (
+    assert bridge.restart.is_set()
+    assert (bridge.scenario.object, bridge.scenario.accuracy, bridge.scenario.seed) == (
         "vial",
         "0.05N",
         7,
     )
-    assert show.scenario.effects in ("+shadows", "-shadows")  # whichever it was not
+    assert bridge.scenario.effects in ("+shadows", "-shadows")  # whichever it was not
 
 
-def test_what_cannot_be_taken_out_is_said(gui, show):
+def test_what_cannot_be_taken_out_is_said(gui, bridge):
     gui.want("large deflection", False)
-    plugin = ControlWindow(show)
+    plugin = ControlWindow(bridge)
     build(plugin)
-    assert "cannot be left out" in show.said and plugin._next.effects == "auto"
+    assert "cannot be left out" in bridge.last_message and plugin._next.effects == "auto"
 
 
 def test_an_effect_is_forced_and_let_go_of_again():

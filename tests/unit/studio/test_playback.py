@@ -24,10 +24,10 @@ def tape(tmp_path):
 def test_image_touch_truth_and_curves_follow_the_time(tape):
     for number in (7, 2, COUNT - 1):
         tape.at = number / 30 + 0.01  # 30 cycles a second
-        moment = tape.moment()
-        assert moment.number == number and moment.time == pytest.approx(number / 30)
+        snapshot = tape.snapshot()
+        assert snapshot.number == number and snapshot.time == pytest.approx(number / 30)
         for felt, image, true in zip(
-            moment.fingers,
+            snapshot.fingers,
             tape.recording.images_of(number),
             tape.recording.column("force_normal_true")[number],
             strict=True,
@@ -55,4 +55,6 @@ def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeyp
 
 
 def test_a_tape_keeps_no_images(tape):
-    assert all(felt.image.pixels.size == 1 for moment in tape._moments for felt in moment.fingers)
+    assert all(
+        felt.image.pixels.size == 1 for snapshot in tape._snapshots for felt in snapshot.fingers
+    )

@@ -12,19 +12,19 @@ from tests.fake_run import fake_cycle
 
 @pytest.mark.parametrize(("error", "ends"), [(Interrupted(), True), (DeviceError("a wire"), False)])
 def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, ends):
-    show = SessionBridge()
+    bridge = SessionBridge()
 
     def fail(*_, **__):
-        show.add(fake_cycle(0))
+        bridge.add(fake_cycle(0))
         raise error
 
     monkeypatch.setattr(serve, "run_grasp", fail)
     if ends:
         with pytest.raises(Interrupted):
-            serve._run(show)
+            serve._run(bridge)
     else:
-        serve._run(show)
-        assert show.outcome == "a wire"
+        serve._run(bridge)
+        assert bridge.outcome == "a wire"
 
 
 def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch):
@@ -52,16 +52,16 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
 
 def test_a_grasp_waits_for_its_page(monkeypatch):
     """A grasp states that it waits for its page; Studio's end or a signal ends the wait."""
-    said = []
-    show = SessionBridge(say=said.append)
+    text = []
+    bridge = SessionBridge(say=text.append)
     looked = threading.Event()
     monkeypatch.setattr(serve, "checked_at", looked)
     threading.Timer(0.05, looked.set).start()
-    serve._wait_for_page(show)
-    assert looked.is_set() and "--no-wait" in said[0]
-    serve._wait_for_page(show)
-    assert len(said) == 1  # it is open
+    serve._wait_for_page(bridge)
+    assert looked.is_set() and "--no-wait" in text[0]
+    serve._wait_for_page(bridge)
+    assert len(text) == 1  # it is open
     looked.clear()
-    threading.Timer(0.05, show.closed.set).start()
-    serve._wait_for_page(show)
+    threading.Timer(0.05, bridge.closed.set).start()
+    serve._wait_for_page(bridge)
     assert not looked.is_set()

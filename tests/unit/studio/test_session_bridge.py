@@ -36,120 +36,124 @@ def until(condition, limit=300.0):
         time.sleep(0.005)
 
 
-def shown(show, count=1):
+def shown(bridge, count=1):
     for i in range(count):
-        show.on_images()
-        show.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
+        bridge.on_images()
+        bridge.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
 
 
 def test_a_cycle_is_shown_with_what_was_true():
-    show = SessionBridge()
-    shown(show, 3)
-    moment = show.moment()
-    assert moment.number == 2 and show.history.rows[-1].true == (0.1, 0.2)
-    lines = finger_lines(moment.fingers[1])
-    assert lines[0].startswith(f"normal {moment.fingers[1].touch.force_normal:+.3f} N")
+    bridge = SessionBridge()
+    shown(bridge, 3)
+    snapshot = bridge.snapshot()
+    assert snapshot.number == 2 and bridge.history.rows[-1].true == (0.1, 0.2)
+    lines = finger_lines(snapshot.fingers[1])
+    assert lines[0].startswith(f"normal {snapshot.fingers[1].touch.force_normal:+.3f} N")
     assert "true   +0.200 N" in lines
 
 
 def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
-    said = []
-    show = SessionBridge(say=said.append)
+    text = []
+    bridge = SessionBridge(say=text.append)
     session = fake_session()
     session.flags = {"sharp_edge": "an edge presses"}
-    show.begin(session)
+    bridge.begin(session)
     for _ in range(2):
-        show.note(flags=session.flags)
-        show.add(fake_cycle(0))
+        bridge.note(flags=session.flags)
+        bridge.add(fake_cycle(0))
     assert (
-        said == ["warning (sharp_edge): an edge presses"] and show.moment().flags == session.flags
+        text == ["warning (sharp_edge): an edge presses"]
+        and bridge.snapshot().flags == session.flags
     )
 
 
 def test_the_plots_show_the_last_seconds_only():
-    show = SessionBridge()
+    bridge = SessionBridge()
     for i in range(0, 3000, 10):  # 100 s
-        show.add(fake_cycle(i, 3001))
-    rows = show.history.rows
+        bridge.add(fake_cycle(i, 3001))
+    rows = bridge.history.rows
     assert rows[-1].time - rows[0].time == pytest.approx(20, abs=0.4)  # a cycle of 0.33 s
-    curves = show.history.curves()
+    curves = bridge.history.curves()
     assert curves.time[-1] == rows[-1].time and len(curves.time) <= 300
-    assert curves is show.history.curves()  # made once a cycle, not once a frame
+    assert curves is bridge.history.curves()  # made once a cycle, not once a frame
 
 
 def test_a_pause_holds_the_session_until_it_goes_on():
-    show = SessionBridge()
-    show.paused = True
-    thread = threading.Thread(target=shown, args=(show, 3))
+    bridge = SessionBridge()
+    bridge.paused = True
+    thread = threading.Thread(target=shown, args=(bridge, 3))
     thread.start()
-    show.step()
-    until(lambda: show.latest is not None)
+    bridge.step()
+    until(lambda: bridge.latest is not None)
     time.sleep(0.1)
-    assert show.latest.number == 0
-    show.step()
-    until(lambda: show.latest.number == 1)
+    assert bridge.latest.number == 0
+    bridge.step()
+    until(lambda: bridge.latest.number == 1)
     time.sleep(0.1)
-    assert show.latest.number == 1
-    show.paused = False
+    assert bridge.latest.number == 1
+    bridge.paused = False
     thread.join(10)
-    assert show.latest.number == 2
+    assert bridge.latest.number == 2
 
 
 def test_a_signal_ends_a_pause(monkeypatch):
     """Ctrl-C ends a pause: the loop sets down the held object, and the world must go on for
     this."""
-    show = SessionBridge()
-    show.paused = True
+    bridge = SessionBridge()
+    bridge.paused = True
 
     def check():
         raise Interrupted
 
     monkeypatch.setattr("mjtactile.studio.session_bridge.signals.check", check)
-    show.on_images()
-    assert not show.paused
+    bridge.on_images()
+    assert not bridge.paused
 
 
 def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():
-    show = SessionBridge()
+    bridge = SessionBridge()
     done = []
-    show.session = fake_session()
-    show.ask(lambda session: done.append(threading.current_thread().name))
-    show.ask(lambda session: 1 / 0)
-    show.ask(lambda session: done.append("after"))
-    thread = threading.Thread(target=shown, args=(show,), name="session")
+    bridge.session = fake_session()
+    bridge.ask(lambda session: done.append(threading.current_thread().name))
+    bridge.ask(lambda session: 1 / 0)
+    bridge.ask(lambda session: done.append("after"))
+    thread = threading.Thread(target=shown, args=(bridge,), name="session")
     thread.start()
     thread.join()
-    assert done == ["session", "after"] and show.said == "ZeroDivisionError: division by zero"
+    assert (
+        done == ["session", "after"]
+        and bridge.last_message == "ZeroDivisionError: division by zero"
+    )
 
 
 @pytest.mark.parametrize("name", ["restart", "closed"])
 def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from_a_real_one(name):
-    show = SessionBridge()
-    getattr(show, name).set()
+    bridge = SessionBridge()
+    getattr(bridge, name).set()
     with pytest.raises(RestartRequested):
-        show.add(fake_cycle(0))
-    show.session = fake_session(host_timeout=0.25)
-    show.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
-    assert len(show.session.reasons) == 1
+        bridge.add(fake_cycle(0))
+    bridge.session = fake_session(host_timeout=0.25)
+    bridge.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
+    assert len(bridge.session.reasons) == 1
     with pytest.raises(RestartRequested):  # nothing moves yet
-        show.add_reference("flat", [], [])
+        bridge.add_reference("flat", [], [])
 
 
 def test_the_red_button_makes_it_safe_and_ends_a_pause():
-    show = SessionBridge()
-    show.session = fake_session()
-    show.paused = True
-    show.halt()
-    assert show.session.reasons == [RED_BUTTON] and not show.paused
+    bridge = SessionBridge()
+    bridge.session = fake_session()
+    bridge.paused = True
+    bridge.halt()
+    assert bridge.session.reasons == [RED_BUTTON] and not bridge.paused
     with pytest.raises(DeviceError, match="red button"):  # nothing moves yet, which could retreat
-        show.add_reference("rest", [], [])
+        bridge.add_reference("rest", [], [])
 
 
 def test_only_a_world_that_waits_may_be_paused():
-    show = SessionBridge()
-    assert show.may_pause
-    show.session = fake_session(host_timeout=0.25)
-    assert not show.may_pause
+    bridge = SessionBridge()
+    assert bridge.may_pause
+    bridge.session = fake_session(host_timeout=0.25)
+    assert not bridge.may_pause
 
 
 def test_a_grasp_shows_its_scene_and_obeys():
@@ -159,37 +163,37 @@ def test_a_grasp_shows_its_scene_and_obeys():
     moves to the requested position and squeezes with the requested force. The red button opens
     it.
     """
-    show = SessionBridge()
-    show.fastest = np.inf
-    moments = []
+    bridge = SessionBridge()
+    bridge.fastest = np.inf
+    snapshots = []
 
     class CountingObserver(Observer):
         def on_images(self):
-            moments.append(show.moment())
-            act = actions.get(len(moments))
+            snapshots.append(bridge.snapshot())
+            act = actions.get(len(snapshots))
             if act is not None:
                 act()
 
     def supply():
-        for valve in show.session.rig.valves:
+        for valve in bridge.session.rig.valves:
             valve.open(500.0)
 
     actions = {
-        3: lambda: setattr(show, "manual_goal", ManualGoal(0.075, 0.01)),
+        3: lambda: setattr(bridge, "manual_goal", ManualGoal(0.075, 0.01)),
         10: supply,
-        20: show.halt,
+        20: bridge.halt,
     }
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
-        controller = show.take_over(load_controller("gentle"))
-        run_grasp(Scenario(), [show, CountingObserver()], controller=controller, workers=0)
-    moments = [moment for moment in moments if moment is not None]
-    times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
+        controller = bridge.take_over(load_controller("gentle"))
+        run_grasp(Scenario(), [bridge, CountingObserver()], controller=controller, workers=0)
+    snapshots = [snapshot for snapshot in snapshots if snapshot is not None]
+    times = [snapshot.scene[1][0] for snapshot in snapshots]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
-    pressure = [moment.fingers[0].gauge_pressure for moment in moments]
+    pressure = [snapshot.fingers[0].gauge_pressure for snapshot in snapshots]
     # pressure in Pa; an ideal valve
     assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)
-    assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
-    felt = moments[5].fingers[0]
+    assert snapshots[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
+    felt = snapshots[5].fingers[0]
     # tracks of sensing, against an independent search
     known = followed(felt.image, felt.tracks)
     found = find_ellipses(felt.image)
@@ -200,8 +204,8 @@ def test_a_grasp_shows_its_scene_and_obeys():
     assert sorted(order) == list(range(len(found)))
     # px: where a fit began is a tenth of its sd
     np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)
-    assert followed(moments[6].fingers[0].image, felt.tracks) is None  # another image's
-    state = [moment.session for moment in moments]
+    assert followed(snapshots[6].fingers[0].image, felt.tracks) is None  # another image's
+    state = [snapshot.session for snapshot in snapshots]
     # 40 mm/s for half a second, less its start
     assert state[18].lift_height > 0.004 and state[18].phase == "approach"
     assert (

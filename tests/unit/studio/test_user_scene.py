@@ -56,7 +56,7 @@ def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
         assert tips.sensors.on_step(step)
         assert time.monotonic() - start < 60
     assert time.monotonic() - start > 0.5  # no faster than the clock
-    [felt] = tips.panel.source.moment().fingers
+    [felt] = tips.panel.source.snapshot().fingers
     # the weight on it
     assert felt.name == "fingertip" and felt.touch.force_normal == pytest.approx(
         0.05 * 9.81, abs=0.05
@@ -101,12 +101,12 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
     )
     fingers = []
     own = UserFingers(fingers)
-    assert own.moment() is None  # none yet
+    assert own.snapshot() is None  # none yet
     fingers.append(finger)
-    first = own.moment()
-    assert first is own.moment()
+    first = own.snapshot()
+    assert first is own.snapshot()
     finger.seen = seen(1)
-    assert own.moment().number == first.number + 1 and len(own.history.rows) == 2
+    assert own.snapshot().number == first.number + 1 and len(own.history.rows) == 2
 
 
 def is_open(port):
@@ -157,8 +157,8 @@ def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_s
         listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
         # 127.0.0.1 alone
         assert re.findall(rf"\s([0-9A-F]+):{port:04X}\s+0+:0000 0A", listening) == ["0100007F"]
-        said, _ = process.communicate("end\n", timeout=300)
-        assert "felt True" in said and process.returncode == 0
+        text, _ = process.communicate("end\n", timeout=300)
+        assert "felt True" in text and process.returncode == 0
     finally:
         process.kill()
         process.communicate()
