@@ -57,7 +57,7 @@ class CircleFinder:
     def find(self, name: str, gray: NDArray[np.uint8]) -> BoardView | None:
         """Detect the centers of the circles' ellipses; None for fewer than CORNERS_MIN on one
         grid."""
-        ellipses, _ = detect_thoroughly(gray, polarity=self.polarity)
+        ellipses, _, _ = detect_thoroughly(gray, polarity=self.polarity)
         good = ellipses.status == "ok"
         if good.sum() < CORNERS_MIN:
             return None

@@ -38,6 +38,7 @@ examples:
 JSON: {"frames": [{"source": …, "status": "ok", or the reason for having no valid marker,
   "shared": [] or the quantities shared between circles ("elongation", "depth"),
   "overexposed": true if the bright side is clipped, which hides tenths of a pixel of size,
+  "deformed": true if most outlines deviate from ellipses, as after processing in the camera,
   "gamma": {"assumed", "estimate" and "sd" (null: not observable), "wrong": true if they
   clearly differ}, "markers": [{
   "uv_px": projected center (distorted pixels; (0, 0) is the center of the top-left pixel),
@@ -176,6 +177,7 @@ def _locate(
         "status": found.status,
         "shared": list(found.shared),
         "overexposed": found.overexposed,
+        "deformed": found.deformed,
         "gamma": {
             "assumed": found.assumed,
             "estimate": found.gamma.value,
@@ -195,6 +197,7 @@ def _without_markers(frame: NamedImage, status: str) -> dict[str, Any]:
         "status": status,
         "shared": [],
         "overexposed": False,
+        "deformed": False,
         "gamma": None,
         "markers": [],
         "rejected": [],
@@ -231,6 +234,7 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
         note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame[
             "overexposed"
         ]
+        note += ["outlines deformed"] * frame["deformed"]
         note += [_gamma_note(frame["gamma"])] if frame["gamma"] and frame["gamma"]["wrong"] else []
         print(
             f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} "

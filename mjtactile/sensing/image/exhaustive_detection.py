@@ -22,7 +22,8 @@ from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
-from mjtactile.sensing.image.fit_validation import implausible, validate_fits
+from mjtactile.sensing.image.fit_validation import NOT_ELLIPSE, implausible, validate_fits
+from mjtactile.sensing.image.outline_residual import outline_residual
 from mjtactile.sensing.settings import DEFAULTS, ExhaustiveDetectionSettings, Settings
 
 
@@ -56,9 +57,17 @@ def detect_thoroughly(
     polarity: markers.Polarity = "dark",
     min_radius_px: float = 1.5,
     settings: Settings = DEFAULTS,
-) -> tuple[Ellipses, Rejected]:
-    """Detect markers as `markers.detect`, followed by a second search. All other candidates are
-    returned with the reason for their rejection. Raises InputError as `markers.detect`."""
+) -> tuple[Ellipses, Rejected, bool]:
+    """Detect markers as `markers.detect`, followed by a second search. Circles that are cut are
+    not trusted.
+
+    Returns:
+        The circles; all other candidates with the reason for their rejection; and True if the
+        outlines of most circles deviate from ellipses, as after processing in the camera.
+
+    Raises:
+        InputError: As `markers.detect`.
+    """
     grey = _with_grey_edges(markers.grey_image(image), settings.thorough)
     s = settings.markers
     markers.check_polarity(polarity)
@@ -71,11 +80,24 @@ def detect_thoroughly(
         grey, found, fit_candidates(grey, found, settings), polarity, min_radius_px, settings
     )
     status, keep = validate_fits(fit, found, polarity, grey.shape, min_radius_px, s)
-    kept = as_ellipses(fit.take(keep), status[keep])
+    kept_fit = fit.take(keep)
+    kept_status, deformed = _by_outline(grey, kept_fit, status[keep])
+    kept = as_ellipses(kept_fit, kept_status)
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
     places = np.concatenate([first.center[why != ""], found.center[~keep]])
     reasons = np.concatenate([why[why != ""], status[~keep]])
-    return kept, Rejected(places, ellipse.axes_from_shape(outlines)[0], reasons)
+    return kept, Rejected(places, ellipse.axes_from_shape(outlines)[0], reasons), deformed
+
+
+def _by_outline(
+    grey: NDArray, fit: edge_fit.EdgeFit, status: NDArray[np.str_]
+) -> tuple[NDArray[np.str_], bool]:
+    """Return the status (N,) of each fit after the comparison of all outlines, and True if the
+    trusted outlines are deformed."""
+    outlines = outline_residual(grey, fit)
+    ok = status == "ok"
+    status = np.where(ok & outlines.incomplete(ok), NOT_ELLIPSE, status)
+    return status, outlines.deformed(status == "ok")
 
 
 def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:

@@ -24,9 +24,11 @@ from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.neighbor_smoothing import smooth_aspect_ratio
 from mjtactile.sensing.pose.pose_disambiguation import prefer
 from mjtactile.sensing.settings import DEFAULTS, Settings
-from mjtactile.sensing.surface.depth_smoothing import agree_on_depth
+from mjtactile.sensing.surface.depth_smoothing import SharedDepth, agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
+# standard deviation of log gamma of a camera without known gamma: 1 to 2.2
+_UNKNOWN_LOG_GAMMA = 0.4
 _GREY = np.full((1, 3), 1 / 3)
 GAMMAS = (0.2, 5.0)  # that may be asked for
 NOT_BEYOND_GLASS = "nearer than the glass"
@@ -64,6 +66,8 @@ class DetectedCircles:
     - `overexposed`: True if the circles' bright side is clipped.
     - `assumed`: assumed gamma of the camera; `gamma`: its estimate from the circles.
     - `nonlinear`: True if they clearly differ.
+    - `deformed`: True if most outlines deviate from ellipses by more than noise, as after
+      processing in the camera.
     """
 
     ellipses: Ellipses
@@ -76,6 +80,7 @@ class DetectedCircles:
     assumed: float = 1.0
     gamma: Gamma = UNKNOWN
     nonlinear: bool = False
+    deformed: bool = False
 
     @property
     def status(self) -> str:
@@ -135,12 +140,12 @@ def detect_circles(
     search = partial(
         detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings
     )
-    ellipses, rejected = search(linear_light(grey, assumed))
+    ellipses, rejected, deformed = search(linear_light(grey, assumed))
     overexposed = is_overexposed(grey, ellipses, polarity, settings.locate)
     said = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
     if gamma == "auto" and said.contradicts(assumed, settings.gamma):
         assumed = said.value
-        ellipses, rejected = search(linear_light(grey, assumed))
+        ellipses, rejected, deformed = search(linear_light(grey, assumed))
     nonlinear = said.contradicts(assumed, settings.gamma)
     found = replace(
         _together(ellipses, camera, radius, neighbours, settings),
@@ -149,6 +154,7 @@ def detect_circles(
         assumed=assumed,
         gamma=said,
         nonlinear=nonlinear,
+        deformed=deformed,
     )
     return _with_size_uncertainty(found, settings)
 
@@ -173,10 +179,13 @@ def _check_options(neighbours: str, gamma: object) -> None:
 
 
 def _with_size_uncertainty(found: DetectedCircles, settings: Settings) -> DetectedCircles:
-    """Return `found` with the covariance of a size error from clipping or an unknown gamma."""
+    """Return `found` with the covariance of a size error from clipping or an unknown gamma. An
+    image with deformed outlines is not linear light; without an estimate, its gamma is unknown."""
     size_sd = settings.locate.size_sd if found.overexposed else 0.0
     if found.nonlinear or found.assumed == found.gamma.value:
         size_sd = np.hypot(size_sd, found.gamma.size_uncertainty(found.assumed, settings.gamma))
+    elif found.deformed and not found.overexposed:
+        size_sd = _UNKNOWN_LOG_GAMMA * settings.gamma.size_per_log
     if not size_sd:
         return found
     doubt = _doubtful_size(found.poses, found.ellipses, float(size_sd))
@@ -201,19 +210,20 @@ def _together(
         return _preferred(ellipses, camera, poses, settings)
     alike = smooth_aspect_ratio(ellipses, settings.consensus)
     shared = () if alike is ellipses else ("elongation",)
-    found = _preferred(
-        alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared
-    )
     good = ellipses.status == "ok"
     small = (
         good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.min_shared_radius
     )
     asked = (small or neighbours == "always") and np.ptp(radius) == 0
     depth = agree_on_depth(poses, settings.smoothness) if asked else None
-    if depth is None:
-        return found
-    smooth, cov_p_alt = depth.along_rays(found.poses, found.cov_p_alt)
-    return replace(found, poses=smooth, cov_p_alt=cov_p_alt, shared=(*shared, "depth"))
+    return _preferred(
+        alike,
+        camera,
+        estimate_poses(alike, camera, radius) if shared else poses,
+        settings,
+        shared if depth is None else (*shared, "depth"),
+        depth,
+    )
 
 
 def _preferred(
@@ -222,11 +232,17 @@ def _preferred(
     poses: CirclePoses,
     settings: Settings,
     shared: tuple[str, ...] = (),
+    depth: SharedDepth | None = None,
 ) -> DetectedCircles:
+    """Return the poses at the shared `depth`, with the likelier one of each circle first."""
     _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
+    depth_sd = None
+    if depth is not None:
+        poses, cov_p_alt = depth.along_rays(poses, cov_p_alt)
+        depth_sd = depth.relative_sds(len(poses))
     better, cov_p_alt, sure = prefer(
-        poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference
+        poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference, depth_sd=depth_sd
     )
     # NaN for a position that is not visible through the glass
     uv_px = optics.project(camera, better.p_CM)

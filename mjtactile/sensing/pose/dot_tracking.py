@@ -96,7 +96,7 @@ def track_circles(
         poses = None
         if camera is None or radius is None:
             grey = grey_image(plain_grey(image))
-            ellipses, _ = detect_thoroughly(
+            ellipses, _, _ = detect_thoroughly(
                 grey, polarity=polarity, min_radius_px=min_radius_px, settings=settings
             )
         else:

@@ -15,7 +15,9 @@ expectation-maximization. With q_i the two densities of a circle's normals,
     q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),
     P(first) = q_1/(q_1 + q_2).
 
-The surface's normal is that of a plane (inverse depth linear in the image). The plane passes
+Normals of one image share errors of radius, blur, glare and gamma. These are common to all circles,
+so that they do not count against any of them. Their standard deviation is the likeliest one of a
+few. The surface's normal is that of a plane (inverse depth linear in the image). The plane passes
 through the circle and its nearest neighbors. Its covariance follows from their scatter about the
 plane. Circles at independent depths scatter so much that the plane carries no information. Touch
 sensing has a known membrane and does not use this module (`identity.identify`).
@@ -33,6 +35,9 @@ from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.settings import DEFAULTS, PoseDisambiguationSettings
 
 _ROUNDS = 30
+_PLANE_ROUNDS = 4
+_PLANE_OUTLIER = 4.0  # deviation at which a circle's weight in a plane decreases, in scatters
+_SHARED_SDS = 6  # compared standard deviations of an error that all normals share
 
 
 def prefer(
@@ -40,15 +45,19 @@ def prefer(
     cov_p_alt: Array,
     cov_n: Array,
     s: PoseDisambiguationSettings = DEFAULTS.preference,
+    *,
+    depth_sd: Array | None = None,
 ) -> tuple[CirclePoses, Array, Array]:
     """Return `poses` with the likelier pose of each circle first, and its probability. The second
     result is the covariance (N, 3, 3) m^2 of the other pose's center. The third is the probability
     (N,) that the first pose is right. `cov_p_alt` (N, 3, 3) m^2 belongs to the second centers of
-    `poses`, `cov_n` (2, N, 3, 3) to both normals."""
+    `poses`, `cov_n` (2, N, 3, 3) to both normals. `depth_sd` (N,), m, are the standard deviations of
+    depths relative to each other, NaN for circles off the surface; without them, those of the
+    centers."""
     if not len(poses):
         return poses, cov_p_alt, np.zeros(0)
     n = np.stack([poses.n_C, poses.n_C_alt])
-    first = _probability(poses, n, cov_n, s)
+    first = _probability(poses, n, cov_n, depth_sd, s)
     second = first < 0.5
     swap = second[:, None]
     wide = swap[..., None]
@@ -64,26 +73,53 @@ def prefer(
 
 
 def _probability(
-    poses: CirclePoses, n: Array, cov_n: Array, s: PoseDisambiguationSettings
+    poses: CirclePoses,
+    n: Array,
+    cov_n: Array,
+    depth_sd: Array | None,
+    s: PoseDisambiguationSettings,
 ) -> Array:
     """P(first) (N,) of the normals `n` (2, N, 3)."""
     prior = _tilt_prior(n, cov_n, s)
-    found = _surface_normals(poses, s)
+    found = _surface_normals(poses, depth_sd, s)
     if found is None:
         return prior[0] / prior.sum(axis=0)
     surface, cov, known = found
-    density = np.where(known, _density(n, surface, _bounded(cov_n, s) + cov, s.min_surface_sd), 0.0)
-    share = 0.5
     ok = known & (poses.status == "ok")
-    for _ in range(_ROUNDS if ok.any() else 0):
-        on = share * density[:, ok].sum(axis=0)
+    best = -np.inf
+    q = prior
+    for sd in _shared_sds(s):
+        spread = _density(n, surface, _bounded(cov_n, s) + cov, sd)
+        density = np.where(known, spread, 0.0)
+        share, evidence = _share_on_surface(density[:, ok], prior[:, ok], s)
+        if evidence > best:
+            best = evidence
+            q = np.where(known, share * density + (1 - share) * prior, prior)
+    return q[0] / q.sum(axis=0)
+
+
+def _shared_sds(s: PoseDisambiguationSettings) -> Array:
+    """Standard deviations of the normals, rad, that are compared."""
+    return np.geomspace(s.min_surface_sd, max(s.max_normal_sd, s.min_surface_sd), _SHARED_SDS)
+
+
+def _share_on_surface(
+    density: Array, prior: Array, s: PoseDisambiguationSettings
+) -> tuple[float, float]:
+    """Estimate the fraction of circles on the surface, and the logarithm of its likelihood.
+    `density` and `prior` (2, N) are the densities of their normals."""
+    of_surface = density.sum(axis=0)
+    of_prior = prior.sum(axis=0)
+    share = 0.5
+    for _ in range(_ROUNDS if len(of_prior) else 0):
+        on = share * of_surface
         # prior counts of circles on and off the surface, so that a few that agree by chance do not
         # decide for all
-        share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (
-            1 + s.free_circles_prior + ok.sum()
+        share = (1 + (on / (on + (1 - share) * of_prior)).sum()) / (
+            1 + s.free_circles_prior + len(of_prior)
         )
-    q = np.where(known, share * density + (1 - share) * prior, prior)
-    return q[0] / q.sum(axis=0)
+    likelihood = np.log(share * of_surface + (1 - share) * of_prior).sum()
+    return share, float(likelihood + s.free_circles_prior * np.log(1 - share))
 
 
 def _tilt_prior(n: Array, cov_n: Array, s: PoseDisambiguationSettings) -> Array:
@@ -116,33 +152,45 @@ def _density(n: Array, mean: Array, cov: Array, minimum: float) -> Array:
 
 
 def _surface_normals(
-    poses: CirclePoses, s: PoseDisambiguationSettings
+    poses: CirclePoses, depth_sd: Array | None, s: PoseDisambiguationSettings
 ) -> tuple[Array, Array, Array] | None:
     """Return normals (N, 3) of local planes, their covariance (N, 3, 3), and a validity mask (N,).
 
     The result is None if there are too few circles. The inverse depth of a plane, w = (n/d) . (x,
-    y, 1), is linear in the image. It is fitted by least squares to the nearest circles. The
+    y, 1), is linear in the image. It is fitted by robust least squares to the nearest circles. The
     covariance comes from their scatter, which is assumed to be at least the standard deviation of
     the depths.
     """
-    ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0))
+    if depth_sd is None:
+        depth_sd = np.sqrt(poses.cov_p[:, 2, 2])
+    ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0) & np.isfinite(depth_sd))
     if len(ok) < s.min_circles:
         return None
     # unknown: where the lens model cannot be inverted
     ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])
     w = 1 / poses.p_CM[ok, 2]
-    sd = np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
+    sd = depth_sd[ok] / poses.p_CM[ok, 2] ** 2
     # indices (N, k) into `ok`
     near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.plane_circles, len(ok)))[1]
     A = ray[ok][near]
     b = w[near]
-    normal = A.transpose(0, 2, 1) @ A
-    known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
-    normal[~known] = np.eye(3)
-    inverse = np.linalg.inv(normal)
-    plane = (inverse @ (A.transpose(0, 2, 1) @ b[..., None]))[..., 0]
-    left = b - (A @ plane[..., None])[..., 0]
-    variance = np.maximum((left**2).sum(axis=1) / (b.shape[1] - 3), (sd[near] ** 2).mean(axis=1))
+    weight = np.ones_like(b)
+    for _ in range(_PLANE_ROUNDS):
+        At = A.transpose(0, 2, 1) * weight[:, None]
+        normal = At @ A
+        known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
+        normal[~known] = np.eye(3)
+        inverse = np.linalg.inv(normal)
+        plane = (inverse @ (At @ b[..., None]))[..., 0]
+        left = b - (A @ plane[..., None])[..., 0]
+        # a circle of another size, or off the surface, has no effect on its neighbors' plane
+        scale = np.maximum(np.median(np.abs(left), axis=1, keepdims=True) / 0.6745, sd[near])
+        weight = 1 / (1 + (left / (_PLANE_OUTLIER * scale)) ** 4)
+    freedom = np.maximum(weight.sum(axis=1) - 3, 1)
+    variance = np.maximum(
+        (weight * left**2).sum(axis=1) / freedom,
+        (weight * sd[near] ** 2).sum(axis=1) / weight.sum(axis=1),
+    )
     length = np.linalg.norm(plane, axis=1)
     n = -plane / length[:, None]
     turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]

@@ -54,11 +54,19 @@ class _Smooth:
 
 @dataclass(frozen=True, eq=False)
 class SharedDepth:
-    """Depths `z` m, with `sd` m, that the circles `at` (indices) agree on."""
+    """Depths `z` m, with `sd` m, that the circles `at` (indices) agree on. `relative_sd`, m, is
+    the part of `sd` that differs between circles."""
 
     at: NDArray[np.intp]
     z: Array
     sd: Array
+    relative_sd: Array
+
+    def relative_sds(self, count: int) -> Array:
+        """`relative_sd` of all `count` circles, NaN for those that do not agree."""
+        sd = np.full(count, np.nan)
+        sd[self.at] = self.relative_sd
+        return sd
 
     def along_rays(self, poses: CirclePoses, cov_p_alt: Array) -> tuple[CirclePoses, Array]:
         """`poses` with these depths, and the covariance of the second centres, (N, 3, 3) m^2 as
@@ -95,7 +103,13 @@ def agree_on_depth(
     if smooth.scatter > _MAX_SCATTER or agree.mean() < s.min_agreeing_fraction:
         return None
     spread = np.hypot(smooth.sd, s.common_fraction * max(smooth.scatter, 1.0) * sd)
-    return SharedDepth(ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
+    per_inverse = 1 / smooth.value[agree] ** 2
+    return SharedDepth(
+        ok[agree],
+        1 / smooth.value[agree],
+        spread[agree] * per_inverse,
+        smooth.sd[agree] * per_inverse,
+    )
 
 
 def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:

@@ -64,7 +64,7 @@ def test_dots_beside_a_bright_window_are_found(size):
     image = beside(circles, 12, dot=50, ground=100, window=250)
     # the outer ring merges with the grey ground in a threshold by the neighbourhood's mean
     assert trusted(detect(image), circles) == (size[0] - 2) * (size[1] - 2)
-    found, _ = detect_thoroughly(image)
+    found, _, _ = detect_thoroughly(image)
     assert trusted(found, circles) == len(circles)
     _, nearer, seen = match(estimate_poses(found, CAMERA, size[3]), circles)
     assert seen.all()
@@ -84,7 +84,7 @@ def test_a_picture_in_black_and_white_only():
     image = np.where(
         marker_scenes.image(CAMERA, circles, blur_px=0.5, seed=None) > 110, 255, 0
     ).astype(np.uint8)
-    found, _ = detect_thoroughly(image)
+    found, _, _ = detect_thoroughly(image)
     assert trusted(found, circles) == 80
     poses = estimate_poses(found, CAMERA, 1e-3)
     which, nearer, _ = match(poses, circles)
@@ -114,5 +114,41 @@ def test_what_is_no_circle_is_listed_with_the_reason():
 
 
 def test_nothing_at_all():
-    found, rejected = detect_thoroughly(np.full((480, 640), 128, np.uint8))
+    found, rejected, _ = detect_thoroughly(np.full((480, 640), 128, np.uint8))
     assert len(found) == len(rejected) == 0
+
+
+def cut_discs(radius, cuts, seed=5):
+    """Render 63 discs, every second row cut straight by the fractions `cuts` (9,) of the diameter.
+    Returns the image, the centers (63, 2), and the cut of each (63,)."""
+    rng = np.random.default_rng(seed)
+    scale = 8
+    angle = 2 * np.pi * np.arange(400) / 400
+    image = np.full((480 * scale, 640 * scale), 200, np.uint8)
+    centers = []
+    missing = []
+    for row in range(7):
+        for column in range(9):
+            center = np.array([60 + 65 * column, 45 + 65 * row]) + rng.uniform(-3, 3, 2)
+            cut = cuts[column] if row % 2 else 0.0
+            turn = rng.uniform(0, 2 * np.pi)
+            rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            edge = np.stack([np.minimum(np.cos(angle), 1 - 2 * cut), np.sin(angle)], axis=1)
+            corners = (radius * edge @ rotation.T + center + 0.5) * scale * 16 - 8
+            cv2.fillPoly(image, [np.round(corners).astype(np.int32)], 30, shift=4)
+            centers.append(center)
+            missing.append(cut)
+    small = cv2.resize(image, (640, 480), interpolation=cv2.INTER_AREA).astype(float)
+    noisy = cv2.GaussianBlur(small, (0, 0), 0.8) + rng.normal(0, 1, small.shape)
+    return np.rint(noisy).clip(0, 255).astype(np.uint8), np.array(centers), np.array(missing)
+
+
+@pytest.mark.parametrize("radius", [6.0, 9.0, 14.0])
+def test_cut_discs_are_refused_and_whole_ones_are_not(radius):
+    image, centers, cut = cut_discs(radius, [0.0, 0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6])
+    found, _, deformed = detect_thoroughly(image)
+    good = found.center_px[found.status == "ok"]
+    trusted_here = np.linalg.norm(centers[:, None] - good, axis=2).min(axis=1) < radius
+    assert trusted_here[cut == 0].all()
+    assert not trusted_here[cut > 0].any()
+    assert not deformed

@@ -1,0 +1,118 @@
+"""Deviation of outlines from their ellipses, which tells a disc from a part of one.
+
+An ellipse has five parameters. They absorb the harmonics 0 to 2 of an edge's offset along the
+outline. A cut, peeled or half-printed disc also has the harmonics 3 to 7, and its fit hides only
+the others. Their rms amplitude is compared with three others: with the noise of the pixels, with
+the other circles of the image, and with the circle's size. Offsets are areas under profiles across
+the edge, so that they need no edge model. Processing in the camera (sharpening, demosaicing,
+compression) and defocus deform all outlines of an image alike. This is a property of the image, not
+of one circle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.image.edge_fit import EdgeFit
+
+_PROFILES = 48
+_SAMPLES = 17
+_ANGLE = 2 * np.pi * np.arange(_PROFILES) / _PROFILES
+_HARMONICS = np.concatenate([[np.cos(k * _ANGLE), np.sin(k * _ANGLE)] for k in range(3, 8)]) * (
+    2 / _PROFILES
+)
+# Whole circles have at most 2.6 times the lower quartile of their photograph (compressed color
+# photographs, 2.6 to 15 px), and 0.001 of their radius without camera processing. Circles cut by
+# 10 % of the diameter have 0.014 of it, and a size error of 3 standard deviations.
+_MIN_PEERS = 5  # circles, for the amplitude that is usual in an image
+_PEER_QUANTILE = 0.25  # below the median: many circles may be cut
+_MAX_RATIO = 4.0  # of a whole circle's amplitude to the usual one
+_MIN_FRACTION = 0.01  # of the radius: less costs less than 3 standard deviations
+_MAX_FRACTION = 0.06  # of the radius: more is not a circle in any photograph
+_MIN_DEFORMATION = 0.015  # px; simulated circles have 0.004 to 0.01, photographs 0.026 and more
+_MIN_HALF_WIDTH = 2.5  # px; of a profile
+_BLURS = 2.5  # half-width of a profile in blurs
+_INSIDE = 0.8  # maximum half-width of a profile, relative to the radius
+_ROUNDING = 0.3  # standard deviation of rounding to gray levels
+
+
+@dataclass(frozen=True)
+class OutlineResidual:
+    """Rms amplitude (N,), px, of harmonics 3 to 7 of each outline; that `expected` (N,) from the
+    pixels' noise; and `radius` (N,), the semi-minor axes, px."""
+
+    amplitude: Array
+    expected: Array
+    radius: Array
+
+    def incomplete(self, peers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask (N,) of the outlines that deviate from an ellipse by more than noise and
+        more than the image's other circles, `peers` (N,)."""
+        limit = _MAX_RATIO * self.expected
+        if peers.sum() >= _MIN_PEERS:
+            usual = _MAX_RATIO * np.quantile(self.amplitude[peers], _PEER_QUANTILE)
+            limit = np.maximum(limit, np.minimum(usual, _MAX_FRACTION * self.radius))
+        return self.amplitude > np.maximum(limit, _MIN_FRACTION * self.radius)
+
+    def deformed(self, use: NDArray[np.bool_]) -> bool:
+        """Return True if the typical outline in `use` (N,) deviates from an ellipse by more than
+        noise, as in a camera that processes its images."""
+        amplitude = self.amplitude[use]
+        if len(amplitude) < _MIN_PEERS:
+            return False
+        ratio = float(np.median(amplitude / self.expected[use]))
+        return ratio > _MAX_RATIO and float(np.median(amplitude)) > _MIN_DEFORMATION
+
+
+def outline_residual(grey: NDArray, fit: EdgeFit) -> OutlineResidual:
+    """Measure how far the outlines of N fits in the image `grey` (H, W) deviate from ellipses.
+
+    Args:
+        grey: Gray levels.
+        fit: Ellipses with the levels inside and outside.
+
+    Returns:
+        Amplitudes and expected amplitudes of each outline.
+    """
+    n = len(fit.center)
+    radius = np.maximum(ellipse.axes_from_shape(fit.shape)[0][:, 1], 1e-3)
+    if not n:
+        return OutlineResidual(np.zeros(0), np.zeros(0), radius)
+    half = np.minimum(np.maximum(_MIN_HALF_WIDTH, _BLURS * fit.blur), _INSIDE * radius)
+    points, e = ellipse.boundary(fit.center, fit.shape, _PROFILES)
+    p, q, s = (column[:, None] for column in ellipse.inverse_shape(fit.shape).T)
+    normals = np.stack([p * e[:, 0] + q * e[:, 1], q * e[:, 0] + s * e[:, 1]], axis=-1)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    across = half[:, None] * np.linspace(-1, 1, _SAMPLES)
+    at = points[:, :, None] + normals[:, :, None] * across[:, None, :, None]
+    read = cv2.remap(
+        grey if grey.dtype == np.uint8 else grey.astype(np.float32),
+        at.reshape(n * _PROFILES, _SAMPLES, 2).astype(np.float32),
+        None,
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).reshape(n, _PROFILES, _SAMPLES)
+    contrast = fit.inside - fit.outside
+    contrast = np.where(np.abs(contrast) < 1, -1.0, contrast)
+    total = read.sum(axis=2, dtype=float) - _SAMPLES * fit.outside[:, None]
+    offset = total * (2 * half / (_SAMPLES - 1) / contrast)[:, None]
+    amplitude = np.sqrt(np.square(offset @ _HARMONICS.T).mean(axis=1))
+    perimeter = 2 * np.pi * np.sqrt(np.square(fit.shape).sum(axis=1) / 2)
+    # independent pixels in the band of a profile; 2/perimeter is the variance of a harmonic
+    expected = _noise(grey) / np.abs(contrast) * np.sqrt(2 * half * 2 / perimeter)
+    return OutlineResidual(amplitude, expected, radius)
+
+
+def _noise(grey: NDArray) -> float:
+    """Standard deviation of the pixels' noise, gray levels, from second differences along rows.
+    They are free of slow changes of the light."""
+    rows = grey[:: max(1, grey.shape[0] // 32)].astype(np.float32)
+    second = np.abs(rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2])
+    plain = second[second <= 3 * np.median(second) + 1]  # no edges
+    return max(float(np.sqrt(np.square(plain, dtype=float).mean() / 6)), _ROUNDING)
