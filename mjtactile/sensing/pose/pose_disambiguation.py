@@ -51,7 +51,7 @@ def prefer(
     """Return `poses` with the likelier pose of each circle first, and its probability. The second
     result is the covariance (N, 3, 3) m^2 of the other pose's center. The third is the probability
     (N,) that the first pose is right. `cov_p_alt` (N, 3, 3) m^2 belongs to the second centers of
-    `poses`, `cov_n` (2, N, 3, 3) to both normals. `depth_sd` (N,), m, are the standard deviations of
+    `poses`, `cov_n` (2, N, 3, 3) to both normals. `depth_sd` (N,), m: standard deviations of
     depths relative to each other, NaN for circles off the surface; without them, those of the
     centers."""
     if not len(poses):
