@@ -35,7 +35,7 @@ from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.settings import DEFAULTS, PoseDisambiguationSettings
 
 _ROUNDS = 30
-_PLANE_ROUNDS = 4
+_PLANE_ROUNDS = 3
 _PLANE_OUTLIER = 4.0  # deviation at which a circle's weight in a plane decreases, in scatters
 _SHARED_SDS = 6  # compared standard deviations of an error that all normals share
 
@@ -176,16 +176,11 @@ def _surface_normals(
     b = w[near]
     weight = np.ones_like(b)
     for _ in range(_PLANE_ROUNDS):
-        At = A.transpose(0, 2, 1) * weight[:, None]
-        normal = At @ A
-        known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
-        normal[~known] = np.eye(3)
-        inverse = np.linalg.inv(normal)
-        plane = (inverse @ (At @ b[..., None]))[..., 0]
-        left = b - (A @ plane[..., None])[..., 0]
+        left = _fit_planes(A, b, weight)[2]
         # a circle of another size, or off the surface, has no effect on its neighbors' plane
         scale = np.maximum(np.median(np.abs(left), axis=1, keepdims=True) / 0.6745, sd[near])
         weight = 1 / (1 + (left / (_PLANE_OUTLIER * scale)) ** 4)
+    plane, inverse, left, known = _fit_planes(A, b, weight)
     freedom = np.maximum(weight.sum(axis=1) - 3, 1)
     variance = np.maximum(
         (weight * left**2).sum(axis=1) / freedom,
@@ -196,3 +191,15 @@ def _surface_normals(
     turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
     cov = turn @ inverse @ turn * variance[:, None, None]
     return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.max_surface_sd**2)
+
+
+def _fit_planes(A: Array, b: Array, weight: Array) -> tuple[Array, Array, Array, Array]:
+    """Fit planes (N, 3) to the inverse depths `b` (N, k) along the rays `A` (N, k, 3). Also return
+    the inverse normal matrices (N, 3, 3), the residuals (N, k) and a validity mask (N,)."""
+    At = A.transpose(0, 2, 1) * weight[:, None]
+    normal = At @ A
+    known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
+    normal[~known] = np.eye(3)
+    inverse = np.linalg.inv(normal)
+    plane = (inverse @ (At @ b[..., None]))[..., 0]
+    return plane, inverse, b - (A @ plane[..., None])[..., 0], known
