@@ -38,6 +38,7 @@ _DOORS = {
     ),
     "Observations, touch and commands": (
         "core.types.control",
+        "core.types.command",
         "core.types.touch",
         "core.types.contact_shape",
         "core.types.devices",

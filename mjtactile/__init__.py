@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from mjtactile.core.policy import policy_observation_names as policy_observation_names
     from mjtactile.core.scaled_clock import monotonic as monotonic
     from mjtactile.core.scenario import Scenario as Scenario
+    from mjtactile.core.types.command import Command as Command
     from mjtactile.core.types.contact_shape import ContactShape as ContactShape
-    from mjtactile.core.types.control import Command as Command
     from mjtactile.core.types.control import Observation as Observation
     from mjtactile.core.types.devices import GripperState as GripperState
     from mjtactile.core.types.devices import ValveState as ValveState
@@ -94,7 +94,8 @@ _HOMES = {
         "policy_observation",
     ),
     "core.scenario": ("Scenario",),
-    "core.types.control": ("Command", "Observation"),
+    "core.types.command": ("Command",),
+    "core.types.control": ("Observation",),
     "core.types.devices": ("GripperState", "ValveState"),
     "core.types.touch": ("Touch",),
     "core.types.vision": ("Image",),

@@ -70,12 +70,12 @@ class World:
     def command(self, command):
         if self.broken == "all":
             raise DeviceError("servo port is lost")
-        if command.force_limit is not None:
-            self.force = command.force_limit
+        sent = command.completed(replace(command, force_limit=self.force))
+        self.force = sent.force_limit
         if self.force > 0 and not self.stuck:
             self.opening = command.opening
         self.lift = command.lift_height
-        self.sent.append(replace(command, force_limit=self.force))
+        self.sent.append(sent)
         return self.sent[-1]
 
     def rig(self, host_timeout=math.inf):

@@ -69,6 +69,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "benchmark-index": ("benchmark_index", "no measurement: questions and headline results"),
     "summary-page": ("results_tables", "no measurement: all results from the other pages"),
     "flags-page": ("flags_page", "no measurement: print the table of all flags"),
+    "command-page": ("command_page", "no measurement: print the table of a command's fields"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
 }
 """Benchmarks by name: module in the folder `benchmarks`, and description.

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.types import COMMAND_FIELDS
 from mjtactile.export import messages
 from mjtactile.export.episode import RecordedEpisode, write_each
 from mjtactile.recording.files import to_json
 
 PACKAGE = "mjtactile_msgs"
+_GOALS = {name: entry for name, entry in COMMAND_FIELDS.items() if entry.kind == "number"}
 MESSAGES = {
     "Touch": """\
 # Estimates of one sensor from one image. NaN: unknown, see status.
@@ -50,13 +52,11 @@ bool valve_open             # false for a finger without a valve
 float64 gauge_pressure      # Pa
 """,
     "Command": """\
-# Command sent to the gripper.
+# Command sent to the gripper. NaN: unchanged.
 std_msgs/Header header
-float64 opening             # m
-float64 force_limit         # N
-float64 lift_height         # m
-string phase
-""",
+"""
+    + "".join(f"float64 {name:<20}# {entry.unit}\n" for name, entry in _GOALS.items())
+    + "string phase\n",
 }
 _TEXT = ("status", "status_code", "slip_state", "shape_kind", "shape_family")
 _RENAMED = {"age": "touch_age"}
@@ -252,8 +252,7 @@ class _Bag:
 
     def _command(self, item: messages.Message) -> Any:
         row: Mapping[str, Any] = item.value
-        names = ("opening", "force_limit", "lift_height")
-        values = {name: float(row[f"command_{name}"]) for name in names}
+        values = {name: float(row.get(entry.column, np.nan)) for name, entry in _GOALS.items()}
         head = {"header": self._header(item), "phase": str(row["phase"])}
         return self._of(f"{PACKAGE}/msg/Command", **head, **values)
 

@@ -12,7 +12,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mjtactile.core.types import Array, Command, Contact, GripperState, Image, Touch, ValveState
+from mjtactile.core.types import (
+    COMMAND_FIELDS,
+    Array,
+    Command,
+    Contact,
+    GripperState,
+    Image,
+    Touch,
+    ValveState,
+)
+from mjtactile.core.types.command import CommandField
 
 _NAN2 = [np.nan] * 2
 _NAN3 = [np.nan] * 3
@@ -71,13 +81,19 @@ def _valves(name: str) -> Callable[[CycleLike], Any]:
     return lambda cycle: [getattr(valve, name) for valve in cycle.valves]
 
 
-def _reason(cycle: CycleLike) -> str:
-    return cycle.sent.reason
+def _of_command(name: str, entry: CommandField) -> tuple[str, str, Callable[[CycleLike], Any]]:
+    """Return unit, meaning and reader of the column of one field of `Command`."""
+    meaning = f"command, after limits: {entry.about}"
+    if entry.none:
+        meaning = f"{meaning}; null: {entry.none}"
+    return (
+        entry.unit,
+        meaning,
+        lambda cycle: entry.write(getattr(cycle.sent, name), len(cycle.touch)),
+    )
 
 
-def _pressures(cycle: CycleLike) -> Any:
-    pressures = cycle.sent.gauge_pressure
-    return [np.nan] * len(cycle.touch) if pressures is None else pressures
+_COMMANDED = {entry.column: _of_command(name, entry) for name, entry in COMMAND_FIELDS.items()}
 
 
 def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
@@ -105,7 +121,7 @@ def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
 
 SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "time": ("s", "time on the rig's clock", lambda c: c.time),
-    "phase": ("", "phase of the command sent in this cycle", lambda c: c.sent.phase),
+    "phase": _COMMANDED["phase"],
     "image_time": (
         "s",
         "capture time of each camera's image",
@@ -260,20 +276,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "valve_time": ("s", "time of the measurement", _valves("time")),
     "valve_age": ("s", "age of the measurement", _valves("age")),
-    "command_opening": ("m", "commanded opening, after limits", lambda c: c.sent.opening),
-    "command_force_limit": (
-        "N",
-        "force limit, after limits; null before the first command",
-        lambda c: c.sent.force_limit,
-    ),
-    "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
-    "command_pressure": (
-        "Pa",
-        "gauge pressure of each finger's chamber, after limits; null if not commanded",
-        _pressures,
-    ),
-    "command_reason": ("", "reason that the controller gives for an abort", _reason),
-    "memory": ("", "memory of the controller", lambda c: dict(c.sent.memory)),
+    **_COMMANDED,
     "perception_ms": (
         "ms",
         "wall time of the sensing chain, all fingers",

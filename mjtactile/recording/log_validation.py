@@ -11,16 +11,21 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
+from mjtactile.core.types import COMMAND_FIELDS
+
 FLAG = "true or false"
 NUMBER = "a number"
 TEXT = "text"
 TABLE = "a table"
+_KINDS = {"number": NUMBER, "text": TEXT, "phase": TEXT, "table": TABLE}
 _ONE = {
-    "phase": TEXT,
+    **{
+        entry.column: _KINDS[entry.kind]
+        for entry in COMMAND_FIELDS.values()
+        if entry.kind in _KINDS
+    },
     "state": TEXT,
     "reason": TEXT,
-    "command_reason": TEXT,
-    "memory": TABLE,
     **dict.fromkeys(
         (
             "time",
@@ -30,9 +35,6 @@ _ONE = {
             "lift_height",
             "gripper_time",
             "gripper_age",
-            "command_opening",
-            "command_force_limit",
-            "command_lift_height",
             "perception_ms",
         ),
         NUMBER,

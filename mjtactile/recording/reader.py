@@ -17,7 +17,7 @@ from mjtactile.core.flags import Flags, read_flags
 from mjtactile.core.image_decoding import decode
 from mjtactile.core.renamed import current_row
 from mjtactile.core.signature_checks import validated
-from mjtactile.core.types import Array, Image, ValveState
+from mjtactile.core.types import COMMAND_FIELDS, Array, Command, Image, ValveState
 from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
 from mjtactile.recording.log_validation import wrong_column, wrong_note
@@ -116,20 +116,27 @@ class Recording:
             for k, gauge in enumerate(gauges)
         )
 
-    def command_pressure(self, cycle: int) -> tuple[float, ...] | None:
-        """Return the commanded pressures of one cycle.
+    def command(self, cycle: int) -> Command:
+        """Return the command that was sent in one cycle.
 
         Args:
             cycle: Its number, from 0.
 
         Returns:
-            Pressures, Pa, one per finger. None if no pressure was commanded, or for an older
-            recording.
+            The command. A field that an older recording lacks has its default, or None.
+
+        Raises:
+            InputError: The recording lacks the opening, or has an unknown phase.
         """
-        column = self.columns.get("command_pressure")
-        if column is None or any(one is None or one != one for one in column[cycle]):
-            return None
-        return tuple(float(one) for one in column[cycle])
+        values: dict[str, Any] = {"opening": None, "force_limit": None}
+        for name, entry in COMMAND_FIELDS.items():
+            if entry.column in self.columns:
+                values[name] = entry.read(self.columns[entry.column][cycle])
+        try:
+            return Command(**values)
+        except InputError as error:
+            message = f"cycle {cycle} has no valid command: {error}"
+            raise InputError(message, source=self.folder) from error
 
     def column(self, key: str, width: int | None = None) -> Array:
         """Return a numeric column.

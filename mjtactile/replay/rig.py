@@ -15,9 +15,9 @@ from itertools import chain
 from mjtactile.core.calibration import calibration_from_table
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError, InputError
-from mjtactile.core.types import Command, GripperState, Image, ValveState
+from mjtactile.core.types import COMMAND_FIELDS, Command, GripperState, Image, ValveState
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.rig.command_limits import CommandLimits
+from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.scenario import resolve_scenario
@@ -126,15 +126,10 @@ class ReplayGripper:
         )
 
     def command(self, command: Command) -> Command:
-        value = self._tape.value
-        limit = value("command_force_limit")
-        return replace(
-            command,
-            opening=value("command_opening"),
-            force_limit=None if math.isnan(limit) else limit,
-            lift_height=value("command_lift_height"),
-            gauge_pressure=self._tape.recording.command_pressure(self._tape.cycle),
-        )
+        """Return the recorded goals, with phase, memory and reason of `command`."""
+        sent = self._tape.recording.command(self._tape.cycle)
+        goals = {name: getattr(sent, name) for name, one in COMMAND_FIELDS.items() if one.limit}
+        return replace(command, **goals)
 
 
 class ReplayValve:
@@ -182,15 +177,7 @@ def build_replay_rig(
     count = recording.valve_count
     cameras = tuple(ReplayCamera(tape, i) for i in range(width))
     valves = tuple(ReplayValve(tape, i) for i in range(count))
-    limits = CommandLimits(
-        opening=(0.0, math.inf),
-        speed=math.inf,
-        force=math.inf,
-        lift=(-math.inf, math.inf),
-        lift_speed=math.inf,
-        pressure=(0.0, math.inf) if count == width else None,
-        pressure_rate=math.inf,
-    )
+    limits = UNLIMITED if count == width else replace(UNLIMITED, pressure=None)
     tables = recording.notes.get("calibration", {})
     calibrations = tuple(
         calibration_from_table(tables[name], folder) if name in tables else None

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
-from mjtactile.core.types import Command
-
-# Maximum pressure change between two images, Pa (the sensing pipeline treats 60 as a valve jump)
-PRESSURE_STEP = 45.0
+from mjtactile.core.types.command import COMMAND_FIELDS, Command, CommandField
 
 
 @dataclass(frozen=True)
 class CommandLimits:
     """Limits that apply to the commands of every controller.
+
+    `CommandField.limit` and `CommandField.rate` of a field of `Command` name its limits here.
 
     `opening`, m, is (minimum, maximum), with `speed` of the opening, m/s. `force` of the servo is
     in N. `lift`, m, is (minimum, maximum), with `lift_speed`, m/s. `pressure` in the chambers, Pa
@@ -31,27 +32,46 @@ class CommandLimits:
     def apply(self, wanted: Command, last: Command, period: float) -> Command:
         """The command nearest to `wanted` that keeps the limits, starting from `last` one `period`
         s ago."""
-        return Command(
-            _near(wanted.opening, last.opening, self.speed * period, self.opening),
-            None if wanted.force_limit is None else min(max(wanted.force_limit, 0.0), self.force),
-            _near(wanted.lift_height, last.lift_height, self.lift_speed * period, self.lift),
-            wanted.phase,
-            wanted.memory,
-            wanted.reason,
-            self._air(wanted.gauge_pressure, last.gauge_pressure, period),
-        )
+        values = {}
+        for name, entry in COMMAND_FIELDS.items():
+            value = getattr(wanted, name)
+            values[name] = self._limited(entry, value, getattr(last, name), period)
+        return Command(**values)
 
-    def _air(
-        self, wanted: tuple[float, ...] | None, last: tuple[float, ...] | None, period: float
-    ) -> tuple[float, ...] | None:
-        if wanted is None or self.pressure is None:
+    def clip(self, wanted: Command) -> Command:
+        """Return the command nearest to `wanted` within the ranges, at any speed."""
+        return self.apply(wanted, wanted, math.inf)
+
+    def _limited(self, entry: CommandField, wanted: Any, last: Any, period: float) -> Any:
+        if wanted is None or not entry.limit:
+            return wanted
+        bounds = getattr(self, entry.limit)
+        if bounds is None:
             return None
-        step = min(self.pressure_rate * period, PRESSURE_STEP)
+        low, high = bounds if isinstance(bounds, tuple) else (0.0, bounds)
+        step = math.inf
+        if entry.rate and period < math.inf:
+            step = min(getattr(self, entry.rate) * period, entry.step_max)
         before = wanted if last is None else last
+        if not isinstance(wanted, tuple):
+            return _near(wanted, before, step, low, high)
         pairs = zip(wanted, before, strict=True)
-        return tuple(_near(one, was, step, self.pressure) for one, was in pairs)
+        return tuple(_near(one, was, step, low, high) for one, was in pairs)
 
 
-def _near(value: float, before: float, step: float, bounds: tuple[float, float]) -> float:
-    """`value`, no further from `before` than a `step`, within `bounds`."""
-    return min(max(value, before - step, bounds[0]), before + step, bounds[1])
+UNLIMITED = CommandLimits(
+    opening=(0.0, math.inf),
+    speed=math.inf,
+    force=math.inf,
+    lift=(-math.inf, math.inf),
+    lift_speed=math.inf,
+    pressure=(0.0, math.inf),
+    pressure_rate=math.inf,
+)
+"""Limits that leave commands as they are, apart from negative openings, forces and pressures."""
+
+
+def _near(value: float, before: float, step: float, low: float, high: float) -> float:
+    """Return the number nearest to `value` within `low` and `high`, no further from `before` than
+    a `step`."""
+    return min(max(value, before - step, low), before + step, high)

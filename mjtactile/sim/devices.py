@@ -12,6 +12,7 @@ import numpy as np
 
 from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.types import Command, GripperState, ValveState
+from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.domain_randomization import FAULTLESS, RigChange
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
@@ -177,7 +178,14 @@ class SimGripper:
         self.reseed(seed)
         # goals of the gear output and of the motor, m
         self._jaw = self._motor = world.opening
-        self._force_limit = world.rig.gripper.force_max
+        file = world.rig
+        self._limits = replace(
+            UNLIMITED,
+            opening=file.gripper.opening,
+            force=file.gripper.force_max,
+            lift=(0.0, file.lift.travel),
+        )
+        self._sent = Command(world.opening, file.gripper.force_max)
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
             world.after_each_step_batch(self._apply_late, self._due)
@@ -208,15 +216,7 @@ class SimGripper:
 
     def command(self, command: Command) -> Command:
         """Set goals and force limit; return the command limited to the ranges of the rig's file."""
-        file = self._world.rig
-        if command.force_limit is not None:
-            self._force_limit = _within(command.force_limit, (0.0, file.gripper.force_max))
-        sent = replace(
-            command,
-            opening=_within(command.opening, file.gripper.opening),
-            force_limit=self._force_limit,
-            lift_height=_within(command.lift_height, (0.0, file.lift.travel)),
-        )
+        sent = self._sent = self._limits.clip(command.completed(self._sent))
         self._clock.defer(lambda: self._arrive(sent))
         return sent
 
@@ -243,7 +243,3 @@ class SimGripper:
         self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
         self._world.set_finger_target(self._jaw, command.force_limit)
         self._world.set_lift_target(command.lift_height)
-
-
-def _within(value: float, bounds: tuple[float, float]) -> float:
-    return min(max(value, bounds[0]), bounds[1])

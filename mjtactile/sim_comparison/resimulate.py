@@ -191,15 +191,13 @@ def _follow(session: Session, recording: Recording, offset: float, until: float)
 def _command(recording: Recording, times: Array, now: float, offset: float) -> Command:
     """Return the recorded command of the cycle nearest to `now` s."""
     k = int(np.abs(times - now).argmin())
-    columns = recording.columns
-    phase = str(columns["phase"][k])
-    limit = float(columns["command_force_limit"][k])
-    return Command(
-        opening=max(float(columns["command_opening"][k]) + offset, 0.0),
-        force_limit=None if math.isnan(limit) else limit,
-        lift_height=float(columns["command_lift_height"][k]),
-        phase=phase if phase not in ("done", "abort") else "release",
-        gauge_pressure=recording.command_pressure(k),
+    sent = recording.command(k)
+    return replace(
+        sent,
+        opening=max(sent.opening + offset, 0.0),
+        phase="release" if sent.phase in ("done", "abort") else sent.phase,
+        memory={},
+        reason="",
     )
 
 

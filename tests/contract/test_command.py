@@ -4,6 +4,7 @@ replayed, in the Gymnasium environment, and the stub of the tests."""
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +14,12 @@ import pytest
 
 import mjtactile.gym  # noqa: F401  # registers the environment
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import Command
+from mjtactile.core.types import COMMAND_FIELDS, Command
+from mjtactile.core.types.command import command_table
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.files import LOG
-from mjtactile.recording.reader import load_recording
+from mjtactile.recording.log_schema import SENSED
+from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.replay.rig import ReplayGripper, build_replay_rig
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.registry import build_rig
@@ -178,16 +181,9 @@ def test_an_old_recordings_0_is_the_limit_before_it(folder, tmp_path):
 
 
 def test_a_replay_does_not_invent_a_limit():
-    columns = {
-        "command_opening": [0.05],
-        "command_force_limit": [math.nan],
-        "command_lift_height": [0.0],
-    }
-    tape: Any = SimpleNamespace(
-        value=lambda key: columns[key][0],
-        cycle=0,
-        recording=SimpleNamespace(command_pressure=lambda cycle: None),
-    )
+    columns = {"command_opening": np.array([0.05]), "command_force_limit": np.array([math.nan])}
+    recording = Recording(Path(), {}, {}, columns, True, ())
+    tape: Any = SimpleNamespace(cycle=0, recording=recording)
     assert ReplayGripper(tape).command(Command(0.05, 1.0)).force_limit is None
 
 
@@ -195,7 +191,9 @@ def test_a_replay_does_not_invent_a_limit():
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "4", True])
-@pytest.mark.parametrize("field", ["opening", "force_limit", "lift_height"])
+@pytest.mark.parametrize(
+    "field", [name for name, one in COMMAND_FIELDS.items() if one.kind == "number"]
+)
 def test_what_is_no_finite_number_is_refused(field, value):
     with pytest.raises(InputError, match=field):
         replace(Command(0.05, 1.0), **{field: value})
@@ -204,6 +202,10 @@ def test_what_is_no_finite_number_is_refused(field, value):
 def test_only_what_says_so_can_be_none():
     kept = Command(0.05, None)
     assert kept.force_limit is None and kept.gauge_pressure is None
+    assert {name for name, one in COMMAND_FIELDS.items() if one.none} == {
+        "force_limit",
+        "gauge_pressure",
+    }
     for field in ("opening", "lift_height", "reason"):
         with pytest.raises(InputError, match=field):
             replace(kept, **{field: None})
@@ -212,3 +214,29 @@ def test_only_what_says_so_can_be_none():
 def test_limits_leave_none_alone():
     sent = CommandLimits().apply(Command(0.05, None), Command(0.05, 3.0), PERIOD)
     assert sent.force_limit is None
+
+
+def test_limits_and_columns_of_every_field_come_from_its_contract():
+    """A goal far beyond the limits moves by its rate, or to its range; what has no limit stays."""
+    limits = CommandLimits(pressure=(0.0, 3000.0))
+    last = Command(0.05, 1.0, 0.02, gauge_pressure=(600.0,))
+    far = Command(9.0, 99.0, 9.0, "hold", {"a": 1.0}, "why", (9e3,))
+    sent = limits.apply(far, last, PERIOD)
+    step = 0.1 * PERIOD
+    assert (sent.opening, sent.force_limit, sent.lift_height) == (0.05 + step, 10.0, 0.02 + step)
+    assert sent.gauge_pressure == (600.0 + min(1200.0 * PERIOD, 45.0),)
+    assert (sent.phase, dict(sent.memory), sent.reason) == ("hold", {"a": 1.0}, "why")
+    clipped = limits.clip(far)
+    assert (clipped.opening, clipped.lift_height, clipped.gauge_pressure) == (0.12, 0.15, (3000.0,))
+    for name, entry in COMMAND_FIELDS.items():
+        assert entry.column in SENSED
+        assert entry.read(entry.write(getattr(far, name), 1)) == getattr(far, name)
+        if entry.none:
+            assert entry.read(entry.write(None, 2)) is None
+
+
+def test_the_page_of_controllers_has_the_contract():
+    page = (Path(__file__).resolve().parents[2] / "docs/how-to/controllers.md").read_text()
+    written = page.partition("<!-- bench:command-page -->\n")[2].partition("<!-- /bench -->")[0]
+    # else: mjtactile bench command-page --readme
+    assert written == command_table()

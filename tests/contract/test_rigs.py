@@ -18,12 +18,12 @@ from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import ForceScale, LensCalibration, stamp
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command
+from mjtactile.core.types.command import PRESSURE_STEP
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
-from mjtactile.rig.command_limits import PRESSURE_STEP
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig

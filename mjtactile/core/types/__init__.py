@@ -12,6 +12,7 @@ A controller may import only this and `mjtactile.grasp_estimation` of the projec
 """
 
 from mjtactile.core.types.arrays import Array
+from mjtactile.core.types.command import COMMAND_FIELDS, PHASES, Command, Phase
 from mjtactile.core.types.contact_shape import (
     MATERIALS,
     SHAPES,
@@ -19,7 +20,7 @@ from mjtactile.core.types.contact_shape import (
     Material,
     RelativeMotion,
 )
-from mjtactile.core.types.control import DEFAULT_GOAL, PHASES, Command, Observation, Phase, TaskGoal
+from mjtactile.core.types.control import DEFAULT_GOAL, Observation, TaskGoal
 from mjtactile.core.types.devices import FINGERS, GripperState, PressureReading, ValveState
 from mjtactile.core.types.touch import (
     SLIP_STATES,

@@ -27,6 +27,7 @@ from mjtactile.devices.dynamixel.servo import (
     read_report,
 )
 from mjtactile.devices.dynamixel.servo_models import TICKS_PER_RAD
+from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig
 
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
@@ -58,7 +59,10 @@ class DynamixelGripper:
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
-        self._force_limit = _FIRST_FORCE_FRACTION * gripper.force_max
+        self._limits = replace(
+            UNLIMITED, opening=gripper.opening, force=gripper.force_max, lift=(0.0, lift.travel)
+        )
+        self._sent = Command(gripper.opening[1], _FIRST_FORCE_FRACTION * gripper.force_max)
         self._closed = scaled_clock.Event()
         self._lock = threading.RLock()
         self._last_call = scaled_clock.monotonic()
@@ -134,12 +138,9 @@ class DynamixelGripper:
         with self._lock:
             self._arm()
             self._last_call = scaled_clock.monotonic()
-            low, high = self.config.opening
-            opening = min(max(command.opening, low), high)
-            if command.force_limit is not None:
-                self._force_limit = min(max(command.force_limit, 0.0), self.config.force_max)
+            sent = self._sent = self._limits.clip(command.completed(self._sent))
             goals = self.geometry.goals(
-                opening,
+                sent.opening,
                 {i: s.ticks for i, s in self._jaws.items()},
                 _LEAD_TIME * self.config.speed_max,
             )
@@ -149,14 +150,19 @@ class DynamixelGripper:
                 servo.goal_current_units = min(
                     jaw.current_units(self._force_limit, servo.ticks), servo.current_limit_units
                 )
-            height = self._command_lift(command.lift_height)
+            self._command_lift(sent.lift_height)
             self._send_goals()
             self._commanded = True
             self._sent_time = scaled_clock.monotonic()
             self._poll_one()  # at this point of the cycle it delays no image
-            return replace(
-                command, opening=opening, force_limit=self._force_limit, lift_height=height
-            )
+            return sent
+
+    @property
+    def _force_limit(self) -> float:
+        """Force limit on each jaw, N, of the last command."""
+        limit = self._sent.force_limit
+        assert limit is not None
+        return limit
 
     @property
     def sent_time(self) -> float:
@@ -318,16 +324,14 @@ class DynamixelGripper:
 
     # -- the lift
 
-    def _command_lift(self, height: float) -> float:
+    def _command_lift(self, height: float) -> None:
         config = self._lift_config
-        height = min(max(height, 0.0), config.travel)
         self._lift_goal = height
         if config.kind == "servo":
             servo = self._servos[config.id]
             servo.goal_ticks = self._lift_zero_ticks + round(
                 height / config.per_rad * TICKS_PER_RAD
             )
-        return height
 
     def _lift_height(self) -> float:
         """Return the gripper's height above its start, m; commanded without a lift servo."""

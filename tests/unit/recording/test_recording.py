@@ -346,10 +346,10 @@ def test_commanded_pressures_are_read_back_and_older_recordings_have_none(tmp_pa
         recorder.add(cycles[0])
         recorder.add(replace(cycles[1], sent=commanded))
     recording = load_recording(tmp_path)
-    assert [recording.command_pressure(k) for k in range(2)] == [None, (600.0, 700.0)]
+    assert [recording.command(k).gauge_pressure for k in range(2)] == [None, (600.0, 700.0)]
     log = tmp_path / "log.jsonl"
     lines = [json.loads(line) for line in log.read_text().splitlines()]
     for line in lines:
         line.pop("command_pressure", None)
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    assert load_recording(tmp_path).command_pressure(1) is None
+    assert load_recording(tmp_path).command(1).gauge_pressure is None

@@ -18,7 +18,7 @@ from mjtactile.core import memory_limit
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command
-from mjtactile.core.types.control import MEMORY_MAX
+from mjtactile.core.types.command import MEMORY_MAX
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime import control_loop
