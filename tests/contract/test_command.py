@@ -15,7 +15,7 @@ import pytest
 import mjtactile.gym  # noqa: F401  # registers the environment
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import COMMAND_FIELDS, Command
-from mjtactile.core.types.command import command_table
+from mjtactile.core.types.command import PRESSURE_STEP, command_table
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.files import LOG
 from mjtactile.recording.log_schema import SENSED
@@ -218,13 +218,13 @@ def test_limits_leave_none_alone():
 
 def test_limits_and_columns_of_every_field_come_from_its_contract():
     """A goal far beyond the limits moves by its rate, or to its range; what has no limit stays."""
-    limits = CommandLimits(pressure=(0.0, 3000.0))
+    limits = CommandLimits(pressure=(0.0, 3000.0), pressure_rate=6000.0)  # 200 Pa per cycle
     last = Command(0.05, 1.0, 0.02, gauge_pressure=(600.0,))
     far = Command(9.0, 99.0, 9.0, "hold", {"a": 1.0}, "why", (9e3,))
     sent = limits.apply(far, last, PERIOD)
     step = 0.1 * PERIOD
     assert (sent.opening, sent.force_limit, sent.lift_height) == (0.05 + step, 10.0, 0.02 + step)
-    assert sent.gauge_pressure == (600.0 + min(1200.0 * PERIOD, 45.0),)
+    assert sent.gauge_pressure == (600.0 + PRESSURE_STEP,)
     assert (sent.phase, dict(sent.memory), sent.reason) == ("hold", {"a": 1.0}, "why")
     clipped = limits.clip(far)
     assert (clipped.opening, clipped.lift_height, clipped.gauge_pressure) == (0.12, 0.15, (3000.0,))

@@ -232,7 +232,14 @@ class Command:
                 object.__setattr__(self, name, checked)
 
     def completed(self, last: Command) -> Command:
-        """Return this command with the values of `last` where None means "unchanged"."""
+        """Replace each None that means "unchanged" by the value in force.
+
+        Args:
+            last: Previous command that was sent.
+
+        Returns:
+            This command, with the values of `last` in their place.
+        """
         kept = {
             name: getattr(last, name)
             for name, entry in COMMAND_FIELDS.items()
