@@ -31,7 +31,7 @@ for k in range(plan.model.njnt):
     data.joint(plan.model.joint(k).name).qpos = plan.q[plan.model.jnt_qposadr[k]]
 servos = [plan.model.actuator(k) for k in range(plan.model.nu)]
 finger = mount.bind(model, data)
-felt, goal = [], tip.translation().copy()
+forces, goal = [], tip.translation().copy()
 for image in range(150):
     goal[0] += GAIN * np.nan_to_num(WANTED - finger.touch.force_normal)  # unknown: stay
     task.set_target(mink.SE3.from_rotation_and_translation(tip.rotation(), goal))
@@ -40,6 +40,6 @@ for image in range(150):
         data.actuator(servo.name).ctrl = plan.q[plan.model.jnt_qposadr[servo.trnid[0]]]
     data.mocap_pos[0] = near + [3e-3 * np.sin(image * PERIOD), 0.0, 0.0]
     mjtactile.step(model, data, [finger], round(PERIOD / model.opt.timestep))
-    felt.append(finger.touch.force_normal)
-held = np.array(felt[30:])
-print(f"felt {np.nanmean(held):.2f} +- {np.nanstd(held):.2f} N while the wall moved by 6 mm")
+    forces.append(finger.touch.force_normal)
+held = np.array(forces[30:])
+print(f"estimated {np.nanmean(held):.2f} +- {np.nanstd(held):.2f} N while the wall moved by 6 mm")

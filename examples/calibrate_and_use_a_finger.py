@@ -37,7 +37,7 @@ class Squeeze:
         )
 
 
-def felt(rig, design, calibrations=(None, None), recorder=None):
+def estimated_forces(rig, design, calibrations=(None, None), recorder=None):
     """Return the normal forces, N, (cycles, fingers) of a squeeze on `rig`, with the given
     `calibrations`."""
     forces = []
@@ -61,7 +61,7 @@ def felt(rig, design, calibrations=(None, None), recorder=None):
 
 # by chains that know the true lens
 with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:
-    true = felt(
+    true = estimated_forces(
         mjtactile.build_rig("sim", replace(sensor, camera=camera), object_name="vial"),
         replace(sensor, camera=camera),
         recorder=recorder,
@@ -78,7 +78,9 @@ for name, calibrations in (
     ("as the sensor file says", (None, None)),
     ("left finger calibrated", (known, None)),
 ):
-    forces = felt(mjtactile.build_rig(f"replay:{work / 'squeeze'}", sensor), sensor, calibrations)
+    forces = estimated_forces(
+        mjtactile.build_rig(f"replay:{work / 'squeeze'}", sensor), sensor, calibrations
+    )
     print(
         f"{name}: off by {np.nanmax(np.abs(forces - true[: len(forces)]), axis=0).round(3)} N "
         "(left, right)"

@@ -12,13 +12,11 @@ seen = []  # (phase, estimated normal forces in N, slip states), one per cycle
 
 
 def look(cycle):
-    felt = [touch.force_normal for touch in cycle.touch]
+    left, right = forces = [touch.force_normal for touch in cycle.touch]
     slips = [touch.slip.state if touch.slip else "unknown" for touch in cycle.touch]
     if not seen or seen[-1][0] != cycle.sent.phase:
-        print(
-            f"{cycle.time:5.2f} s  {cycle.sent.phase:<9} {felt[0]:5.2f} {felt[1]:5.2f} N  {slips}"
-        )
-    seen.append((cycle.sent.phase, felt, slips))
+        print(f"{cycle.time:5.2f} s  {cycle.sent.phase:<9} {left:5.2f} {right:5.2f} N  {slips}")
+    seen.append((cycle.sent.phase, forces, slips))
 
 
 with mjtactile.open_session("sim", design, object_name="strawberry", seed=3) as session:
@@ -26,7 +24,7 @@ with mjtactile.open_session("sim", design, object_name="strawberry", seed=3) as 
     session.take_references()
     last = session.run(controller, time_limit=60, on_cycle=look)
 
-held = [felt for phase, felt, _ in seen if phase == "hold"]
+held = [forces for phase, forces, _ in seen if phase == "hold"]
 print(
     f"ended as {last.phase!r}; held with {sum(map(sum, held)) / 2 / len(held):.3f} N on each finger"
 )

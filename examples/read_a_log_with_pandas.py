@@ -13,7 +13,7 @@ rows = pd.read_json(
     sys.argv[1] if len(sys.argv) > 1 else "runs/egg/recording/log.jsonl", lines=True
 )
 cycles = rows[rows.kind == "cycle"].set_index("time")
-felt = cycles.groupby("phase", sort=False).force_normal.agg(
+forces = cycles.groupby("phase", sort=False).force_normal.agg(
     lambda force: np.round(np.mean(force.tolist(), axis=0), 3)
 )
-print(felt)
+print(forces)

@@ -57,4 +57,6 @@ same = {
     key: np.array_equal(first.column(key)[:count], again.column(key)[:count], equal_nan=True)
     for key in ("force_normal", "wrench", "contact_area")
 }
-print(f"{count} cycles, the last felt {again.column('force_normal')[-1]} N; the same bits: {same}")
+print(
+    f"{count} cycles, the last estimate {again.column('force_normal')[-1]} N; the same bits: {same}"
+)

@@ -33,8 +33,8 @@ class Fingertip(composer.Entity):
 
     def _build_observables(self):
         observables = composer.Observables(self)
-        felt = Generic(lambda _: np.array(self.finger.touch.force_normal))
-        observables.add_observable("force_normal", felt)
+        force = Generic(lambda _: np.array(self.finger.touch.force_normal))
+        observables.add_observable("force_normal", force)
         return observables
 
     def after_compile(self, physics, random_state):
@@ -61,4 +61,4 @@ task.set_timesteps(control_timestep=0.04, physics_timestep=0.004)
 env = composer.Environment(task, legacy_step=False)  # each step a whole mj_step
 for _ in range(25):
     seen = env.step(np.zeros(0)).observation
-print(f"felt {seen['touch/force_normal'][0]:.2f} N of {9.81 * 0.05:.2f} N")
+print(f"estimated {seen['touch/force_normal'][0]:.2f} N of {9.81 * 0.05:.2f} N")

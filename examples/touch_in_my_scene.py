@@ -27,4 +27,4 @@ finger = tip.bind(model, data)
 data.ctrl[:] = 0.0016  # opening of each finger, m
 while data.time < 1.0:
     mjtactile.step(model, data, [finger])
-print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.gauge_pressure:.0f} Pa")
+print(f"estimated: {finger.touch.force_normal:.2f} N, chamber at {finger.gauge_pressure:.0f} Pa")

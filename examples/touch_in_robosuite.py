@@ -45,8 +45,8 @@ class TouchLift(Lift):
         def force_normal(_):
             return np.array([finger.touch.force_normal for finger in self.fingers])
 
-        felt = Observable("force_normal", force_normal, sampling_rate=30)
-        return super()._setup_observables() | {"force_normal": felt}
+        force = Observable("force_normal", force_normal, sampling_rate=30)
+        return super()._setup_observables() | {"force_normal": force}
 
 
 env = TouchLift("Panda", has_offscreen_renderer=False, use_camera_obs=False, lite_physics=False)
@@ -59,4 +59,4 @@ while lift < 0.1:
     grip = close * float(seen["force_normal"].mean() < 1.0)
     lift += 0.01 * (close - grip)
     seen, *_ = env.step([*np.clip(15 * way, -1, 1), 0, 0, 0, grip if close else -1])
-print(f"felt {seen['force_normal'].round(2)} N, the cube is at {seen['cube_pos'][2]:.3f} m")
+print(f"estimated {seen['force_normal'].round(2)} N, the cube is at {seen['cube_pos'][2]:.3f} m")

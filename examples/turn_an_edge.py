@@ -34,6 +34,6 @@ angle = 0.5  # rad, which the finger does not know
 before = press(angle)
 angle -= (before.direction + np.pi / 2) % np.pi - np.pi / 2  # an edge has no front
 after = press(angle)
-print(f"felt: {before.kind} at {np.degrees(before.direction):.0f} deg")
+print(f"estimated: {before.kind} at {np.degrees(before.direction):.0f} deg")
 print(f"turned back: {after.kind} at {np.degrees(after.direction):.0f} deg")
 print(f"of its own {np.degrees(0.5):.0f} deg, {np.degrees(angle):.1f} are left")

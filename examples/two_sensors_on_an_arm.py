@@ -54,8 +54,8 @@ def go(seconds, *, height=None, fingers_at=None):
     for share in np.linspace(0, 1, steps):
         data.mocap_pos[0, 2], data.ctrl[:] = before + share * (np.array(goals) - before)
         mjtactile.step(model, data, fingers)
-    felt = ", ".join(f"{f.name} {f.touch.force_normal:5.2f} N" for f in fingers)
-    print(f"{data.time:4.1f} s   egg at {1e3 * data.body('object0').xpos[2]:3.0f} mm   {felt}")
+    forces = ", ".join(f"{f.name} {f.touch.force_normal:5.2f} N" for f in fingers)
+    print(f"{data.time:4.1f} s   egg at {1e3 * data.body('object0').xpos[2]:3.0f} mm   {forces}")
 
 
 go(0.3)

@@ -74,11 +74,11 @@ def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
         1e-3 * d * (law["stiffness_true_N_m"] + law["stiffening_true_N_m2"] * 1e-3 * d),
         "k-",
         lw=0.8,
-        label="the sponge's true law",
+        label="the sponge's law (ground truth)",
     )
     whole.set(
         xlabel="driven in, mm",
-        ylabel="felt force, N",
+        ylabel="estimated force, N",
         title="as the paper plots it (dotted: line, full: parabola)",
     )
     own.set(xlabel="the object's own deformation, mm", title="without the membrane's share")
@@ -96,7 +96,7 @@ def plot_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
             ".",
             ms=4,
             color=colour,
-            label=f"{name}, felt",
+            label=f"{name}, estimated",
         )
         axes.plot(
             result[name]["time_s"],
@@ -124,7 +124,7 @@ def plot_fig6(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
-    """Image, reconstruction with forces (drawn with a minus sign, as in the paper), force field
+    """Image, reconstruction with forces (sign inverted, as in the paper), force field
     from above."""
     for row, (name, data) in enumerate(result.items()):
         image = figure.add_subplot(len(result), 3, 3 * row + 1)
@@ -148,7 +148,7 @@ def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
             color="w",
             scale=0.4,
         )
-        field.set_title(f"felt {data['force_N']:.2f} N, load cell {data['cell_N']:.2f} N")
+        field.set_title(f"estimated {data['force_N']:.2f} N, load cell {data['cell_N']:.2f} N")
         field.set_aspect("equal")
         figure.colorbar(drawn, ax=field, label="mN a node")
 

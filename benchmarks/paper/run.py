@@ -230,7 +230,9 @@ def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
             "force_N": touch.force_normal,
             "cell_N": station.load_cell(),
         }
-        say(f"7 {name}: felt {touch.force_normal:.3f} N, load cell {station.load_cell():.3f} N")
+        say(
+            f"7 {name}: estimated {touch.force_normal:.3f} N, load cell {station.load_cell():.3f} N"
+        )
     return found
 
 

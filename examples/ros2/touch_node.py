@@ -62,13 +62,13 @@ class TouchNode(Node):
             )
             # otherwise the force is unknown; touch.status gives the reason
             if touch.traction is not None:
-                felt = WrenchStamped()
+                message = WrenchStamped()
                 values = iter(map(float, touch.traction.wrench))
-                for part in (felt.wrench.force, felt.wrench.torque):
+                for part in (message.wrench.force, message.wrench.torque):
                     part.x = next(values)
                     part.y = next(values)
                     part.z = next(values)
-                self.send(f"{name}/wrench", felt, f"{name}_sensor", touch.age)
+                self.send(f"{name}/wrench", message, f"{name}_sensor", touch.age)
             if touch.surface is not None:
                 x, y = np.meshgrid(touch.surface.x, touch.surface.y)
                 points = np.stack([x, y, touch.surface.z], axis=-1).reshape(-1, 3).astype("<f4")

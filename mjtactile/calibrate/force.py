@@ -85,7 +85,7 @@ class ForceCalibration:
             "offset_sd_N": self.offset_sd,
             "residual_N": self.rms,
             "loads": [
-                {"force_N": t, "felt_N": f, "area_change_mm2": 1e6 * a}
+                {"force_N": t, "estimated_N": f, "area_change_mm2": 1e6 * a}
                 for t, f, a in zip(self.true, self.felt, self.area_change, strict=True)
             ],
         }

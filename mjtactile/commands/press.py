@@ -137,7 +137,7 @@ def _check(options: argparse.Namespace, design: SensorDesign) -> None:
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:
     print(
-        "depth mm   true N [x, y, z]           est. N [x, y, z]           area mm2: est.  "
+        "depth mm   ground truth N [x, y, z]   est. N [x, y, z]           area mm2: est.  "
         "true   penetr. mm  gauge kPa"
     )
     for s in result["steps"]:
@@ -178,7 +178,7 @@ def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
     steps = result["steps"]
     force, gas, body = figure.subplots(1, 3)
     depths = [s["depth_mm"] for s in steps]
-    force.plot(depths, [-s["force_true_N"][2] for s in steps], "k-o", ms=4, label="true")
+    force.plot(depths, [-s["force_true_N"][2] for s in steps], "k-o", ms=4, label="ground truth")
     force.errorbar(
         depths,
         [-s["force_estimated_N"][2] for s in steps],
@@ -186,7 +186,7 @@ def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
         fmt="s",
         ms=5,
         capsize=3,
-        label="felt, 2 sd",
+        label="estimated, 2 sd",
     )
     force.set(
         xlabel="depth below first contact, mm",

@@ -206,7 +206,7 @@ def as_table(given: PredictionReport) -> dict[str, Any]:
             {
                 "x_mm": 1e3 * at.x,
                 "y_mm": 1e3 * at.y,
-                "felt_N": at.felt,
+                "estimated_N": at.felt,
                 "force_sd_mN": 1e3 * at.force_sd,
                 "force_noise_mN": 1e3 * at.noise,
                 "place_sd_mm": 1e3 * at.place_sd,

@@ -148,7 +148,7 @@ def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
     title = "<h2>Flags of reduced simulation accuracy</h2>"
     if not rows:
         return title + "<p>Nothing.</p>"
-    head = ["controller", "doubt", "episodes", "with it", "without it", "reason (of the first)"]
+    head = ["controller", "flag", "episodes", "with it", "without it", "reason (of the first)"]
     return title + table(head, rows, text=True)
 
 

@@ -54,13 +54,13 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
         "vertices": (1e3 * mesh.vertices).round(2).tolist(),
         "normals": mesh.normals.round(3).tolist(),
         "triangles": mesh.triangles.tolist(),
-        "colours": {"stiffness": colours(soft).tolist(), "doubt": _sd_colours(mesh).tolist()},
+        "colours": {"stiffness": colours(soft).tolist(), "uncertainty": _sd_colours(mesh).tolist()},
         "words": {
             "stiffness": (
                 f"Blue: stiff. Red: deforms by {1e6 * SOFT / 1e3:.0f} mm under 1 N. Gray: "
                 "unknown. Dots: touches."
             ),
-            "doubt": "White: sd of 0.03 mm or less. Orange: sd of 1 mm or more. Dots: touches.",
+            "uncertainty": "White: sd up to 0.03 mm. Orange: sd of 1 mm or more. Dots: touches.",
         },
         "touched": [
             {"place": 1e3 * patch.center, "normal": patch.normal} for patch in found.patches
@@ -92,7 +92,7 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     yield table([], [*rows, ["size", f"{size} mm"]])
     yield (
         '<p><select id="mode"><option value="stiffness">stiffness</option><option '
-        'value="doubt">uncertainty</option></select> <span class="hint">drag: rotate; '
+        'value="uncertainty">uncertainty</option></select> <span class="hint">drag: rotate; '
         'wheel: zoom</span></p><canvas id="solid"></canvas><p id="readout" '
         'class="hint"></p><noscript>The surface needs JavaScript.</noscript>'
     )

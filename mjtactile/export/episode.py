@@ -119,7 +119,7 @@ class RecordedEpisode:
                 "fingers": self.fingers,
                 "cycles": len(recording),
                 "re_estimate": self.re_estimate,
-                "felt_again_difference_N": self.estimate_difference,
+                "recomputed_difference_N": self.estimate_difference,
                 "camera_in_sensor": {
                     name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()}
                     for name, (R, p) in self.camera_poses.items()

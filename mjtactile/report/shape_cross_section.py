@@ -37,8 +37,10 @@ def plot_section(
     if shape is None:
         _write(picture, "no known contact shape", (8, 17))
         return picture
-    said = f"{describe_shape(shape)}; believed black" + (", true orange" if len(true) else "")
-    _write(picture, said, (8, 17))
+    text = f"{describe_shape(shape)}; estimated black" + (
+        ", ground truth orange" if len(true) else ""
+    )
+    _write(picture, text, (8, 17))
     half = size[1] // 2
     arcs = lines_of(shape)[-2:]
     for number, (turn, arc) in enumerate(zip(directions_of(shape), arcs, strict=False)):

@@ -129,8 +129,8 @@ def import_matplotlib() -> tuple[Any, Any]:
 
 def _title(summary: Mapping[str, Any]) -> str:
     parts = [f"{summary.get('object', '?')}: {summary.get('outcome', '?')}"]
-    labels = {"hold_force_N": "hold", "hold_force_true_N": "hold (true)"}
-    for key, label in (labels | {"peak_force_true_N": "peak (true)"}).items():
+    labels = {"hold_force_N": "hold", "hold_force_true_N": "hold (ground truth)"}
+    for key, label in (labels | {"peak_force_true_N": "peak (ground truth)"}).items():
         if isinstance(summary.get(key), (int, float)) and np.isfinite(summary[key]):
             parts.append(f"{label} {summary[key]:.2f} N")
     parts += [f"{key} {summary.get(key, '?')}" for key in ("sensor", "seed")]
@@ -278,9 +278,11 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
         low = estimated[:, i] - 2 * sd[:, i]
         high = estimated[:, i] + 2 * sd[:, i]
         axes.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0)
-        axes.plot(time, estimated[:, i], color=colour, linewidth=1.8, label=f"{name}: felt ± 2 sd")
+        axes.plot(
+            time, estimated[:, i], color=colour, linewidth=1.8, label=f"{name}: estimated ± 2 sd"
+        )
         if np.isfinite(true[:, i]).any():
-            axes.plot(time, true[:, i], color=colour, label=f"{name}: true", **dashed)
+            axes.plot(time, true[:, i], color=colour, label=f"{name}: ground truth", **dashed)
     values = np.concatenate([estimated.ravel(), true.ravel()])
     top = 1.35 * float(np.nanmax(values, initial=0.2))
     top = _plot_break_force(axes, recording.notes.get("break_force_N"), top)

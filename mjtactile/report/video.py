@@ -236,7 +236,7 @@ class _Curve:
             self._band(time, felt[:, finger], 2 * sd[:, finger], colour)
             self._line(time, felt[:, finger], colour, 2)
             self._line(time, true[:, finger], tuple(int(0.55 * c) for c in colour), 1)
-        known = "felt, 2 sd" + ("; true (thin)" if np.isfinite(true).any() else "")
+        known = "estimated, 2 sd" + ("; ground truth (thin)" if np.isfinite(true).any() else "")
         write_frames(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
 
     def at(self, time: float) -> Pixels:

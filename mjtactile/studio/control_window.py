@@ -153,7 +153,7 @@ class ControlWindow(plugin.ViewerPlugin):
         changed, squeezes = imgui.Checkbox("regulate the force", squeezes)
         force = (0.5 if changed else goal.force) if squeezes else math.nan
         if squeezes:
-            _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")
+            _, force = imgui.SliderFloat("force, N", force, *_SQUEEZE, "%.2f")
         if changed and not squeezes:
             opening = 1e3 * state.opening
         now = ManualGoal(1e-3 * opening, 1e-3 * lift, force)

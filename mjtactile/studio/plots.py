@@ -59,11 +59,11 @@ def _forces(curves: Curves, names: Sequence[str]) -> None:
         time = curves.time[known]
         felt = curves.felt[k][known]
         sd = curves.sd[k][known]
-        _line(f"{name}, felt", time, felt)
+        _line(f"{name}, estimated", time, felt)
         some = slice(len(time) % _BARS, None, _BARS)
-        implot.PlotErrorBars(f"{name}, felt", time[some], felt[some], 2 * sd[some])
+        implot.PlotErrorBars(f"{name}, estimated", time[some], felt[some], 2 * sd[some])
         if np.isfinite(curves.true[k]).any():
-            _line(f"{name}, true", curves.time, curves.true[k])
+            _line(f"{name}, ground truth", curves.time, curves.true[k])
 
 
 def _line(name: str, time: Array, values: Array) -> None:

@@ -94,13 +94,13 @@ def finger_lines(felt: FingerSnapshot, perception_ms: float = math.nan) -> list[
         f"shear  {shear:.3f} N, 2 sd {2 * _shear_sd(touch):.3f}",
     ]
     if math.isfinite(felt.true):
-        lines.append(f"true   {felt.true:+.3f} N")
+        lines.append(f"ground truth {felt.true:+.3f} N")
     if touch.contact is not None:
         lines.append(
             f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep"
         )
     if touch.shape is not None:
-        lines.append(f"body   {describe_shape(touch.shape)}")
+        lines.append(f"shape  {describe_shape(touch.shape)}")
     lines.append(f"slip   {_slip(touch)}")
     lines.append(f"gas    {_gas(felt)}")
     thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
@@ -135,7 +135,7 @@ def _gas(felt: FingerSnapshot) -> str:
     if measured is not None:
         parts.append(f"{1e-3 * measured:.2f} kPa")
     elif math.isfinite(felt.gauge_pressure):
-        parts.append(f"{1e-3 * felt.gauge_pressure:.2f} kPa (true)")
+        parts.append(f"{1e-3 * felt.gauge_pressure:.2f} kPa (ground truth)")
     if math.isfinite(felt.temperature):
         parts.append(f"{felt.temperature - 273.15:.1f} C")
     return ", ".join(parts) or "sealed by hand"

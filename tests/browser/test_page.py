@@ -52,7 +52,10 @@ def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
         i = int(page.run("lastBefore(data.time, view.pointer)"))
         force = recording.column("force_normal")[i]
         text = page.run("document.getElementById('readout').textContent")
-        assert f"left felt {force[0]:.3f} ± 0.060" in text and f"right felt {force[1]:.3f}" in text
+        assert (
+            f"left estimated {force[0]:.3f} ± 0.060" in text
+            and f"right estimated {force[1]:.3f}" in text
+        )
 
         # closer, about the pointer
         page.mouse("mouseWheel", x + width / 2, y + height / 2, deltaX=0, deltaY=-600)

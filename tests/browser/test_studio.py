@@ -210,7 +210,7 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
     for felt in held["felt"]:
         for text in (
             f"normal {felt['force']:+.3f} N, 2 sd {2 * felt['sd']:.3f}",
-            f"true   {felt['true']:+.3f} N",
+            f"ground truth {felt['true']:+.3f} N",
         ):
             assert text in held["said"]
         assert abs(felt["force"] - felt["true"]) < 5 * felt["sd"]

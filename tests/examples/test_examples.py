@@ -48,7 +48,7 @@ def test_touch_in_my_scene(capsys):
     [force] = true_forces(example, [example.finger])
     assert -force[2] > 0.2  # the fingers do press on each other
     assert example.finger.touch.force_normal == pytest.approx(-force[2], abs=0.03)
-    assert "felt: " in capsys.readouterr().out
+    assert "estimated: " in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_arm_follows_touch(capsys):
     assert np.isfinite(example.held).all()
     assert np.abs(example.held - example.WANTED).max() < 0.16
     assert np.mean(example.held) == pytest.approx(example.WANTED, abs=0.08)
-    assert "felt 0." in capsys.readouterr().out
+    assert "estimated 0." in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -86,7 +86,7 @@ def test_touch_in_robosuite(capsys):
     # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the cube's middle at 0.82
     assert example.seen["cube_pos"][2] > 0.86
     assert example.env._check_success()
-    assert "felt" in capsys.readouterr().out
+    assert "estimated" in capsys.readouterr().out
 
 
 @pytest.mark.filterwarnings("ignore")  # dm_control's own
@@ -95,7 +95,7 @@ def test_touch_in_dm_control(capsys):
     # at equilibrium the membrane carries the weight; image noise is 8 mN
     assert example.seen["touch/force_normal"] == pytest.approx(9.81 * 0.05, abs=0.025)
     assert example.seen["touch/force_normal"].shape == (1,)
-    assert "felt 0." in capsys.readouterr().out
+    assert "estimated 0." in capsys.readouterr().out
 
 
 def code_lines(name):

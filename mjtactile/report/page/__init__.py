@@ -33,11 +33,11 @@ _FACTS: tuple[tuple[str, str, str], ...] = (
     ("error", "error", ""),
     ("material", "material", ""),
     ("status", "status", ""),
-    ("hold_force_N", "holding, felt", "N"),
-    ("hold_force_true_N", "holding, true", "N"),
+    ("hold_force_N", "grip force, estimated", "N"),
+    ("hold_force_true_N", "grip force, ground truth", "N"),
     ("peak_force_N", "maximum, estimated", "N"),
     ("peak_force_true_N", "maximum, ground truth", "N"),
-    ("slip_mm_true", "slipped, true", "mm"),
+    ("slip_mm_true", "slip, ground truth", "mm"),
     ("force_error_estimate_N", "simulation error of the force, estimated", "N"),
     ("peak_stress_kPa_true", "maximum stress, ground truth", "kPa"),
     ("stiffness_N_m", "stiffness", "N/m"),
@@ -147,7 +147,7 @@ def _fingers(recording: Recording) -> str:
                 f"{period * len(blind):.2f} s{why}",
             ]
         )
-    return table(["as felt", *names, "unknown"], rows)
+    return table(["slip state", *names, "unknown"], rows)
 
 
 def _curves(data: Mapping[str, Any]) -> str:

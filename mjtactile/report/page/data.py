@@ -151,8 +151,8 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
         if true is None:
             series += _series(name, colour, felt[:, finger], own_sd)
         else:
-            series += _series(f"{name} felt", colour, felt[:, finger], own_sd)
-            series += _series(f"{name} true", colour, true[:, finger], dash=True)
+            series += _series(f"{name} estimated", colour, felt[:, finger], own_sd)
+            series += _series(f"{name} ground truth", colour, true[:, finger], dash=True)
     breaks = recording.notes.get("break_force_N")
     lines = []
     if plot.sd and isinstance(breaks, (int, float)):

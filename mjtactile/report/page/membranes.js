@@ -53,19 +53,19 @@ function drawMembrane(canvas, finger) {
     c.stroke();
   }
   const lines = (all, colour, wide) => all.forEach(one => line(c, one.map(([x, y, up]) => seen(x, y, up)), colour, wide));
-  lines(felt.true, "#e07b00", 2.2);  // what is truly there
-  lines(felt.body, "#1b1b1b", 1.4);  // what is believed to touch: its border, and itself
+  lines(felt.true, "#e07b00", 2.2);  // ground truth
+  lines(felt.body, "#1b1b1b", 1.4);  // estimate: border and shape
   if (felt.true.length) {
     c.fillStyle = "#b86500";
-    c.fillText("true body (orange), believed (black)", 8, 30);
+    c.fillText("contact shape: ground truth (orange), estimated (black)", 8, 30);
   }
   c.fillStyle = "#222";
-  c.fillText(`${felt.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, drawn ${tall} times as high` : ""),
+  c.fillText(`${felt.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, heights times ${tall}` : ""),
              8, height - 24);
   c.fillStyle = "#c0221c";
   if (felt.arrows.length) {
     line(c, [[8, height - 9], [8 + scale * 0.25 * size, height - 9]], "#c0221c", 2);
-    c.fillText(`${data.arrow_unit / 1000} kPa of traction, with a minus sign`, 14 + scale * 0.25 * size, height - 5);
+    c.fillText(`${data.arrow_unit / 1000} kPa of traction, sign inverted`, 14 + scale * 0.25 * size, height - 5);
   }
 }
 

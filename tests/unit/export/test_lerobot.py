@@ -162,7 +162,7 @@ def test_what_is_felt_again_is_what_was_felt(felt, tmp_path):
     lerobot.write([episode], tmp_path, images="none")
     kept = json.loads((tmp_path / "meta/mjtactile.json").read_text())["episodes"][0]
     # the same images, the same chain: bit for bit
-    assert kept["re_estimate"] and kept["felt_again_difference_N"] == 0.0
+    assert kept["re_estimate"] and kept["recomputed_difference_N"] == 0.0
 
 
 def test_markers_are_those_that_the_chain_sees(press, tmp_path):

@@ -62,14 +62,19 @@ def test_the_page_says_what_the_recording_says(tmp_path):
     found, data = write(tmp_path, cycles, view=FakeScene(2))
     recording = load_recording(tmp_path)
     forces = {one["name"]: one for one in data["plots"][0]["series"]}
-    assert list(forces) == ["left felt", "left true", "right felt", "right true"]
+    assert list(forces) == [
+        "left estimated",
+        "left ground truth",
+        "right estimated",
+        "right ground truth",
+    ]
     np.testing.assert_allclose(
-        forces["right felt"]["y"], recording.column("force_normal")[:, 1], atol=1e-5
+        forces["right estimated"]["y"], recording.column("force_normal")[:, 1], atol=1e-5
     )
     np.testing.assert_allclose(
-        forces["left true"]["y"], recording.column("force_normal_true")[:, 0], atol=1e-5
+        forces["left ground truth"]["y"], recording.column("force_normal_true")[:, 0], atol=1e-5
     )
-    np.testing.assert_allclose(forces["left felt"]["sd"], 0.03)
+    np.testing.assert_allclose(forces["left estimated"]["sd"], 0.03)
     assert data["plots"][0]["lines"] == [[2.5, "object breaks at 2.5 N"]]
     assert [phase[0] for phase in data["phases"]] == [
         "approach",

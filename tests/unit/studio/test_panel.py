@@ -98,7 +98,7 @@ def test_the_panels_numbers_are_the_sessions(gui, bridge):
         for text in (
             f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
             f"shear  {shear:.3f} N",
-            f"true   {felt.true:+.3f} N",
+            f"ground truth {felt.true:+.3f} N",
             f"area   {1e6 * touch.contact.area:.0f} mm2",
             "20.9 C",
         ):
@@ -106,13 +106,13 @@ def test_the_panels_numbers_are_the_sessions(gui, bridge):
     assert "gas    closed, 1.00 kPa" in " ".join(gui.texts)
     assert "warning (sharp_edge): an edge presses" in gui.texts
     assert "0.10 to 0.40 s, 20 % of the time" in gui.texts
-    time, force = gui.plot.drawn["left, felt"]
+    time, force = gui.plot.drawn["left, estimated"]
     assert (
         time[-1] == bridge.snapshot().time
         and force[-1] == bridge.snapshot().fingers[0].touch.force_normal
     )
-    np.testing.assert_allclose(gui.plot.drawn["right, true"][1], 0.2)
-    np.testing.assert_allclose(gui.plot.drawn["left, felt, bars"][1], 0.06)  # 2 sd
+    np.testing.assert_allclose(gui.plot.drawn["right, ground truth"][1], 0.2)
+    np.testing.assert_allclose(gui.plot.drawn["left, estimated, bars"][1], 0.06)  # 2 sd
     np.testing.assert_allclose(gui.plot.drawn["left"][1][0], 1.0)  # kPa
 
 
@@ -273,7 +273,7 @@ def test_the_desk_asks_the_session(gui, bridge):
         0.02,
     ) and math.isnan(bridge.manual_goal.force)
     do("regulate the force", True)
-    do("felt, N", 1.5)
+    do("force, N", 1.5)
     assert bridge.manual_goal.force == 1.5
     do("override the controller", False)
     assert bridge.manual_goal is None
