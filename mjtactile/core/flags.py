@@ -143,6 +143,16 @@ _KINDS = (
         grows=True,
     ),
     FlagKind(
+        "carrier_contact",
+        "a geom to which the sensor is fixed carries more than 0.2 N past the membrane; the text "
+        "has the geom and the maximum so far",
+        "a part of the robot in the chamber or in front of the frame",
+        "move the site forward, set `contype` and `conaffinity` of the geom to 0, or "
+        "`attach(..., carrier_contact=False)`",
+        Cadence.FAST,
+        grows=True,
+    ),
+    FlagKind(
         "rim_contact",
         "without `mesh`: the object lies on the rim, which carries load that the model omits; "
         "forces differ by some %",

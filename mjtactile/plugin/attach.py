@@ -18,6 +18,7 @@ outward.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,17 +42,20 @@ class AttachedSensor:
 
     Attributes:
         membrane: The attached membrane.
+        carrier_contact: False if `bind` excludes the carrier's geoms that the membrane can reach.
     """
 
     membrane: Attachment
+    carrier_contact: bool = True
 
     @validated(seed=not_below(0))
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, *, seed: int = 0) -> SimFinger:
         """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 
         It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in
-        `data`. The rest of the scene is unchanged. One model carries one bound state. Bind again
-        after `spec.recompile`, or to restart.
+        `data`. A geom with a `conaffinity` for `contype` 1, but no `contype`, touches the membrane
+        as it touches a default geom. The rest of the scene is unchanged. One model carries one
+        bound state. Bind again after `spec.recompile`, or to restart.
 
         Args:
             model: Compiled from the spec.
@@ -64,8 +68,15 @@ class AttachedSensor:
         Raises:
             InputError: The model's options cannot carry the sensor, or it was not compiled from the
                 spec.
+
+        Warns:
+            UserWarning: Objects can rest on a geom of the carrier through the membrane, or a geom
+                makes contact by a `<pair>` only.
         """
-        return SimFinger(self.membrane, model, data, seed)
+        finger = SimFinger(self.membrane, model, data, seed, self.carrier_contact)
+        for text in finger.notes:
+            warnings.warn(f"finger {finger.name!r}: {text}", stacklevel=2)
+        return finger
 
 
 @validated(mass=above(0))
@@ -79,6 +90,7 @@ def attach(
     mass: float = 0.05,
     contact: str = "auto",
     effects: Collection[str] = PHYSICS | CAMERA,
+    carrier_contact: bool = True,
 ) -> AttachedSensor:
     """Attach a sensor to a scene, with `user` sensors for its estimates.
 
@@ -94,6 +106,9 @@ def attach(
             "both", or "auto" for a choice by the scene's smallest feature.
         effects: Names that `mjtactile effects` lists. The sensing pipeline always runs: synthetic
             touch is available in grasps only.
+        carrier_contact: Keep the contacts of geoms to which the sensor is fixed. False excludes
+            those in the chamber or in front of the frame: there, objects would rest on them instead
+            of the membrane.
 
     Returns:
         The sensor, to `bind` to the compiled model.
@@ -118,4 +133,4 @@ def attach(
     kind: Any = {"type": mujoco.mjtSensor.mjSENS_USER, "needstage": mujoco.mjtStage.mjSTAGE_NONE}
     for name, size in OUTPUTS.items():
         spec.add_sensor(name=prefix + name, dim=size, **kind)
-    return AttachedSensor(membrane)
+    return AttachedSensor(membrane, carrier_contact)

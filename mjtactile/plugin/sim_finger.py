@@ -28,6 +28,8 @@ from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.fast_step import advance
 from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor import carrier_geoms
+from mjtactile.sim.sensor.collision_rule import apply_collision_rule, pair_notes
 from mjtactile.sim.sensor.contact_loads import membrane_wrench
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
@@ -111,7 +113,14 @@ class SimFinger(NotCopyable):
 
     REMEDY = "call bind with the copied model and data"
 
-    def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
+    def __init__(
+        self,
+        membrane: Attachment,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        seed: int,
+        carrier_contact: bool = True,
+    ):
         if data.model is not model:
             raise InputError("is not the data of this model", source="bind", field="data")
         self._membrane = membrane
@@ -121,7 +130,15 @@ class SimFinger(NotCopyable):
         self._seed = int(sequence.generate_state(1)[0])
         prefix = membrane.prefix
         self._outputs = [_address(model, prefix + name, size) for name, size in OUTPUTS.items()]
+        apply_collision_rule(model)
         self.reset()
+        reached = carrier_geoms.carrier_geoms(model, data, self.sensor)
+        if len(reached) and not carrier_contact:
+            carrier_geoms.exclude(model, reached)
+            reached = reached[:0]
+        found = [carrier_geoms.reach_note(model, self.sensor, reached), *pair_notes(model)]
+        self.notes = [note for note in found if note]
+        """Findings on the scene that `bind` issues as warnings."""
 
     # -- outputs -----------------------------------------------------------------------------------
 

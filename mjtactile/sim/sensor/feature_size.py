@@ -29,9 +29,14 @@ RESOLVED = 2.0
 
 def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]:
     """Return the geoms (n,) with a contype that are not fixed to body `carrier` (0: the world)."""
-    welds = np.array([_weld(model, body) for body in range(model.nbody)])
+    welds = weld_bodies(model)
     others = welds[model.geom_bodyid] != welds[carrier]
     return np.flatnonzero(others & (model.geom_contype != 0))
+
+
+def weld_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
+    """Return, for each MuJoCo body (nbody,), the one to which it is fixed."""
+    return np.array([_weld(model, body) for body in range(model.nbody)])
 
 
 def _weld(model: mujoco.MjModel, body: int) -> int:

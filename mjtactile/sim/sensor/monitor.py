@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mjtactile.core import geometry
 from mjtactile.core.flags import SIMULATION, Cadence, Reasons
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import contact_loads, feature_size, validity_checks
+from mjtactile.sim.sensor import carrier_geoms, contact_loads, feature_size, validity_checks
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
@@ -24,7 +24,7 @@ from mjtactile.sim.sensor.tunneling_check import CorePoints
 PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
 _FAST = 0.5  # of its own size in a step
-_FRAMED = 0.2  # force on the frame over five checks, N
+_FRAMED = 0.2  # force on frame or carrier over five checks, N
 _NEAR = 0.05  # distance from the membrane's center, m
 _MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it
 _QS_RARE_PERIOD = 20  # period in checks, which are 0.1 s apart
@@ -75,9 +75,12 @@ class SceneMonitor:
         self._max_speeds = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
         self._reference_heights = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # ratios at the last checks
-        self._framed = [deque([0.0] * 5, 5) for _ in sensors]  # force at the last checks, N
-        self._max_frame_load = 0.0  # largest lasting force reported, N
-        self._frame_text = ""
+        # force at the last checks, N
+        self._framed = [deque([0.0] * 5, 5) for _ in sensors]
+        self._bypassed = [deque([0.0] * 5, 5) for _ in sensors]
+        # by kind, the largest lasting force, N, and its text
+        self._unsensed: dict[str, tuple[float, str]] = {}
+        self._carriers = [carrier_geoms.carrier_geoms(model, data, sensor) for sensor in sensors]
         self._check_count = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
@@ -199,19 +202,34 @@ class SceneMonitor:
         return float(self._deep[number].min())
 
     def _frame(self, number: int) -> Reasons:
-        """Return a flag when a sensor's frame carries force over several checks."""
-        load = contact_loads.frame_load(self._data, self._sensors[number])
-        self._framed[number].append(load)
-        lasting = min(self._framed[number])
-        if lasting < _FRAMED:
-            return {}
-        if lasting > self._max_frame_load:
-            self._max_frame_load = lasting
-            self._frame_text = (
-                f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} N, "
-                "which the camera cannot measure; move the contact onto the membrane"
-            )
-        return {"frame_contact": self._frame_text}
+        """Return flags when a sensor's frame or carrier carries force over several checks."""
+        sensor = self._sensors[number]
+        prefix = sensor.prefix
+        frame = contact_loads.frame_load(self._data, sensor)
+        carried, geom = carrier_geoms.carried_load(self._data, sensor, self._carriers[number])
+        self._framed[number].append(frame)
+        self._bypassed[number].append(carried)
+        name = feature_size.name_of(self._model, geom) if geom >= 0 else ""
+        texts = {
+            "frame_contact": (
+                min(self._framed[number]),
+                f"the frame of sensor {prefix!r} carries {{:.1f}} N, which the camera cannot "
+                "measure; move the contact onto the membrane",
+            ),
+            "carrier_contact": (
+                min(self._bypassed[number]),
+                f"{name!r}, to which sensor {prefix!r} is fixed, carries {{:.1f}} N past the "
+                "membrane; move the site forward, or set contype and conaffinity of the geom to 0",
+            ),
+        }
+        flags: Reasons = {}
+        for kind, (lasting, text) in texts.items():
+            if lasting < _FRAMED:
+                continue
+            if lasting > self._unsensed.get(kind, (0.0, ""))[0]:
+                self._unsensed[kind] = lasting, text.format(lasting)
+            flags[kind] = self._unsensed[kind][1]
+        return flags
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
         """Return the centers (g, 3) m of the geoms that can touch, in each sensor's frame."""

@@ -1,0 +1,130 @@
+"""Geoms of a sensor's carrier within reach of the membrane: their contacts bypass the sensor.
+
+The carrier is the part of the robot to which the sensor is fixed. An object that presses the
+membrane down to such a geom is carried by the geom, and no marker shows that force.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import analytical_solutions
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import contact_loads, feature_size
+from mjtactile.sim.sensor.sensor_types import AnySensor
+
+_TOUCHING = 2e-4  # overlap that counts as adjacent, m
+
+
+def carrier_geoms(
+    model: mujoco.MjModel, data: mujoco.MjData, sensor: AnySensor
+) -> NDArray[np.int64]:
+    """Return the geoms (n,) of the carrier within the chamber or the membrane's reach.
+
+    The poses of `data` must be up to date. Geoms without contacts do not count.
+    """
+    welds = feature_size.weld_bodies(model)
+    fixed = welds[model.geom_bodyid] == welds[sensor.body_id]
+    fixed[sensor.housing_geom_ids] = False
+    solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    convex = ~np.isin(model.geom_type, (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD))
+    regions = _regions(sensor.design)
+    found = [
+        geom
+        for geom in np.flatnonzero(fixed & solid & convex).tolist()
+        if any(_overlaps(model, data, sensor, geom, *region) for region in regions)
+    ]
+    return np.array(found, np.int64)
+
+
+def _regions(design: SensorDesign) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return center and half-extents, m, frame S, of the chamber and of the bulge with its rim."""
+    frame = design.frame
+    depth = design.chamber.depth
+    opening = np.array([frame.length, frame.width]) / 2
+    top = analytical_solutions.bulge_height(design, design.chamber.supply_gauge)
+    boxes = ((opening, -depth, top), (opening + frame.rim, 0.0, top))
+    first, second = (
+        (np.array([0.0, 0.0, (low + high) / 2]), np.array([*half, (high - low) / 2]) - _TOUCHING)
+        for half, low, high in boxes
+    )
+    return first, second
+
+
+def _overlaps(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    sensor: AnySensor,
+    geom: int,
+    center: Array,
+    half: Array,
+) -> bool:
+    """Return True if a geom overlaps a box in S.
+
+    A box of the housing, moved there for one query, measures the distance.
+    """
+    probe = int(sensor.housing_geom_ids[0])
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+    places = (model.geom_size[probe], data.geom_xpos[probe], data.geom_xmat[probe])
+    kept = [place.copy() for place in places]
+    try:
+        places[0][:] = half
+        places[1][:] = data.xpos[sensor.body_id] + R_WS @ center
+        places[2][:] = R_WS.ravel()
+        # below a positive limit, so that an overlap is negative
+        return mujoco.mj_geomDistance(model, data, probe, geom, 1e-3, None) < 0
+    finally:
+        for place, old in zip(places, kept, strict=True):
+            place[:] = old
+
+
+def exclude(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> None:
+    """Switch off the contacts of `geoms`; the sensor's housing is in their place."""
+    model.geom_contype[geoms] = 0
+    model.geom_conaffinity[geoms] = 0
+
+
+def reach_note(model: mujoco.MjModel, sensor: AnySensor, geoms: NDArray[np.int64]) -> str:
+    """Return a note on `geoms` of the carrier and the remedy; empty without any."""
+    if not len(geoms):
+        return ""
+    names = ", ".join(repr(feature_size.name_of(model, int(geom))) for geom in geoms)
+    depth = 1e3 * sensor.design.chamber.depth
+    return (
+        f"objects can rest on {names} of its carrier instead of the membrane: move the site until "
+        f"the carrier is {depth:g} mm or more behind it, set contype and conaffinity of the geom "
+        "to 0, or use attach(..., carrier_contact=False)"
+    )
+
+
+def carried_load(
+    data: mujoco.MjData, sensor: AnySensor, geoms: NDArray[np.int64]
+) -> tuple[float, int]:
+    """Return the force, N, on `geoms` in front of the sensor's glass, and the geom with the
+    largest.
+
+    It includes the membrane's own vertices, which a sensor fixed to the world presses onto them.
+    """
+    if not len(geoms) or not data.ncon:
+        return 0.0, -1
+    contact = data.contact
+    mine = np.isin(contact.geom, geoms)
+    rows = np.flatnonzero(mine[:, 0] != mine[:, 1])
+    if not len(rows):
+        return 0.0, -1
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+    frame = sensor.design.frame
+    p_S = (contact.pos[rows] - data.xpos[sensor.body_id]) @ R_WS
+    half = np.array([frame.length, frame.width]) / 2 + frame.rim
+    near = (np.abs(p_S[:, :2]) < half).all(axis=1) & (p_S[:, 2] > -sensor.design.chamber.depth)
+    rows = rows[near]
+    sides = mine[rows]
+    f_S = contact_loads.forces(data, rows, sides, R_WS)
+    owners = np.where(sides[:, 1], contact.geom[rows, 1], contact.geom[rows, 0])
+    loads = {int(geom): float(np.linalg.norm(f_S[owners == geom].sum(axis=0))) for geom in owners}
+    if not loads:
+        return 0.0, -1
+    return float(np.linalg.norm(f_S.sum(axis=0))), max(loads, key=lambda geom: loads[geom])
