@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mjtactile.core import analytical_solutions
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import contact_loads, feature_size
+from mjtactile.sim.sensor import feature_size
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _TOUCHING = 2e-4  # overlap that counts as adjacent, m
@@ -98,33 +98,3 @@ def reach_note(model: mujoco.MjModel, sensor: AnySensor, geoms: NDArray[np.int64
         f"the carrier is {depth:g} mm or more behind it, set contype and conaffinity of the geom "
         "to 0, or use attach(..., carrier_contact=False)"
     )
-
-
-def carried_load(
-    data: mujoco.MjData, sensor: AnySensor, geoms: NDArray[np.int64]
-) -> tuple[float, int]:
-    """Return the force, N, on `geoms` in front of the sensor's glass, and the geom with the
-    largest.
-
-    It includes the membrane's own vertices, which a sensor fixed to the world presses onto them.
-    """
-    if not len(geoms) or not data.ncon:
-        return 0.0, -1
-    contact = data.contact
-    mine = np.isin(contact.geom, geoms)
-    rows = np.flatnonzero(mine[:, 0] != mine[:, 1])
-    if not len(rows):
-        return 0.0, -1
-    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-    frame = sensor.design.frame
-    p_S = (contact.pos[rows] - data.xpos[sensor.body_id]) @ R_WS
-    half = np.array([frame.length, frame.width]) / 2 + frame.rim
-    near = (np.abs(p_S[:, :2]) < half).all(axis=1) & (p_S[:, 2] > -sensor.design.chamber.depth)
-    rows = rows[near]
-    sides = mine[rows]
-    f_S = contact_loads.forces(data, rows, sides, R_WS)
-    owners = np.where(sides[:, 1], contact.geom[rows, 1], contact.geom[rows, 0])
-    loads = {int(geom): float(np.linalg.norm(f_S[owners == geom].sum(axis=0))) for geom in owners}
-    if not loads:
-        return 0.0, -1
-    return float(np.linalg.norm(f_S.sum(axis=0))), max(loads, key=lambda geom: loads[geom])

@@ -206,7 +206,7 @@ class SceneMonitor:
         sensor = self._sensors[number]
         prefix = sensor.prefix
         frame = contact_loads.frame_load(self._data, sensor)
-        carried, geom = carrier_geoms.carried_load(self._data, sensor, self._carriers[number])
+        carried, geom = contact_loads.carried_load(self._data, sensor, self._carriers[number])
         self._framed[number].append(frame)
         self._bypassed[number].append(carried)
         name = feature_size.name_of(self._model, geom) if geom >= 0 else ""
