@@ -19,7 +19,7 @@ print(*mjtactile.configure_options(spec), sep="\n")  # options that a membrane n
 spec.body("robot0:r_gripper_finger_link").add_site(
     name="tip", pos=[0.01, -0.017, 0], quat=[1, 1, 0, 0]
 )
-tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/")
+tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/", carrier_contact=False)
 model = spec.compile()
 data = mujoco.MjData(model)
 finger = tip.bind(model, data)

@@ -20,7 +20,9 @@ for side, inwards in (("r", -1), ("l", 1)):
     body = spec.body(f"robot0:{side}_gripper_finger_link")
     # z out of the sensor
     body.add_site(name=side, pos=[0.02, 0.017 * inwards, 0], quat=[1, -inwards, 0, 0])
-    tips.append(mjtactile.attach(spec, "dense", site=side, prefix=f"{side}/"))
+    tips.append(
+        mjtactile.attach(spec, "dense", site=side, prefix=f"{side}/", carrier_contact=False)
+    )
 egg = spec.geom("object0")
 egg.type = mujoco.mjtGeom.mjGEOM_ELLIPSOID
 egg.size = [0.022, 0.022, 0.028]

@@ -172,8 +172,8 @@ def test_read_a_log_with_pandas(monkeypatch, tmp_path):
         for cycle in cycles
         if cycle.sent.phase == "hold"
     ]
-    np.testing.assert_allclose(example.felt["hold"], np.mean(hold, axis=0), atol=1e-3)
-    assert list(example.felt.index) == [
+    np.testing.assert_allclose(example.forces["hold"], np.mean(hold, axis=0), atol=1e-3)
+    assert list(example.forces.index) == [
         "approach",
         "close",
         "regulate",

@@ -49,7 +49,7 @@ def test_a_cycle_is_shown_with_what_was_true():
     assert snapshot.number == 2 and bridge.history.rows[-1].true == (0.1, 0.2)
     lines = finger_lines(snapshot.fingers[1])
     assert lines[0].startswith(f"normal {snapshot.fingers[1].touch.force_normal:+.3f} N")
-    assert "true   +0.200 N" in lines
+    assert "ground truth +0.200 N" in lines
 
 
 def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
