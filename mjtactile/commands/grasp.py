@@ -32,7 +32,7 @@ from mjtactile.commands.output import (
 )
 from mjtactile.core import signals
 from mjtactile.recording.decimated_history import DecimatedHistory
-from mjtactile.recording.files import write_json
+from mjtactile.recording.files import to_json, write_json
 from mjtactile.runtime.grasp import fidelity_notes
 from mjtactile.runtime.progress import Progress
 
@@ -243,7 +243,7 @@ def _report_fault(
         "error": reason,
         "scenario": wanted.to_dict(),
     }
-    error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
+    error.summary = to_json(summary)  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
     # which takes longer than who stops a run will wait
     _write_report(out, recorder, summary, None if stopped else figure)

@@ -249,12 +249,15 @@ def _wrap(function: Any, source: str, ranges: Mapping[str, Range]) -> Any:
         for one in signature.parameters.values()
         if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
     ]
-    checks: dict[str, _Check] = {}
+    complete: dict[str, _Check] = {}
 
     @wraps(function)
     def call(*args: Any, **more: Any) -> Any:
+        nonlocal complete
+        checks = complete
         if not checks:  # annotations may name classes that are defined later
-            checks.update(_checks(function, signature, source, ranges))
+            # one assignment: another thread sees no part of it
+            complete = checks = dict(_checks(function, signature, source, ranges))
         for name, value in zip(names, args, strict=False):
             checks[name](value)
         for name, value in more.items():
