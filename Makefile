@@ -30,8 +30,11 @@ bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in b
 	$(BIN)/mjtactile bench summary-page --out bench-results --readme
 	$(BIN)/mjtactile bench readme-table --out bench-results --readme
 
-film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp
-	rm -rf runs/film && $(BIN)/mjtactile grasp --out runs/film --video docs/images/grasp.webp $(ARGS)
+film: $(VENV)/.test-ready  ## the video of the README (docs/images/grasp.webp) and the summary in the gallery
+	rm -rf runs/film runs/film.webp
+	$(BIN)/mjtactile grasp --out runs/film --video runs/film.webp $(ARGS)
+	mv runs/film.webp docs/images/grasp.webp
+	cp runs/film/summary.png docs/images/grasp.png
 
 docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html; a warning is an error
 	[ -f build/docs/egg/summary.html ] || $(BIN)/mjtactile grasp --frames none --out build/docs/egg
