@@ -35,7 +35,9 @@ pytestmark = pytest.mark.clock
 
 # image rate, Hz; half of the emulated cameras' rate: two processors render and evaluate the images
 RATE = 15.0
-ERROR_MAX = 0.02  # maximum force error on each finger after calibration, N
+# maximum force error on each finger after calibration, N: three times the standard deviation of the
+# calibration at 0.6 N (slope 0.013 x 0.6 N, offset about 5 mN)
+ERROR_MAX = 0.03
 
 
 def write_rig(folder):
