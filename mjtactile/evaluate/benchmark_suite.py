@@ -20,7 +20,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import store
 from mjtactile.evaluate.pool import HERE, Running
 from mjtactile.evaluate.run import common_settings, evaluate
-from mjtactile.evaluate.statistics import paired, summarise
+from mjtactile.evaluate.statistics import ADJUSTMENT, paired, summarise
 from mjtactile.evaluate.wilson import Line, wilson
 from mjtactile.runtime.task_scoring import VERSION
 
@@ -209,22 +209,32 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
     Raises:
         InputError: There are no results, or they belong to another suite.
     """
-    tasks: dict[str, Any] = {}
+    found: dict[str, dict[str, list[Line]]] = {}
     numbered: dict[str, list[Line]] = {}
-    for place, task in enumerate(suite.tasks):
-        lines = read(suite, folder, task)
-        for controller in dict.fromkeys(line["controller"] for line in lines):
-            mine = [line for line in lines if line["controller"] == controller]
-            others = {name: suite.lines(task, name) for name in suite.results.get(task, {})}
-            tasks.setdefault(task, {})[controller] = _compared(controller, mine, others)
-            numbered.setdefault(controller, []).extend(_numbered(suite, place, mine))
-    if not tasks:
-        raise InputError(f"contains no results of {suite.name}", source=folder, field="--suite")
     known: dict[str, list[Line]] = {}
+    shipped: dict[str, dict[str, list[Line]]] = {}
     for place, task in enumerate(suite.tasks):
-        for name in suite.results.get(task, {}):
-            known.setdefault(name, []).extend(_numbered(suite, place, suite.lines(task, name)))
-    together = {name: _compared(name, lines, known) for name, lines in numbered.items()}
+        for line in read(suite, folder, task):
+            found.setdefault(task, {}).setdefault(line["controller"], []).append(line)
+        for controller, lines in found.get(task, {}).items():
+            numbered.setdefault(controller, []).extend(_numbered(suite, place, lines))
+        shipped[task] = {name: suite.lines(task, name) for name in suite.results.get(task, {})}
+        for name, lines in shipped[task].items():
+            known.setdefault(name, []).extend(_numbered(suite, place, lines))
+    if not found:
+        raise InputError(f"contains no results of {suite.name}", source=folder, field="--suite")
+    comparisons = sum(len(own) * len(shipped[task]) for task, own in found.items())
+    if len(found) > 1:
+        comparisons += len(numbered) * len(known)
+    tasks = {
+        task: {
+            name: _compared(name, lines, shipped[task], comparisons) for name, lines in own.items()
+        }
+        for task, own in found.items()
+    }
+    together = {
+        name: _compared(name, lines, known, comparisons) for name, lines in numbered.items()
+    }
     head = {"suite": suite.name, "scoring_version": suite.scoring_version}
     return {**head, "tasks": tasks, "together": together}
 
@@ -235,16 +245,19 @@ def _numbered(suite: Suite, place: int, lines: Sequence[Line]) -> list[Line]:
 
 
 def _compared(
-    controller: str, mine: Sequence[Line], others: Mapping[str, Sequence[Line]]
+    controller: str, mine: Sequence[Line], others: Mapping[str, Sequence[Line]], comparisons: int
 ) -> dict[str, Any]:
-    """One controller's lines against those of others, by name."""
+    """One controller's lines against those of others, by name; a report has so many
+    `comparisons`."""
     summary = summarise(mine)["controllers"][controller]
     return {
         "held": summary["held"],
         "episodes": summary["episodes"] - summary["error"],
         "interval": summary["success_interval"],
         **{name: summary[name]["median"] for name in _MEASURES if name in summary},
-        "against": {name: paired(lines, mine) for name, lines in others.items()},
+        "against": {
+            name: paired(lines, mine, comparisons=comparisons) for name, lines in others.items()
+        },
     }
 
 
@@ -273,10 +286,27 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
             lines.append(f"| {' | '.join(cells)} |")
     lines += [
         "",
-        "Against: difference of the success rate in percentage points, with 95 % interval, "
-        "and the number of episodes that both completed.",
+        "Against: difference of the success rate in percentage points, with its interval, and the "
+        f"number of episodes that both completed. {_intervals_text(rows)}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _intervals_text(rows: Mapping[str, Any]) -> str:
+    """Return the confidence of the intervals of a comparison, as a sentence."""
+    counts = {
+        pair["comparisons"]
+        for own in rows.values()
+        for found in own.values()
+        for pair in found["against"].values()
+    }
+    count = max(counts, default=1)
+    if count == 1:
+        return "The interval covers the true difference with 95 %."
+    return (
+        f"The intervals of all {count} comparisons together cover the true differences with 95 % "
+        f"({ADJUSTMENT})."
+    )
 
 
 def share(held: int, of: int) -> str:
@@ -289,7 +319,7 @@ def _difference(pair: Mapping[str, Any] | None) -> str:
     """In points, with its interval, over the episodes that both completed."""
     if pair is None or not pair["episodes"]:
         return ""
-    low, high = (100 * limit for limit in pair["difference_interval"])
+    low, high = (100 * limit for limit in pair["adjusted_interval"])
     return f"{100 * pair['difference']:+.0f} ({low:+.0f} to {high:+.0f}) of {pair['episodes']}"
 
 

@@ -136,8 +136,9 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
     parts = [store.read_manifest(folder) for folder in folders]
     for folder, part in zip(folders[1:], parts[1:], strict=True):
         for name in ("versions", "files", "options"):
-            if parts[0][name] | {"shard": None} != part[name] | {"shard": None}:
-                what = f"its {name} differ from those of {folders[0]}"
+            first, other = (each[name] | {"shard": None} for each in (parts[0], part))
+            if differing := store.differences(first, other):
+                what = f"its {name} differ from those of {folders[0]}: {differing}"
                 raise InputError(what, source=folder, field="--merge")
     lines = _joined(folders)
     options = parts[0]["options"] | {"shard": [1, 1]}

@@ -23,14 +23,24 @@ FORCES = {
     **{name.removesuffix("_true"): name for name in TASK_MEASURES},
 }
 """Measures of controllers that hold every object: true forces on a finger, N, and the task's."""
+ADJUSTMENT = "Bonferroni"
+"""Adjustment of intervals for the number of comparisons."""
+MIN_DIFFERING = 5
+"""Minimum number of episodes with different results for an extrapolation."""
+_ERROR = 0.05  # error probability of an interval, or of all intervals of a report together
 
 
-def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
+def paired(
+    first: Iterable[Line], second: Iterable[Line], *, comparisons: int = 1
+) -> dict[str, Any]:
     """Compare the success of two controllers over the episodes that both completed.
 
-    The result holds the success rate of `second` minus that of `first`, its 95 % interval, the
-    number of episodes with the same result, and the number of further similar episodes that would
-    exclude zero from the interval (None: no difference).
+    The result holds the success rate of `second` minus that of `first`, its 95 % interval, and the
+    number of episodes with the same result. `adjusted_interval` is wider: those of all
+    `comparisons` of a report together cover their true differences with 95 % (Bonferroni: each has
+    an error probability of 5 % divided by their number). `episodes_to_settle` is the number of
+    further similar episodes that would exclude zero from it (None: no difference, or too few
+    episodes differ for an extrapolation).
     """
     by_first, by_second = (
         {line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
@@ -40,6 +50,7 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     n = len(both)
     only_first = sum(by_first[k] and not by_second[k] for k in both)
     only_second = sum(by_second[k] and not by_first[k] for k in both)
+    error = _ERROR / max(comparisons, 1)
     return {
         "episodes": n,
         "alike": n - only_first - only_second,
@@ -47,12 +58,19 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
         "only_second": only_second,
         "difference": (only_second - only_first) / n if n else 0.0,
         "difference_interval": list(paired_interval(only_first, only_second, n)),
-        "episodes_to_settle": _episodes_to_settle(only_first, only_second, n),
+        "comparisons": comparisons,
+        "adjustment": ADJUSTMENT if comparisons > 1 else None,
+        "adjusted_interval": list(paired_interval(only_first, only_second, n, error)),
+        "episodes_to_settle": _episodes_to_settle(only_first, only_second, n, error),
     }
 
 
-def paired_interval(only_first: float, only_second: float, n: float) -> tuple[float, float]:
-    """Compute the 95 % interval of the difference of two success rates over `n` episodes.
+def paired_interval(
+    only_first: float, only_second: float, n: float, error: float = _ERROR
+) -> tuple[float, float]:
+    """Compute the interval of the difference of two success rates over `n` episodes.
+
+    It misses the true difference with probability `error` (5 %: the 95 % interval).
 
     Only the first held in `only_first` of them, and only the second in `only_second`. The method
     combines the exact limits of these two proportions (Clopper & Pearson, Biometrika 26, 1934) by
@@ -64,8 +82,8 @@ def paired_interval(only_first: float, only_second: float, n: float) -> tuple[fl
         return -1.0, 1.0
     b = only_first / n
     c = only_second / n
-    b_low, b_high = exact_limits(only_first, n)
-    c_low, c_high = exact_limits(only_second, n)
+    b_low, b_high = exact_limits(only_first, n, error)
+    c_low, c_high = exact_limits(only_second, n, error)
     correlation = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
     down = _error_of_sum(c - c_low, b_high - b, correlation)
     up = _error_of_sum(c_high - c, b - b_low, correlation)
@@ -76,22 +94,29 @@ def _error_of_sum(first: float, second: float, correlation: float) -> float:
     return math.sqrt(first**2 + second**2 + 2 * correlation * first * second)
 
 
-def exact_limits(count: float, n: float) -> tuple[float, float]:
-    """Compute Clopper and Pearson's 95 % limits of a proportion."""
-    low = float(stats.beta.ppf(0.025, count, n - count + 1)) if count > 0 else 0.0
-    high = float(stats.beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0
+def exact_limits(count: float, n: float, error: float = _ERROR) -> tuple[float, float]:
+    """Compute Clopper and Pearson's limits of a proportion, which `error` is the probability to
+    miss."""
+    half = error / 2
+    low = float(stats.beta.ppf(half, count, n - count + 1)) if count > 0 else 0.0
+    high = float(stats.beta.ppf(1 - half, count + 1, n - count)) if count < n else 1.0
     return low, high
 
 
-def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None:
-    """Return the number of further episodes, with constant proportions, that exclude zero."""
-    if only_first == only_second:
-        return None
+def _episodes_to_settle(only_first: int, only_second: int, n: int, error: float) -> int | None:
+    """Return the number of further episodes, with constant proportions, that exclude zero; None if
+    they cannot be extrapolated."""
 
     def is_settled(episodes: int) -> bool:
-        low, high = paired_interval(only_first * episodes / n, only_second * episodes / n, episodes)
+        low, high = paired_interval(
+            only_first * episodes / n, only_second * episodes / n, episodes, error
+        )
         return low > 0 or high < 0
 
+    if only_first == only_second:
+        return None
+    if only_first + only_second < MIN_DIFFERING:
+        return 0 if is_settled(n) else None
     minimum = maximum = n
     while not is_settled(maximum):
         minimum = maximum
@@ -111,9 +136,14 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
         }
         for name, mine in own.items()
     }
+    pairs = list(combinations(own, 2))
     differences = [
-        {"first": first, "second": second, **paired(own[first], own[second])}
-        for first, second in combinations(own, 2)
+        {
+            "first": first,
+            "second": second,
+            **paired(own[first], own[second], comparisons=len(pairs)),
+        }
+        for first, second in pairs
     ]
     left_out = [name for name in LEFT_OUT if any(line.get(name) is False for line in lines)]
     result = {"episodes": len(lines), "controllers": controllers, "paired": differences}
@@ -234,21 +264,32 @@ def _texts(spread: Mapping[str, float | None], words: str) -> str:
 
 def pair_text(pair: Mapping[str, Any]) -> str:
     """One difference as a sentence."""
-    low, high = pair["difference_interval"]
-    more = pair["episodes_to_settle"]
-    if more is None:
-        settled = "no difference found"
-    elif not more:
-        settled = "settled"
-    else:
-        settled = f"{more} more episodes like these would make it significant"
+    low, high = pair["adjusted_interval"]
     better, other = pair["second"], pair["first"]
     difference = 100 * pair["difference"]
     if difference < 0:  # the controller that holds more comes first
         better, other = other, better
         difference, low, high = -difference, -high, -low
+    count = pair["comparisons"]
+    level = "95 %" if count == 1 else f"95 % for all {count} comparisons together, {ADJUSTMENT}"
     return (
         f"{better} holds {difference:.1f} points more than {other} in the same "
-        f"{pair['episodes']} episodes (95 %: {100 * low:+.1f} to {100 * high:+.1f} points; "
-        f"{pair['alike']} with the same outcome): {settled}."
+        f"{pair['episodes']} episodes ({level}: {100 * low:+.1f} to {100 * high:+.1f} points; "
+        f"{pair['alike']} with the same outcome): {_decision(pair)}."
     )
+
+
+def _decision(pair: Mapping[str, Any]) -> str:
+    differing = pair["only_first"] + pair["only_second"]
+    more = pair["episodes_to_settle"]
+    if pair["only_first"] == pair["only_second"]:
+        return "no difference found"
+    if more is None:
+        episodes = "episode differs" if differing == 1 else "episodes differ"
+        return (
+            f"undecided; {differing} {episodes}, and fewer than {MIN_DIFFERING} do not show how "
+            "many more would decide it"
+        )
+    if not more:
+        return "settled"
+    return f"{more} more episodes like these would make it significant"

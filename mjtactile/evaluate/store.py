@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import importlib.metadata
 import json
+import logging
 import platform
 import shlex
 import tomllib
@@ -22,9 +23,14 @@ from mjtactile.core.errors import DeviceError, InputError
 
 MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
+DAMAGED = ".damaged"
+"""Suffix of the copy of `EPISODES` with lines that are left out."""
 RESULTS = (EPISODES, "summary.json", "summary.md", "report.html", "recordings", "worst")
 """Other results in the folder of an evaluation."""
 _SCENARIO = ("task", "sensor", "rig", "effects", "accuracy", "randomization")
+_logger = logging.getLogger(__name__)
+_NAMED = 5  # differing fields or damaged lines in a message
+_DIGITS = 12  # characters of a checksum in a message
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 
@@ -84,6 +90,7 @@ class Store:
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
+            _keep_damaged(folder / EPISODES, self.lines)
         else:
             _refuse_unknown_files(folder)
         with writing(folder):
@@ -107,6 +114,14 @@ class Store:
         write_lines(self.folder, self.lines)
 
 
+def _keep_damaged(path: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+    """Keep a copy of a file with damaged lines, since it is written again without them."""
+    text = path.read_bytes()
+    if text.count(b"\n") > len(lines):
+        with writing(path):
+            path.with_name(path.name + DAMAGED).write_bytes(text)
+
+
 def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
     """All lines at once, or none."""
     part = folder / (EPISODES + ".part")
@@ -128,25 +143,41 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
-    """The complete lines of an evaluation. Raises InputError where there are none."""
-    path = folder / EPISODES
+    """The complete lines of an evaluation; damaged ones are left out with a warning.
+
+    Raises InputError where there are none.
+    """
+    lines, damaged = _read_lines(folder / EPISODES)
+    if damaged:
+        _logger.warning(
+            "%s: %d damaged lines are left out: %s",
+            folder / EPISODES,
+            len(damaged),
+            ", ".join(f"line {number}" for number in damaged[:_NAMED])
+            + (", ..." if len(damaged) > _NAMED else ""),
+        )
+    return lines
+
+
+def _read_lines(path: Path) -> tuple[list[dict[str, Any]], list[int]]:
+    """Return the complete lines, and the numbers of the damaged ones, from 1."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path) from error
     complete = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
-    return [_line(line, path, number) for number, line in enumerate(complete, 1)]
+    found = [_line(line) for line in complete]
+    lines = [line for line in found if line is not None]
+    return lines, [number for number, line in enumerate(found, 1) if line is None]
 
 
-def _line(text: str, source: Path, number: int) -> dict[str, Any]:
-    """One line. Raises InputError where it is none."""
+def _line(text: str) -> dict[str, Any] | None:
+    """One line; None where it is none."""
     try:
         line = json.loads(text)
-        if {"episode", "controller"} <= line.keys():
-            return line
-    except (ValueError, AttributeError):
-        pass
-    raise InputError("is not an episode", source=source, field=f"line {number}")
+        return line if {"episode", "controller", "outcome"} <= line.keys() else None
+    except (ValueError, AttributeError, RecursionError):
+        return None
 
 
 def _refuse_unknown_files(folder: Path) -> None:
@@ -172,10 +203,34 @@ def _same(path: Path, what: Mapping[str, Any]) -> None:
     if old_count < count:  # more of the same
         before["options"]["count"] = count
     for part in (name for name in now if name != "command"):  # the options contain its parts
-        if before.get(part) != now[part]:
-            names = [part]
-            if isinstance(now[part], dict):
-                old = before.get(part, {})
-                names = [name for name, value in now[part].items() if old.get(name) != value]
-            message = f"was started with different {part}: {', '.join(names) or part}"
+        if differing := differences(before.get(part), now[part]):
+            message = f"was started with different {part}: {differing}"
             raise InputError(message, source=path, field="--resume")
+
+
+def differences(before: Any, now: Any) -> str:
+    """Name the fields that differ between two tables of JSON values, each with both values; "" if
+    there are none."""
+    found = list(_differing(before, now, ""))
+    more = ", ..." if len(found) > _NAMED else ""
+    return ", ".join(found[:_NAMED]) + more
+
+
+def _differing(before: Any, now: Any, name: str) -> Iterator[str]:
+    if before == now:
+        return
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys((*before, *now)):
+            yield from _differing(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    else:
+        yield f"{name} {_shown(before)}, now {_shown(now)}".strip()
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "none"
+    text = value if isinstance(value, str) else json.dumps(value)
+    is_checksum = (
+        isinstance(value, str) and len(value) == 64 and not set(value) - set("0123456789abcdef")
+    )
+    return f"{text[:_DIGITS]}..." if is_checksum else text

@@ -89,7 +89,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     capsys.readouterr()
     assert main(["evaluate", *COMMON[:-1], "8", "--out", "one", "--resume"]) == 2
-    assert "was started with different options: scenario" in capsys.readouterr().err
+    assert "was started with different options: scenario.seed " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

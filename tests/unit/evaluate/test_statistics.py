@@ -62,15 +62,17 @@ def test_no_episode_that_differs_is_no_proof_that_none_would():
 
 def test_how_many_episodes_would_settle_it():
     first = lines(["held"] * 50 + ["dropped"] * 10)
-    second = lines(["held"] * 52 + ["dropped"] * 8)
+    second = lines(["dropped"] * 2 + ["held"] * 54 + ["dropped"] * 4)
     found = paired(first, second)
-    assert (found["only_second"], found["only_first"], found["alike"]) == (2, 0, 58)
+    assert (found["only_second"], found["only_first"], found["alike"]) == (6, 2, 52)
     more = found["episodes_to_settle"]
     n = 60 + more
+
+    def low(n):
+        return paired_interval(2 * n / 60, 6 * n / 60, n)[0]
+
     # with as many of each kind in them, so many settle it, and one fewer does not
-    assert (
-        paired_interval(0, 2 * n / 60, n)[0] > 0 >= paired_interval(0, 2 * (n - 1) / 60, n - 1)[0]
-    )
+    assert low(n) > 0 >= low(n - 1)
     # both kinds differ by chance as soon as 6 of 60 go one way and none the other
     assert paired(first, lines(["held"] * 56 + ["dropped"] * 4))["episodes_to_settle"] == 0
     other = paired(
@@ -79,6 +81,35 @@ def test_how_many_episodes_would_settle_it():
     assert (other["only_first"], other["only_second"]) == (29, 30)
     assert other["episodes_to_settle"] > 10_000
     assert paired(first, first)["episodes_to_settle"] is None
+
+
+def test_fewer_than_five_differing_episodes_are_not_extrapolated():
+    """One differing episode may be 0.1 or 15 % of all: their number says nothing of the next."""
+    first = lines(["held"] * 20)
+    for differing in (1, 4):
+        second = lines(["dropped"] * differing + ["held"] * (20 - differing), "b")
+        summary = summarise(first + second)
+        assert summary["paired"][0]["episodes_to_settle"] is None
+        assert f"undecided; {differing} episode" in (text := table(summary))
+        assert "more episodes like these" not in text
+    first, second = lines(["held"] * 19 + ["dropped"]), lines(["dropped"] * 4 + ["held"] * 16)
+    assert paired(first, second)["episodes_to_settle"] > 0
+
+
+def test_several_controllers_are_compared_with_a_named_adjustment():
+    """6 of 60 settle one comparison; among three, each has a third of the 5 % (Bonferroni)."""
+    a = lines(["held"] * 50 + ["dropped"] * 10)
+    b = lines(["held"] * 56 + ["dropped"] * 4, "b")
+    c = lines(["held"] * 50 + ["dropped"] * 10, "c")
+    assert "(95 %: " in table(summarise(a + b)) and "settled" in table(summarise(a + b))
+    summary = summarise(a + b + c)
+    first = summary["paired"][0]
+    assert first["comparisons"] == 3 and first["adjustment"] == "Bonferroni"
+    assert first["adjusted_interval"] == list(paired_interval(0, 6, 60, 0.05 / 3))
+    assert first["difference_interval"] == list(paired_interval(0, 6, 60))
+    assert first["adjusted_interval"][0] < 0 < first["difference_interval"][0]
+    text = table(summary)
+    assert "(95 % for all 3 comparisons together, Bonferroni: " in text and ": settled" not in text
 
 
 def test_errors_count_apart():

@@ -63,19 +63,38 @@ def test_what_is_gone_on_with_may_become_more_and_not_less(tmp_path):
     more = what | {"options": what["options"] | {"count": 9}}
     assert len(store.Store(tmp_path / "a", more, resume=True).lines) == 8
     assert store.read_manifest(tmp_path / "a")["options"]["count"] == 9
-    with pytest.raises(InputError, match="was started with different options: count"):
+    with pytest.raises(InputError, match="was started with different options: count 9, now 4"):
         store.Store(tmp_path / "a", what, resume=True)
 
 
-def test_a_line_that_is_none_is_named_and_nothing_is_lost(tmp_path):
+def test_a_damaged_line_loses_no_other(tmp_path, caplog):
+    """Its episode counts as missing, so that a resumed evaluation runs it again."""
     write_part(tmp_path / "a", 1, 1)
     path = tmp_path / "a" / "episodes.jsonl"
     text = path.read_text().replace('{"episode": 1', "{episode: 1", 1)
     path.write_text(text)
     what = store.read_manifest(tmp_path / "a")
-    with pytest.raises(InputError, match=r"episodes.jsonl: line 3: is not an episode"):
-        store.Store(tmp_path / "a", what, resume=True)
-    assert path.read_text() == text
+    found = store.Store(tmp_path / "a", what, resume=True).lines
+    assert [(one["episode"], one["controller"]) for one in found] == [
+        (k, name) for k in range(4) for name in ("gentle", "own") if (k, name) != (1, "gentle")
+    ]
+    assert "episodes.jsonl: 1 damaged lines are left out: line 3" in caplog.text
+    assert path.with_name("episodes.jsonl.damaged").read_text() == text
+    assert len(store.read_lines(tmp_path / "a")) == 7
+
+
+def test_the_differing_field_is_named_with_both_values(tmp_path):
+    write_part(tmp_path / "a", 1, 1)
+    what = store.read_manifest(tmp_path / "a")
+    scenario = what["options"]["scenario"] | {"seed": 7}
+    other = what | {"options": what["options"] | {"scenario": scenario}}
+    with pytest.raises(InputError, match=r"different options: scenario\.seed 0, now 7$"):
+        store.Store(tmp_path / "a", other, resume=True)
+    files = what | {"files": {"egg.xml": "a" * 64}}
+    with pytest.raises(
+        InputError, match=r"different files: egg\.xml none, now aaaaaaaaaaaa\.\.\.$"
+    ):
+        store.Store(tmp_path / "a", files, resume=True)
 
 
 def test_shards_make_the_whole(tmp_path):
