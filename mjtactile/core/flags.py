@@ -42,6 +42,7 @@ class FlagKind:
         cadence: Period of the check.
         grows: True if the reason has an amount. It is replaced when the amount grows. Otherwise the
             first reason is kept.
+        bypasses: True if the flag is a force outside of the membranes, which can make a grasp fail.
     """
 
     name: str
@@ -50,6 +51,7 @@ class FlagKind:
     remedy: str
     cadence: Cadence
     grows: bool = False
+    bypasses: bool = False
 
 
 _KINDS = (
@@ -141,6 +143,7 @@ _KINDS = (
         "move the contact to the membrane",
         Cadence.FAST,
         grows=True,
+        bypasses=True,
     ),
     FlagKind(
         "carrier_contact",
@@ -151,6 +154,7 @@ _KINDS = (
         "`attach(..., carrier_contact=False)`",
         Cadence.FAST,
         grows=True,
+        bypasses=True,
     ),
     FlagKind(
         "rim_contact",
@@ -183,6 +187,7 @@ _KINDS = (
         "clear the jaws; calibrate the gripper",
         Cadence.CYCLE,
         grows=True,
+        bypasses=True,
     ),
     FlagKind(
         "strain",
@@ -279,6 +284,12 @@ def read_flags(table: Mapping[str, Any]) -> dict[str, Flag]:
 
 def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
+
+
+def bypassing_loads(flags: Mapping[str, str]) -> list[str]:
+    """Return the reasons of flags for forces outside of the membranes, without their remedies."""
+    kinds = (kind for kind in FLAGS.values() if kind.bypasses and kind.name in flags)
+    return [str(flags[kind.name]).split("; ")[0] for kind in kinds]
 
 
 def merge_flags(many: Iterable[Flags]) -> dict[str, Flag]:

@@ -97,6 +97,8 @@ class Rig:
         flags: Reasons for reduced simulation accuracy so far, by kind of model error; in a replay
             the recorded ones.
         goal: Goal of the task.
+        grip_force_available: Function of the opening, m, that returns the maximum closing force on
+            each finger at rest, N; None: unknown.
         touch_is_synthetic: True if its cameras return touch in place of images (`FingerSnapshot`).
         scene: The simulated world, for scoring only; None on a real rig. Sensing and controllers
             have no access to a `Rig`.
@@ -117,6 +119,7 @@ class Rig:
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None
     goal: TaskGoal = DEFAULT_GOAL
+    grip_force_available: Callable[[float], float] | None = None
     touch_is_synthetic: bool = False
 
     @cached_property

@@ -21,6 +21,7 @@ from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import LoadedController, load_controller
 from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
 from mjtactile.runtime.retreat import HEIGHT_TOLERANCE
 from mjtactile.runtime.session import open_session
 
@@ -86,6 +87,9 @@ class GraspResult:
         return found | {"scenario": self.scenario.to_dict()}
 
 
+_GRIPPING = ("close", "regulate", "lift", "hold")
+
+
 class _Log(Observer):
     """Observer that collects the cycles for the result and forwards them with their ground
     truth."""
@@ -98,6 +102,8 @@ class _Log(Observer):
         self.phases: list[str] = []
         self.stated_reason = ""
         self.left = ""
+        self.grip_opening: float | None = None
+        """Last measured opening in contact before the jaws opened, m; None: unknown."""
         parts = ("camera", "perception", "controller")
         self.milliseconds: dict[str, list[float]] = {part: [] for part in parts}
 
@@ -120,6 +126,9 @@ class _Log(Observer):
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
         self.stated_reason = cycle.sent.reason or self.stated_reason
+        grips = cycle.sent.phase in _GRIPPING and any(touch.touching for touch in cycle.touch)
+        if grips and math.isfinite(cycle.gripper.opening):
+            self.grip_opening = cycle.gripper.opening
         for part, values in self.milliseconds.items():
             values.append(getattr(cycle, f"{part}_ms"))
         if self.score is None:
@@ -170,6 +179,10 @@ def run_grasp(
         rig = session.rig
         watching.begin(session)
         score = _score(scenario, rig, watching)
+        width = None if rig.scene is None else rig.scene.object.width
+        weak = None if width is None else actuator_limit(rig, width)
+        if weak is not None:
+            watching.message(f"{scenario.rig}: {weak}")
         session.take_references(watching)
         log = _Log(watching, score, _estimate(rig) if error_estimate else None)
         begin = wall.perf_counter()
@@ -183,9 +196,11 @@ def run_grasp(
                 raise  # else the grasp was decided before: the object had stayed behind
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
         flags = session.flags
-    result = replace(
-        _result(scenario, log, factor, completed=completed, period=rig.period), flags=flags
-    )
+        result = _result(scenario, log, factor, completed=completed, period=rig.period)
+        result = replace(result, flags=flags)
+        if result.outcome == "dropped":
+            causes = failure_causes(rig, flags, log.grip_opening)
+            result = replace(result, reason="; ".join(filter(None, [result.reason, *causes])))
     if log.estimate is None:
         return result
     return replace(result, force_error_estimate=log.estimate.force_error())

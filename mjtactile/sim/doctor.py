@@ -20,6 +20,7 @@ from mjtactile.sim.scenes.gripper_world import GripperWorld
 from mjtactile.sim.scenes.initial_state import arm_actuators, arm_joints, missing_names
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import touched_by_sensors
+from mjtactile.sim.sensor import carrier_geoms
 
 _ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test, m
 # limit between a site's z and the direction to the center of the fingertips
@@ -31,7 +32,14 @@ _OPENING_WRONG = 1e-3  # tolerance of the opening law against the fingertip posi
 _MOVES = 1e-3  # minimum fingertip motion, m
 _HEIGHT_WRONG = 2e-3  # tolerance of the lift height, m
 _FORCE_MIN = 1.0  # minimum force on each finger, N; the shipped controllers hold with 0.6
+_WIDTHS = (0.2, 0.6)  # fractions of the opening range of narrow and wide objects
+_EVEN = 0.01  # relative difference of equal forces
 _SLACK = 1.5  # of the time that a motion takes at the rig's speed
+_IN_THE_WAY = "move the site, or set contype and conaffinity of that geom to 0"
+_TOO_LOW = (
+    "the fingertips are too low there: raise the sites, limit opening_min_mm and opening_max_mm, "
+    "or correct table_height_mm"
+)
 _ok, _warn, _bad = (partial(Finding, level) for level in ("ok", "warn", "bad"))
 
 
@@ -61,7 +69,7 @@ def _findings(rig: SimRigFile, designs: Sequence[SensorDesign]) -> Iterator[Find
         remedy = "correct this first; it prevents all further checks"
         yield _bad(error.field or "rig", str(error), remedy)
         return
-    yield from [*_fingers(world), *_arm(world)]
+    yield from [*_fingers(world), *_carriers(world), *_arm(world)]
     try:
         yield from [*_motions(world), *_force(world)]
     except SimulationError as error:
@@ -150,7 +158,9 @@ def _motions(world: GripperWorld) -> Iterator[Finding]:
     rig = world.rig
     low, high = world.rig.gripper.opening
     if touching := touched_by_sensors(world):
-        yield from _touches({"at its start": touching})  # no measurement is possible from there
+        yield from _touches(
+            world, {"at its start": touching}
+        )  # no measurement is possible from there
         return
     for sensor in world.sensors:
         sensor.open_valve()
@@ -166,7 +176,7 @@ def _motions(world: GripperWorld) -> Iterator[Finding]:
         touched[f"when it is {where}"] = touched_by_sensors(world)
         reached[goal] = world.opening, _opening_seen(world)
     yield from _jaws(reached, low, high)
-    yield from _touches(touched)
+    yield from _touches(world, touched)
     world.set_finger_target(rig.gripper.start)
     yield from _lift(world, sag)
 
@@ -210,20 +220,40 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         )
 
 
-def _touches(touched: dict[str, set[tuple[str, str, str]]]) -> Iterator[Finding]:
+def _touches(
+    world: GripperWorld, touched: dict[str, set[tuple[str, str, str]]]
+) -> Iterator[Finding]:
     found = {
-        (prefix, geom): where
+        (prefix, body, geom): where
         for where, touches in reversed(touched.items())
-        for prefix, _, geom in touches
+        for prefix, body, geom in touches
     }
-    for (prefix, geom), where in found.items():
+    for (prefix, body, geom), where in found.items():
         yield _bad(
             f"finger {prefix.rstrip('/')}",
             f"its sensor touches {geom!r} {where}",
-            "move the site, or exclude that geom from contact with the sensors (contype 0)",
+            _TOO_LOW if _is_fixed(world, body) else _IN_THE_WAY,
         )
     if not found:
         yield _ok("sensors", "touch nothing when inflated, opened or closed")
+
+
+def _is_fixed(world: GripperWorld, body: str) -> bool:
+    """Return True for a body of the scene that does not move, such as the table."""
+    return body != "" and int(world.model.body_weldid[world.model.body(body).id]) == 0
+
+
+def _carriers(world: GripperWorld) -> Iterator[Finding]:
+    """Report geoms of the fingers that objects press through the membrane."""
+    for finger, sensor in zip(world.rig.fingers, world.sensors, strict=True):
+        geoms = carrier_geoms.carrier_geoms(world.model, world.data, sensor)
+        if len(geoms):
+            names = carrier_geoms.names_of(world.model, geoms)
+            yield _warn(
+                f"finger {finger.name}",
+                f"objects can rest on {names} instead of the membrane of its sensor",
+                carrier_geoms.remedy(sensor),
+            )
 
 
 def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
@@ -255,25 +285,39 @@ def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
 
 
 def _force(world: GripperWorld) -> Iterator[Finding]:
-    reached = world.grip_force_reached
+    """Compare `force_max_N` with the force of the actuators at the widths of objects."""
     wanted = world.rig.gripper.force_max
-    text = f"the actuators close each finger with at most {reached:.2g} N"
-    if reached < _FORCE_MIN:
+    widths = _object_widths(world)
+    forces = [world.grip_force_available(width) for width in widths]
+    pairs = zip(forces, widths, strict=True)
+    at = [f"{force:.2g} N at {1e3 * width:.0f} mm" for force, width in pairs]
+    if max(forces) - min(forces) < _EVEN * max(forces):  # limited by the force range
+        text = f"the actuators close each finger with at most {min(forces):.2g} N"
+        remedy = "use a larger forcerange"
+    else:
+        text = f"the actuators close each finger with at most {' and '.join(at)}"
+        remedy = "use a stiffer actuator (kp), or a ctrlrange beyond the closed jaws"
+    if max(forces) < _FORCE_MIN:
         yield _bad(
             "force",
             f"{text}: too little for a grasp",
-            "use a larger forcerange, or correct the ratio of the transmission",
+            f"{remedy}, or correct the ratio of the transmission",
         )
-    elif reached < wanted:
+    elif min(forces) < (1 - _EVEN) * wanted:
         yield _warn(
-            "force",
-            f"{text}, force_max_N says {wanted:g}",
-            "use a larger forcerange, or a smaller force_max_N",
+            "force", f"{text}, force_max_N says {wanted:g}", f"{remedy}, or a smaller force_max_N"
         )
     else:
         yield _ok(
             "force", f"force_max_N = {wanted:g} on each finger is within the range of the actuators"
         )
+
+
+def _object_widths(world: GripperWorld) -> tuple[float, float]:
+    """Return the narrowest and the widest object of the checks, m, within the opening range."""
+    low, high = world.rig.gripper.opening
+    narrow, wide = (low + fraction * (high - low) for fraction in _WIDTHS)
+    return narrow, wide
 
 
 def _mm(metres: float) -> str:

@@ -179,6 +179,7 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         flags=lambda: world.flags,
         touch_is_synthetic=Effect.CHAIN not in plan.on,
         scene=world,
+        grip_force_available=world.grip_force_available,
         simulated={
             "mesh": (sheet.nx, sheet.ny),
             "timestep_ms": 1e3 / plan.steps_per_second,

@@ -398,3 +398,83 @@ def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_ope
     egg = ground_truth.object_position(world)
     assert middle[2] == pytest.approx(world.object.grasp_height, abs=1e-5)
     np.testing.assert_allclose(middle[:2], egg[:2], atol=1e-6)
+
+
+# -- forces that the actuators can give ------------------------------------------------------
+
+SERVO = 'kp="2000" kv="30" forcerange="-8 8"'
+JAW = 'damping="2" armature'
+ACTUATORS = {
+    "soft": [(SERVO, 'kp="50" kv="30"')],
+    "control range": [(SERVO, 'kp="200" kv="30" ctrlrange="0.02 0.12"')],
+    "springs": [
+        (SERVO, 'kp="200" kv="30"'),
+        (JAW, 'damping="2" stiffness="30" springref="0.06" armature'),
+    ],
+    "joint limits": [
+        (SERVO, 'kp="2000" kv="30"'),
+        (JAW, 'damping="2" actuatorfrcrange="-1.5 1.5" armature'),
+    ],
+}
+
+
+@pytest.mark.parametrize("model", ACTUATORS.values(), ids=ACTUATORS.keys())
+def test_the_available_force_is_that_of_the_closed_jaws(tmp_path, model):
+    """Jaws commanded to close fully load the membranes with the force that statics predicts: gain
+    times the distance to the goal, within all ranges, less the springs of the mechanism."""
+    world = make(variant(tmp_path, "sim", model=model), "block", opening=0.045, timestep=1 / 240)
+    world.set_finger_target(0.0, 8.0)
+    world.step(360)
+    forces = []
+    for _ in range(10):
+        world.step(5)
+        forces.append([-ground_truth.contact_force(world, finger)[2] for finger in (0, 1)])
+    # the requirement; at rest the two agree within 1 %
+    assert np.mean(forces, axis=0) == pytest.approx(
+        world.grip_force_available(world.opening), rel=0.05
+    )
+
+
+def test_the_doctor_reports_the_force_of_a_soft_servo_at_two_widths(tmp_path):
+    """A tendon actuator of 50 N/m closes with 50 N/m times the opening: 1.2 N at 24 mm."""
+    rig = variant(tmp_path, "sim", model=ACTUATORS["soft"])
+    assert (
+        "warn force: the actuators close each finger with at most 1.2 N at 24 mm and 3.6 N at "
+        "72 mm, force_max_N says 8"
+    ) in bad(examine_simulated(rig))
+
+
+def test_a_motor_is_refused_with_its_force(tmp_path):
+    servo = f'<position name="jaw" tendon="opening" {SERVO}/>'
+    for text, force in (
+        ('<motor name="jaw" tendon="opening" ctrlrange="-5 3" gear="2"/>', "-5 to 3 N"),
+        ('<velocity name="jaw" tendon="opening" kv="10" ctrlrange="-1 1"/>', "-10 to 10 N"),
+        ('<motor name="jaw" tendon="opening"/>', "unlimited force"),
+        ('<intvelocity name="jaw" tendon="opening" kp="9" actrange="0 1"/>', "pushes with"),
+    ):
+        with pytest.raises(InputError, match=f"not a position actuator.*{force}"):
+            make(variant(tmp_path, "sim", model=[(servo, text)]))
+
+
+def test_the_doctor_names_the_pad_in_the_chamber_and_possible_advice(tmp_path):
+    pad = '<geom name="pad" type="box" size="0.004 0.01 0.002" pos="-0.006 0 0"/>'
+    site = '<site name="left_fingertip"'
+    rig = variant(tmp_path, "sim", model=[(site, pad + site)])
+    (finding,) = [one for one in examine_simulated(rig) if "rest on 'pad'" in one.text]
+    assert (finding.level, finding.what) == ("warn", "finger left")
+    assert "contype and conaffinity of the geom to 0" in finding.remedy
+
+
+def test_the_doctor_does_not_advise_to_let_the_table_touch_no_sensor(tmp_path):
+    """Without contacts of the table, objects would fall through it."""
+    low = '<geom name="bench" type="box" size="0.2 0.2 0.01" pos="0 0 0.02"/>'
+    rig = variant(
+        tmp_path,
+        "sim",
+        model=[("<worldbody>", f"<worldbody>{low}")],
+        rig=[("[sim]", "[sim]\ntable = false")],
+    )
+    touched = [one for one in examine_simulated(rig) if "'bench'" in one.text]
+    assert touched
+    assert all("raise the sites" in one.remedy for one in touched)
+    assert not any("contype" in one.remedy for one in touched)

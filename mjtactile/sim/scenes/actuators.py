@@ -7,14 +7,18 @@ an angle or a distance of its joint or tendon, times the gear.
 
 from __future__ import annotations
 
-import math
-
 import mujoco
 import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
+_GOAL_DYNAMICS = (
+    int(mujoco.mjtDyn.mjDYN_NONE),
+    int(mujoco.mjtDyn.mjDYN_FILTER),
+    int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+)
+"""Dynamics that bring the activation to the control; an integrator does not."""
 SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
@@ -35,9 +39,12 @@ class PositionActuator:
             model.actuator_gaintype[self.id] == mujoco.mjtGain.mjGAIN_FIXED
             and model.actuator_biastype[self.id] == mujoco.mjtBias.mjBIAS_AFFINE
         )
-        if not affine or gain[0] == 0 or bias[1] >= 0:
+        follows = model.actuator_dyntype[self.id] in _GOAL_DYNAMICS
+        if not affine or not follows or gain[0] == 0 or bias[1] >= 0:
+            forces = static_forces(model, self.id, float(data.actuator_length[self.id]))
             raise InputError(
-                "is not a position actuator: its force does not depend on its position",
+                "is not a position actuator: its control sets no goal for its position; it pushes "
+                f"with {_range_text(*forces)}",
                 source=source,
                 field=f"actuator {name!r}",
                 choices=["<position>", '<general biastype="affine" …>'],
@@ -53,12 +60,8 @@ class PositionActuator:
         self.reads = list(zip(self._qpos.tolist(), gears, strict=True))
         """Addresses in qpos that determine its length, with their factors."""
         self._moves = list(zip(self.dofs.tolist(), gears, strict=True))
-        self._asked = math.nan  # last limit, N or N m
-        limited = bool(model.actuator_forcelimited[self.id])
-        if limited:
-            self._range = model.actuator_forcerange[self.id].copy()
-        else:
-            self._range = np.array([-np.inf, np.inf])
+        self._asked: float | None = None  # last limit, N or N m
+        self._range = force_range(model, self.id)
         self.force_limit = float(self._range[1])
 
     @property
@@ -80,9 +83,13 @@ class PositionActuator:
         """Force in the last step, N or N m."""
         return float(self._data.actuator_force[self.id])
 
-    def force_reached(self, sign: float) -> float:
-        """Return the maximum force of the model in the direction `sign`, N or N m."""
-        return float(self._range[1] if sign > 0 else -self._range[0])
+    def force_towards(self, goal: float, length: float) -> float:
+        """Return the force at rest, N or N m, with this goal at this length.
+
+        The control is within the model's `ctrlrange`, the force within its limits.
+        """
+        control = self._zero + self._per_length * goal
+        return static_force(self._model, self.id, control, length, self._range)
 
     def limit_force(self, force: float) -> None:
         """Limit the force to at most `force` from now on, within the model's own limit."""
@@ -124,6 +131,66 @@ class PositionActuator:
             start : start + count
         ]
         return row
+
+
+def force_range(model: mujoco.MjModel, actuator: int) -> Array:
+    """Return the limits (2,) of an actuator's force, N or N m: its own, its joints', its tendon's.
+
+    They are infinite without limits.
+    """
+    limits = np.array([-np.inf, np.inf])
+    if model.actuator_forcelimited[actuator]:
+        limits = model.actuator_forcerange[actuator].copy()
+    joints, gears = _joints(model, actuator)
+    bounds = [
+        np.sort(model.jnt_actfrcrange[joint] / gear)
+        for joint, gear in zip(joints, gears, strict=True)
+        if model.jnt_actfrclimited[joint] and gear
+    ]
+    target = int(model.actuator_trnid[actuator, 0])
+    gear = float(model.actuator_gear[actuator, 0])
+    on_tendon = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
+    if on_tendon and model.tendon_actfrclimited[target] and gear:
+        bounds.append(np.sort(model.tendon_actfrcrange[target] / gear))
+    for low, high in bounds:
+        limits = np.array([max(limits[0], low), min(limits[1], high)])
+    return limits
+
+
+def static_force(
+    model: mujoco.MjModel, actuator: int, control: float, length: float, limits: Array
+) -> float:
+    """Return an actuator's force at rest, N or N m, at a length, within `limits`.
+
+    The control is limited to `ctrlrange`. Other gains than "fixed" and "affine" count as 1.
+    """
+    if model.actuator_ctrllimited[actuator]:
+        control = float(np.clip(control, *model.actuator_ctrlrange[actuator]))
+    gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    kind = model.actuator_gaintype[actuator]
+    factor = 1.0
+    if kind == mujoco.mjtGain.mjGAIN_FIXED:
+        factor = gain[0]
+    elif kind == mujoco.mjtGain.mjGAIN_AFFINE:
+        factor = gain[0] + gain[1] * length
+    force = factor * control if factor else 0.0
+    if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE:
+        force += bias[0] + bias[1] * length
+    return float(np.clip(force, *limits))
+
+
+def static_forces(model: mujoco.MjModel, actuator: int, length: float) -> tuple[float, float]:
+    """Return the minimum and maximum force at rest over an actuator's controls, N or N m."""
+    limits = force_range(model, actuator)
+    forces = [
+        static_force(model, actuator, control, length, limits) for control in (-np.inf, np.inf)
+    ]
+    return min(forces), max(forces)
+
+
+def _range_text(low: float, high: float) -> str:
+    """Return a force range as text."""
+    return f"{low:.3g} to {high:.3g} N or N m" if np.isfinite(high - low) else "unlimited force"
 
 
 def _joints(model: mujoco.MjModel, actuator: int) -> tuple[Array, Array]:

@@ -5,7 +5,6 @@ Heights are in m above the start position.
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import mujoco
@@ -161,8 +160,9 @@ class Jaws:
             for jaw in rig.gripper.actuators
         ]
         self._share = 2 / len(rig.fingers)
-        self._force_limit = math.nan
-        self.limit_force(rig.gripper.force_max)
+        self._closed = rig.gripper.opening[0]
+        self._force_limit = rig.gripper.force_max
+        self.limit_force(self._force_limit)
 
     def opening(self) -> float:
         """Return the opening computed from the actuators' lengths, m."""
@@ -185,13 +185,20 @@ class Jaws:
         for actuator, law in self._jaws:
             actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
 
-    def force_reached(self) -> float:
-        """Return the maximum closing force of the model's actuators on each finger, N."""
-        forces = [
-            actuator.force_reached(-law.slope(actuator.length)) / abs(law.slope(actuator.length))
-            for actuator, law in self._jaws
-        ]
+    def force_available(self, opening: float) -> float:
+        """Return the maximum closing force of the actuators on each finger at rest, N.
+
+        The goal of the jaws is then the minimum opening of the rig file.
+        """
+        forces = []
+        for actuator, law in self._jaws:
+            length, goal = (law.coordinate(x / len(self._jaws)) for x in (opening, self._closed))
+            forces.append(-actuator.force_towards(goal, length) / law.slope(length))
         return self._share * sum(forces) / len(forces)
+
+    def finger_force(self, work: float) -> float:
+        """Return the force on each finger, N, of loads that do `work` J per m of closing."""
+        return self._share * work
 
     def reach(self, speed: float) -> float:
         """Return the lead of a goal over the opening for the full force at `speed` m/s, m."""

@@ -23,6 +23,7 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS, set_servo
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 DEFAULT_TIMESTEP = 4e-3
+_CLOSING = 1e-4  # difference of openings for a derivative, m
 
 
 class GripperWorld(World):
@@ -148,10 +149,28 @@ class GripperWorld(World):
         """Closing force of the servos on each finger, as indicated by their current, N."""
         return self._jaws.force()
 
-    @property
-    def grip_force_reached(self) -> float:
-        """Maximum closing force of the model's actuators on each finger, N."""
-        return self._jaws.force_reached()
+    def grip_force_available(self, opening: float) -> float:
+        """Return the maximum closing force on each finger at rest, N, with the jaws at `opening` m.
+
+        It is the force of the actuators at their closest goal, with springs and weight in the
+        mechanism, by virtual work.
+        """
+        states = [self._closed_to(x) for x in (opening + _CLOSING / 2, opening - _CLOSING / 2)]
+        motion = np.zeros(self.model.nv)
+        mujoco.mj_differentiatePos(self.model, motion, _CLOSING, *(qpos for qpos, _ in states))
+        load = np.mean([load for _, load in states], axis=0)
+        work = float(load[self._robot_dofs] @ motion[self._robot_dofs])
+        return self._jaws.force_available(opening) + self._jaws.finger_force(work)
+
+    def _closed_to(self, opening: float) -> tuple[Array, Array]:
+        """Return qpos, and the forces of springs and weight at rest (nv,), at `opening` m."""
+        state = mujoco.MjData(self.model)
+        state.qpos[:] = self.data.qpos
+        state.mocap_pos[:] = self.data.mocap_pos
+        state.mocap_quat[:] = self.data.mocap_quat
+        solve(self.model, state, place_jaws(self.model, state, self.rig, opening))
+        mujoco.mj_fwdVelocity(self.model, state)
+        return state.qpos.copy(), state.qfrc_passive - state.qfrc_bias
 
     @property
     def lift_height(self) -> float:

@@ -91,10 +91,20 @@ def reach_note(model: mujoco.MjModel, sensor: AnySensor, geoms: NDArray[np.int64
     """Return a note on `geoms` of the carrier and the remedy; empty without any."""
     if not len(geoms):
         return ""
-    names = ", ".join(repr(feature_size.name_of(model, int(geom))) for geom in geoms)
-    depth = 1e3 * sensor.design.chamber.depth
     return (
-        f"objects can rest on {names} of its carrier instead of the membrane: move the site until "
-        f"the carrier is {depth:g} mm or more behind it, set contype and conaffinity of the geom "
-        "to 0, or use attach(..., carrier_contact=False)"
+        f"objects can rest on {names_of(model, geoms)} of its carrier instead of the membrane: "
+        f"{remedy(sensor)}, or use attach(..., carrier_contact=False)"
+    )
+
+
+def names_of(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> str:
+    """Return the quoted names of geoms."""
+    return ", ".join(repr(feature_size.name_of(model, int(geom))) for geom in geoms)
+
+
+def remedy(sensor: AnySensor) -> str:
+    """Return the changes of a scene that keep objects off the carrier."""
+    return (
+        f"move the site until the carrier is {1e3 * sensor.design.chamber.depth:g} mm or more "
+        "behind it, or set contype and conaffinity of the geom to 0"
     )

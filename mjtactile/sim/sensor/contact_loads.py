@@ -54,17 +54,30 @@ def membrane_wrench(data: mujoco.MjData, sensor: AnySensor) -> Array:
     return np.concatenate([f_S.sum(axis=0), geometry.cross(points, f_S).sum(axis=0)])
 
 
-def frame_load(data: mujoco.MjData, sensor: AnySensor) -> float:
-    """Size of the force, N, on the sensor's frame and housing, which no marker sees."""
+def frame_load(data: mujoco.MjData, sensor: AnySensor) -> tuple[float, int]:
+    """Return the force, N, on the sensor's frame and housing, which no marker shows, and the geom
+    with the largest; -1: none."""
     if not data.ncon:
-        return 0.0
+        return 0.0, -1
     geom = data.contact.geom
     sides = (geom >= sensor.housing_geom_ids[0]) & (geom <= sensor.housing_geom_ids[-1])
     if not sides.any():
-        return 0.0
+        return 0.0, -1
     rows = np.flatnonzero(sides.any(axis=1))
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-    return float(np.linalg.norm(forces(data, rows, sides[rows], R_WS).sum(axis=0)))
+    f_S = forces(data, rows, sides[rows], R_WS)
+    others = np.where(sides[rows, 1], geom[rows, 0], geom[rows, 1])
+    return _largest(f_S, others)
+
+
+def _largest(f_S: Array, owners: NDArray[np.int64]) -> tuple[float, int]:
+    """Return the norm, N, of the sum of forces (n, 3), and the owner (n,) with the largest part."""
+    if not len(owners):
+        return 0.0, -1
+    parts = {
+        int(owner): float(np.linalg.norm(f_S[owners == owner].sum(axis=0))) for owner in owners
+    }
+    return float(np.linalg.norm(f_S.sum(axis=0))), max(parts, key=lambda owner: parts[owner])
 
 
 def carried_load(
@@ -91,7 +104,4 @@ def carried_load(
     sides = mine[rows]
     f_S = forces(data, rows, sides, R_WS)
     owners = np.where(sides[:, 1], contact.geom[rows, 1], contact.geom[rows, 0])
-    loads = {int(geom): float(np.linalg.norm(f_S[owners == geom].sum(axis=0))) for geom in owners}
-    if not loads:
-        return 0.0, -1
-    return float(np.linalg.norm(f_S.sum(axis=0))), max(loads, key=lambda geom: loads[geom])
+    return _largest(f_S, owners)

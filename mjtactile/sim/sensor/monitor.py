@@ -205,16 +205,19 @@ class SceneMonitor:
         """Return flags when a sensor's frame or carrier carries force over several checks."""
         sensor = self._sensors[number]
         prefix = sensor.prefix
-        frame = contact_loads.frame_load(self._data, sensor)
+        frame, blocking = contact_loads.frame_load(self._data, sensor)
         carried, geom = contact_loads.carried_load(self._data, sensor, self._carriers[number])
         self._framed[number].append(frame)
         self._bypassed[number].append(carried)
-        name = feature_size.name_of(self._model, geom) if geom >= 0 else ""
+        obstacle, name = (
+            feature_size.name_of(self._model, one) if one >= 0 else "a soft body"
+            for one in (blocking, geom)
+        )
         texts = {
             "frame_contact": (
                 min(self._framed[number]),
-                f"the frame of sensor {prefix!r} carries {{:.1f}} N, which the camera cannot "
-                "measure; move the contact onto the membrane",
+                f"the frame of sensor {prefix!r} is blocked by {obstacle!r} with {{:.1f}} N, which "
+                "the camera cannot measure; move the contact onto the membrane",
             ),
             "carrier_contact": (
                 min(self._bypassed[number]),

@@ -10,7 +10,9 @@ import pytest
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command, Touch
 from mjtactile.recording.observer import Observer
-from mjtactile.runtime.grasp import _Log, _result
+from mjtactile.rig.command_limits import CommandLimits
+from mjtactile.runtime.failure_causes import failure_causes
+from mjtactile.runtime.grasp import _Log, _result, run_grasp
 
 HELD = Touch(0.0, 0.0, 0.6, 0.01, True)
 EMPTY = Touch(0.0, 0.0, 0.0, 0.01, False)
@@ -19,7 +21,8 @@ UNKNOWN = Touch(0.0, 0.0, math.nan, math.nan, False)
 
 def cycle(touch: Touch, command: Command) -> Any:
     times = {"camera_ms": 1.0, "perception_ms": 1.0, "controller_ms": 1.0}
-    return SimpleNamespace(touch=(touch,), sent=command, **times)
+    gripper = SimpleNamespace(opening=0.04)
+    return SimpleNamespace(touch=(touch,), sent=command, gripper=gripper, **times)
 
 
 @pytest.mark.parametrize(
@@ -40,3 +43,41 @@ def test_who_ends_with_the_hand_up_has_not_set_down(touch, height, phase, outcom
     found = _result(Scenario(), log, 1.0, completed=phase == "done", period=1 / 30)
     assert found.outcome == outcome
     assert bool(found.reason) == (outcome != "held")
+
+
+@pytest.mark.parametrize(
+    ("available", "opening", "flags", "found"),
+    [
+        (lambda x: 50 * x, 0.04, {}, ["at most 2 N at an opening of 40.0 mm"]),
+        (lambda x: 50 * x, None, {}, []),
+        (lambda x: 8.0, 0.04, {}, []),
+        (None, 0.04, {"frame_contact": "blocked by 'stand' with 7.7 N; move it"}, ["with 7.7 N"]),
+        (None, 0.04, {"carrier_contact": "'pad' carries 2 N", "speed": "fast"}, ["carries 2 N"]),
+    ],
+)
+def test_a_failed_grasp_names_the_forces_outside_of_the_controller(
+    available, opening, flags, found
+):
+    """The remedy of a flag and flags of accuracy are no causes; nor are actuators that suffice."""
+    rig = SimpleNamespace(grip_force_available=available, limits=CommandLimits(force=8.0))
+    causes = failure_causes(rig, flags, opening)  # type: ignore[arg-type]
+    assert len(causes) == len(found)
+    assert all(words in cause for words, cause in zip(found, causes, strict=True))
+    assert not any("; move" in cause for cause in causes)
+
+
+@pytest.mark.slow(15)
+def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
+    """Posts beside a test tube stop the frames of the sensors before the membranes are loaded."""
+    post = '<geom name="{}" type="capsule" fromto="{} .0053 0 {} .0053 0.03" size="0.0012"/>'
+    posts = post.format("left_post", -0.0053, -0.0053) + post.format("right_post", 0.0053, 0.0053)
+    tube = tmp_path / "tube.xml"
+    tube.write_text(
+        f"""<mujoco><custom><numeric name="break_force_N" data="4"/><text name="material"
+        data="solid"/></custom><worldbody>{posts}<body name="object" pos="0 0 0.045"><freejoint/>
+        <geom type="cylinder" size="0.006 0.045" mass="0.012"/></body></worldbody></mujoco>"""
+    )
+    result = run_grasp(Scenario(object=str(tube), effects="-images"))
+    assert result.outcome == "dropped"
+    assert "the frame of sensor" in result.reason and "_post' with " in result.reason
+    assert float(result.reason.split("with ")[1].split(" N")[0]) > 1.0
