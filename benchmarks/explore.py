@@ -107,7 +107,7 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
         **names,
         **kept,
         **true,
-        "force_most_N": max(forces, default=float("nan")),
+        "force_max_N": max(forces, default=float("nan")),
         "seconds": time.process_time() - begin,
     }
 
@@ -170,5 +170,5 @@ def _line(row: Mapping[str, Any]) -> str:
         f"| {row['object']} | {row['seed']} | {row['touches']} | {row['body']} | "
         f"{row['surface_error_mm_true']:.2f} ({row['surface_error_95_mm_true']:.2f}) | "
         f"{100 * row['size_error_true']:.1f} | {sizes} | {row['surface_sd_mm']:.2f} | {places} | "
-        f"{row['force_most_N']:.2f} | {row['seconds']:.0f} |"
+        f"{row['force_max_N']:.2f} | {row['seconds']:.0f} |"
     )

@@ -92,9 +92,9 @@ def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, 
         state, has_setpoint = gauge.read(gauge.switched(state, reading), reading)
         told += has_setpoint
         if k % IMAGES == IMAGES - 1:
-            state = gauge.saw(state, time, float(given.volume[k]), DENT_FRACTION)
+            state = gauge.after_image(state, time, float(given.volume[k]), DENT_FRACTION)
             gas, sd = gauge.gas_at(state, time)
-            errors.append(gas.gauge - given.pressure[k])
+            errors.append(gas.gauge_pressure - given.pressure[k])
             sds.append(sd)
     return np.array(errors), np.array(sds), told
 
@@ -112,13 +112,13 @@ def measure(settings: GasFilterSettings, seeds: int) -> dict[str, float]:
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Vary every parameter whose source states that it was tuned here."""
     seeds = 1 if quick else SEEDS
-    default = DEFAULTS.gauge
+    default = DEFAULTS.gas_filter
     found = []
     for field in fields(default):
         if field.metadata["source"] != GAUGED:
             continue
         value = getattr(default, field.name)
-        row: dict[str, Any] = {"name": f"gauge.{field.name}", "default": value}
+        row: dict[str, Any] = {"name": f"gas_filter.{field.name}", "default": value}
         for factor in FACTORS:
             row[str(factor)] = measure(replace(default, **{field.name: factor * value}), seeds)
         found.append(row)

@@ -89,10 +89,10 @@ def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
     )
     flat, rest, pressed = _poses(design, scene)
     renderer = Renderer(design, seed=1)
-    sighter = EllipseSampler(design, seed=1)
+    sampler = EllipseSampler(design, seed=1)
     ways: dict[str, Callable[[Pose], Image]] = {
         "images": lambda pose: renderer.render(*pose),
-        "none": lambda pose: sighter.sight(*pose),
+        "none": lambda pose: sampler.sample(*pose),
     }
     return {way: _errors(design, look, (flat, rest, pressed), count) for way, look in ways.items()}
 

@@ -30,4 +30,4 @@ def sphere_on_circle(radius, tension, sphere, force):
 def relaxed_modulus(relaxation, time):
     """Return the stress over the long-term stress after a strain step: 1 + sum a_i e^(-t/tau_i)."""
     times = np.asarray(time, float)[..., None]
-    return 1.0 + (relaxation.shares * np.exp(-times / relaxation.times)).sum(axis=-1)
+    return 1.0 + (relaxation.fractions * np.exp(-times / relaxation.times)).sum(axis=-1)

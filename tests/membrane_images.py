@@ -37,7 +37,7 @@ def sequence(sensor: str = "paper16") -> Sequence:
     """Render the images of a sensor, shipped or from a file: four of each reference, and one for
     each of `LOADS`."""
     design = load_sensor(sensor)
-    sheet = InverseMembrane(design).sheet
+    sheet = InverseMembrane(design).membrane
     view = Renderer(design, seed=1)
     flat = np.zeros((3, sheet.count))
     rest = sheet.equilibrium(Gas(GAUGE))

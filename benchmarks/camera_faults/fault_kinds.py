@@ -30,7 +30,7 @@ class Kind:
     seed: int
 
     @property
-    def troubles(self) -> CameraFaults:
+    def faults(self) -> CameraFaults:
         """Fault settings of a camera."""
         return from_table(CameraFaults, self.table, self.name)
 

@@ -21,7 +21,7 @@ def draw(grasp: Grasp, path: Path) -> None:
         return
     middle = len(grasp.images) // 2
     for number, (name, table, _) in enumerate(TABLES):
-        camera = FaultyImage(Kind(name, table, ALWAYS, 5).troubles, 5)
+        camera = FaultyImage(Kind(name, table, ALWAYS, 5).faults, 5)
         shown = [camera(image) for image in grasp.images[middle - 2 : middle + 1]][-1]
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         axes.imshow(shown.pixels[_PART], cmap="gray", vmin=0, vmax=255)

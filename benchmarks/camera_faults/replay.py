@@ -63,7 +63,7 @@ def replay_faults(
 
     One pass over the images serves both.
     """
-    camera = FaultyImage(kind.troubles, kind.seed)
+    camera = FaultyImage(kind.faults, kind.seed)
     before = kind.when in (ALWAYS, REFERENCES)
     after = kind.when != REFERENCES
 
@@ -77,7 +77,7 @@ def replay_faults(
     except DeviceError as error:
         refused = ReplayResult(refused=" ".join(str(error).split()))
         return [refused for _ in gauges]
-    chains = [StatefulPipeline(perception.chain, perception.state) for _ in gauges]
+    chains = [StatefulPipeline(perception.pipeline, perception.state) for _ in gauges]
     touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
         seen = camera(image) if after else image

@@ -44,7 +44,7 @@ def run(
     for sensor in SENSORS:
         grasp = record(sensor, GRASP_SEED)
         if not rows:
-            draw(grasp, out / "camera_troubles.png")
+            draw(grasp, out / "camera_faults.png")
         for number, kind in islice(enumerate(kinds()), 0, None, 2 if quick else 1):
             file = folder / f"{sensor}-{number:03}.json"
             if not (resume and file.is_file()):

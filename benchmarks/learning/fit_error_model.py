@@ -139,7 +139,7 @@ def fit(rows: Rows) -> SensingErrorModel:
         sd=sd,
         fresh=fresh,
         correlation=_correlation(z[~far]),
-        said=_mean_at(said, near),
+        reported_sd=_mean_at(said, near),
         reported_correlation=_correlation_of(np.median(ratio, axis=0)),
         shear_gain=shear_gain,
         between=spread,

@@ -54,7 +54,7 @@ def rows() -> list[dict[str, Any]]:
                 "kind": shape.kind,
                 "radius_mm": 1e3 * shape.radius,
                 "radius_true_mm": case["size_mm"][0] - 0.5e3 * design.membrane.thickness,
-                "force_N": shape.force_normal / DEFAULTS.body.friction,
+                "force_N": shape.force_normal / DEFAULTS.contact_shape.friction,
                 "force_nodal_N": touch.force_normal,
                 "force_true_N": case["force_N"],
                 "place_off_mm": float(np.hypot(*(1e3 * shape.p_SO[:2] - case["at_mm"]))),

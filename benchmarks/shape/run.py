@@ -72,7 +72,7 @@ def _press(seed: int) -> list[dict[str, Any]]:
         world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
     view = View(world, load_sensor("dense"), seed=seed)
     take_references(world, [view], world.design.chamber.supply_gauge)
-    finder = view.perception.chain.make_shape_estimator(view.perception.state)  # made once
+    finder = view.perception.pipeline.make_shape_estimator(view.perception.state)  # made once
     drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
     for looked in _stages(world, drag):
@@ -116,7 +116,7 @@ def _followed(
     if nodal.traction is None or not nodal.touching:
         return None
     start = time.thread_time()
-    felt, perception.state = perception.chain.track_contact_shape(
+    felt, perception.state = perception.pipeline.track_contact_shape(
         before, perception.state, nodal, finder
     )
     seconds = time.thread_time() - start

@@ -129,11 +129,11 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     presses = [record(case) for case in cases()[: 1 if quick else None]]
     usual = tell(presses, DEFAULTS)
     rows = []
-    for field in fields(DEFAULTS.body):
+    for field in fields(DEFAULTS.contact_shape):
         if PRESSED not in field.metadata["source"]:
             continue
-        value = getattr(DEFAULTS.body, field.name)
-        row: dict[str, Any] = {"name": f"body.{field.name}", "default": value}
+        value = getattr(DEFAULTS.contact_shape, field.name)
+        row: dict[str, Any] = {"name": f"contact_shape.{field.name}", "default": value}
         for factor in FACTORS:
             tried = round(factor * value) if isinstance(value, int) else factor * value
             now = tell(presses, DEFAULTS.override({row["name"]: tried}))

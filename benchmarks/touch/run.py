@@ -73,7 +73,7 @@ class LayoutView(View):
 
     def measure_rest_reference(self, pressure: float) -> None:
         """The rest state of the weak form, which the other levels are compared with."""
-        chain = self.perception.chain
+        chain = self.perception.pipeline
         state = self.perception.state
         self._weak_rest = self._weak.rest_state(
             chain.detect_rest_markers(state, self.images()), pressure
@@ -85,7 +85,7 @@ class LayoutView(View):
         # once more from the surface on: time on one core
         if touch.surface is not None and touch.markers is not None:
             start = time.thread_time()
-            chain = self.perception.chain
+            chain = self.perception.pipeline
             state = self.perception.state
             _, self.perception.state = chain.estimate_touch(
                 state, touch.markers, touch.surface, image.time + 1e-4

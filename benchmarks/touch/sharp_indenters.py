@@ -55,7 +55,7 @@ def episode(
         A row for each state and sensor.
     """
     finders = {
-        name: view.perception.chain.make_shape_estimator(view.perception.state)
+        name: view.perception.pipeline.make_shape_estimator(view.perception.state)
         for name, view in views.items()
     }
     drag = float(np.random.default_rng([seed, 79]).uniform(-_DRAG, _DRAG))
@@ -84,7 +84,7 @@ def _looked(
             image = view.image()
             before = perception.state
             touch = perception.perceive(image, image.time)
-            felt, perception.state = perception.chain.track_contact_shape(
+            felt, perception.state = perception.pipeline.track_contact_shape(
                 before, perception.state, touch, finders[name]
             )
         assert touch is not None and felt is not None and felt.shape is not None

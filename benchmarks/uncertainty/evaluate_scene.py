@@ -78,7 +78,7 @@ def watch(scene: Scene) -> Watched:
     )
     view = View(world, design, seed=scene.seed)
     take_references(world, [view], scene.supply)
-    chain = view.perception.chain
+    chain = view.perception.pipeline
     rest = view.perception.state
     if scene.kind == "hold":
         squeeze = float(np.interp(scene.forces[1], (0.04, 1.8), _SQUEEZE))

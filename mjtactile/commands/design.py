@@ -40,7 +40,7 @@ An sd is the standard deviation that the pipeline would report; it covers 68 % o
 quasi-static membrane has no solution for this force.
 
 JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
-"force_noise_mN", "place_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_most_N"}, "picture":
+"force_noise_mN", "position_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_max_N"}, "picture":
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
 [{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
 "initial", "candidates": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}],
@@ -230,7 +230,7 @@ def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
         )
         values = (
             f"{plots.number(reached[key]):>9s}"
-            for key in ("touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_most_N")
+            for key in ("touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
         )
         print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
     _print_checked(result["checked"])

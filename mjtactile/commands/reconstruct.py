@@ -115,32 +115,32 @@ def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline
         return StatefulPipeline.of(design)
     calibration = load_calibration(path)
     calibration.check(design, calibration.finger, path)
-    chain = SensingPipeline(design, calibration)
-    return StatefulPipeline(chain, chain.restored_state())
+    pipeline = SensingPipeline(design, calibration)
+    return StatefulPipeline(pipeline, pipeline.restored_state())
 
 
 def _reconstruct(
     frame: NamedImage, perception: StatefulPipeline, out: Path | None
 ) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
-    chain = perception.chain
+    pipeline = perception.pipeline
     state = perception.state
-    image = to_image(frame, chain.design)
+    image = to_image(frame, pipeline.design)
     if isinstance(image, str):
         return _row(frame.name, image, None), None
     if state.reference is not None:
         touch = perception.perceive(image, time.monotonic())
     else:
-        markers, perception.state = chain.detect_markers(state, image)
-        status = chain.check_markers(markers)
-        surface = chain.fitter.fit(markers) if status == "ok" else None
+        markers, perception.state = pipeline.detect_markers(state, image)
+        status = pipeline.check_markers(markers)
+        surface = pipeline.fitter.fit(markers) if status == "ok" else None
         touch = Touch(
             0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status
         )
     if out is not None:
         cv2.imwrite(
             str(out / f"{_stem(frame.name)}_overlay.png"),
-            marker_overlay(image, chain.camera, chain.design),
+            marker_overlay(image, pipeline.camera, pipeline.design),
         )
     return _row(frame.name, touch.status, touch), touch
 

@@ -68,7 +68,7 @@ class Relaxation:
     )
 
     @property
-    def shares(self) -> Array:
+    def fractions(self) -> Array:
         """a_i, (terms,)."""
         return np.array([share for share, _ in self.terms])
 
@@ -80,7 +80,7 @@ class Relaxation:
     @property
     def quick(self) -> float:
         """Ratio of the stiffness for a fast deformation to the long-term stiffness."""
-        return 1.0 + float(self.shares.sum())
+        return 1.0 + float(self.fractions.sum())
 
     def kept(self, elapsed: float) -> Array:
         """Return the fraction (terms,) of each element's stress that remains after `elapsed` s."""

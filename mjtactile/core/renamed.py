@@ -51,8 +51,30 @@ KEYS: Mapping[str, str] = {
     "falloff": "vignetting",
     "vary": "randomization",
     "shapes": "contact_shapes",
+    # error models of a sensing pipeline
+    "said": "reported_sd",
 }
 """File key before 0.2.0 to file key now."""
+
+SETTINGS: Mapping[str, str] = {
+    "body.film_sd": "contact_shape.membrane_sd",
+    "body.log_body": "contact_shape.log_shape",
+    "body.place_sd": "contact_shape.position_sd",
+    "body.place_sd_sharp": "contact_shape.position_sd_sharp",
+    "doubt.share": "model_error.sparse",
+    "gauge.telling": "gas_filter.informative",
+    "inverse.knock_min": "inverse.displaced_min",
+    "inverse.knock_rotation": "inverse.displaced_rotation",
+    "inverse.knock_shift": "inverse.displaced_shift",
+    "slip.body_speed": "slip.shape_speed",
+    "slip.body_spin": "slip.shape_spin",
+    "slip.body_sure": "slip.shape_sure",
+    # sections, with all other settings
+    "body": "contact_shape",
+    "doubt": "model_error",
+    "gauge": "gas_filter",
+}
+"""Setting of the sensing pipeline, or section of settings, before 0.2.0 to the one now."""
 
 OPTIONS: Mapping[str, str] = {
     "--vary": "--randomization",
@@ -134,6 +156,13 @@ FLAGS: Mapping[str, str] = {
 def hint(name: str, renamed: Mapping[str, str] = KEYS) -> str:
     """Return ": `name` is now ..." for an old name, and an empty text for any other."""
     return f": `{name}` is now `{renamed[name]}`" if name in renamed else ""
+
+
+def setting_hint(path: str) -> str:
+    """Return ": `path` is now ..." for the old name of a setting, else an empty text."""
+    section, dot, name = path.partition(".")
+    new = SETTINGS.get(path) or (f"{SETTINGS[section]}{dot}{name}" if section in SETTINGS else "")
+    return f": `{path}` is now `{new}`" if new else ""
 
 
 def explain_option(message: str, command: str) -> str:

@@ -100,7 +100,7 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
         f"Written by `mjtactile design`. Predicted at {force:g} N: force sd "
         f"{reached['force_sd_mN']:.1f} mN,\n"
         f"edge position sd {reached['edge_sd_mm']:.3f} mm; touch threshold from noise "
-        f"{reached['touch_by_noise_mN']:.1f} mN, largest force {reached['force_most_N']:.1f} "
+        f"{reached['touch_by_noise_mN']:.1f} mN, largest force {reached['force_max_N']:.1f} "
         "N."
     )
     return sensor_file_edit.sensor_text(replace(one.design, name=name), head)

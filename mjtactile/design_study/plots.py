@@ -12,7 +12,7 @@ from mjtactile.report import html
 # key of a position's result, label, unit
 MAPS = (
     ("force_sd_mN", "sd of the force", "mN"),
-    ("place_sd_mm", "sd of the force position", "mm"),
+    ("position_sd_mm", "sd of the force position", "mm"),
     ("edge_sd_mm", "sd of an edge position", "mm"),
 )
 WORDS = {
@@ -20,10 +20,10 @@ WORDS = {
     "touch_by_noise_mN": ("smallest touch that the pixel noise allows", "mN"),
     "force_sd_mN": ("sd of the force, all error sources included", "mN"),
     "force_noise_mN": ("sd of the force from image to image", "mN"),
-    "place_sd_mm": ("sd of the force position", "mm"),
+    "position_sd_mm": ("sd of the force position", "mm"),
     "edge_sd_mm": ("sd of an edge position", "mm"),
     "smallest_radius_mm": ("smallest ball whose radius is estimated to 25 %", "mm"),
-    "force_most_N": ("largest force of a 10 mm ball", "N"),
+    "force_max_N": ("largest force of a 10 mm ball", "N"),
 }
 
 
@@ -85,9 +85,9 @@ CHANGED = {
     "touch_by_noise_mN": "touch by noise",
     "force_sd_mN": "force sd",
     "force_noise_mN": "its noise",
-    "place_sd_mm": "place sd",
+    "position_sd_mm": "position sd",
     "edge_sd_mm": "edge sd",
-    "force_most_N": "largest force",
+    "force_max_N": "largest force",
 }
 
 

@@ -132,9 +132,10 @@ def _longest_lens(stand: VirtualBench) -> float:
     high = _LONGEST
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        sighter = EllipseSampler(scaled_lens(stand.design, middle))
+        sampler = EllipseSampler(scaled_lens(stand.design, middle))
         seen = [
-            sighter.sight(*stand.poses(x), errors=False).ellipses for x in (flat, stand.film.rest.x)
+            sampler.sample(*stand.poses(x), errors=False).ellipses
+            for x in (flat, stand.film.rest.x)
         ]
         whole = all(one is not None and len(one) == stand.circles for one in seen)
         low, high = (middle, high) if whole else (low, middle)
@@ -209,7 +210,7 @@ def as_table(given: PredictionReport) -> dict[str, Any]:
                 "estimated_N": at.felt,
                 "force_sd_mN": 1e3 * at.force_sd,
                 "force_noise_mN": 1e3 * at.noise,
-                "place_sd_mm": 1e3 * at.place_sd,
+                "position_sd_mm": 1e3 * at.position_sd,
                 "edge_sd_mm": 1e3 * at.edge_sd,
             }
             for at in given.face

@@ -35,7 +35,7 @@ class Checked:
     felt: float
     off: tuple[float, float]
     force_sd: float
-    place_sd: float
+    position_sd: float
     reported_sd: float
 
 
@@ -116,7 +116,7 @@ def _compared(reacher: ResolutionPredictor, at: np.ndarray, step: dict) -> Check
         -float(wrench[2]),
         (float(off[0]), float(off[1])),
         reach.force_sd,
-        reach.place_sd,
+        reach.position_sd,
         float(step["force_estimated_sd_N"]),
     )
 
@@ -132,14 +132,14 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     """
     error = np.array([one.felt - one.true for one in presses])
     off = np.array([one.off for one in presses])
-    force_sd, place_sd, said = (
+    force_sd, position_sd, said = (
         np.array([getattr(one, name) for one in presses])
         for name in ("force_sd", "place_sd", "reported_sd")
     )
     return PredictionCheck(
         len(presses),
         _rms(error / force_sd),
-        _rms(off / place_sd[:, None]),
+        _rms(off / position_sd[:, None]),
         _rms(error / said),
         _rms(error),
         _rms(off),

@@ -51,7 +51,7 @@ class Resolution:
     felt: float
     force_sd: float
     noise: float
-    place_sd: float
+    position_sd: float
     edge_sd: float
     height: float
 
@@ -61,9 +61,9 @@ class ResolutionPredictor:
 
     def __init__(self, stand: VirtualBench):
         self.stand = stand
-        self._settings = stand.chain.settings
+        self._settings = stand.pipeline.settings
         rest = stand.reference.first
-        self._forward = ForwardModel(stand.design, rest, self._settings.body.spacing)
+        self._forward = ForwardModel(stand.design, rest, self._settings.contact_shape.spacing)
         self._frame = stand.design.frame
         self._sides = feasible_half_extents(self._frame, _FRAME)
 
@@ -92,7 +92,7 @@ class ResolutionPredictor:
         cov = felt.touch.traction.wrench_cov
         noise = math.sqrt(self.stand.noise(felt)[2, 2])
         height = pressed.height
-        acts = place_sd(wrench, cov, height)
+        acts = position_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])
         return Resolution(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
 
@@ -156,14 +156,14 @@ class ResolutionPredictor:
             slopes = exact_jacobian(problem, at)
         except InputError:  # a parameter step reaches the frame
             return None
-        s = self._settings.body
+        s = self._settings.contact_shape
         return reported_covariance(Fit.of(problem, at, slopes), s.noise_min, s)
 
     def _data(self, touch: Touch) -> Data:
         inverse = self._settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
         raised = np.zeros(self.stand.design.markers.count)
-        return Data.of(touch, raised, self._forward.by_gas, self._settings.body, drift)
+        return Data.of(touch, raised, self._forward.by_gas, self._settings.contact_shape, drift)
 
     def _hint(self, place: Array, force: float) -> InitialGuess:
         """Return the reference of the shape's parameters, except for its height."""
@@ -187,7 +187,7 @@ def ball(at: Array, radius: float) -> Coming:
     return lambda height: obstacle("sphere", (radius,), (*at, height + radius))
 
 
-def place_sd(wrench: Array, cov: Array, height: float) -> float:
+def position_sd(wrench: Array, cov: Array, height: float) -> float:
     """Compute the standard deviation, m, of a wrench's position on the plane z = `height` m.
 
     The position is x = (z Fx - My) / Fz and y = (z Fy + Mx) / Fz. The larger of both is returned.

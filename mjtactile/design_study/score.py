@@ -34,7 +34,7 @@ def _number(key: str, unit: float, about: str, digits: int) -> Any:
 @dataclass(frozen=True)
 class Score:
     """Predicted performance of a sensor, SI; NaN: not defined. Smaller is better, except for
-    `most`.
+    `maximum`.
 
     The means are root mean squares over three positions near the center.
     """
@@ -47,12 +47,12 @@ class Score:
         "force_sd_mN", 1e-3, "sd of the force, as reported by the pipeline", 1
     )
     noise: float = _number("force_noise_mN", 1e-3, "its part from image to image", 2)
-    place_sd: float = _number("place_sd_mm", 1e-3, "sd of the force position", 3)
+    position_sd: float = _number("position_sd_mm", 1e-3, "sd of the force position", 3)
     edge_sd: float = _number("edge_sd_mm", 1e-3, "sd of an edge position", 3)
     radius: float = _number(
         "smallest_radius_mm", 1e-3, "smallest ball whose radius is estimated to a quarter", 1
     )
-    maximum: float = _number("force_most_N", 1.0, "largest force of a 10 mm ball", 2)
+    maximum: float = _number("force_max_N", 1.0, "largest force of a 10 mm ball", 2)
 
     def table(self) -> dict[str, float]:
         """Return the values by key, in the key's unit."""
@@ -79,14 +79,14 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     half = np.array([design.frame.length, design.frame.width]) / 2
     places = [half * share for share in _PLACES]
     reaches = [reacher.at(place, force) for place in places]
-    zero = stand.chain.settings.zero
+    zero = stand.pipeline.settings.zero
     seen = zero.touch_sd * stand.level_noise()
     return Score(
         touch=max(zero.touch_min, seen),
         seen=seen,
         force_sd=_rms([one.force_sd for one in reaches]),
         noise=_rms([one.noise for one in reaches]),
-        place_sd=_rms([one.place_sd for one in reaches]),
+        position_sd=_rms([one.position_sd for one in reaches]),
         edge_sd=_rms([one.edge_sd for one in reaches]),
         radius=smallest_radius(reacher, places, force),
         maximum=largest_force(stand),

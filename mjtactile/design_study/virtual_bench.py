@@ -77,15 +77,15 @@ class VirtualBench:
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / _SPACING) + 1, 9) for side in sides)
         self.film = QuasistaticMembrane(design, (columns, rows))
-        self.chain = SensingPipeline(design)
+        self.pipeline = SensingPipeline(design)
         self._by_node = interpolation_matrix_with_gradient(self.film, design.markers.p_SM[:, :2])
-        self._sighter = EllipseSampler(design)
-        flat = self._sighter.sight(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
+        self._sampler = EllipseSampler(design)
+        flat = self._sampler.sample(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
         self._require_all(flat, "flat")
-        rest = self.sight(self.film.rest)
+        rest = self.sample(self.film.rest)
         self._require_all(rest, "inflated")
-        state = self.chain.measure_flat_reference(self.chain.initial_state(), [flat])
-        self.state = self.chain.measure_rest_reference(state, [rest], self.film.gauge_pressure)
+        state = self.pipeline.measure_flat_reference(self.pipeline.initial_state(), [flat])
+        self.state = self.pipeline.measure_rest_reference(state, [rest], self.film.gauge_pressure)
 
     def _require_all(self, seen: SyntheticEllipses, state: str) -> None:
         """Raise InputError if not all markers are in the image."""
@@ -181,13 +181,13 @@ class VirtualBench:
         """Return the markers' heights (n, N), m, for displacements `x` (n, 3, nx, ny)."""
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
-    def sight(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
+    def sample(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
         """Compute the exact ellipses in the camera image of a membrane solution."""
-        return self._sighter.sight(*self.poses(film.x), time, errors=False)
+        return self._sampler.sample(*self.poses(film.x), time, errors=False)
 
     def detect_markers(self, film: MembraneSolution) -> Markers:
         """Compute the markers detected by the sensing pipeline, with their covariance."""
-        return self.chain.detect_markers(self.state, self.sight(film))[0]
+        return self.pipeline.detect_markers(self.state, self.sample(film))[0]
 
     def estimate_touch(self, film: MembraneSolution) -> PredictedTouch:
         """Run the sensing pipeline on a membrane in equilibrium.
@@ -197,7 +197,7 @@ class VirtualBench:
         state = self.state
         for number in (1, 2):
             time = number * _IMAGE
-            touch, state = self.chain.step(state, self.sight(film, time), time)
+            touch, state = self.pipeline.step(state, self.sample(film, time), time)
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
     def noise(self, felt: PredictedTouch) -> Array:
@@ -210,7 +210,7 @@ class VirtualBench:
         """
         assert felt.touch.markers is not None
         gain = felt.shape.gain
-        to_force = net_force(self.chain.inverse, gain.prior) @ gain.half.T
+        to_force = net_force(self.pipeline.inverse, gain.prior) @ gain.half.T
         by_marker = cho_solve((gain.innovation, True), to_force.T).T
         seen = gain.weights @ felt.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
         slopes = len(gain.half) - 3 * len(seen)  # whitened: unit variances
@@ -219,7 +219,7 @@ class VirtualBench:
 
     def level_noise(self) -> float:
         """Return the sd, N, of the running force level that detects light contacts."""
-        blend = self.chain.settings.zero.blend
+        blend = self.pipeline.settings.zero.blend
         one = math.sqrt(self.noise(self.estimate_touch(self.film.rest))[2, 2])
         return one * math.sqrt(blend / (2 - blend))
 

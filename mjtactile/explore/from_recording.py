@@ -76,8 +76,8 @@ def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
         readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
         readings += [None] * (len(images) - len(readings))
         touch = tuple(
-            chain.perceive(image, now, reading)
-            for chain, image, reading in zip(session.perceptions, images, readings, strict=True)
+            pipeline.perceive(image, now, reading)
+            for pipeline, image, reading in zip(session.perceptions, images, readings, strict=True)
         )
         opening = float(recording.column("opening")[cycle, 0])
         height = float(recording.column("lift_height")[cycle, 0])

@@ -55,9 +55,9 @@ def fit_recordings(
     design, manually = _with_fixed_values(nominal, known)
     evidence = [read_evidence(path, design, options.finger, options.say) for path in recordings]
     picture = fit_image_noise(design, evidence[0].flat)
-    free, sheet = _sheet(design, evidence, manually["membrane"], options)
-    gas = _gas(sheet, evidence, manually["chamber"], options)
-    numbers = tuple(numbers_of(nominal, known, evidence, sheet, gas, picture))
+    free, membrane = _fit_membrane(design, evidence, manually["membrane"], options)
+    gas = _gas(membrane, evidence, manually["chamber"], options)
+    numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, picture))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
     found = rewrite(
@@ -77,7 +77,7 @@ def fit_recordings(
         numbers,
         tuple(sentences),
         tuple(evidence),
-        sheet,
+        membrane,
         gas,
         picture,
         checks,
@@ -120,7 +120,7 @@ def _with_fixed_values(
     return replace(design, **parts), by_section
 
 
-def _sheet(
+def _fit_membrane(
     design: SensorDesign,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
@@ -131,15 +131,15 @@ def _sheet(
     A fixed parameter has the file's value. The second fit makes correlated parameters consistent
     with it.
     """
-    free = sheet = fit_membrane(design, evidence, known=known, options=options)
+    free = membrane = fit_membrane(design, evidence, known=known, options=options)
     held = dict(known)
     while name := _first_undetermined(
-        sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST
+        membrane.names, membrane.values, membrane.cov, "membrane", _HELD_FIRST
     ):
         held[name] = getattr(design.membrane, name)
         options.say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
-        sheet = fit_membrane(design, evidence, known=held, options=options)
-    return free, sheet
+        membrane = fit_membrane(design, evidence, known=held, options=options)
+    return free, membrane
 
 
 def _first_undetermined(
@@ -159,7 +159,7 @@ def _first_undetermined(
 
 
 def _gas(
-    sheet: MembraneFit,
+    membrane: MembraneFit,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
     options: FitOptions,
@@ -172,31 +172,31 @@ def _gas(
     with_pressure = [
         i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()
     ]
-    holds = [sheet.holds[i] for i in with_pressure]
+    holds = [membrane.holds[i] for i in with_pressure]
     runs = sealed_runs([evidence[i] for i in with_pressure], holds)
     if not runs:
         return None
-    found = fit_gas(sheet.design, runs, known=known)
+    found = fit_gas(membrane.design, runs, known=known)
     held = dict(known)
-    chamber = sheet.design.chamber
+    chamber = membrane.design.chamber
     heat = ("heat_exchange", "polytropic_exponent")
     if _first_undetermined(found.names, found.values, found.cov, "chamber", heat) is not None:
         held |= {name: getattr(chamber, name) for name in heat if name not in known}
-        found = fit_gas(sheet.design, runs, known=held)
-    volume_sd_max = GAS_FRACTION * sheet.design.chamber_volume_flat
+        found = fit_gas(membrane.design, runs, known=held)
+    volume_sd_max = GAS_FRACTION * membrane.design.chamber_volume_flat
     if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > volume_sd_max:
         held |= {"extra_volume": chamber.extra_volume}
-        found = fit_gas(sheet.design, runs, known=held)
+        found = fit_gas(membrane.design, runs, known=held)
     options.say(_report_gas(found))
-    start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
+    start = replace(membrane.design, chamber=replace(membrane.design.chamber, **found.values))
     models = [
-        _replayed(evidence[i], sheet.offsets[i], options.mesh)
+        _replayed(evidence[i], membrane.offsets[i], options.mesh)
         if _can_replay(evidence[i])
         else predict
         for i in with_pressure
     ]
     modes = [
-        _touch_mode(start, evidence[i], sheet, sheet.offsets[i], options.mesh)
+        _touch_mode(start, evidence[i], membrane, membrane.offsets[i], options.mesh)
         for i in with_pressure
     ]
     found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
@@ -222,7 +222,7 @@ def _can_replay(evidence: Evidence) -> bool:
 def _touch_mode(
     design: SensorDesign,
     evidence: Evidence,
-    sheet: MembraneFit,
+    membrane: MembraneFit,
     offset: float,
     mesh: tuple[int, int] | None,
 ) -> Array:
@@ -232,8 +232,8 @@ def _touch_mode(
     """
     if not _can_replay(evidence):
         return np.empty((0, len(evidence.series.time)))
-    i = sheet.names.index(f"first touch of {evidence.name}")
-    sd = math.sqrt(sheet.cov[i][i])
+    i = membrane.names.index(f"first touch of {evidence.name}")
+    sd = math.sqrt(membrane.cov[i][i])
     return np.array(
         [replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)]
     )

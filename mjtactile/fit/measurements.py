@@ -114,20 +114,20 @@ def read_evidence(
     recording.require_images()
     number = recording.fingers.index(finger)
     calibration = calibration_of(recording, design, finger)
-    chain = SensingPipeline(design, calibration)
+    pipeline = SensingPipeline(design, calibration)
     flat, rest = recording.references
     flat_images = tuple(flat.images(number))
-    state = chain.measure_flat_reference(chain.initial_state(), flat_images)
-    seen = [markers for _, markers in _detect(chain, state, rest.images(number))]
+    state = pipeline.measure_flat_reference(pipeline.initial_state(), flat_images)
+    seen = [markers for _, markers in _detect(pipeline, state, rest.images(number))]
     reading = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
     note = recording.notes.get("stage")
     is_own = note is not None and note.get("finger", finger) == finger
     stage = stage_from_note(note, path) if note is not None and is_own else None
     say(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
-    times, shots = _follow(recording, number, chain, expected)
+    times, shots = _follow(recording, number, pipeline, expected)
     pressure = pressures_at(recording, number, calibration, times)
-    volumes = np.array([chain.fitter.fit(markers).volume for markers in shots])
+    volumes = np.array([pipeline.fitter.fit(markers).volume for markers in shots])
     gauge = math.nan if reading is None else calibration.pressure(reading)
     at_rest = _hold(design, seen, gauge, None, math.nan)
     if at_rest is None:
@@ -155,22 +155,22 @@ def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> C
 
 
 def _detect(
-    chain: SensingPipeline, state: PipelineState, images: Iterator[Image]
+    pipeline: SensingPipeline, state: PipelineState, images: Iterator[Image]
 ) -> Iterator[tuple[Image, Markers]]:
     """The images that show enough markers, and these; each is expected where the last image had
     it."""
     for image in images:
-        markers, after = chain.detect_markers(state, image)
-        if chain.check_markers(markers) == "ok":
+        markers, after = pipeline.detect_markers(state, image)
+        if pipeline.check_markers(markers) == "ok":
             state = after
             yield image, markers
 
 
 def _follow(
-    recording: Recording, number: int, chain: SensingPipeline, state: PipelineState
+    recording: Recording, number: int, pipeline: SensingPipeline, state: PipelineState
 ) -> tuple[Array, list[Markers]]:
     """Times after the first cycle, s, and markers of the cycles' images."""
-    found = list(_detect(chain, state, (images[number] for images in recording.images())))
+    found = list(_detect(pipeline, state, (images[number] for images in recording.images())))
     start = float(recording.columns["time"][0]) if len(recording) else 0.0
     return np.array([image.time - start for image, _ in found]), [markers for _, markers in found]
 

@@ -44,7 +44,7 @@ class RelaxationFit:
     """
 
     times: Array
-    shares: Array
+    fractions: Array
     within: tuple[float, float]
     faded: float
     faded_sd: float
@@ -58,9 +58,9 @@ class RelaxationFit:
     def section(self) -> str:
         """Section of a sensor file."""
         terms = [
-            f"[{share:.3g}, {seconds:g}]"
-            for share, seconds in zip(self.shares, self.times, strict=True)
-            if share > 0
+            f"[{fraction:.3g}, {seconds:g}]"
+            for fraction, seconds in zip(self.fractions, self.times, strict=True)
+            if fraction > 0
         ]
         return f"[relaxation]\nterms_s = [{', '.join(terms)}]  # {self.sentence}\n"
 
@@ -75,7 +75,7 @@ class RelaxationFit:
     def to_table(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            "terms_s": np.column_stack([self.shares, self.times]).tolist(),
+            "terms_s": np.column_stack([self.fractions, self.times]).tolist(),
             "within_s": list(self.within),
             "faded_share": self.faded,
             "faded_share_sd": self.faded_sd,
@@ -103,11 +103,11 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
             "and wait, or load, hold and release"
         )
         raise InputError(message, source=path, field="--relaxation")
-    shares, cov = _solve(*memories.equations())
+    fractions, cov = _solve(*memories.equations())
     within = (SHORTEST, lasts)
     begin, end = (np.exp(-moment / memories.times) for moment in within)
     sd = math.sqrt((begin - end) @ cov @ (begin - end))
-    return RelaxationFit(memories.times, shares, within, float(shares @ (begin - end)), sd)
+    return RelaxationFit(memories.times, fractions, within, float(fractions @ (begin - end)), sd)
 
 
 def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
@@ -121,11 +121,11 @@ def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
     normal = np.einsum("nkj,nlj->kl", shown, shown)
     normal += 1e-9 * np.trace(normal) * np.eye(len(normal))
     root = np.linalg.cholesky(normal)
-    shares = nnls(root.T, np.linalg.solve(root, np.einsum("nkj,nj->k", shown, wanted)))[0]
-    left = wanted - np.einsum("nkj,k->nj", shown, shares)
+    fractions = nnls(root.T, np.linalg.solve(root, np.einsum("nkj,nj->k", shown, wanted)))[0]
+    left = wanted - np.einsum("nkj,k->nj", shown, fractions)
     scores = np.einsum("nkj,nj->nk", shown, left)
     inverse = np.linalg.inv(normal)
-    return shares, _ALIKE * inverse @ (scores.T @ scores) @ inverse
+    return fractions, _ALIKE * inverse @ (scores.T @ scores) @ inverse
 
 
 class _Memories:
@@ -152,7 +152,7 @@ class _Memories:
         state = perception.state
         if state.reference is None:
             raise InputError("has no rest reference", source=recording.folder)
-        self._inverse: InverseMembrane = perception.chain.inverse
+        self._inverse: InverseMembrane = perception.pipeline.inverse
         self._rest: InverseRest = state.reference.rest
         self._gauge = gauge
         images = [images[number] for images in recording.images()]
@@ -184,24 +184,24 @@ class _Memories:
         second array is the markers minus the effect of the pressure, (n, 3 N) m.
         """
         shown = np.array([one for one, free in zip(self._unfaded, self.free, strict=True) if free])
-        bulge = self._at_markers(self._inverse.sheet.state(self._rest.c).gradient)
+        bulge = self._at_markers(self._inverse.membrane.state(self._rest.c).gradient)
         markers = self._markers[self.free].reshape(len(shown), -1)
         moved = (self.pressure[self.free] - self._gauge)[:, None] * bulge
         return shown, markers - moved
 
     def _begin(self, inflated_s: float, now: float) -> None:
-        sheet = self._inverse.sheet
+        membrane = self._inverse.membrane
         rest = self._rest
-        state = sheet.state(rest.c, rest.stiffness_scale)
-        self._stiffness = sheet.linearise(state, Gas(self._gauge))[1]
-        flat = rest.stiffness_scale * sheet.stress(np.zeros_like(rest.c))
-        self._stress = rest.stiffness_scale * sheet.stress(rest.c)
+        state = membrane.state(rest.c, rest.stiffness_scale)
+        self._stiffness = membrane.linearise(state, Gas(self._gauge))[1]
+        flat = rest.stiffness_scale * membrane.stress(np.zeros_like(rest.c))
+        self._stress = rest.stiffness_scale * membrane.stress(rest.c)
         kept = np.exp(-inflated_s / self.times)[:, None, None, None]
         self._remembered = kept * flat + (1 - kept) * self._stress
         self._now = now
 
     def _remember(self, c: Array, now: float) -> None:
-        stress = self._rest.stiffness_scale * self._inverse.sheet.stress(c)
+        stress = self._rest.stiffness_scale * self._inverse.membrane.stress(c)
         kept = np.exp(-(now - self._now) / self.times)[:, None, None, None]
         self._remembered = kept * self._remembered + (1 - kept) * (stress + self._stress) / 2
         self._stress = stress
@@ -210,7 +210,8 @@ class _Memories:
     def _show(self, c: Array) -> Array:
         """Return the marker displacement for a fraction of 1 of each element, (k, 3 N) m."""
         forces = (
-            self._inverse.sheet.forces_of(c, self._stress - stress) for stress in self._remembered
+            self._inverse.membrane.forces_of(c, self._stress - stress)
+            for stress in self._remembered
         )
         return np.stack([-self._at_markers(force) for force in forces])
 

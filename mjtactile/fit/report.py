@@ -33,12 +33,12 @@ def text_of(result: FitResult) -> str:
     lines += [f"  {name}: {why}" for name, why in NOT_FITTED.items()]
     if result.correlations:
         lines += ["", *result.correlations]
-    sheet = result.design.membrane
+    membrane = result.design.membrane
     lines += [
         "",
-        f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, the scale of all "
+        f"modulus times thickness: {membrane.young * membrane.thickness:.4g} N/m, the scale of all "
         "forces",
-        f"marker residual: {1e6 * result.sheet.rms:.1f} um (rms)",
+        f"marker residual: {1e6 * result.membrane.rms:.1f} um (rms)",
     ]
     if result.gas is not None:
         lines += [
@@ -96,7 +96,7 @@ def _plot_parameters(axes: Any, result: FitResult) -> None:
 
 
 def _plot_markers(axes: Any, result: FitResult) -> None:
-    for evidence, holds in zip(result.evidence, result.sheet.holds, strict=True):
+    for evidence, holds in zip(result.evidence, result.membrane.holds, strict=True):
         off = [
             1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
             for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)
@@ -116,7 +116,7 @@ def _plot_map(axes: Any, result: FitResult) -> None:
     """Height residual of each marker, mean over all holds."""
     off = [
         found.p_SM[:, 2] - hold.p_SM[:, 2]
-        for e, holds in zip(result.evidence, result.sheet.holds, strict=True)
+        for e, holds in zip(result.evidence, result.membrane.holds, strict=True)
         for hold, found in zip((e.rest, *e.holds), holds, strict=True)
     ]
     p = 1e3 * result.design.markers.p_SM

@@ -53,7 +53,7 @@ class FitResult:
     numbers: tuple[FittedParameter, ...]
     correlations: tuple[str, ...]
     evidence: tuple[Evidence, ...]
-    sheet: MembraneFit
+    membrane: MembraneFit
     gas: GasFit | None
     picture: ImageNoiseFit
     held_out: tuple[HeldOut, ...]
@@ -67,15 +67,20 @@ def numbers_of(
     nominal: SensorDesign,
     known: Mapping[str, float],
     evidence: Sequence[Evidence],
-    sheet: MembraneFit,
+    membrane: MembraneFit,
     gas: GasFit | None,
     picture: ImageNoiseFit,
 ) -> list[FittedParameter]:
     source = ", ".join(e.name for e in evidence)
     numbers = {}
     pressed = [
-        ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
-        for name, value in sheet.values.items()
+        (
+            "membrane",
+            name,
+            value,
+            membrane.cov[membrane.names.index(name)][membrane.names.index(name)],
+        )
+        for name, value in membrane.values.items()
     ]
     filled = [
         ("chamber", name, gas.values[name], gas.cov[i][i])
@@ -111,25 +116,25 @@ def value_before(design: SensorDesign, field: str) -> float:
 
 
 def covariance_of(
-    sheet: MembraneFit, gas: GasFit | None, known_thickness: bool
+    membrane: MembraneFit, gas: GasFit | None, known_thickness: bool
 ) -> tuple[list[str], Array]:
     """Return the joint covariance of membrane and gas, by field.
 
     Statics determines only the product of thickness and modulus. An uncertainty of one is therefore
     fully correlated with that of the other.
     """
-    names = [FIELD.get(("membrane", name), name) for name in sheet.names]
+    names = [FIELD.get(("membrane", name), name) for name in membrane.names]
     n = len(names)
     m = 0 if gas is None else len(gas.names)
     cov = np.zeros((n + m + 1, n + m + 1))
-    cov[:n, :n] = sheet.cov
+    cov[:n, :n] = membrane.cov
     if gas is not None:
         cov[n : n + m, n : n + m] = gas.cov
         names += [FIELD["chamber", name] for name in gas.names]
-    if "young" not in sheet.names or known_thickness:
+    if "young" not in membrane.names or known_thickness:
         return names, cov[:-1, :-1]
-    i = sheet.names.index("young")
-    membrane_design = sheet.design.membrane
+    i = membrane.names.index("young")
+    membrane_design = membrane.design.membrane
     slope = np.zeros(len(cov))
     slope[i] = -membrane_design.young
     slope[-1] = membrane_design.thickness
@@ -160,8 +165,8 @@ def to_table(result: FitResult) -> dict[str, Any]:
             for n in result.numbers
         ],
         "correlations": result.correlations,
-        "markers_rms_um": 1e6 * result.sheet.rms,
-        "first_touch_um": [1e6 * x for x in result.sheet.offsets],
+        "markers_rms_um": 1e6 * result.membrane.rms,
+        "first_touch_um": [1e6 * x for x in result.membrane.offsets],
         "pressure_rms_Pa": pressure_rms,
         "held_out": [
             {

@@ -77,7 +77,7 @@ static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
     return misfit >= s->max_border_misfit + (cut ? s->border_misfit_fraction_cut : s->border_misfit_fraction) * b;
 }
 
-int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
+int64_t check_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
                       const double *settings, int64_t *status) {
     MarkerSettings s;
     memcpy(&s, settings, sizeof s);
@@ -143,7 +143,7 @@ static int reaches_border(const Fit *f, int64_t height, int64_t width, double cl
 
 /* Return the status of a fit, given the `common` blur of the image. `keep` is 0 if the fit is
    probably not a marker. */
-static int judge(const Fit *f, int status, double common, int64_t height, int64_t width, double min_radius,
+static int check_fit(const Fit *f, int status, double common, int64_t height, int64_t width, double min_radius,
                  const MarkerSettings *s, int64_t *keep) {
     if (f->b < s->min_blurs * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
     if (f->blur < s->sharper_ratio * common && common > 1 && f->b < s->sure_blurs * common) status = BLURRED;
@@ -188,7 +188,7 @@ static void flag_crowded(const Fit *fits, int64_t n, double close, int64_t *stat
     }
 }
 
-int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const double *cov, const double *levels,
+int64_t check_fits(int64_t n, const double *centers, const double *shapes, const double *cov, const double *levels,
                    const double *found, const double *starts, const double *start_shapes, const double *misfit,
                    const int64_t *cut, double sign, int64_t height, int64_t width, double min_radius, const double *settings,
                    int64_t *status, int64_t *keep) {
@@ -214,7 +214,7 @@ int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const
     /* blur is a property of the image; its scatter is mostly fit error */
     double common = good ? upper_median(some, good) : 0;
     for (int64_t i = 0; i < n; i++)
-        status[i] = judge(fits + i, (int)status[i], common, height, width, min_radius, &s, keep + i);
+        status[i] = check_fit(fits + i, (int)status[i], common, height, width, min_radius, &s, keep + i);
     flag_crowded(fits, n, s.min_edge_distance, status);
     free(fits), free(some);
     return 0;

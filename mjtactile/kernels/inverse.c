@@ -17,14 +17,14 @@ typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUC
 /* Observation of the membrane by the whitened markers, r rows. The positions come first, three rows
    per marker. With `tilts`, two slopes per marker follow. A row has the weights of the splines'
    values, or those of their slopes by x and y. */
-typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Sight;
+typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Observation;
 
 /* Nodes of tractions (jx, jy). `load_x` (nx, jx) and `load_y` (ny, jy) give the generalized forces
    of 1 Pa at each node. `root_x` and `root_y` are the lower triangular roots of the prior's
    correlation along x and y. */
 typedef struct { long jx, jy; const double *load_x, *load_y, *root_x, *root_y; } Nodes;
 
-static void take_seats(const Sheet *s, long markers, const double *material, Seat *seats) {
+static void take_seats(const SplineMembrane *s, long markers, const double *material, Seat *seats) {
     for (long m = 0; m < markers; m++) {
         Local x = splines_at(s->numbers.length_x, s->nx - 1, material[2 * m]);
         Local y = splines_at(s->numbers.length_y, s->ny - 1, material[2 * m + 1]);
@@ -40,25 +40,25 @@ static void take_seats(const Sheet *s, long markers, const double *material, Sea
 
 /* Compute row r: its 48 entries, in the order of the returned seat's splines; `place` gives their
    positions in (n, 3). */
-static const Seat *row_of(const Sight *sight, long r, double (*row)[3]) {
-    const long positions = 3 * sight->markers, m = r < positions ? r / 3 : (r - positions) / 2;
-    const Seat *seat = sight->seats + m;
+static const Seat *row_of(const Observation *observed, long r, double (*row)[3]) {
+    const long positions = 3 * observed->markers, m = r < positions ? r / 3 : (r - positions) / 2;
+    const Seat *seat = observed->seats + m;
     for (int k = 0; k < PRODUCTS; k++)
         for (int i = 0; i < 3; i++) {
-            if (r < positions) row[k][i] = sight->weights[3 * r + i] * seat->value[k];
+            if (r < positions) row[k][i] = observed->weights[3 * r + i] * seat->value[k];
             else {
-                const double *by_x = sight->tilts + 3 * (r - positions), *by_y = by_x + 6 * sight->markers;
+                const double *by_x = observed->tilts + 3 * (r - positions), *by_y = by_x + 6 * observed->markers;
                 row[k][i] = by_x[i] * seat->by_x[k] + by_y[i] * seat->by_y[k];
             }
         }
     return seat;
 }
 
-static long place(const Sheet *s, const Seat *seat, int k) { return 3 * (seat->first + k / 4 * s->ny + k % 4); }
+static long place(const SplineMembrane *s, const Seat *seat, int k) { return 3 * (seat->first + k / 4 * s->ny + k % 4); }
 
-static double see(const Sheet *s, const Sight *sight, long r, const double *x) {
+static double see(const SplineMembrane *s, const Observation *observed, long r, const double *x) {
     double row[PRODUCTS][3], sum = 0;
-    const Seat *seat = row_of(sight, r, row);
+    const Seat *seat = row_of(observed, r, row);
     for (int k = 0; k < PRODUCTS; k++) {
         const double *at = x + place(s, seat, k);
         sum += row[k][0] * at[0] + row[k][1] * at[1] + row[k][2] * at[2];
@@ -101,7 +101,7 @@ static void sandwich_transposed(long p, long q, long r, long t, const double *le
 
 /* Map eight motions x (n, 3) to the tractions of the nodes: through the transposed loads and the
    transposed root of the prior's covariance. */
-static void half_of(const Sheet *s, const Nodes *nodes, const double *prior, const Lanes *x, Lanes *rows, Lanes *out) {
+static void half_of(const SplineMembrane *s, const Nodes *nodes, const double *prior, const Lanes *x, Lanes *rows, Lanes *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     for (int k = 0; k < 3; k++) {
         memset(out, 0, count * sizeof *out);
@@ -134,27 +134,27 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
                      int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *bulge, double *half, double *bulge_seen) {
-    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers) return REFUSED;
-    Sheet s = membrane_of(nx, ny, numbers);
+    if (!has_enough_splines(nx, ny) || r != (tilts ? 5 : 3) * markers) return REFUSED;
+    SplineMembrane s = membrane_of(nx, ny, numbers);
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, nodal = 3 * jx * jy, longer = s.ny > jy ? s.ny : jy;
     Seat *seats = malloc((markers + 1) * sizeof *seats);
     double *motion = malloc(dofs * sizeof *motion);
     Lanes *x = malloc((dofs + longer + nodal) * sizeof *x), *rows = x + dofs, *out = rows + longer;
     int failed = seats && motion && x ? 0 : NO_MEMORY;
-    Sight sight = {markers, r, weights, tilts, seats};
+    Observation observed = {markers, r, weights, tilts, seats};
     if (!failed) take_seats(&s, markers, material, seats), together(&s, bulge, motion);
-    for (long first = 0; first < sight.rows && !failed; first += LANES) {
-        long lanes = sight.rows - first < LANES ? sight.rows - first : LANES;
+    for (long first = 0; first < observed.rows && !failed; first += LANES) {
+        long lanes = observed.rows - first < LANES ? observed.rows - first : LANES;
         Lanes along = {0};
         memset(x, 0, dofs * sizeof *x);
         for (long l = 0; l < lanes; l++) {
             double row[PRODUCTS][3];
-            const Seat *seat = row_of(&sight, first + l, row);
+            const Seat *seat = row_of(&observed, first + l, row);
             for (int k = 0; k < PRODUCTS; k++)
                 for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i][l] = row[k][i];
-            bulge_seen[first + l] = see(&s, &sight, first + l, motion);
-            along[l] = share * see(&s, &sight, first + l, softened);
+            bulge_seen[first + l] = see(&s, &observed, first + l, motion);
+            along[l] = share * see(&s, &observed, first + l, softened);
         }
         band_solve_lanes(dofs, s.width, factor, x, 0);
         for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
@@ -193,7 +193,7 @@ static void solve_dense(long n, const double *L, double *x) {
 
 /* Compute the tractions (3, jx, jy) that displacements x imply: prior covariance times transposed
    loads, P Load^T x. */
-static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, const double *x, double *work, double *out) {
+static void tractions(const SplineMembrane *s, const Nodes *nodes, const double *prior, const double *x, double *work, double *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     double *told = work, *half = told + count, *room = half + count;
     for (int k = 0; k < 3; k++, out += count) {
@@ -211,14 +211,14 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
                      const double *innovation, int64_t modes, const double *drift, const double *gas_load, const double *c,
                      const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
                      double *misfit, double *noise, double *drift_found) {
-    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off) || modes < 1) return REFUSED;
-    Sheet s = membrane_of(nx, ny, numbers);
+    if (!has_enough_splines(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off) || modes < 1) return REFUSED;
+    SplineMembrane s = membrane_of(nx, ny, numbers);
     Stiffness K = {factor, softened, share};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;
     Seat *seats = malloc((markers + 1) * sizeof *seats);
     double *relaxed = malloc((3 * dofs + room) * sizeof *relaxed), *x = relaxed + dofs, *parts = x + dofs, *work = parts + dofs;
-    Sight sight = {markers, r, weights, tilts, seats};
+    Observation observed = {markers, r, weights, tilts, seats};
     if (!seats || !relaxed) {
         free(seats), free(relaxed);
         return NO_MEMORY;
@@ -239,13 +239,13 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
             misfit[3 * m + a] = w[0] * off[0] + w[1] * off[1] + w[2] * off[2];
         }
     }
-    for (long r = 3 * markers; r < sight.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &sight, r, relaxed);
-    memcpy(noise, misfit, sight.rows * sizeof *noise);
-    solve_dense(sight.rows, innovation, noise); /* remaining noise of the whitened markers */
+    for (long r = 3 * markers; r < observed.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &observed, r, relaxed);
+    memcpy(noise, misfit, observed.rows * sizeof *noise);
+    solve_dense(observed.rows, innovation, noise); /* remaining noise of the whitened markers */
     memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, modes * sizeof *drift_found);
-    for (long r = 0; r < sight.rows; r++) {
+    for (long r = 0; r < observed.rows; r++) {
         double row[PRODUCTS][3];
-        const Seat *seat = row_of(&sight, r, row);
+        const Seat *seat = row_of(&observed, r, row);
         for (int k = 0; k < PRODUCTS; k++)
             for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i] += row[k][i] * noise[r];
         for (long i = 0; i < modes; i++) drift_found[i] += drift[modes * r + i] * noise[r];

@@ -11,7 +11,7 @@ enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
 #define CAMERA_NUMBERS 16 /* of a `Camera`: see optics.h */
 /* Stride of a band's columns: panels of four columns and vectors of four need seven rows more. */
 #define BAND_STRIDE(width) (((width) + 11) / 4 * 4)
-#define SHEET_WIDTH(ny) (9 * (ny) + 11) /* band width of a membrane's stiffness */
+#define SPLINE_BAND_WIDTH(ny) (9 * (ny) + 11) /* band width of a membrane's stiffness */
 #define SURFACE_WIDTH(nx) (3 * (nx) + 3) /* band width of a surface's normal equations */
 
 /* Add blurred discs, or a closed curve, to an image `coverage` (sim/rendering/renderer.py).
@@ -65,24 +65,24 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c /* ny, nx */,
    (sensing/force/spline_fem.py). `numbers`, `law`: see spline_fem.h. `turns`: derivatives of the
    parametric coordinates by position at the Gauss points, see spline_fem.c; NULL if both are the
    same. Out: `elastic` forces; `gradient`, m^2, and `volume`, m^3, of the bulge. */
-int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries, const double *law /* 2, entries */,
+int64_t spline_state(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries, const double *law /* 2, entries */,
                     const double *turns /* 2 * (nx - 1), 2 * (ny - 1), 5 or NULL */, const double *c /* 3, nx, ny */,
                     double scale, double *elastic /* 3, nx, ny */, double *gradient /* 3, nx, ny */, double *volume /* 1 */);
 /* Compute the band of the stiffness at constant pressure, with the components of a spline
    together. */
-int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries,
+int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers /* 8 */, int64_t entries,
                       const double *law /* 2, entries */,
                       const double *turns /* 2 * (nx - 1), 2 * (ny - 1), 5 or NULL */, const double *c /* 3, nx, ny */,
-                      double scale, double pressure, double *band /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */);
+                      double scale, double pressure, double *band /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */);
 /* Compute a band's Cholesky factor in place. Multiples of the identity are added until it is
    positive definite. */
 int64_t factor_definite(int64_t n, int64_t width, double *band /* n, BAND_STRIDE(width) */);
 /* Compute `softened`, w: the solution of a factored stiffness for the gas's `gradient`. Returns the
    factor `share` of the gas's change of the inverse, -share w w^T. */
-double soften(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */,
+double soften(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */,
               const double *gradient /* 3, nx, ny */, double gas_stiffness, double *softened /* 3, nx, ny */);
 /* Compute displacements `out` due to `forces`. */
-int64_t sheet_solve(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */,
+int64_t spline_solve(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */,
                     const double *softened /* 3, nx, ny */, double share, const double *forces /* 3, nx, ny */,
                     double *out /* 3, nx, ny */);
 
@@ -91,7 +91,7 @@ int64_t sheet_solve(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny,
    `half`, the observations times loads and root of the prior covariance; `bulge_seen`, the
    observations of a `bulge`. */
 int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers /* 8 */,
-                     const double *factor /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
+                     const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
                      double share, int64_t r, int64_t markers, const double *material /* markers, 2 */,
                      const double *weights /* markers, 3, 3 */, const double *tilts /* 2, markers, 2, 3 or NULL */, int64_t jx,
                      int64_t jy, const double *load_x /* nx, jx */, const double *load_y /* ny, jy */,
@@ -101,7 +101,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers /* 8 */,
    displacements, and `slopes_off` if there are tilts. Out: `change` of c, `traction`, `misfit`,
    `noise`, and `drift_found` in standard deviations. */
 int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers /* 8 */,
-                     const double *factor /* 3 * nx * ny, BAND_STRIDE(SHEET_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
+                     const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
                      double share, int64_t r, int64_t markers, const double *material /* markers, 2 */,
                      const double *weights /* markers, 3, 3 */, const double *tilts /* 2, markers, 2, 3 or NULL */, int64_t jx,
                      int64_t jy, const double *load_x /* nx, jx */, const double *load_y /* ny, jy */,
@@ -145,9 +145,9 @@ int64_t border_moments(int64_t n, const int64_t *counts /* n */, int64_t all, co
 /* Classify borders and fits (sensing/image/fit_validation.py). Out: `status`; `keep`, 1 for a
    probable marker. `settings`: see candidates.c. `levels`, `found`: as in fit_profiles. `sign`: 1
    for dark markers, -1 for bright ones. */
-int64_t judge_borders(int64_t n, const double *shapes /* n, 3 */, const double *misfit /* n */, const int64_t *cut /* n */,
+int64_t check_borders(int64_t n, const double *shapes /* n, 3 */, const double *misfit /* n */, const int64_t *cut /* n */,
                       double min_radius, const double *settings /* 29 */, int64_t *status /* n */);
-int64_t judge_fits(int64_t n, const double *centers /* n, 2 */, const double *shapes /* n, 3 */, const double *cov /* n, 5, 5 */,
+int64_t check_fits(int64_t n, const double *centers /* n, 2 */, const double *shapes /* n, 3 */, const double *cov /* n, 5, 5 */,
                    const double *levels /* 2, n */, const double *found /* 5, n */, const double *starts /* n, 2 */,
                    const double *start_shapes /* n, 3 */, const double *misfit /* n */, const int64_t *cut /* n */, double sign,
                    int64_t height, int64_t width, double min_radius, const double *settings /* 29 */, int64_t *status /* n */,

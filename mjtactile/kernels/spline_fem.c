@@ -14,7 +14,7 @@
 /* increment, fraction of the mean diagonal, for an indefinite stiffness (wrinkles); tenfold until
    it is definite */
 #define NUDGE 1e-3
-_Static_assert(sizeof(SheetNumbers) == 8 * sizeof(double), "as in kernels.h");
+_Static_assert(sizeof(SplineNumbers) == 8 * sizeof(double), "as in kernels.h");
 
 typedef struct { double weight; Local at; } Line; /* line of Gauss points along the other axis */
 
@@ -32,20 +32,20 @@ _Static_assert(sizeof(Turn) == 5 * sizeof(double), "as in kernels.h");
 /* A deformation at the Gauss points, y fastest. */
 typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } Look;
 
-int is_sheet(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
+int has_enough_splines(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
 
-Sheet membrane_of(long nx, long ny, const double *numbers) {
-    Sheet s = {.nx = nx, .ny = ny, .n = nx * ny, .width = SHEET_WIDTH(ny)};
+SplineMembrane membrane_of(long nx, long ny, const double *numbers) {
+    SplineMembrane s = {.nx = nx, .ny = ny, .n = nx * ny, .width = SPLINE_BAND_WIDTH(ny)};
     if (numbers) memcpy(&s.numbers, numbers, sizeof s.numbers);
     return s;
 }
 
-void together(const Sheet *s, const double *parts, double *x) {
+void together(const SplineMembrane *s, const double *parts, double *x) {
     for (long i = 0; i < s->n; i++)
         for (int k = 0; k < 3; k++) x[3 * i + k] = parts[k * s->n + i];
 }
 
-void apart(const Sheet *s, const double *x, double *parts) {
+void apart(const SplineMembrane *s, const double *x, double *parts) {
     for (long i = 0; i < s->n; i++)
         for (int k = 0; k < 3; k++) parts[k * s->n + i] = x[3 * i + k];
 }
@@ -60,7 +60,7 @@ static void make_lines(Line *lines, double length, long spans) {
 }
 
 /* Evaluate one component on an x-line: values of the spline across it, and its slopes. */
-static void cross_line(const Sheet *s, const Line *line, const double *c, double *value, double *slope) {
+static void cross_line(const SplineMembrane *s, const Line *line, const double *c, double *value, double *slope) {
     for (long j = 0; j < s->ny; j++) value[j] = slope[j] = 0;
     for (int a = 0; a < 4; a++) {
         const double *row = c + (line->at.first + a) * s->ny;
@@ -82,7 +82,7 @@ static void turn(const Turn *t, Point *p) {
 }
 
 /* Evaluate the deformation `c` (3, n) at the Gauss points. Returns 1 if memory runs out. */
-static int look(const Sheet *s, const double *c, const Turn *turns, Look *l) {
+static int look(const SplineMembrane *s, const double *c, const Turn *turns, Look *l) {
     l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
     double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
@@ -118,15 +118,15 @@ static void forget(Look *l) { free(l->x), free(l->points); }
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 /* Compute the right Cauchy-Green tensor C11, C22, C12 relative to the free membrane. */
-static void strain(const Sheet *s, const Point *p, double *C) {
+static void strain(const SplineMembrane *s, const Point *p, double *C) {
     double by = s->numbers.lambda2;
     C[0] = by * dot(p->g1, p->g1), C[1] = by * dot(p->g2, p->g2), C[2] = by * dot(p->g1, p->g2);
 }
 
 /* Return q (row 0) or q' (row 1) of sensing/constitutive_law.py at this strain, from its table;
    constant beyond its ends. */
-static double law(const Sheet *s, const double *C, int row) {
-    const SheetNumbers *o = &s->numbers;
+static double law(const SplineMembrane *s, const double *C, int row) {
+    const SplineNumbers *o = &s->numbers;
     double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;
     double place = clip(at, 0, (double)s->entries - 1);
     long i = (long)least(place, (double)s->entries - 2);
@@ -134,7 +134,7 @@ static double law(const Sheet *s, const double *C, int row) {
     return table[i] + (place - i) * (table[i + 1] - table[i]);
 }
 
-static Stress stress(const Sheet *s, const double *C, double scale) {
+static Stress stress(const SplineMembrane *s, const double *C, double scale) {
     double by = scale * s->numbers.modulus, nu = s->numbers.poisson;
     if (s->numbers.neo_hookean == 0) {
         double E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
@@ -144,7 +144,7 @@ static Stress stress(const Sheet *s, const double *C, double scale) {
     return (Stress){by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
 }
 
-static Moduli moduli(const Sheet *s, const double *C, double scale) {
+static Moduli moduli(const SplineMembrane *s, const double *C, double scale) {
     double by = scale * s->numbers.lambda2 * s->numbers.modulus, nu = s->numbers.poisson;
     if (s->numbers.neo_hookean == 0) return (Moduli){by, by, nu * by, 0, 0, (1 - nu) / 2 * by};
     double q = 2 * by * law(s, C, 0), slope = 2 * by * law(s, C, 1), A11 = C[1], A22 = C[0], A12 = -C[2];
@@ -154,7 +154,7 @@ static Moduli moduli(const Sheet *s, const double *C, double scale) {
 
 /* Add to `out` (3, n) the integral of `value` times the splines plus `along` times their slopes by
    x. Each (3, ny) holds one x-line, already summed along y. */
-static void add_line(const Sheet *s, const Line *line, const double *value, const double *along, double *out) {
+static void add_line(const SplineMembrane *s, const Line *line, const double *value, const double *along, double *out) {
     for (int k = 0; k < 3; k++)
         for (int a = 0; a < 4; a++) {
             double *row = out + k * s->n + (line->at.first + a) * s->ny;
@@ -165,10 +165,10 @@ static void add_line(const Sheet *s, const Line *line, const double *value, cons
         }
 }
 
-int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
+int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
                     const double *c, double scale, double *elastic, double *gradient, double *volume) {
-    if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
-    Sheet s = membrane_of(nx, ny, numbers);
+    if (!has_enough_splines(nx, ny) || entries < 2) return REFUSED;
+    SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
@@ -249,7 +249,7 @@ static void add_point(const Rows T1, const Rows T2, const Rows U, const double *
 }
 
 /* Adds a cell's lower triangle to the band. */
-static void add_cell(const Sheet *s, long first_x, long first_y, double (*cell)[3][LOCAL], double *band) {
+static void add_cell(const SplineMembrane *s, long first_x, long first_y, double (*cell)[3][LOCAL], double *band) {
     for (int k = 0; k < LOCAL; k++)
         for (int l = 0; l <= k; l++) {
             const long row = 3 * ((first_x + k / 4) * s->ny + first_y + k % 4);
@@ -262,7 +262,7 @@ static void add_cell(const Sheet *s, long first_x, long first_y, double (*cell)[
 }
 
 /* Assemble the tangent at constant pressure. */
-static void assemble(const Sheet *s, const Look *l, double scale, double pressure, double *band) {
+static void assemble(const SplineMembrane *s, const Look *l, double scale, double pressure, double *band) {
     memset(band, 0, 3 * s->n * BAND_STRIDE(s->width) * sizeof *band);
     for (long cx = 0; cx < s->nx - 1; cx++)
         for (long cy = 0; cy < s->ny - 1; cy++) {
@@ -295,10 +295,10 @@ static void assemble(const Sheet *s, const Look *l, double scale, double pressur
         }
 }
 
-int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
+int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *turns,
                       const double *c, double scale, double pressure, double *band) {
-    if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
-    Sheet s = membrane_of(nx, ny, numbers);
+    if (!has_enough_splines(nx, ny) || entries < 2) return REFUSED;
+    SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Look l;
     int failed = look(&s, c, (const Turn *)turns, &l);
@@ -325,7 +325,7 @@ int64_t factor_definite(int64_t n, int64_t width, double *band) {
     return failed ? NOT_DEFINITE : 0;
 }
 
-void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
+void solve_stiffness(const SplineMembrane *s, const Stiffness *K, double *x) {
     double along = 0;
     for (long i = 0; i < 3 * s->n; i++) along += K->softened[i] * x[i];
     band_forward(3 * s->n, s->width, K->factor, x), band_backward(3 * s->n, s->width, K->factor, x);
@@ -333,7 +333,7 @@ void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
 }
 
 double soften(int64_t nx, int64_t ny, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
-    Sheet s = membrane_of(nx, ny, NULL);
+    SplineMembrane s = membrane_of(nx, ny, NULL);
     double along = 0;
     together(&s, gradient, softened);
     band_forward(3 * s.n, s.width, factor, softened);
@@ -342,9 +342,9 @@ double soften(int64_t nx, int64_t ny, const double *factor, const double *gradie
     return gas_stiffness / (1 + gas_stiffness * along);
 }
 
-int64_t sheet_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double share, const double *forces,
+int64_t spline_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double share, const double *forces,
                     double *out) {
-    Sheet s = membrane_of(nx, ny, NULL);
+    SplineMembrane s = membrane_of(nx, ny, NULL);
     Stiffness K = {factor, softened, share};
     double *x = malloc(3 * s.n * sizeof *x);
     if (!x) return NO_MEMORY;

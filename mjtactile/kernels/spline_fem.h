@@ -4,20 +4,20 @@
 #ifndef MJTACTILE_SHEET_H
 #define MJTACTILE_SHEET_H
 
-typedef struct { double length_x, length_y, lambda2, neo_hookean, modulus, poisson, table_first, table_per_unit; } SheetNumbers;
+typedef struct { double length_x, length_y, lambda2, neo_hookean, modulus, poisson, table_first, table_per_unit; } SplineNumbers;
 
 /* Membrane; `law` (2, entries): q and q'. */
-typedef struct { long nx, ny, n, width, entries; SheetNumbers numbers; const double *law; } Sheet;
+typedef struct { long nx, ny, n, width, entries; SplineNumbers numbers; const double *law; } SplineMembrane;
 
 /* Factored stiffness K0 + s g g^T: the factor of the band, and the gas's change of the inverse,
    -share w w^T. */
 typedef struct { const double *factor, *softened; double share; } Stiffness;
 
-Sheet membrane_of(long nx, long ny, const double *numbers); /* NULL: shape only */
-int is_sheet(long nx, long ny);                          /* 0: too few splines */
-void together(const Sheet *sheet, const double *parts, double *x); /* (3, n) to (n, 3) */
-void apart(const Sheet *sheet, const double *x, double *parts);
+SplineMembrane membrane_of(long nx, long ny, const double *numbers); /* NULL: shape only */
+int has_enough_splines(long nx, long ny);                          /* 0: too few splines */
+void together(const SplineMembrane *membrane, const double *parts, double *x); /* (3, n) to (n, 3) */
+void apart(const SplineMembrane *membrane, const double *x, double *parts);
 /* x (n, 3) becomes K^-1 x */
-void solve_stiffness(const Sheet *sheet, const Stiffness *K, double *x);
+void solve_stiffness(const SplineMembrane *membrane, const Stiffness *K, double *x);
 
 #endif

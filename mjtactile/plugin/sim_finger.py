@@ -44,7 +44,7 @@ class Rest:
 
     displacements: Array
     gauge_pressure: float
-    chain: SensingPipeline
+    pipeline: SensingPipeline
     state: PipelineState
 
 
@@ -67,7 +67,7 @@ def at_rest(
     perception.measure_flat_reference(flat.images[0])
     perception.measure_rest_reference(rest.images[0], finger.pressure(rest.gauge_pressure[0]))
     clock.close()
-    return Rest(sensor.displacements, sensor.gauge_pressure, perception.chain, perception.state)
+    return Rest(sensor.displacements, sensor.gauge_pressure, perception.pipeline, perception.state)
 
 
 _OPTIONS = (
@@ -217,7 +217,7 @@ class SimFinger(NotCopyable):
         self._camera = SimCamera(self.sensor, self._seed, effects)
         self._valve = SimValve(self.sensor, self._seed)
         self._finger = Finger(self.name, self.design, self._camera, self._valve)
-        self._perception = StatefulPipeline(rest.chain, rest.state)
+        self._perception = StatefulPipeline(rest.pipeline, rest.state)
         self._stepper = Stepper(self._model, self._data, [self.sensor])
         self._time = float(self._data.time)
         self._process_image()

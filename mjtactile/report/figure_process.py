@@ -31,7 +31,7 @@ class _Still:
     rgba: Array
     thing: Array | None
 
-    def things(self) -> Array:
+    def object_triangles(self) -> Array:
         assert self.thing is not None  # used only with shapes
         return self.thing
 
@@ -41,7 +41,7 @@ class _Still:
 
 def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
     shaped = snapshot is not None and any(touch.shape is not None for touch in snapshot.touch)
-    thing = scene.things() if shaped else None
+    thing = scene.object_triangles() if shaped else None
     return _Still(scene.p_WS, scene.R_WS, *scene.triangles(), thing)
 
 

@@ -63,7 +63,7 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
     """Cut the simulated scene along the arcs: segments (n, 2, 3), m, in S, for figures."""
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return np.zeros((0, 2, 3))
-    corners_O = (view.things() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
+    corners_O = (view.object_triangles() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
     near = (np.abs(corners_O).min(axis=1)[:, :2] < _REACH).all(axis=1)
     pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
     found = np.concatenate(pieces)

@@ -106,9 +106,9 @@ def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list
     found: list[tuple[Seen, Any]] = []
     for cycle, view in strip:
         touches = []
-        for touch, chain in zip(cycle.touch, session.perceptions, strict=False):
-            if touch.touching and isinstance(chain, StatefulPipeline):
-                touch = replace(touch, shape=chain.shape([touch]))
+        for touch, pipeline in zip(cycle.touch, session.perceptions, strict=False):
+            if touch.touching and isinstance(pipeline, StatefulPipeline):
+                touch = replace(touch, shape=pipeline.shape([touch]))
             touches.append(touch)
         found.append((ReplayedCycle(cycle.time, tuple(cycle.images), tuple(touches)), view))
     return found

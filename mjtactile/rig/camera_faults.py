@@ -23,10 +23,12 @@ class CameraFaults:
     zoom: float = _fault(
         "scale_percent", -5, 5, PERCENT, about="magnification, as by focus breathing"
     )
-    knock: tuple[float, float] = numbers(
+    shift: tuple[float, float] = numbers(
         "image_shift_px", "uv", -20, 20, default=(0.0, 0.0), about="shift of the image"
     )
-    turn: float = _fault("rotation_deg", -10, 10, DEGREE, about="rotation about the image center")
+    rotation: float = _fault(
+        "rotation_deg", -10, 10, DEGREE, about="rotation about the image center"
+    )
     defocus: float = _fault("defocus_px", 0, 10, about="blur (sd) in addition to the lens's")
     fog: float = _fault("fog_percent", 0, 90, PERCENT, about="uniform veiling light")
     dust: float = _fault("dust_count", 0, 200, about="dust specks on the glass")

@@ -78,8 +78,8 @@ def run_loop(
     if cycle.failure is not None:
         raise cycle.failure
     reason = cycle.supervisor.reason
-    if cycle.supervisor.doubt:
-        raise SafeStop(f"stopped, not verified safe: {reason}; {cycle.supervisor.doubt}")
+    if cycle.supervisor.unverified:
+        raise SafeStop(f"stopped, not verified safe: {reason}; {cycle.supervisor.unverified}")
     if cycle.last.phase not in ENDS:
         raise SafeStop(f"stopped safely: {reason}")
     return cycle.last
@@ -87,9 +87,9 @@ def run_loop(
 
 def _report_flag(cycle: ControlCycle) -> None:
     """Report and record that the safe state is not verified, before any error is raised."""
-    if doubt := cycle.supervisor.doubt:
-        cycle.attempt(lambda: cycle.observer.message(f"not verified safe: {doubt}"))
-        cycle.attempt(lambda: cycle.observer.note(not_verified_safe=doubt))
+    if unverified := cycle.supervisor.unverified:
+        cycle.attempt(lambda: cycle.observer.message(f"not verified safe: {unverified}"))
+        cycle.attempt(lambda: cycle.observer.note(not_verified_safe=unverified))
 
 
 def _rotate_until_over(

@@ -39,7 +39,7 @@ def may_hold(touch: Touch) -> bool:
 class Retreat:
     """Retreat of one run to the safe state.
 
-    `next` is called once per cycle. Afterwards, `doubt` describes the unverified part, or is
+    `next` is called once per cycle. Afterwards, `unverified` describes the unverified part, or is
     empty.
     """
 
@@ -52,7 +52,7 @@ class Retreat:
         self._measured: float | None = None  # last known opening, m
         self._goal: float | None = None  # goal of the opening, m; None: the gripper is not down yet
         self._opening = self._before = math.nan
-        self.doubt = ""
+        self.unverified = ""
 
     def watch(self, touch: Sequence[Touch], height: float) -> None:
         """Store the load on the fingers before the retreat, at `height`, m."""
@@ -96,7 +96,7 @@ class Retreat:
         if self._is_safe(last, touch, opening, self._goal):
             return None
         if self._open_time > OPEN_TIME_MAX:
-            self.doubt = _measured_text(touch, opening, self._goal)
+            self.unverified = _measured_text(touch, opening, self._goal)
             return None
         self._open_time += self._period
         self._opening = min(self._goal, self._opening + RETREAT_SPEED * self._period)

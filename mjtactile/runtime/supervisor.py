@@ -7,7 +7,7 @@ States:
 - `running`: the controller's command is passed on. The other states restrict or replace it.
 - `holding`: an estimate is missing. The jaws do not close and the gripper does not rise.
 - `safe`: the gripper is lowered and opened automatically (`mjtactile.runtime.retreat`).
-- `latched`: final. `reason` holds the cause, and `doubt` the unverified part of the safe state
+- `latched`: final. `reason` holds the cause, and `unverified` the unverified part of the safe state
   (empty: none).
 
 For the faults and their detectors see docs/how-to/hardware.md.
@@ -58,7 +58,7 @@ class Supervisor:
         self._safe_requested = ""
         self._retreat = Retreat(period)
         self._opening = self._height = math.nan
-        self.doubt = ""
+        self.unverified = ""
 
     @property
     def is_over(self) -> bool:
@@ -110,12 +110,12 @@ class Supervisor:
         """The same from the next `decide` on; for other threads, such as a person's red button."""
         self._safe_requested = reason
 
-    def latch(self, reason: str, now: float, doubt: str = "") -> None:
+    def latch(self, reason: str, now: float, unverified: str = "") -> None:
         """Enter the final state, after which nothing is sent.
 
-        `doubt` is the unverified part of the safe state.
+        `unverified` is the unverified part of the safe state.
         """
-        self.doubt = doubt
+        self.unverified = unverified
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
     def _hold(
@@ -147,7 +147,7 @@ class Supervisor:
             return last
         command = self._retreat.next(last, touch, self._opening, self._height)
         if command is None:
-            self.latch(self.reason, now, self._retreat.doubt)
+            self.latch(self.reason, now, self._retreat.unverified)
             return last
         return command
 

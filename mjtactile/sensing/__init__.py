@@ -1,2 +1,2 @@
-"""Pixels to touch; a room a stage (image, pose, shape, force, touch), and `chain` where they
+"""Pixels to touch; a room a stage (image, pose, shape, force, touch), and `pipeline` where they
 meet."""

@@ -22,9 +22,9 @@ def finder_gauge(reference: Reference) -> float:
     """Return the gauge pressure at rest for which a shape estimator is made, Pa: the pressure as
     first measured, in steps of 2 % if gas was let in or out, leaked or became warmer. Compression
     of sealed gas by a touch is not included, because the membrane model computes it."""
-    first = reference.first.gas.gauge
+    first = reference.first.gas.gauge_pressure
     rest = reference.rest
-    now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge
+    now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge_pressure
     return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
 
 

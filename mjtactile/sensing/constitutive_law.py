@@ -24,12 +24,12 @@ _MIN_POISSON = 0.005  # minimum: below it exp(1 / nu) overflows, and the thickne
 class ConstitutiveLaw:
     """Stress and moduli of one sensor's membrane, integrated over its thickness, N/m."""
 
-    def __init__(self, sheet: Membrane):
-        self._law = sheet.law
-        self._nu = sheet.poisson
-        self._plane = sheet.young * sheet.thickness / (1 - sheet.poisson**2)
-        self._mu = sheet.young * sheet.thickness / (2 * (1 + sheet.poisson))
-        nu = max(sheet.poisson, _MIN_POISSON)
+    def __init__(self, membrane: Membrane):
+        self._law = membrane.law
+        self._nu = membrane.poisson
+        self._plane = membrane.young * membrane.thickness / (1 - membrane.poisson**2)
+        self._mu = membrane.young * membrane.thickness / (2 * (1 + membrane.poisson))
+        nu = max(membrane.poisson, _MIN_POISSON)
         half = nu / (1 - 2 * nu)  # lambda / 2 mu
         c = _thickness(half)
         self._q = c * np.exp(-_LOG_DET)

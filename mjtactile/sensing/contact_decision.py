@@ -121,7 +121,7 @@ class ContactDecision:
         if quiet and before is not None:
             state = self._with_zero_followed(state, estimate, found.time - before.time)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if abs(moved) > s.gauge.moved_max:
+        if abs(moved) > s.gas_filter.moved_max:
             text = f"the chamber pressure has changed by {moved:+.0f} Pa since the last image"
             status = Status(StatusCode.PRESSURE_CHANGING, text)
             lost = slip.unknown(status.code, "the pressure is changing")

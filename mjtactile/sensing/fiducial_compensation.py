@@ -59,18 +59,20 @@ class FiducialCompensation:
         if camera is None and before is not None and state.camera is not None:
             camera = replace(state.camera, root=np.eye(OBSERVED_MODES), change=None)
         picture = UNCHANGED if camera is None else self._camera.picture(camera.mean, camera.darker)
-        ellipses = picture.undone_ellipses(ellipses, markers)
+        ellipses = picture.inverse_ellipses(ellipses, markers)
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
-    def undone(self, state: PipelineState, markers: Markers) -> tuple[Markers, PipelineState]:
+    def correct_markers(
+        self, state: PipelineState, markers: Markers
+    ) -> tuple[Markers, PipelineState]:
         """Correct markers from the transformed image to the camera of the rest reference. Return
         them with the fiducials attached, and the state with the remaining camera uncertainty."""
         p_SM = markers.p_SM
         reference = state.reference
         if reference is not None and state.camera is not None:
             changed = darker(markers, reference.rest)
-            p_SM = self._camera.undone(p_SM, changed, state.camera)
-            state = replace(state, camera=self._camera.doubted(state.camera, changed))
+            p_SM = self._camera.correct_positions(p_SM, changed, state.camera)
+            state = replace(state, camera=self._camera.with_size_error(state.camera, changed))
         return replace(markers, p_SM=p_SM, fiducials=state.fiducials), state
 
 

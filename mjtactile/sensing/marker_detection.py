@@ -68,7 +68,7 @@ class MarkerDetector:
             darkness=ellipses.darkness,
         )
         if self.known is not None:
-            markers, state = self.known.undone(state, markers)
+            markers, state = self.known.correct_markers(state, markers)
         return markers, replace(
             state,
             expected=moved(state.expected, markers),

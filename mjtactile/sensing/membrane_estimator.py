@@ -20,7 +20,7 @@ from mjtactile.sensing.force.gas_filter import GasFilter, GasState
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.pipeline_state import KNOCKS_SURE, PipelineState, Reference
+from mjtactile.sensing.pipeline_state import DISPLACED_IMAGES, PipelineState, Reference
 from mjtactile.sensing.settings import Settings
 
 _SAME_TIME = 0.1  # maximum time between an image and a reading that are compared, s
@@ -60,7 +60,7 @@ class MembraneEstimator:
         self._design = design
         self._inverse = inverse
         self._settings = settings
-        self.gauge = GasFilter(design.chamber, settings.gauge)
+        self.gas_filter = GasFilter(design.chamber, settings.gas_filter)
 
     def estimate(
         self,
@@ -84,17 +84,17 @@ class MembraneEstimator:
                 return face
         state = replace(state, face=False)
         found = replace(found, state=replace(found.state, face=False))
-        if state.belief is not None and self._has_changed(found.shape):
-            state = replace(state, belief=None)
+        if state.camera_drift is not None and self._has_changed(found.shape):
+            state = replace(state, camera_drift=None)
             found = self._with_gas(state, image, known)
-        if state.shape is None and not is_seen and state.belief is None:
+        if state.shape is None and not is_seen and state.camera_drift is None:
             found = self._static_retry(state, image, found)
         elif state.shape is not None:
             found = self._missed_touch_retry(state, state.shape, image, found)
-        # a camera observed by fiducials is not knocked; gas without a pressure sensor may be lost
-        sure = state.knocked >= KNOCKS_SURE or (is_seen and found.state.gas is not None)
+        # a camera observed by fiducials is not displaced; gas without a pressure sensor may be lost
+        sure = state.displaced >= DISPLACED_IMAGES or (is_seen and found.state.gas is not None)
         if not sure:
-            found = self._knock_retry(state, image, found)
+            found = self._retry_displaced(state, image, found)
         allowed = max(1, round(_SET_ASIDE_FRACTION * self._design.markers.count))
         if self.fits_markers(found.shape) or len(state.set_aside) >= allowed:
             return found
@@ -129,7 +129,7 @@ class MembraneEstimator:
             return True
         if float(np.linalg.norm(self._inverse.force(shape))) < s.face_load:
             return False
-        changed = state.belief is not None and self._has_changed(shape)
+        changed = state.camera_drift is not None and self._has_changed(shape)
         excess = float(shape.excess[0].mean())
         return changed or shape.drift > s.face_drift or excess > s.face_excess
 
@@ -181,17 +181,19 @@ class MembraneEstimator:
         face = fit(fresh, s.face_correlations[0])
         if not self.fits_markers(face.shape):
             return None
-        kept = replace(face.state, shape=state.shape, belief=state.belief, knocked=0, face=True)
+        kept = replace(
+            face.state, shape=state.shape, camera_drift=state.camera_drift, displaced=0, face=True
+        )
         return replace(face, state=kept)
 
     def _changed(self, state: PipelineState, found: Estimate) -> list[PipelineState]:
-        """Return the states that compete with a wide face: knocked camera or lost gas, and another
-        drift."""
+        """Return the states that compete with a wide face: displaced camera or lost gas, and
+        another drift."""
         rivals = []
         if state.camera is None or found.state.gas is None:
-            rivals.append(replace(state, belief=None, knocked=KNOCKS_SURE))
-        if state.belief is not None:
-            rivals.append(replace(state, belief=None))
+            rivals.append(replace(state, camera_drift=None, displaced=DISPLACED_IMAGES))
+        if state.camera_drift is not None:
+            rivals.append(replace(state, camera_drift=None))
         return rivals
 
     def _static_retry(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate:
@@ -206,7 +208,7 @@ class MembraneEstimator:
         if not self.fits_markers(again.shape):
             return found
         # this fit carries no information on the camera
-        again = replace(again, state=replace(again.state, belief=None))
+        again = replace(again, state=replace(again.state, camera_drift=None))
         return replace(again, other=found.shape)
 
     def _has_changed(self, shape: Shape) -> bool:
@@ -235,16 +237,16 @@ class MembraneEstimator:
             fits = float(again.shape.excess[0].mean()) < excess / s.overlooked_rise
         return replace(again, state=replace(again.state, shape=before)) if fits else found
 
-    def _knock_retry(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate:
-        """Return the estimate for a knocked camera if that explains the markers, else `found`."""
+    def _retry_displaced(self, state: PipelineState, image: _Image, found: Estimate) -> Estimate:
+        """Return the estimate for a displaced camera if that explains the markers, else `found`."""
         shape = found.shape
-        if shape.drift > self._settings.inverse.knock_min:
-            sure = replace(state, knocked=KNOCKS_SURE, belief=None)
+        if shape.drift > self._settings.inverse.displaced_min:
+            sure = replace(state, displaced=DISPLACED_IMAGES, camera_drift=None)
             again = self._with_gas(sure, image, found.markers)
             better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
             if better and self.fits_markers(again.shape):
-                return replace(again, state=replace(again.state, knocked=state.knocked + 1))
-        return replace(found, state=replace(found.state, knocked=0))
+                return replace(again, state=replace(again.state, displaced=state.displaced + 1))
+        return replace(found, state=replace(found.state, displaced=0))
 
     def _with_gas(
         self,
@@ -264,18 +266,20 @@ class MembraneEstimator:
         gas = self._gas_before(state.gas, rest, time, reading)
         if gas is None:
             shape = self._fit(before, state, rest, markers, correlation)
-            belief = self._belief(before, shape, reference, rest, time)
-            return Estimate(markers, shape, rest, replace(state, belief=belief))
+            camera_drift = self._camera_drift(before, shape, reference, rest, time)
+            return Estimate(markers, shape, rest, replace(state, camera_drift=camera_drift))
         fit = partial(self._shape_with, before, markers=markers, time=time, correlation=correlation)
         shape, rest, volume = fit(gas, rest, state)
-        seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_fraction)
+        seen = self.gas_filter.after_image(gas, time, volume, self._settings.inverse.dent_fraction)
         if reading is not None and not gas.is_open:
-            seen, told = self.gauge.read(seen, reading)
-            if told:
+            seen, informative = self.gas_filter.read(seen, reading)
+            if informative:
                 shape, rest, volume = fit(seen, rest, state)
                 seen = seen.refine_estimate(volume)
-        belief = self._belief(before, shape, reference, rest, time)
-        state = replace(state, gas=seen, reference=replace(reference, rest=rest), belief=belief)
+        camera_drift = self._camera_drift(before, shape, reference, rest, time)
+        state = replace(
+            state, gas=seen, reference=replace(reference, rest=rest), camera_drift=camera_drift
+        )
         return Estimate(markers, shape, rest, state, pressure_gap=_gap(shape, time, reading))
 
     def _gas_before(
@@ -286,10 +290,10 @@ class MembraneEstimator:
             return gas
         if gas is None:
             volume = self._inverse.volume(rest.c)
-            gas = self.gauge.begin(rest.gas, min(time, reading.time) - 1e-3, volume)
-        gas = self.gauge.switched(gas, reading)
+            gas = self.gas_filter.begin(rest.gas, min(time, reading.time) - 1e-3, volume)
+        gas = self.gas_filter.switched(gas, reading)
         if gas.is_open:
-            gas, _ = self.gauge.read(gas, reading)
+            gas, _ = self.gas_filter.read(gas, reading)
         return gas
 
     def _shape_with(
@@ -305,11 +309,11 @@ class MembraneEstimator:
         """Return the shape for the given gas state, the sensor at rest with it, and the gas volume,
         m^3."""
         chamber = self._design.chamber
-        now, sd = self.gauge.gas_at(gas, time)
+        now, sd = self.gas_filter.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
         shape = self._fit(camera, state, rest, markers, correlation)
         volume = self._inverse.volume(shape.c)
-        pressure = now.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent)
+        pressure = now.pressure_at(volume, chamber.ambient, chamber.polytropic_exponent)
         return replace(shape, gauge_pressure=pressure), rest, volume
 
     def _fit(
@@ -320,7 +324,7 @@ class MembraneEstimator:
         markers: Markers,
         correlation: float | None,
     ) -> Shape:
-        lost = state.knocked >= KNOCKS_SURE and state.camera is not None
+        lost = state.displaced >= DISPLACED_IMAGES and state.camera is not None
         return self._inverse.estimate(
             markers, rest, state.shape, camera=camera, lost=lost, correlation=correlation
         )
@@ -330,11 +334,11 @@ class MembraneEstimator:
         s = self._settings.inverse
         if state.camera is not None:
             return state.camera
-        if state.belief is not None:
-            return state.belief.later(time, s)
-        return CameraDriftFilter.unseen(s, knocked=state.knocked >= KNOCKS_SURE)
+        if state.camera_drift is not None:
+            return state.camera_drift.later(time, s)
+        return CameraDriftFilter.unseen(s, displaced=state.displaced >= DISPLACED_IMAGES)
 
-    def _belief(
+    def _camera_drift(
         self,
         before: CameraDriftFilter | CameraDriftEstimate,
         shape: Shape,
@@ -347,13 +351,13 @@ class MembraneEstimator:
         the model. Then the image carries little information on the camera."""
         if not isinstance(before, CameraDriftFilter):
             return None
-        moved = rest.gauge_pressure - reference.first.gas.gauge
+        moved = rest.gauge_pressure - reference.first.gas.gauge_pressure
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         load = float(np.linalg.norm(self._inverse.force(shape)))
         s = self._settings.inverse
         weight = 1 / (1 + (moved / s.same_bulge) ** 2 + (load / s.same_load) ** 2)
         gain = shape.gain
-        return before.told(shape.camera, gain.left, gain.camera.root, time, weight)
+        return before.updated(shape.camera, gain.left, gain.camera.root, time, weight)
 
 
 def _gap(shape: Shape, time: float, reading: PressureReading | None) -> float:

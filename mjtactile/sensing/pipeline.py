@@ -79,7 +79,7 @@ class SensingPipeline:
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
         self.inverse = InverseMembrane(
-            design, settings.inverse, settings.prior, settings.doubt, settings.fiducials
+            design, settings.inverse, settings.prior, settings.model_error, settings.fiducials
         )
         self.estimator = MembraneEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
@@ -238,9 +238,9 @@ class SensingPipeline:
             reference=Reference(rest, self.fitter.fit(markers), rest, markers.fiducials),
             expected=self.inverse.positions(rest.c),
             gas=None,
-            knocked=0,
+            displaced=0,
             camera=None,
-            belief=None,
+            camera_drift=None,
             rubber=self._remembered(rest, inflated_s, time),
         ).without_history()
 

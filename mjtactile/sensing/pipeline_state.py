@@ -20,7 +20,7 @@ from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.flat_reference import FlatReference
 from mjtactile.sensing.touch import slip
 
-KNOCKS_SURE = 3  # images in a row: a single torn image is not a knock
+DISPLACED_IMAGES = 3  # images in a row: a single torn image is not a displacement
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,13 @@ class PipelineState:
     - `tracks`: marker tracks; `apart` (M, 3): deviation of the markers from the zero, m.
     - `gas`: gas state, with a pressure sensor.
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
-    - `knocked`: number of successive images in which the camera seemed knocked. With fiducials, it
-      counts images in which gas seemed lost. From `KNOCKS_SURE` on this is accepted.
+    - `displaced`: number of successive images in which the camera seemed displaced. With fiducials,
+      it counts images in which gas seemed lost. From `DISPLACED_IMAGES` on this is accepted.
     - `face`: True if a face wider than the frame was in contact in the last image.
     - `unexplained`: number of images since the markers could not be explained.
     - `lost_at` (3,): force in the last explained image, N.
     - `fiducials`: those of the last image; `camera`: camera drift from them.
-    - `belief`: without fiducials, camera drift from the markers.
+    - `camera_drift`: without fiducials, camera drift from the markers.
     - `blend`: blending of images in the camera.
     - `press`: shape history of this contact episode, if shapes are requested.
     - `flat_at`: time of the last flat membrane, s.
@@ -68,13 +68,13 @@ class PipelineState:
     apart: Array | None = None
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
-    knocked: int = 0
+    displaced: int = 0
     face: bool = False
     unexplained: int = 0
     lost_at: Array | None = None
     fiducials: FiducialDetections | None = None
     camera: CameraDriftEstimate | None = None
-    belief: CameraDriftFilter | None = None
+    camera_drift: CameraDriftFilter | None = None
     blend: Blend | None = None
     press: PressHistory | None = None
     flat_at: float = -math.inf

@@ -31,13 +31,13 @@ class StatefulPipeline:
 
     def __init__(
         self,
-        chain: SensingPipeline,
+        pipeline: SensingPipeline,
         state: PipelineState | None = None,
         *,
         contact_shapes: bool = False,
     ):
-        self.chain = chain
-        self.state = chain.initial_state() if state is None else state
+        self.pipeline = pipeline
+        self.state = pipeline.initial_state() if state is None else state
         self.contact_shapes = contact_shapes
         self._finder: tuple[tuple[InverseRest, float], ContactShapeEstimator] | None = None
 
@@ -72,7 +72,7 @@ class StatefulPipeline:
         Returns:
             The flat reference.
         """
-        self.state = self.chain.measure_flat_reference(self.state, images)
+        self.state = self.pipeline.measure_flat_reference(self.state, images)
         return self.state.flat
 
     @validated()
@@ -89,9 +89,9 @@ class StatefulPipeline:
         Returns:
             The markers at rest.
         """
-        markers = self.chain.detect_rest_markers(self.state, images)
+        markers = self.pipeline.detect_rest_markers(self.state, images)
         time = max(image.time for image in images)
-        self.state = self.chain.load_rest_reference(
+        self.state = self.pipeline.load_rest_reference(
             self.state, markers, gauge_pressure, sealed=sealed, time=time
         )
         return markers
@@ -109,13 +109,13 @@ class StatefulPipeline:
             The touch.
         """
         before = self.state
-        touch, self.state = self.chain.step(before, image, now, reading)
+        touch, self.state = self.pipeline.step(before, image, now, reading)
         if not self.contact_shapes:
             return touch
-        lacking = uninformative_status(touch, self.chain.settings.body)
+        lacking = uninformative_status(touch, self.pipeline.settings.contact_shape)
         if lacking is not None and before.press is None:
             return attach_shape(touch, lacking)
-        touch, self.state = self.chain.track_contact_shape(
+        touch, self.state = self.pipeline.track_contact_shape(
             before, self.state, touch, self._finder_now()
         )
         return touch
@@ -139,17 +139,17 @@ class StatefulPipeline:
         history = [touches] if isinstance(touches, Touch) else list(touches)
         if not history:
             raise InputError("is empty", source="shape", field="touches")
-        lacking = uninformative_status(history[-1], self.chain.settings.body)
+        lacking = uninformative_status(history[-1], self.pipeline.settings.contact_shape)
         if lacking is not None:
             return lacking
-        return self.chain.estimate_contact_shape(self.state, history, self._finder_now())
+        return self.pipeline.estimate_contact_shape(self.state, history, self._finder_now())
 
     def _finder_now(self) -> ContactShapeEstimator:
         """Made when it is first asked for, and again for another rest or another amount of gas."""
         reference = self.state.reference
         key = None if reference is None else (reference.first, finder_gauge(reference))
         if self._finder is None or key is None or self._finder[0] != key:
-            finder = self.chain.make_shape_estimator(self.state)
+            finder = self.pipeline.make_shape_estimator(self.state)
             assert key is not None
             self._finder = (key, finder)
         return self._finder[1]

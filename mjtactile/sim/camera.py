@@ -62,7 +62,7 @@ class SimCamera:
         """Set a new seed for the image noise; an image already rendered is rendered again."""
         # one of them is there
         (self._sampler or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
-        self._faulty = FaultyImage(self._faulty.troubles, seed)
+        self._faulty = FaultyImage(self._faulty.faults, seed)
         self._drawn = None
 
     def draw(self) -> None:
@@ -71,7 +71,7 @@ class SimCamera:
         if self._sampler is not None:
             middle = 0.5 * _EXPOSURE if self._moving else 0.0
             poses = sensor.marker_poses_before(middle) if middle else sensor.marker_poses()
-            self._drawn = self._sampler.sight(*poses, sensor.time)
+            self._drawn = self._sampler.sample(*poses, sensor.time)
         else:
             renderer = self._renderer
             assert renderer is not None

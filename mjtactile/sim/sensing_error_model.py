@@ -29,9 +29,10 @@ from mjtactile.core import resources
 from mjtactile.core.calibration_parts import fingerprint
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import KEYS, hint
 from mjtactile.core.types import Array
 
-FOLDER = "models/fidelity/chain"
+FOLDER = "models/fidelity/pipeline"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,7 @@ class SensingErrorModel:
     sd: Array  # standard deviations (k, 6) of the remaining error
     fresh: Array  # standard deviations (k, 6) of its part that is independent in each image
     correlation: Array  # correlation (6, 6) of the remaining error
-    said: Array  # standard deviations (k, 6) of the wrench that the pipeline reports
+    reported_sd: Array  # standard deviations (k, 6) of the wrench that the pipeline reports
     reported_correlation: Array  # correlation (6, 6) that the pipeline reports
     shear_gain: float  # standard deviation of the relative error of a grasp's shear
     between: Array  # standard deviation (k,) of the logarithm of a grasp's factor
@@ -92,7 +93,7 @@ class ErrorsAtLoad(NamedTuple):
     mean: Array
     sd: Array
     fresh: Array
-    said: Array
+    reported_sd: Array
     outliers: float
     unknown: float
     area: float
@@ -113,6 +114,8 @@ _ARRAYS = frozenset(
 
 def parse_error_model(table: Mapping[str, Any]) -> SensingErrorModel:
     """Read a table of `SensingErrorModel.table`. Raises KeyError, TypeError or ValueError."""
+    if old := [key for key in table if key in KEYS]:
+        raise KeyError(f"unknown key{hint(old[0])}")
     values: dict[str, Any] = {
         name: np.array(table[name], float) if name in _ARRAYS else float(table[name])
         for name in SensingErrorModel.__dataclass_fields__

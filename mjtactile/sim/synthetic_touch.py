@@ -138,7 +138,7 @@ class SyntheticTouchSource:
             time,
             0.0,
             force,
-            float(here.said[2]),
+            float(here.reported_sd[2]),
             self._touching,
             contact,
             traction,

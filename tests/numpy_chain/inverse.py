@@ -17,7 +17,7 @@ from mjtactile.sensing.force.inverse_fem import STEP_LIMIT, InverseMembrane
 from mjtactile.sensing.force.linearization import NEAR, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from tests.numpy_chain.sheet import Sheet, State
+from tests.numpy_chain.sheet import SplineMembrane, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,12 @@ class _Gain:
 
 
 class DenseInverse(InverseMembrane):
-    """Dense version of its base class; it takes only the basis from the base's `Sheet`."""
+    """Dense version of its base class; it takes only the basis from the base's `SplineMembrane`."""
 
     def __init__(self, design: SensorDesign):
         super().__init__(design)
-        self._dense = Sheet(design, self.settings.spans)
-        ax, ay = self.sheet.axes
+        self._dense = SplineMembrane(design, self.settings.spans)
+        ax, ay = self.membrane.axes
         hat_x = hats(self.x, ax.points)[0][:, 1:-1]
         hat_y = hats(self.y, ay.points)[0][:, 1:-1]
         load_x, load_y = (
@@ -158,7 +158,7 @@ class DenseInverse(InverseMembrane):
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
         # unit forces along the whitened axes of each marker, (3 n, 3 m)
         unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(
-            3 * self.sheet.count, -1
+            3 * self.membrane.count, -1
         )
         slope_weights = np.zeros(len(rows))
         if self._slopes is not None:
@@ -174,7 +174,7 @@ class DenseInverse(InverseMembrane):
         )
         drift, drift_gas = self._drift(modes @ camera.root, state, rest, stiffness, weights, unit)
         moved = cho_solve(stiffness, unit, check_finite=False).T
-        response = (moved.reshape(-1, self.sheet.count) @ self._load).reshape(len(moved), -1)
+        response = (moved.reshape(-1, self.membrane.count) @ self._load).reshape(len(moved), -1)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
         half = half_of(self.prior, response, prior)
         innovation = half @ half.T + drift @ drift.T

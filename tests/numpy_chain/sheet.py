@@ -45,7 +45,7 @@ class State:
     scale: float
 
 
-class Sheet:
+class SplineMembrane:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
     Young's modulus."""
 
@@ -176,7 +176,7 @@ class Sheet:
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         return (
-            gas.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent),
+            gas.pressure_at(volume, chamber.ambient, chamber.polytropic_exponent),
             gas.stiffness(volume, chamber.polytropic_exponent),
         )
 

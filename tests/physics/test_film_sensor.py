@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -238,7 +238,7 @@ def test_in_a_round_frame_markers_stand_where_sensing_s_sheet_has_them(name):
     world = PressWorld(design, Indenter("sphere", 0.008), effects=FILM)
     world.inflate(1000.0, seal=True)
     found, normals = world.sensors[0].marker_poses()
-    sheet = Sheet(design, (14, 14))
+    sheet = SplineMembrane(design, (14, 14))
     c = sheet.equilibrium(Gas(1000.0))
     flat = design.markers.p_SM
     basis = sheet.basis(sheet.own(flat[:, :2]))

@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
-from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 from mjtactile.sensing.touch.patches import find_patches, together
 from tests.numpy_chain.inverse import half_of, moments
 
@@ -89,7 +89,7 @@ def sensor(request, truth):
 
 
 def test_forward_solution_matches_the_independent_membrane(truth):
-    sheet = Sheet(load_sensor("dense"), (14, 10))
+    sheet = SplineMembrane(load_sensor("dense"), (14, 10))
     c = sheet.equilibrium(Gas(SUPPLY))
     height = (sheet.basis(np.zeros((1, 2))) @ c[2])[0]
     # linear triangles of 1.25 mm are too stiff by O(h^2): 0.4 % of a 40 x 30 mm bulge
@@ -98,7 +98,7 @@ def test_forward_solution_matches_the_independent_membrane(truth):
 
 
 def test_tangent_is_the_derivative_of_the_residual():
-    sheet = Sheet(load_sensor("dense"), (14, 10))
+    sheet = SplineMembrane(load_sensor("dense"), (14, 10))
     c = sheet.equilibrium(Gas(SUPPLY))
     v = 1e-6 * np.random.default_rng(0).standard_normal(c.shape)
     band = sheet.tangent(sheet.state(c), SUPPLY)
@@ -223,12 +223,12 @@ def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
     sheet = nominal.membrane
     other = replace(sheet, young=young * sheet.young, pre_stretch=sheet.pre_stretch + tauter)
     true = InverseMembrane(replace(nominal, membrane=other))
-    c = true.sheet.equilibrium(Gas(SUPPLY))
-    gas = true.sheet.seal(true.sheet.state(c), SUPPLY)
+    c = true.membrane.equilibrium(Gas(SUPPLY))
+    gas = true.membrane.seal(true.membrane.state(c), SUPPLY)
     inside = np.maximum(1 - (true.nodes**2).sum(axis=1) / 5e-3**2, 0.0)
     traction = np.outer([0.1, 0.0, -0.4], inside / (inside @ true.node_area))
     load = traction @ np.kron(*true._grid[2:4]).T
-    pressed = true.sheet.equilibrium(gas, load=load, start=c)
+    pressed = true.membrane.equilibrium(gas, load=load, start=c)
 
     def seen(coefficients):
         p = true.positions(coefficients)

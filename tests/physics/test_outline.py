@@ -22,7 +22,7 @@ from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.report.overlay import find_ellipses
 from mjtactile.sensing.constitutive_law import ConstitutiveLaw
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
-from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 from mjtactile.sensing.image import markers
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.surface.surface import SurfaceFitter
@@ -160,7 +160,7 @@ def disc_height(design, pressure, elements=60):
 def test_sensings_sheet_is_henckys_disc():
     design = plain(ROUND)
     pressure = 1e-3 * 300 / 15e-3  # p a / E h = 1e-3, the top of the closed form's range
-    sheet = Sheet(design, (12, 12))
+    sheet = SplineMembrane(design, (12, 12))
     # the closed form is that of small slopes: 0.07 %, at 8 x 8 as at 24 x 24
     assert top(sheet, sheet.equilibrium(Gas(pressure))) == pytest.approx(
         closed_forms.hencky_height(15e-3, 300.0, design.membrane.poisson, pressure), rel=2e-3
@@ -190,7 +190,7 @@ def test_a_taut_ellipse_is_a_paraboloid():
     frame = design.frame
     a2, b2 = (frame.length / 2) ** 2, (frame.width / 2) ** 2
     height = 10.0 / (2 * design.membrane.pretension * (1 / a2 + 1 / b2))
-    sheet = Sheet(design, (14, 10))
+    sheet = SplineMembrane(design, (14, 10))
     c = sheet.equilibrium(Gas(10.0))
     at = np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2)) * (frame.length, frame.width) / 2
     expected = height * (1 - at[:, 0] ** 2 / a2 - at[:, 1] ** 2 / b2)
@@ -207,7 +207,7 @@ def test_a_taut_ellipse_is_a_paraboloid():
 def test_the_stiffness_is_the_derivative_of_the_forces(outline):
     frame = replace(ROUND.frame, length=2 * outline.half_sizes[0], width=2 * outline.half_sizes[1])
     frame.__dict__["outline"] = outline
-    sheet = Sheet(replace(ROUND, frame=frame), (8, 6))
+    sheet = SplineMembrane(replace(ROUND, frame=frame), (8, 6))
     rng = np.random.default_rng(0)
     c = sheet.equilibrium(Gas(1000.0)) + 1e-4 * rng.normal(size=(3, sheet.count))
     change = 1e-7 * rng.normal(size=c.shape)
@@ -240,7 +240,7 @@ def test_a_load_on_the_sheet_is_felt_where_it_is(design):
         normals = np.tile([0.0, 0.0, 1.0], (markers.count, 1))
         return Markers(np.arange(markers.count), estimator.positions(c), normals, cov)
 
-    sheet = estimator.sheet
+    sheet = estimator.membrane
     rest = estimator.rest_state(seen(sheet.equilibrium(Gas(1000.0))), 1000.0)
     assert rest.stiffness_scale == pytest.approx(1.0, abs=1e-3)
     place = np.array([4e-3, -3e-3])

@@ -98,7 +98,7 @@ def test_a_sinusoid_lags_by_its_loss_angle(frequency):
     wave = np.exp(-1j * omega * times[last])
     modulus = (found[last, 1] @ wave) / (found[last, 0] @ wave)
     turned = 1j * omega * TWO.times
-    expected = 1 + (TWO.shares * turned / (1 + turned)).sum()
+    expected = 1 + (TWO.fractions * turned / (1 + turned)).sum()
     assert abs(modulus) == pytest.approx(abs(expected), rel=5e-3)
     # 25 steps of 4 ms in a period of 5 Hz; the start is forgotten to exp(-10)
     assert np.angle(modulus) == pytest.approx(np.angle(expected), abs=5e-3)

@@ -16,7 +16,7 @@ from mjtactile.core.errors import SimulationError
 from mjtactile.core.neo_hookean import Law, thickness_over_area
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.sensing.constitutive_law import ConstitutiveLaw
-from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.effect_switches import PHYSICS
@@ -155,7 +155,7 @@ def test_a_balloon_that_cannot_hold_its_pressure_says_so():
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("case", CASES[:2], ids=NAMES[:2])
 def test_sensings_bulge_is_the_references(case, law):
-    sheet = Sheet(design_of(case, law), (14, 10))
+    sheet = SplineMembrane(design_of(case, law), (14, 10))
     c = None
     for pressure in (1000.0, 4000.0):
         c = sheet.equilibrium(Gas(pressure), start=c)

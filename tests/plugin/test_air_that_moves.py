@@ -51,10 +51,10 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
         for k in range(1, 200):
             time = k / 30
             true = (chamber.ambient + 1000.0) * np.exp(-loss * time) - chamber.ambient
-            state = follow.saw(state, time, volume, 0.03)
+            state = follow.after_image(state, time, volume, 0.03)
             state, _ = follow.read(state, reading(true + 5.0 * rng.standard_normal(), time))
         gas, sd = follow.gas_at(state, time)
-        assert abs(gas.gauge - true) < maximum
+        assert abs(gas.gauge_pressure - true) < maximum
         assert sd < maximum
 
 

@@ -106,8 +106,8 @@ def run(options: argparse.Namespace) -> int:
             chains, loads = _recorded(options, targets[0])
         true, felt, areas = _estimate_all(options, chains, loads)
     results = {}
-    for goal, chain, forces, area in zip(targets, chains, felt, areas, strict=True):
-        fit = calibrate_force(true, forces, area, chain.state.reference.surface.area)
+    for goal, pipeline, forces, area in zip(targets, chains, felt, areas, strict=True):
+        fit = calibrate_force(true, forces, area, pipeline.state.reference.surface.area)
         goal.write("force", force_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
         results[goal.finger] = (
             goal.path,
@@ -131,7 +131,10 @@ def _estimate_all(
     for name, force, shots in loads:
         try:
             felt.append(
-                [mean_force(chain, images) for chain, images in zip(chains, shots, strict=True)]
+                [
+                    mean_force(pipeline, images)
+                    for pipeline, images in zip(chains, shots, strict=True)
+                ]
             )
         except InputError as error:
             raise InputError(
@@ -163,12 +166,12 @@ def _recorded(
 ) -> tuple[list[Any], Loads]:
     before = goal.load().used(goal.design)
     if options.recording is not None:
-        chain, loads = _recording(options, goal, before)
+        pipeline, loads = _recording(options, goal, before)
     else:
         # before the references, which take a while: the table may be bad
         loads = _table(options.source, goal.design)
-        chain = _references(options, goal, before)
-    return [chain], ((name, force, [images]) for name, force, images in loads)
+        pipeline = _references(options, goal, before)
+    return [pipeline], ((name, force, [images]) for name, force, images in loads)
 
 
 def _references(
@@ -185,15 +188,15 @@ def _references(
         reading = None if options.pressure is None else 1e3 * options.pressure
         flat, rest = (_images(source, goal.design) for source in (options.flat, options.rest))
         return ready_perception(goal.design, before, flat, rest, reading)
-    chain = SensingPipeline(goal.design, replace(before, force=None))
-    state = chain.restored_state()
+    pipeline = SensingPipeline(goal.design, replace(before, force=None))
+    state = pipeline.restored_state()
     if state.reference is None:
         message = (
             "references are missing: add --flat and --rest, or --recording, or run "
             "`calibrate frame` with rest images for this file"
         )
         raise InputError(message, source=goal.path, field="frame.rest")
-    return StatefulPipeline(chain, state)
+    return StatefulPipeline(pipeline, state)
 
 
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:
@@ -242,7 +245,7 @@ def _recording(
         raise InputError(message, source=options.recording, field="--recording")
     flat, rest = recording.references
     reading = rest.gauge_pressure[finger] if rest.gauge_pressure else None
-    chain = ready_perception(
+    pipeline = ready_perception(
         goal.design, before, list(flat.images(finger)), list(rest.images(finger)), reading
     )
     table = read_columns(options.source, ("time_s", "force_N"), fewest=2)
@@ -265,7 +268,7 @@ def _recording(
     ):
         message = "the times do not overlap the recording: check --delay-s"
         raise InputError(message, source=options.source, field="time_s")
-    return chain, loads()
+    return pipeline, loads()
 
 
 # -- live

@@ -144,7 +144,7 @@ function readout(time) {  // what was measured then, in words
     const sd = one.sd && one.sd[i] !== null ? ` \u00b1 ${(2 * one.sd[i]).toFixed(3)}` : "";
     words.push(`${one.name} ${one.y[i] === null ? "unknown" : one.y[i].toFixed(3) + sd}`);
   }
-  return `${words.join(";  ")};  ${data.fingers.map((name, f) => `${name} ${data.said[i][f]}`).join(", ")}`;
+  return `${words.join(";  ")};  ${data.fingers.map((name, f) => `${name} ${data.touch_texts[i][f]}`).join(", ")}`;
 }
 
 function look(from, to) {  // show this stretch of time, as far as there is any

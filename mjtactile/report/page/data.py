@@ -99,7 +99,7 @@ def page_data(
         "time": _plain(times, 4),
         "phase": [str(name) for name in recording.columns["phase"]],
         "phases": phases,
-        "said": _said(recording),
+        "touch_texts": _touch_texts(recording),
         "plots": [plot for plot in plots if plot["series"]],
         "grids": _grids(moments, recording.width),
         "z_range": (1e3 * low, 1e3 * high),
@@ -173,7 +173,7 @@ def _plain(values: Array, digits: int) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in np.round(values, digits).tolist()]
 
 
-def _said(recording: Recording) -> list[list[str]]:
+def _touch_texts(recording: Recording) -> list[list[str]]:
     """Return the slip state of each finger in each cycle, or the reason why it is unknown."""
     statuses = recording.columns["status"]
     slips = recording.columns.get("slip_state", statuses)

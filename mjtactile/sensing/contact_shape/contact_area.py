@@ -86,7 +86,7 @@ def _area(
         steep = slope_at_rim(share * state.force_normal, area, rim, state)
         out = _rim_out(steep, forward.stiction_ratio(state, s) - s.friction, s) * hint.rounding
         return area * max(1 + out * rim / area, _FACE_MIN) if area > 0 else 0.0
-    stretched = state.found[TENSION] / forward.film.rest.found[TENSION] - 1
+    stretched = state.found[TENSION] / forward.membrane.rest.found[TENSION] - 1
     ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_max)
     return share * ratio * state.area
 

@@ -17,13 +17,13 @@ from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
 from mjtactile.sensing.contact_shape.fit_state import Data
-from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, borne
+from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.hypotheses import PressHistory
 from mjtactile.sensing.contact_shape.press_tracker import follow
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, feasible_half_extents
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
-from mjtactile.sensing.contact_shape.shape_result import words
+from mjtactile.sensing.contact_shape.shape_result import build_shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
 
@@ -44,19 +44,19 @@ class Found:
 
 
 class ContactShapeEstimator:
-    """Contact shape estimator of one sensor, made once per rest reference. `gauge` is the
+    """Contact shape estimator of one sensor, made once per rest reference. `gauge_pressure` is the
     approximate gauge pressure at rest, Pa; None: taken from `rest`."""
 
     def __init__(
         self,
         design: SensorDesign,
         rest: InverseRest,
-        gauge: float | None = None,
+        gauge_pressure: float | None = None,
         settings: Settings = DEFAULTS,
     ):
         self.settings = settings
         self._frame = feasible_half_extents(design.frame, _EDGE)
-        self.forward = ForwardModel(design, rest, settings.body.spacing, gauge)
+        self.forward = ForwardModel(design, rest, settings.contact_shape.spacing, gauge_pressure)
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
         """Estimate the contact shape in the newest of the touches of one contact episode, oldest
@@ -77,7 +77,7 @@ class ContactShapeEstimator:
         """Estimate the contact shape in the next image. `press` is the history of the contact
         episode, `p_rest` (N, 3), m, are the marker positions at rest, and `rubber` is the motion of
         the rubber since the previous image (None: unknown)."""
-        s = self.settings.body
+        s = self.settings.contact_shape
         lacking = uninformative_status(touch, s)
         if lacking is not None:
             goes_on = touch.touching or touch.status != OK
@@ -97,10 +97,12 @@ class ContactShapeEstimator:
         shape = self._said(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
-        return Found(shape, borne(self.forward, press, touch.traction.wrench, scale, s), press)
+        return Found(
+            shape, contact_load(self.forward, press, touch.traction.wrench, scale, s), press
+        )
 
     def _said(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
-        s = self.settings.body
+        s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
         if misfit > s.misfit_max:
@@ -114,7 +116,9 @@ class ContactShapeEstimator:
         for probability, found in press.bodies():
             whole = sum(areas(self.forward, found, s))
             weighed.append((probability, whole, area_sd(found, whole, scale, s)))
-        shape = words(self.forward, press.now, kind, probabilities, scale, interval(weighed), s)
+        shape = build_shape(
+            self.forward, press.now, kind, probabilities, scale, interval(weighed), s
+        )
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 
     def _hint(self, touch: Touch) -> InitialGuess:
@@ -137,19 +141,19 @@ class ContactShapeEstimator:
             column = int(np.abs(surface.x - contact.centroid[0]).argmin())
             row = int(np.abs(surface.y - contact.centroid[1]).argmin())
             height = float(surface.z[row, column])
-        film = self.forward
-        sheet = film.film.design.membrane.thickness
+        forward = self.forward
+        design = forward.membrane.design
         angle = contact.angle if math.isfinite(contact.angle) else 0.0
         return InitialGuess(
             np.array(contact.centroid),
-            height + sheet / 2,
+            height + design.membrane.thickness / 2,
             contact.area,
             angle,
             self._frame,
-            film.nodes,
-            _ROUNDING * film.spacing,
+            forward.nodes,
+            _ROUNDING * forward.spacing,
             force,
-            round=film.film.design.frame.outline is not None,
+            round=design.frame.outline is not None,
         )
 
 

@@ -45,7 +45,9 @@ class Data:
         markers = touch.markers
         assert markers is not None
         gas = drift[0] * by_gas[markers.ids]
-        cov = np.diag(markers.cov_p[:, 2, 2] + s.film_sd**2) + drift[1] ** 2 + np.outer(gas, gas)
+        cov = (
+            np.diag(markers.cov_p[:, 2, 2] + s.membrane_sd**2) + drift[1] ** 2 + np.outer(gas, gas)
+        )
         root = solve_triangular(np.linalg.cholesky(cov), np.eye(len(cov)), lower=True)
         heights = markers.p_SM[:, 2] - raised[markers.ids]
         return cls(markers.ids, heights, root, touch.force_normal)

@@ -34,7 +34,7 @@ class ContactLoad:
     explained: float
 
 
-def borne(
+def contact_load(
     forward: ForwardModel, press: PressHistory, wrench: Array, noise: float, s: ContactShapeSettings
 ) -> ContactLoad:
     """Compute force and torques on the most likely shape, with covariance. It covers the parameter
@@ -55,16 +55,16 @@ def borne(
     more = forward.stiction_ratio(state, s)
     load = more * rows @ state.wrench
     pointed = _pointed(found, noise, s)
-    untold = max(blunt, pointed)
-    place = s.place_sd_sharp + untold * (s.place_sd - s.place_sd_sharp)
+    uncertain = max(blunt, pointed)
+    place = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
     model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
     shear = wrench[:2] - more * state.wrench[:2]
     model[[1, 2], [1, 2]] += (s.shear_above_fraction * above * shear[::-1]) ** 2
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     off = load - rows @ wrench
-    doubt = 1 - float(press.probabilities[0])
+    p_other = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_max) ** 2
-    cov = model + by_numbers + doubt * np.outer(off, off)
+    cov = model + by_numbers + p_other * np.outer(off, off)
     # The membrane catches on a point, while the model slides. Blunt shapes explain no sharp
     # features. If the markers show some, the contact may be a misclassified point.
     explains = kinds["edge"] + kinds["multiple"]
@@ -94,7 +94,7 @@ def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
     Nodes less than `_BELOW` below are weighted in proportion. The model membrane is fixed at the
     frame, and long shapes end before it. So the model represents neither the membrane slope there
     nor the load on the last millimeters."""
-    frame = forward.film.design.frame
+    frame = forward.membrane.design.frame
     x, y = forward.nodes
     beside = np.minimum(frame.length / 2 - np.abs(x), frame.width / 2 - np.abs(y))
     lower = np.clip(-state.heights / _BELOW, 0.0, 1.0)

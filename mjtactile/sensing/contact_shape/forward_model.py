@@ -30,52 +30,57 @@ SUM_AREA = 7
 
 class ForwardModel:
     """Quasi-static membrane model of one sensor, with the heights of its markers. `spacing` is the
-    approximate node spacing, m, and `gauge` the gauge pressure at rest, Pa (None: taken from
-    `rest`)."""
+    approximate node spacing, m, and `gauge_pressure` that at rest, Pa (None: taken from `rest`)."""
 
     def __init__(
-        self, design: SensorDesign, rest: InverseRest, spacing: float, gauge: float | None = None
+        self,
+        design: SensorDesign,
+        rest: InverseRest,
+        spacing: float,
+        gauge_pressure: float | None = None,
     ):
-        sheet = replace(
+        stretched = replace(
             design.membrane,
             young=rest.young * design.membrane.young,
             pre_stretch=rest.stretch * design.membrane.pre_stretch,
         )
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / spacing) + 1, 9) for side in sides)
-        self.film = QuasistaticMembrane(
-            replace(design, membrane=sheet),
+        self.membrane = QuasistaticMembrane(
+            replace(design, membrane=stretched),
             (columns, rows),
-            rest.gas.gauge if gauge is None else gauge,
+            rest.gas.gauge_pressure if gauge_pressure is None else gauge_pressure,
             sealed=rest.gas.constant is not None,
         )
-        self.spacing = float(self.film.x[1] - self.film.x[0])
-        x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
+        self.spacing = float(self.membrane.x[1] - self.membrane.x[0])
+        x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
         self.nodes: tuple[Array, Array] = (x, y)
         material = design.markers.p_SM
         self._by_node: Array | None = None
         if design.frame.outline is not None:
-            self._by_node = interpolation_matrix(self.film, material[:, :2])
+            self._by_node = interpolation_matrix(self.membrane, material[:, :2])
         from scipy.interpolate import make_interp_spline  # a fifth of a command's imports
 
         self._across, self._along = (
             make_interp_spline(nodes, np.eye(len(nodes)))(np.clip(at, nodes[0], nodes[-1]))
-            for nodes, at in zip((self.film.x, self.film.y), material[:, :2].T, strict=True)
+            for nodes, at in zip((self.membrane.x, self.membrane.y), material[:, :2].T, strict=True)
         )
-        self.rest_heights = self.heights(self.film.rest.x[None])[0]
+        self.rest_heights = self.heights(self.membrane.rest.x[None])[0]
 
     @cached_property
     def by_gas(self) -> Array:
         """Return the derivative (N,), m, of the marker heights by the relative excess of gas."""
-        film = self.film
-        if not film.sealed:
+        membrane = self.membrane
+        if not membrane.sealed:
             return np.zeros(len(self.rest_heights))
-        more = QuasistaticMembrane(film.design, film.grid, (1 + _MORE) * film.gauge_pressure)
-        rise = _MORE * film.gauge_pressure
-        chamber = film.design.chamber
-        absolute = film.gauge_pressure + chamber.ambient
-        volume = film.design.chamber_volume_flat + film.rest.volume
-        yields = absolute / volume * (more.rest.volume - film.rest.volume) / rise
+        more = QuasistaticMembrane(
+            membrane.design, membrane.grid, (1 + _MORE) * membrane.gauge_pressure
+        )
+        rise = _MORE * membrane.gauge_pressure
+        chamber = membrane.design.chamber
+        absolute = membrane.gauge_pressure + chamber.ambient
+        volume = membrane.design.chamber_volume_flat + membrane.rest.volume
+        yields = absolute / volume * (more.rest.volume - membrane.rest.volume) / rise
         higher = self.heights(more.rest.x[None])[0] - self.rest_heights
         return higher / rise * absolute / (1 + yields)
 
@@ -99,7 +104,7 @@ class ForwardModel:
         total = float(force.sum())
         if total <= 0:
             return s.friction
-        frame = self.film.design.frame
+        frame = self.membrane.design.frame
         sides = (frame.length, frame.width)
         more = 0.0
         for axis, share in enumerate(s.friction_aside):
@@ -114,20 +119,20 @@ class ForwardModel:
         """Approximate the changes of marker heights (n, N), m, and normal force (n,), N. The
         changes are from a state on the first of `bodies` to the others. Each of the others is one
         of `steps` (n,) further (`film.derivatives.answered`)."""
-        by_z, by_force = approximate_sensitivities(self.film, state, *self._rows(bodies), steps)
+        by_z, by_force = approximate_sensitivities(self.membrane, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
     def derivatives(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
         """The same exactly, and of all that is added up (n, 8) (SUMS)."""
-        by = sensitivities_of(self.film, state, *self._rows(bodies), steps)
+        by = sensitivities_of(self.membrane, state, *self._rows(bodies), steps)
         sums = np.column_stack([by.wrench, by.gauge_pressure, by.area])
         return self.heights(by.displacements), sums
 
     def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
         """Return the obstacle rows (m, k, NUMBERS) and their pool."""
-        rows, pool = rows_and_pool([body for one in bodies for body in one], self.film.grid)
+        rows, pool = rows_and_pool([body for one in bodies for body in one], self.membrane.grid)
         return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(
@@ -136,7 +141,7 @@ class ForwardModel:
         """Solve the membrane on each set of obstacles, from `start`; stop those that do not
         converge."""
         if start is None:
-            return self.film.solve_batch(bodies)
+            return self.membrane.solve_batch(bodies)
         count = len(bodies)
         found = np.empty((count, FOUND))
         found[:] = start.found
@@ -145,7 +150,7 @@ class ForwardModel:
             np.repeat(start.force[None], count, axis=0),
             found,
         )
-        return self.film.solve_batch(bodies, batch, again=False, max_steps=_STEPS)
+        return self.membrane.solve_batch(bodies, batch, again=False, max_steps=_STEPS)
 
 
 def converged(batch: MembraneSolutionBatch) -> bool:

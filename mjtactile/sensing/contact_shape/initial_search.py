@@ -186,8 +186,8 @@ def replace_shape(
         return None
     force, x, y = _contact_nodes(problem.forward, state)
     theta = problem.clip(start)
-    film = problem.forward.film
-    heights = film.obstacle_heights(family.build(theta, problem.hint), np.column_stack([x, y]))
+    membrane = problem.forward.membrane
+    heights = membrane.obstacle_heights(family.build(theta, problem.hint), np.column_stack([x, y]))
     there = np.isfinite(heights)
     if not there.any():
         return None

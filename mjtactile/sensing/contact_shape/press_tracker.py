@@ -97,7 +97,7 @@ def _search_all(
 
 def _penalty(fit: Fit, s: ContactShapeSettings) -> float:
     """Return the log evidence that additional parts must gain."""
-    return s.log_body * max(len(fit.family.parts) - 1, 0)
+    return s.log_shape * max(len(fit.family.parts) - 1, 0)
 
 
 def _with_past(

@@ -24,11 +24,11 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 @dataclass(frozen=True, eq=False)
 class ShapeFilter:
     """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
-    deviation. `precision` (m, m) is their precision, `told` (m,) the precision times the mean.
-    `drift` is the sum of squares of their changes."""
+    deviation. `precision` (m, m) is their precision, `information` (m,) the precision times the
+    mean. `drift` is the sum of squares of their changes."""
 
     precision: Array
-    told: Array
+    information: Array
     drift: float = 0.0
 
     @classmethod
@@ -39,22 +39,22 @@ class ShapeFilter:
 
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
-        seen, told = _alone(fit)
-        own = np.eye(len(told)) + seen @ _own_wrong(fit)
+        seen, information = _alone(fit)
+        own = np.eye(len(information)) + seen @ _own_wrong(fit)
         seen = np.linalg.solve(own, seen)
-        told = np.linalg.solve(own, told)
-        drift = self.drift + self._off(seen, told)
-        return ShapeFilter(self.precision + seen, self.told + told, drift)
+        information = np.linalg.solve(own, information)
+        drift = self.drift + self._off(seen, information)
+        return ShapeFilter(self.precision + seen, self.information + information, drift)
 
-    def _off(self, seen: Array, told: Array) -> float:
+    def _off(self, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
-        evaluation has precision `seen` (m, m) and information vector `told` (m,). Unobserved
+        evaluation has precision `seen` (m, m) and information vector `information` (m,). Unobserved
         directions do not count."""
         if not self.precision.any():
             return 0.0
-        tiny = _UNSEEN * np.eye(len(told))
+        tiny = _UNSEEN * np.eye(len(information))
         known = np.linalg.inv(self.precision + tiny)
-        off = told - seen @ known @ self.told
+        off = information - seen @ known @ self.information
         return float(off @ np.linalg.solve(seen + seen @ known @ seen + tiny, off))
 
     def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
@@ -67,7 +67,7 @@ class ShapeFilter:
         mean = family.rebased(fit.theta, fit.hint, hint) / family.sd
         believed = (family.mean / family.sd)[kept]
         known = np.linalg.inv(self.precision / noise + np.eye(len(believed)))
-        mean[kept] = known @ (self.told / noise + believed)
+        mean[kept] = known @ (self.information / noise + believed)
         stood = np.linalg.inv(fit.precision_with(noise))[np.ix_(free, free)]
         cov = np.zeros((len(mean), len(mean)))
         cov[np.ix_(free, free)] = stood + np.diag((family.loose / family.sd)[free] ** 2)
@@ -90,14 +90,14 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
     noise = max(fit.misfit, 1.0)
     image = fit.curvature / noise
     # at the minimum, the gradients of prior and image balance
-    told = image @ t + prior.precision @ (t - prior.mean) / noise
+    information = image @ t + prior.precision @ (t - prior.mean) / noise
     stand = prior.precision[np.ix_(free, free)]
     place = np.linalg.solve(
         image[np.ix_(free, free)] + stand,
-        np.column_stack([image[np.ix_(free, kept)], told[free] + stand @ prior.mean[free]]),
+        np.column_stack([image[np.ix_(free, kept)], information[free] + stand @ prior.mean[free]]),
     )
     through = image[np.ix_(kept, free)] @ place
-    return image[np.ix_(kept, kept)] - through[:, :-1], told[kept] - through[:, -1]
+    return image[np.ix_(kept, kept)] - through[:, :-1], information[kept] - through[:, -1]
 
 
 def _own_wrong(fit: Fit) -> Array:

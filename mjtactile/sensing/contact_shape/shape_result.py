@@ -24,7 +24,7 @@ _UNKNOWN_DIRECTION_SD = math.pi / math.sqrt(12)  # rad
 _Rotations = tuple[int | None, int | None, int | None]
 
 
-def words(
+def build_shape(
     forward: ForwardModel,
     found: Fit,
     kind: str,
@@ -109,7 +109,7 @@ def _several(
     nearest = nearest_part(forward, found)
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
-    borne = forward.stiction_ratio(found.state, s) * found.state.force_normal
+    load = forward.stiction_ratio(found.state, s) * found.state.force_normal
     maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
@@ -119,7 +119,7 @@ def _several(
         kinds = kinds_of(part, thetas[place], cov[own, own])
         whole = _ContactSummary(
             sizes[place],
-            carry[place] * borne,
+            carry[place] * load,
             (sizes[place] / maximum * interval[0], sizes[place] / maximum * interval[1]),
             found.misfit,
         )
@@ -145,7 +145,7 @@ def _several(
         R_SO=bodies[0].R_SO,
         pose_cov=bodies[0].pose_cov,
         outline=bodies[0].outline,
-        force_normal=borne,
+        force_normal=load,
         family=family.name,
         misfit=found.misfit,
         parts=tuple(bodies),

@@ -135,7 +135,7 @@ class CameraDriftEstimator:
         s = self._s
         return float(mean[_SIZE]) + s.drift_levels * float(mean[_LEVELS]) * darker / s.drift_size
 
-    def doubted(self, seen: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
+    def with_size_error(self, seen: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
         """Return the drift with added uncertainty for markers that became `darker` (m,).
 
         Circles grow along a curve as their level changes. Fiducials show one point of this curve
@@ -161,14 +161,14 @@ class CameraDriftEstimator:
         return ImageTransform(
             np.array([self.camera.cx, self.camera.cy]),
             self._own.picture * mean[MODES:],
-            s.knock_rotation * float(mean[_TURN]),
+            s.displaced_rotation * float(mean[_TURN]),
             s.drift_zoom * float(mean[_ZOOM]),
             s.drift_size * float(mean[_SIZE]) + by_levels,
         )
 
-    def undone(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
+    def correct_positions(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
         """Return the markers (m, 3), m, frame S, as observed by the camera of the rest reference.
-        The image transform is already undone. `darker` (m,) is as for `camera_modes`."""
+        The image transform is already compensated. `darker` (m,) is as for `camera_modes`."""
         R, aside = self._motion(seen.mean)
         design = self.design
         away = (p_SM - design.camera.p_SC - aside) @ R
@@ -186,8 +186,8 @@ class CameraDriftEstimator:
         """Return rotation (3, 3) and shift (3,), m, of the scene in the camera, without image
         rotation."""
         s = self._s
-        turn = s.knock_rotation * np.array([mean[3], mean[4], 0.0])
-        return geometry.rotation_from_vector(turn), s.knock_shift * mean[:3]
+        turn = s.displaced_rotation * np.array([mean[3], mean[4], 0.0])
+        return geometry.rotation_from_vector(turn), s.displaced_shift * mean[:3]
 
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
@@ -196,19 +196,19 @@ class CameraDriftEstimator:
         then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
         radius = (shown[:, 2] - levels - picture.grown) / (1 + picture.scale)
-        return np.column_stack([picture.undone(shown[:, :2]), radius]) - then
+        return np.column_stack([picture.inverse(shown[:, :2]), radius]) - then
 
     def _likely(self, moved_px: float) -> Array:
         """Return the prior standard deviations (K,) of the modes for the observed image motion.
         They scale with this motion. Planar circles do not separate all modes. Modes that cancel are
-        as unlikely as a knock without image motion."""
+        as unlikely as a displacement without image motion."""
         s = self._s
         camera = self.design.camera
         px = max(moved_px, self._own.still)
         sd = np.ones(OBSERVED_MODES)
-        sd[:3] = px * camera.distance / camera.fx / s.knock_shift
+        sd[:3] = px * camera.distance / camera.fx / s.displaced_shift
         sd[2] *= self._own.axial
-        sd[3:6] = px / camera.fx / s.knock_rotation
+        sd[3:6] = px / camera.fx / s.displaced_rotation
         sd[_ZOOM] = px / self._far / s.drift_zoom
         sd[MODES:] = px / self._own.picture
         return sd
@@ -222,9 +222,9 @@ class CameraDriftEstimator:
         found = np.zeros((len(self._p_CF), 3, OBSERVED_MODES))
         nothing = self._unmoved
         for k, axis in enumerate(np.eye(3)):
-            aside = self._outlines(np.eye(3), _STEP * s.knock_shift * axis)
+            aside = self._outlines(np.eye(3), _STEP * s.displaced_shift * axis)
             turned = self._outlines(
-                geometry.rotation_from_vector(_STEP * s.knock_rotation * axis), np.zeros(3)
+                geometry.rotation_from_vector(_STEP * s.displaced_rotation * axis), np.zeros(3)
             )
             found[:, :, k] = (aside - nothing) / _STEP
             found[:, :, 3 + k] = (turned - nothing) / _STEP
@@ -257,11 +257,11 @@ class CameraDriftEstimator:
         design = self.design
         camera = design.camera
         # shift of the image center, at the membrane's distance
-        place = s.knock_shift * mean[:2] / camera.distance
-        turn = s.knock_rotation * mean[3:6]
+        place = s.displaced_shift * mean[:2] / camera.distance
+        turn = s.displaced_rotation * mean[3:6]
         shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
         shift += self._own.picture * mean[MODES:]
-        nearer = -s.knock_shift * float(mean[2]) / camera.distance
+        nearer = -s.displaced_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
         blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])
         more = _middle(blur)

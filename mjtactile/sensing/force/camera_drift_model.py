@@ -1,9 +1,9 @@
 """Effect of camera drift since the references on the apparent marker positions (Eq. F11), on images
 and on their gray levels.
 
-A knock changes position and orientation of the camera. Lens breathing scales the image. A changed
-tone curve moves all edges inward or outward by about the same amount. So every circle appears
-larger, and nearer. Each effect moves all markers in a pattern that no load on the membrane
+A displacement changes position and orientation of the camera. Lens breathing scales the image. A
+changed tone curve moves all edges inward or outward by about the same amount. So every circle
+appears larger, and nearer. Each effect moves all markers in a pattern that no load on the membrane
 produces. The reason is that the membrane is fixed at its frame.
 """
 
@@ -32,13 +32,13 @@ _WHITE = 255.0
 
 def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings) -> Array:
     """Compute the apparent motion (m, 3, MODES), m, of markers at `p_SM` (m, 3), m, for one
-    standard deviation of each mode of a knocked camera. `darker` (m,) is the change of their
+    standard deviation of each mode of a displaced camera. `darker` (m,) is the change of their
     darkness since the reference."""
     away = p_SM - design.camera.p_SC
     depth = away[:, 2:]
     modes = np.zeros((len(p_SM), 3, MODES))
-    modes[:, :, :3] = s.knock_shift * np.eye(3)
-    modes[:, :, 3:6] = s.knock_rotation * np.cross(np.eye(3), away[:, None]).transpose(0, 2, 1)
+    modes[:, :, :3] = s.displaced_shift * np.eye(3)
+    modes[:, :, 3:6] = s.displaced_rotation * np.cross(np.eye(3), away[:, None]).transpose(0, 2, 1)
     modes[:, 2, 6] = -s.drift_zoom * depth[:, 0]
     # depth goes with one over the size, and along the ray
     radius_px = design.camera.fx * design.markers.radius / depth
@@ -62,14 +62,14 @@ class CameraDriftFilter:
 
     @classmethod
     def unseen(
-        cls, s: InverseSettings, *, knocked: bool = False, steady: bool = False
+        cls, s: InverseSettings, *, displaced: bool = False, steady: bool = False
     ) -> CameraDriftFilter:
         """Return the prior of a camera without images since the references. It may have been
-        `knocked`, or be as `steady` as it was there."""
+        `displaced`, or be as `steady` as it was there."""
         sd = np.ones(MODES)
-        if not knocked:
-            sd[:3] = s.drift_camera / s.knock_shift
-            sd[3:6] = s.drift_rotation / s.knock_rotation
+        if not displaced:
+            sd[:3] = s.drift_camera / s.displaced_shift
+            sd[3:6] = s.drift_rotation / s.displaced_rotation
         if steady:
             sd[6:] = _STEADY
         return cls(np.zeros(MODES), np.diag(sd))
@@ -93,7 +93,7 @@ class CameraDriftFilter:
             self.mean, np.linalg.cholesky(cov), time, s.drift_jitter / s.drift_size
         )
 
-    def told(
+    def updated(
         self, found: Array, left: Array, root: Array, time: float, weight: float = 1.0
     ) -> CameraDriftFilter:
         """Return the filter after an image at `time`, s.
@@ -114,8 +114,8 @@ class CameraDriftFilter:
         try:
             back = np.linalg.inv(root[:, :MODES])
             after = np.linalg.inv(left[:MODES, :MODES])
-            told = weight * back.T @ (after - np.eye(MODES)) @ back
-            remains = np.linalg.inv(np.eye(MODES) + self.known.T @ told @ self.known)
+            information = weight * back.T @ (after - np.eye(MODES)) @ back
+            remains = np.linalg.inv(np.eye(MODES) + self.known.T @ information @ self.known)
             known = self.known @ np.linalg.cholesky((remains + remains.T) / 2)
         except np.linalg.LinAlgError:
             return nothing
@@ -144,19 +144,19 @@ class ImageTransform:
     scale: float
     grown: float
 
-    def undone(self, uv: Array) -> Array:
+    def inverse(self, uv: Array) -> Array:
         """Return the positions (n, 2), px, before the transform."""
         cos = math.cos(self.turn)
         sin = math.sin(self.turn)
         away = (uv - self.middle - self.shift) / (1 + self.scale)
         return self.middle + away @ np.array([[cos, -sin], [sin, cos]])
 
-    def undone_ellipses(self, ellipses: Ellipses, at: Array) -> Ellipses:
+    def inverse_ellipses(self, ellipses: Ellipses, at: Array) -> Ellipses:
         """Return the ellipses with indices `at` before the transform."""
         axes = (ellipses.semi_axes_px[at] - self.grown) / (1 + self.scale)
         dark = ellipses.darkness
         return Ellipses(
-            self.undone(ellipses.center_px[at]),
+            self.inverse(ellipses.center_px[at]),
             np.maximum(axes, 1e-3),
             ellipses.angle[at] - self.turn,
             ellipses.cov[at],

@@ -122,10 +122,12 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
     is 0 where a valve keeps the pressure."""
     if rest.gas.constant is None and rest.gas_sd is None:
         return np.zeros_like(rest.c)
-    state = estimator.sheet.state(rest.c, rest.young)
+    state = estimator.membrane.state(rest.c, rest.young)
     chamber = estimator.design.chamber
     if rest.gas.constant is None:
-        return shape.gain.stiffness.solve((chamber.ambient + rest.gas.gauge) * state.gradient)
+        return shape.gain.stiffness.solve(
+            (chamber.ambient + rest.gas.gauge_pressure) * state.gradient
+        )
     # pressure per relative change of the gas amount, Pa
     per_fraction = (
         rest.gas.constant

@@ -70,20 +70,20 @@ class GasState:
 class GasFilter:
     """Follows one chamber's gas."""
 
-    def __init__(self, chamber: Chamber, settings: GasFilterSettings = DEFAULTS.gauge):
+    def __init__(self, chamber: Chamber, settings: GasFilterSettings = DEFAULTS.gas_filter):
         self._gamma = chamber.polytropic_exponent
         self._ambient = chamber.ambient
         self.settings = settings
 
     def begin(self, gas: Gas, time: float, volume: float) -> GasState:
         """The gas at rest in `volume` m^3, as it was measured a while ago."""
-        pressure = self._ambient + gas.gauge_pressure(volume, self._ambient, self._gamma)
+        pressure = self._ambient + gas.pressure_at(volume, self._ambient, self._gamma)
         is_open = gas.constant is None
         return GasState(
             time,
             is_open,
             pressure * volume**self._gamma,
-            gas.gauge / self._ambient if is_open else 0.0,
+            gas.gauge_pressure / self._ambient if is_open else 0.0,
             0.0,
             np.diag([self.settings.drift, self.settings.rate]) ** 2,
             ((time, volume),),
@@ -104,11 +104,15 @@ class GasFilter:
         s = self.settings
         # scale error of a pressure sensor: proportional to the distance from its zero
         sd = math.hypot(
-            math.sqrt(cov[0, 0]) * self._ambient, s.floor, s.scale * (gas.gauge - state.rest)
+            math.sqrt(cov[0, 0]) * self._ambient,
+            s.floor,
+            s.scale * (gas.gauge_pressure - state.rest),
         )
         return gas, sd
 
-    def saw(self, state: GasState, time: float, volume: float, dent_fraction: float) -> GasState:
+    def after_image(
+        self, state: GasState, time: float, volume: float, dent_fraction: float
+    ) -> GasState:
         """After an image at `time` s that shows `volume` m^3, wrong by `dent_fraction` of its
         change."""
         cov = state.cov.copy()
@@ -170,7 +174,7 @@ class GasFilter:
                 cov=(cov + cov.T) / 2,
                 surprise=surprise,
             ),
-            surprised or cov_before > s.telling * variance,
+            surprised or cov_before > s.informative * variance,
         )
 
     def _noise(self, state: GasState, seconds: float) -> Array:

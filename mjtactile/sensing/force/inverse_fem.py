@@ -52,16 +52,16 @@ SETTLED = 1e-4  # step size that ends the iteration, m
 
 
 class InverseMembrane(LoadedMembrane):
-    """Traction estimator of one sensor. `prior` are the settings of the traction prior, `doubt`
-    those of the model error added to the wrench covariance, `fiducials` those of a camera observed
-    by fiducials."""
+    """Traction estimator of one sensor. `prior` are the settings of the traction prior,
+    `model_error` those of the model error added to the wrench covariance, `fiducials` those of a
+    camera observed by fiducials."""
 
     def __init__(
         self,
         design: SensorDesign,
         settings: InverseSettings = DEFAULTS.inverse,
         prior: PriorSettings = DEFAULTS.prior,
-        doubt: ModelErrorSettings = DEFAULTS.doubt,
+        model_error: ModelErrorSettings = DEFAULTS.model_error,
         fiducials: FiducialSettings = DEFAULTS.fiducials,
     ):
         super().__init__(design, settings)
@@ -71,12 +71,12 @@ class InverseMembrane(LoadedMembrane):
         loads = map(np.ascontiguousarray, self.node_loads())
         self._grid = (len(self.x) - 2, len(self.y) - 2, *loads)
         self._roots: dict[float, tuple[Array, ...]] = {}
-        self._doubt = ModelErrorVariance(design, self.nodes, doubt)
+        self._model_error = ModelErrorVariance(design, self.nodes, model_error)
         self._posterior_fraction = np.array(settings.posterior_fraction)[AXES]
         self._slopes: MarkerSlopes | None = None
         if design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell:
             distance = design.camera.distance
-            self._slopes = MarkerSlopes(self.sheet, self._material, distance, settings)
+            self._slopes = MarkerSlopes(self.membrane, self._material, distance, settings)
 
     def estimate(
         self,
@@ -91,7 +91,7 @@ class InverseMembrane(LoadedMembrane):
         """Estimate tractions and deformation from the markers, starting from the last frame if
         given.
 
-        `camera` is the prior of the camera drift (None: not knocked since `rest`). With fiducials,
+        `camera` is the prior of the camera drift (None: unchanged since `rest`). With fiducials,
         the markers are already corrected for it. `lost`: True if some gas without a pressure sensor
         may have been lost. `correlation` is the correlation length of the tractions, m (None: as in
         the settings).
@@ -151,7 +151,7 @@ class InverseMembrane(LoadedMembrane):
         slopes_off = None
         data = seen - self._material[ids]
         state = self._state(c, rest)
-        pressure, _ = self.sheet.gas_pressure(state, rest.gas)
+        pressure, _ = self.membrane.gas_pressure(state, rest.gas)
         if self._slopes is not None:
             weighted = self._slopes.off(markers, c).T * gain.slope_weights
             slopes_off = np.where(gain.slope_weights > 0, weighted, 0.0).T
@@ -160,11 +160,11 @@ class InverseMembrane(LoadedMembrane):
         unknowns = gain.drift.shape[1]
         misfit, noise = np.empty((2, len(gain.half)))
         drift = np.empty(unknowns)
-        membrane = self._sight(gain.stiffness, ids, gain.weights, gain.tilts)
+        observed = self._observation(gain.stiffness, ids, gain.weights, gain.tilts)
         model = (gain.prior, gain.innovation, unknowns, gain.drift, gain.drift_gas[1])
-        point = (c, self.sheet.residual(state, pressure), data, slopes_off)
+        point = (c, self.membrane.residual(state, pressure), data, slopes_off)
         results = (change, traction, misfit, noise, drift)
-        kernel("inverse_step")(*membrane, *self._nodes(gain.correlation), *model, *point, *results)
+        kernel("inverse_step")(*observed, *self._nodes(gain.correlation), *model, *point, *results)
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         traction /= self._density
@@ -196,13 +196,13 @@ class InverseMembrane(LoadedMembrane):
             self._roots[correlation] = tuple(map(np.ascontiguousarray, prior.root))
         return (*self._grid, *self._roots[correlation])
 
-    def _sight(
+    def _observation(
         self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None
     ) -> tuple[object, ...]:
         """Return the kernel arguments for the membrane and the detected markers."""
         return (
-            *self.sheet.shape,
-            self.sheet.numbers,
+            *self.membrane.shape,
+            self.membrane.numbers,
             stiffness.factor,
             stiffness.softened,
             stiffness.share,
@@ -226,7 +226,7 @@ class InverseMembrane(LoadedMembrane):
         """Linearize at `c` for these markers; `before` is the last estimate."""
         state = self._state(c, rest)
         ids = markers.ids
-        _, stiffness = self.sheet.linearise(state, rest.gas)
+        _, stiffness = self.membrane.linearise(state, rest.gas)
         distrust = self._distrust(ids, before)
         weights, slope_weights, tilts = self._weights(c, markers, distrust)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
@@ -237,10 +237,10 @@ class InverseMembrane(LoadedMembrane):
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
         gas_observed = np.empty(rows)
-        membrane = self._sight(stiffness, ids, weights, tilts)
+        observed = self._observation(stiffness, ids, weights, tilts)
         results = (half, gas_observed)
         nodes = self._nodes(correlation)
-        kernel("inverse_gain")(*membrane, *nodes, prior, stiffness.solve(load), *results)
+        kernel("inverse_gain")(*observed, *nodes, prior, stiffness.solve(load), *results)
         drift = _observed_drift(gas_observed, weights @ modes @ camera.root)
         innovation = _innovation(half, drift)
         seen = drift.copy()
@@ -307,12 +307,12 @@ class InverseMembrane(LoadedMembrane):
         lost."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
+        pressure = self.membrane.gas_pressure(state, rest.gas)[0] + chamber.ambient
         if rest.gas_sd is not None:
             change = (volume - rest.gas_volume) / volume if rest.gas.constant is not None else 0.0
             sd = math.hypot(rest.gas_sd, self.settings.dent_fraction * change * pressure)
             return sd, sd * state.gradient
-        dent = self.sheet.state(rest.c).volume - state.volume
+        dent = self.membrane.state(rest.c).volume - state.volume
         drift = self.settings.drift_gas if lost is None else lost
         share = float(np.hypot(drift, self.settings.dent_fraction * dent / volume))
         pressure *= share if rest.gas.constant is not None else 0.0
@@ -343,14 +343,14 @@ class InverseMembrane(LoadedMembrane):
         excess = float(shape.excess[0].mean())
         cov = self._posterior(shape, positions)
         fit = FitDiagnostics(force, change, velocity, excess, air_moved, lag)
-        cov.flat[:: len(cov) + 1] += self._doubt.variance(fit)
+        cov.flat[:: len(cov) + 1] += self._model_error.variance(fit)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")
 
     def sharpness(self, shape: Shape) -> Array:
         """Return the part of the wrench variance (6,) due to sharp features that the splines cannot
         follow."""
         force = shape.traction * self.node_area
-        return self._doubt.of_sharpness(force, float(shape.excess[0].mean()))
+        return self._model_error.of_sharpness(force, float(shape.excess[0].mean()))
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:
         """Return the posterior covariance (6, 6) of the wrench, for nodes at `positions` (J, 3),

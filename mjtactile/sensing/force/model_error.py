@@ -49,20 +49,23 @@ class ModelErrorVariance:
     """Variance of a wrench due to model error, for one sensor with nodes (J, 2), m."""
 
     def __init__(
-        self, design: SensorDesign, nodes: Array, settings: ModelErrorSettings = DEFAULTS.doubt
+        self,
+        design: SensorDesign,
+        nodes: Array,
+        settings: ModelErrorSettings = DEFAULTS.model_error,
     ):
         layout = design.markers
-        sheet = design.membrane
+        membrane = design.membrane
         frame = design.frame
         self._sharp_max = settings.sharp_max
         s = settings
-        shares = [s.share, s.lateral, s.sharp, s.caught, s.outside, s.burst]
+        shares = [s.sparse, s.lateral, s.sharp, s.caught, s.outside, s.burst]
         self._shares = np.array(shares, float)[:, AXES]
         self._change = np.array(s.change)[AXES]
         self._lag = s.lag
         self._outside = _outside(layout, nodes)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
-        self._resistance = settings.drag * frame.area * sheet.young * sheet.thickness
+        self._resistance = settings.drag * frame.area * membrane.young * membrane.thickness
         self._area = frame.area
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 

@@ -20,7 +20,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, Sheet, State
+from mjtactile.sensing.force.spline_fem import FEWEST_SPANS, Gas, SplineMembrane, State
 from mjtactile.sensing.force.stress_relaxation import RelaxingMembrane
 from mjtactile.sensing.settings import DEFAULTS, InverseSettings, ReferenceSettings, Settings
 
@@ -63,13 +63,13 @@ class MarkedMembrane:
     def __init__(self, design: SensorDesign, settings: InverseSettings):
         self.design = design
         self.settings = settings
-        self.sheet = Sheet(design, _spans(design, settings))
+        self.membrane = SplineMembrane(design, _spans(design, settings))
         relaxation = design.relaxation
-        self.rubber = None if relaxation is None else RelaxingMembrane(self.sheet, relaxation)
+        self.rubber = None if relaxation is None else RelaxingMembrane(self.membrane, relaxation)
         self._quick = 1.0 if relaxation is None else relaxation.quick
         self._material = design.markers.p_SM
-        self._seats = np.ascontiguousarray(self.sheet.own(self._material[:, :2]))
-        self._at_markers = self.sheet.basis(self._seats)
+        self._seats = np.ascontiguousarray(self.membrane.own(self._material[:, :2]))
+        self._at_markers = self.membrane.basis(self._seats)
 
     def rest_state(
         self,
@@ -83,7 +83,7 @@ class MarkedMembrane:
         has been in this state for `inflated_s` s. For the result see `InverseRest`."""
         valve = Gas(gauge_pressure)
         scale = young = stretch = 1.0
-        c = self.sheet.equilibrium(valve)
+        c = self.membrane.equilibrium(valve)
         height = markers.p_SM[:, 2]
         if gauge_pressure > self.settings.informative_pressure:
             for _ in range(_REST_STEPS):
@@ -94,10 +94,10 @@ class MarkedMembrane:
                 young, stretch = self._apart(scale, c)
                 faded = self._faded(c, young, inflated_s)
                 quick = young * self._quick
-                c = self.sheet.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
+                c = self.membrane.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
         faded = self._faded(c, young, inflated_s)
-        state = self.sheet.state(c, young * self._quick, faded, stretch)
-        gas = self.sheet.seal(state, gauge_pressure) if sealed else valve
+        state = self.membrane.state(c, young * self._quick, faded, stretch)
+        gas = self.membrane.seal(state, gauge_pressure) if sealed else valve
         offset = np.zeros((self.design.markers.count, 3))
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
         darkness = np.full(self.design.markers.count, np.nan)
@@ -113,7 +113,7 @@ class MarkedMembrane:
         and the pre-stretch by at most three standard deviations."""
         s = self.settings
         nominal = self.design.membrane.pre_stretch
-        strain = nominal - 1 + self.sheet.mean_strain(c)
+        strain = nominal - 1 + self.membrane.mean_strain(c)
         off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
         share = off**2 / (off**2 + s.young_sd**2)
         more = float(np.clip(strain * (scale**share - 1) / s.pre_stretch_sd, -3, 3))
@@ -122,7 +122,7 @@ class MarkedMembrane:
 
     def volume(self, c: Array) -> float:
         """Return the gas volume, m^3, behind the membrane at coefficients `c`."""
-        return self.design.chamber_volume_flat + self.sheet.state(c).volume
+        return self.design.chamber_volume_flat + self.membrane.state(c).volume
 
     def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
         """Return the rest state of the same sensor, filled with `gas`. The standard deviation of
@@ -136,17 +136,17 @@ class MarkedMembrane:
         state = self._state(c, rest)
         # pressure that best balances the elastic forces of this bulge
         held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
-        if abs(self.sheet.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
+        if abs(self.membrane.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
             scale = rest.young * self._quick
-            c = self.sheet.equilibrium(
+            c = self.membrane.equilibrium(
                 rest.gas, scale, start=c, faded=rest.faded, stretch=rest.stretch
             )
-            held = self.sheet.gas_pressure(self.sheet.state(c), rest.gas)[0]
+            held = self.membrane.gas_pressure(self.membrane.state(c), rest.gas)[0]
         return replace(rest, c=c, gauge_pressure=held)
 
     def _state(self, c: Array, rest: InverseRest) -> State:
         """Return the state of this sensor's membrane at coefficients `c` (3, n), m."""
-        return self.sheet.state(c, rest.young * self._quick, rest.faded, rest.stretch)
+        return self.membrane.state(c, rest.young * self._quick, rest.faded, rest.stretch)
 
     def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
         """Return the relaxed stress (3, qx, qy), N/m, of a membrane at `c` since `inflated_s` s."""
@@ -209,7 +209,7 @@ def require_bulge(
     """Raise DeviceError if the rest state is not the bulge of the sensor file, in height or shape.
     `z` (n,), m, are the marker heights of the best-fitting bulge, and `flat_px` is the rms residual
     of the flat reference."""
-    gauge_pressure = rest.gas.gauge
+    gauge_pressure = rest.gas.gauge_pressure
     maximum = settings.reference.stiffness_off_max
     if not 1 / maximum < rest.stiffness_scale < maximum:
         height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())

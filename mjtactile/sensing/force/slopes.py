@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array, Markers
-from mjtactile.sensing.force.spline_fem import Sheet
+from mjtactile.sensing.force.spline_fem import SplineMembrane
 from mjtactile.sensing.settings import InverseSettings
 
 
@@ -21,11 +21,13 @@ class MarkerSlopes:
     """Slopes (dz/dx, dz/dy) of one membrane at its markers. The marker positions (N, 3), m, are
     those of the mounted flat membrane. `distance`, m, is that of the camera."""
 
-    def __init__(self, sheet: Sheet, p_SM: Array, distance: float, settings: InverseSettings):
+    def __init__(
+        self, membrane: SplineMembrane, p_SM: Array, distance: float, settings: InverseSettings
+    ):
         self._settings = settings
-        own = sheet.own(p_SM[:, :2])
-        self._along_x, self._along_y = sheet.slopes(own)
-        self._turns = None if sheet.design.frame.outline is None else sheet.turns(own)
+        own = membrane.own(p_SM[:, :2])
+        self._along_x, self._along_y = membrane.slopes(own)
+        self._turns = None if membrane.design.frame.outline is None else membrane.turns(own)
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:

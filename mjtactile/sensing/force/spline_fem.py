@@ -40,21 +40,25 @@ _CONVERGED = 1e-9  # convergence tolerance of a step, m
 @dataclass(frozen=True, eq=False)
 class Gas:
     """Gas in the chamber. It is a sealed amount, p V^gamma = `constant`. If `constant` is None, a
-    valve keeps `gauge` Pa."""
+    valve keeps `gauge_pressure` Pa."""
 
-    gauge: float
+    gauge_pressure: float
     constant: float | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.gauge, int | float | np.number) or not np.isfinite(self.gauge):
+        if not isinstance(self.gauge_pressure, int | float | np.number) or not np.isfinite(
+            self.gauge_pressure
+        ):
             raise InputError(
-                f"{self.gauge!r} is not a pressure in Pa", source="chamber", field="gauge_pressure"
+                f"{self.gauge_pressure!r} is not a pressure in Pa",
+                source="chamber",
+                field="gauge_pressure",
             )
 
-    def gauge_pressure(self, volume: float, ambient: float, gamma: float) -> float:
+    def pressure_at(self, volume: float, ambient: float, gamma: float) -> float:
         """Gauge pressure, Pa, at gas volume m^3 (Eq. G1)."""
         if self.constant is None:
-            return self.gauge
+            return self.gauge_pressure
         return self.constant / volume**gamma - ambient
 
     def stiffness(self, volume: float, gamma: float) -> float:
@@ -81,10 +85,10 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """Factorized tangent stiffness of `sheet`. `factor` is the Cholesky factor of the band at
+    """Factorized tangent stiffness of `membrane`. `factor` is the Cholesky factor of the band at
     constant pressure. The gas changes the inverse by -`share` w w^T with w = `softened` (3 n,)."""
 
-    sheet: Sheet
+    membrane: SplineMembrane
     factor: Array
     softened: Array
     share: float
@@ -92,13 +96,13 @@ class Stiffness:
     def solve(self, forces: Array) -> Array:
         """Displacements (3, n) m by generalised forces (3, n) N, to first order."""
         out = np.empty_like(forces)
-        kernel("sheet_solve")(
-            *self.sheet.shape, self.factor, self.softened, self.share, forces, out
+        kernel("spline_solve")(
+            *self.membrane.shape, self.factor, self.softened, self.share, forces, out
         )
         return out
 
 
-class Sheet:
+class SplineMembrane:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
     Young's modulus, `stretch` the pre-stretch. `cells` (qx, qy), m^2, are the areas of the Gauss
     points in the membrane's own coordinates. `weights` are those on the mounted membrane. Raises
@@ -127,9 +131,9 @@ class Sheet:
         # values of the splines at the Gauss points, then slopes
         self._up_x = np.concatenate([ax.at(ax.points, 0), ax.at(ax.points, 1)])
         self._up_y = np.concatenate([ay.at(ay.points, 0), ay.at(ay.points, 1)]).T.copy()
-        sheet = design.membrane
-        self.law = law = ConstitutiveLaw(sheet)
-        numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
+        membrane = design.membrane
+        self.law = law = ConstitutiveLaw(membrane)
+        numbers = np.array([ax.length, ay.length, membrane.pre_stretch**2, *law.numbers])
         # as kernels take them
         self.numbers = numbers
         turns = None if self._turns is None else np.ascontiguousarray(self._turns)
@@ -197,7 +201,7 @@ class Sheet:
         gradient = np.empty_like(c)
         volume = np.empty(1)
         law = self._law(stretch)
-        kernel("sheet_state")(*self.shape, *law, c, scale, elastic, gradient, volume)
+        kernel("spline_state")(*self.shape, *law, c, scale, elastic, gradient, volume)
         if faded is not None:
             elastic -= self.forces_of(c, faded)
         return State(c, scale, float(volume[0]), gradient, elastic, stretch)
@@ -277,7 +281,7 @@ class Sheet:
         are stored together."""
         band = np.empty((3 * self.count, band_stride(self.width)))
         law = self._law(state.stretch)
-        kernel("sheet_tangent")(*self.shape, *law, state.c, state.scale, gauge_pressure, band)
+        kernel("spline_tangent")(*self.shape, *law, state.c, state.scale, gauge_pressure, band)
         return band
 
     # -- equilibrium
@@ -286,7 +290,7 @@ class Sheet:
         """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        pressure = gas.gauge_pressure(volume, chamber.ambient, chamber.polytropic_exponent)
+        pressure = gas.pressure_at(volume, chamber.ambient, chamber.polytropic_exponent)
         return pressure, gas.stiffness(volume, chamber.polytropic_exponent)
 
     def seal(self, state: State, gauge_pressure: float) -> Gas:
@@ -339,7 +343,7 @@ class Sheet:
                 return c
         raise MjtactileError(
             f"sensor {self.design.name}: no equilibrium of the membrane was found at "
-            f"{gas.gauge:g} Pa"
+            f"{gas.gauge_pressure:g} Pa"
         )
 
 

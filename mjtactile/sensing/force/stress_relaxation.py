@@ -16,7 +16,7 @@ import numpy as np
 
 from mjtactile.core.relaxation import Relaxation
 from mjtactile.core.types import Array
-from mjtactile.sensing.force.spline_fem import Sheet
+from mjtactile.sensing.force.spline_fem import SplineMembrane
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,26 +38,26 @@ class RelaxingMembrane:
     """Stress relaxation of one sensor's membrane; `scale` is the factor on its long-term modulus,
     as in `InverseRest`."""
 
-    def __init__(self, sheet: Sheet, relaxation: Relaxation):
-        self._sheet = sheet
+    def __init__(self, membrane: SplineMembrane, relaxation: Relaxation):
+        self._membrane = membrane
         self._relaxation = relaxation
-        self._shares = relaxation.shares[:, None, None, None]
+        self._fractions = relaxation.fractions[:, None, None, None]
 
     def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
         """Return the state at `time`, s, of a membrane after inflation. The membrane was always
         flat, then at `c` (3, n), m, for `inflated_s` s."""
-        flat = scale * self._sheet.stress(np.zeros_like(c))
-        stress = scale * self._sheet.stress(c)
+        flat = scale * self._membrane.stress(np.zeros_like(c))
+        stress = scale * self._membrane.stress(c)
         kept = self._kept(inflated_s)
-        return RelaxationState(self._shares * (kept * flat + (1 - kept) * stress), stress, time)
+        return RelaxationState(self._fractions * (kept * flat + (1 - kept) * stress), stress, time)
 
     def after(
         self, memory: RelaxationState, c: Array, scale: float, time: float
     ) -> RelaxationState:
         """Return the relaxation state at `time` s, with the membrane at `c` (3, n), m."""
-        stress = scale * self._sheet.stress(c)
+        stress = scale * self._membrane.stress(c)
         kept = self._kept(max(time - memory.time, 0.0))
-        towards = self._shares * (memory.stress + stress) / 2
+        towards = self._fractions * (memory.stress + stress) / 2
         return RelaxationState(kept * memory.faded + (1 - kept) * towards, stress, time)
 
     def _kept(self, elapsed: float) -> Array:

@@ -23,7 +23,7 @@ class LoadedMembrane(MarkedMembrane):
 
     def __init__(self, design: SensorDesign, settings: InverseSettings):
         super().__init__(design, settings)
-        ax, ay = self.sheet.axes
+        ax, ay = self.membrane.axes
         self.x = ax.breaks
         self.y = ay.breaks
         hat_x = hats(self.x, ax.points)[0][:, 1:-1]
@@ -33,21 +33,21 @@ class LoadedMembrane(MarkedMembrane):
         # Areas (J,), m^2, in parametric coordinates, and the ratio of mounted to parametric area.
         # Kernels take tractions per parametric area, so that their integrals are products.
         self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
-        self._density = self.sheet.density(own)
+        self._density = self.membrane.density(own)
         self.node_area = self._cells * self._density  # (J,) m^2
-        self.nodes = self.sheet.places(own)
+        self.nodes = self.membrane.places(own)
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
-        self._at_nodes = self.sheet.basis(own)
+        self._at_nodes = self.membrane.basis(own)
         self._shared = self._sharing()
         fine_x = np.linspace(-ax.length / 2, ax.length / 2, REFINE * ax.spans + 1)
         fine_y = np.linspace(-ay.length / 2, ay.length / 2, REFINE * ay.spans + 1)
         self._at_fine = (ax.at(fine_x), ay.at(fine_y))
-        fine = self.sheet.places(product(fine_x, fine_y))
+        fine = self.membrane.places(product(fine_x, fine_y))
         self._fine = fine.T.reshape(2, len(fine_x), len(fine_y))
 
     def node_loads(self) -> tuple[Array, Array]:
         """Generalised forces (kx, jx), (ky, jy) of one pascal at each node, along x and y."""
-        ax, ay = self.sheet.axes
+        ax, ay = self.membrane.axes
         hat_x, hat_y = self._hats
         along_x = (ax.at(ax.points) * ax.weights[:, None]).T @ hat_x
         along_y = (ay.at(ay.points) * ay.weights[:, None]).T @ hat_y
@@ -63,7 +63,7 @@ class LoadedMembrane(MarkedMembrane):
 
     def fine_positions(self, c: Array) -> Array:
         """Return the current positions of the fine grid points (3, a, b), m, frame S."""
-        moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
+        moved = self._at_fine[0] @ c.reshape(3, *self.membrane.shape) @ self._at_fine[1].T
         moved[:2] += self._fine
         return moved
 
@@ -73,7 +73,7 @@ class LoadedMembrane(MarkedMembrane):
         hat_x, hat_y = self._hats
         pressure = np.maximum(-shape.traction[2], 0.0) * self._density
         pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])
-        return self.sheet.cells * (hat_x @ pressure @ hat_y.T)
+        return self.membrane.cells * (hat_x @ pressure @ hat_y.T)
 
     def _on_grid(self, force: Array) -> Array:
         """Return the nodal forces (3, J), N, on the regular grid of `Traction`, (ny, nx, 3). The

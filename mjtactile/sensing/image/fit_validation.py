@@ -31,7 +31,7 @@ def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> N
     """Return the reason why each candidate cannot be a marker; "" if it can. Reasons: too small or
     long, or a border far from its own ellipse (further if cut)."""
     codes = np.empty(len(found), np.int64)
-    kernel("judge_borders")(
+    kernel("check_borders")(
         len(found), found.shape, found.misfit, found.cut, min_radius_px, as_numbers(s), codes
     )
     return np.where(codes, STATUSES[codes], "")
@@ -61,5 +61,5 @@ def validate_fits(
     borders = (found.center, found.shape, found.misfit, found.cut)
     image = (1.0 if polarity == "dark" else -1.0, *size)
     options = (min_radius_px, as_numbers(s))
-    kernel("judge_fits")(n, *fits, *borders, *image, *options, codes, keep)
+    kernel("check_fits")(n, *fits, *borders, *image, *options, codes, keep)
     return STATUSES[codes], keep != 0

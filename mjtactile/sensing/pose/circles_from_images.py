@@ -188,11 +188,11 @@ def _with_size_uncertainty(found: DetectedCircles, settings: Settings) -> Detect
         size_sd = _UNKNOWN_LOG_GAMMA * settings.gamma.size_per_log
     if not size_sd:
         return found
-    doubt = _doubtful_size(found.poses, found.ellipses, float(size_sd))
+    size_cov = _size_covariance(found.poses, found.ellipses, float(size_sd))
     return replace(
         found,
-        poses=replace(found.poses, cov_p=found.poses.cov_p + doubt),
-        cov_p_alt=found.cov_p_alt + doubt,
+        poses=replace(found.poses, cov_p=found.poses.cov_p + size_cov),
+        cov_p_alt=found.cov_p_alt + size_cov,
     )
 
 
@@ -251,7 +251,7 @@ def _preferred(
     return DetectedCircles(ellipses, better, cov_p_alt, sure, shared)
 
 
-def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
+def _size_covariance(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
     """Return the covariance of the centers (N, 3, 3), m^2, due to a size error of `size_sd` px as
     depth."""
     along = poses.p_CM * (size_sd / ellipses.semi_axes_px[:, :1])

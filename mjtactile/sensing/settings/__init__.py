@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import setting_hint
 from mjtactile.sensing.settings.force import (
     ContactDetectionSettings,
     FiducialSettings,
@@ -75,11 +76,11 @@ class Settings:
     prior: PriorSettings = field(default_factory=PriorSettings)
     inverse: InverseSettings = field(default_factory=InverseSettings)
     fiducials: FiducialSettings = field(default_factory=FiducialSettings)
-    doubt: ModelErrorSettings = field(default_factory=ModelErrorSettings)
-    gauge: GasFilterSettings = field(default_factory=GasFilterSettings)
+    model_error: ModelErrorSettings = field(default_factory=ModelErrorSettings)
+    gas_filter: GasFilterSettings = field(default_factory=GasFilterSettings)
     zero: ContactDetectionSettings = field(default_factory=ContactDetectionSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
-    body: ContactShapeSettings = field(default_factory=ContactShapeSettings)
+    contact_shape: ContactShapeSettings = field(default_factory=ContactShapeSettings)
     slip: SlipSettings = field(default_factory=SlipSettings)
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
@@ -104,7 +105,8 @@ class Settings:
                     choices = [f"{stage}.{key}" for key in known]
                 else:
                     choices = [f.name for f in dataclasses.fields(self)]
-                raise InputError("unknown setting", source="settings", field=path, choices=choices)
+                problem = f"unknown setting{setting_hint(path)}"
+                raise InputError(problem, source="settings", field=path, choices=choices)
             value = check(owner, stage, name, value)
             changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass
             result = replace(result, **{stage: changed}) if stage else changed

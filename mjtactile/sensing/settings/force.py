@@ -118,20 +118,20 @@ class InverseSettings:
         "the same reason",
         "a hold of 20 s at 0.9 N, then a release: 0.016 N otherwise",
     )
-    knock_shift: float = number(
+    displaced_shift: float = number(
         3e-4,
-        "standard deviation of the camera position after a knock, m",
+        "standard deviation of the camera position after a displacement, m",
         "some pixels; bench camera-faults",
     )
-    knock_rotation: float = number(
+    displaced_rotation: float = number(
         0.01,
-        "standard deviation of the camera direction after a knock, rad",
+        "standard deviation of the camera direction after a displacement, rad",
         "the same; bench camera-faults",
     )
-    knock_min: float = number(
+    displaced_min: float = number(
         6.0,
-        "mean squared drift over its variance, above which a knock is tested",
-        "bench camera-faults: knocks of 0.5 px and more have 9, grasps 3",
+        "mean squared drift over its variance, above which a displaced camera is tested",
+        "bench camera-faults: image shifts of 0.5 px and more have 9, grasps 3",
     )
     dent_fraction: float = number(
         0.03,
@@ -319,7 +319,7 @@ class ModelErrorSettings:
     """Settings of the model error that the wrench's posterior leaves out
     (sensing/force/model_error.py). Each has values for shear, normal force, tilt and spin."""
 
-    share: tuple[float, float, float, float] = number(
+    sparse: tuple[float, float, float, float] = number(
         (0.001, 0.0125, 0.0, 0.0),
         "fraction of the force, for each `cell` per marker",
         _BARS,
@@ -434,7 +434,7 @@ class GasFilterSettings:
         "maximum deviation of the mean of several readings, in standard deviations",
         "4 standard deviations of that mean",
     )
-    telling: float = number(
+    informative: float = number(
         4.0,
         "ratio of the prior variance to that of a reading, above which the reading is informative",
         GAUGED,

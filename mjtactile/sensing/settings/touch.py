@@ -46,7 +46,7 @@ class ContactShapeSettings:
     """Settings of the contact shape estimation (sensing/contact_shape)."""
 
     spacing: float = number(1.3e-3, "node spacing of the quasi-static membrane, m", _SHAPES)
-    film_sd: float = number(
+    membrane_sd: float = number(
         16e-6,
         "standard deviation of the marker height error of the quasi-static membrane, m",
         "bench quasistatic",
@@ -122,10 +122,10 @@ class ContactShapeSettings:
         _SHAPES,
         low=0.0,
     )
-    place_sd: float = number(
+    position_sd: float = number(
         4e-4, "standard deviation of the force position, m, times the root of that misfit", _SHAPES
     )
-    place_sd_sharp: float = number(
+    position_sd_sharp: float = number(
         4e-5, "the same for edges and for several shapes, m", _CALIBRATED
     )
     torque_sd: float = number(7e-6, "standard deviation of the torque, N m", _CALIBRATED)
@@ -177,7 +177,9 @@ class ContactShapeSettings:
     misfit_one: float = number(
         0.7, "misfit below which contact at two places is treated as one shape", _SHAPES
     )
-    log_body: float = number(3.0, "minimum gain in log evidence for each additional shape", PRESSED)
+    log_shape: float = number(
+        3.0, "minimum gain in log evidence for each additional shape", PRESSED
+    )
     log_lost: float = number(
         4.0,
         "deficit in log evidence at which a shape model is dropped",
@@ -253,15 +255,15 @@ class SlipSettings:
         "that of dry contacts",
         _SLID,
     )
-    body_speed: float = number(
+    shape_speed: float = number(
         3e-3, "minimum slip speed of a known shape along the shear, over the rubber, m/s", _SLID
     )
-    body_spin: float = number(
+    shape_spin: float = number(
         0.5,
         "minimum rotation rate of a slip about the normal of the shape, over the rubber, rad/s",
         _SLID,
     )
-    body_sure: float = number(6.0, "minimum of these speeds in standard deviations", _SLID)
+    shape_sure: float = number(6.0, "minimum of these speeds in standard deviations", _SLID)
     incipient: float = number(0.7, "fraction of the friction limit above which slip is incipient")
     min_force: float = number(
         0.05, "minimum force, N; below, the patch and its shear are too uncertain"

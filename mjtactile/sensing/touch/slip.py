@@ -272,7 +272,7 @@ def split(force: Array, normal: Array) -> tuple[float, Array]:
 def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     """Return the outward unit normal (3,) of the membrane, averaged over the contact."""
     weight = estimator.pressing_at_points(shape)
-    n = estimator.sheet.area_vector(shape.c, weight)
+    n = estimator.membrane.area_vector(shape.c, weight)
     if weight.any():
         return n / max(float(np.linalg.norm(n)), 1e-30)
     return np.array([0.0, 0.0, 1.0])

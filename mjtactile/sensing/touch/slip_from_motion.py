@@ -52,9 +52,9 @@ def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAU
     sd = math.sqrt(float(along @ motion.velocity_cov @ along))
     dragged = abs(float(ratio @ (samples[-1].dragged - samples[0].dragged))) / load
     left = speed - s.follows * dragged / elapsed
-    return left > max(s.body_speed, s.body_sure * sd)
+    return left > max(s.shape_speed, s.shape_sure * sd)
 
 
 def spins(motion: RelativeMotion, s: SlipSettings = DEFAULTS.slip) -> bool:
     """Return True if the object rotates about its normal over the rubber."""
-    return abs(motion.spinning) > max(s.body_spin, s.body_sure * motion.spinning_sd)
+    return abs(motion.spinning) > max(s.shape_spin, s.shape_sure * motion.spinning_sd)

@@ -28,15 +28,15 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
     Their slopes are 21 to 47 degrees in simulation. Next to the frame's wall the slope is
     larger.
     """
-    sheet = design.membrane
+    membrane = design.membrane
     a, b = half_extents
     if not math.isfinite(a + b):
         return 0.0
-    stiffness = sheet.young * sheet.thickness / (1 - sheet.poisson**2) / 2
+    stiffness = membrane.young * membrane.thickness / (1 - membrane.poisson**2) / 2
     pressure = max(design.chamber.supply_gauge, 0.0)
 
     def unbalanced(t: float) -> float:
-        tension = sheet.pretension + stiffness * (1 / math.cos(t) - 1)
+        tension = membrane.pretension + stiffness * (1 / math.cos(t) - 1)
         return math.pi * ((a + b) * tension + a * b * pressure) * math.sin(t) ** 2 - force
 
     # bisection to machine precision; the force balance increases with the angle
@@ -117,13 +117,13 @@ def gas(s: Scene) -> tuple[bool, str]:
 
 
 def large_deflection(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
+    membrane = s.design.membrane
     frame = s.design.frame
     c1, c2 = analytical_solutions.rectangle_coefficients(
-        max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson
+        max(frame.length, frame.width) / (2 * s.half_width), membrane.poisson
     )
-    tension = max(sheet.pretension, 1e-9)
-    share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
+    tension = max(membrane.pretension, 1e-9)
+    share = c2 / c1 * membrane.young * membrane.thickness / tension * (s.bulge / s.half_width) ** 2
     return _over(share, 0.01, "cubic fraction of the stiffness")
 
 
@@ -148,9 +148,9 @@ def friction(s: Scene) -> tuple[bool, str]:
 
 
 def gravity(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
+    membrane = s.design.membrane
     frame = s.design.frame
-    weight = sheet.density * sheet.thickness * frame.area * GRAVITY / sheet.pre_stretch**2
+    weight = membrane.density * membrane.thickness * frame.area * GRAVITY / membrane.pre_stretch**2
     return _over(
         weight / s.force_error,
         0.1,
@@ -159,10 +159,10 @@ def gravity(s: Scene) -> tuple[bool, str]:
 
 
 def follower(s: Scene) -> tuple[bool, str]:
-    sheet = s.design.membrane
+    membrane = s.design.membrane
     # a grasp raises it by 1-2 kPa
     pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)
-    return _over(pressure * s.half_width / (sheet.young * sheet.thickness), 1e-2, "p a / E h")
+    return _over(pressure * s.half_width / (membrane.young * membrane.thickness), 1e-2, "p a / E h")
 
 
 def hyperelastic(s: Scene) -> tuple[bool, str]:

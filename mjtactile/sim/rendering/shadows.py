@@ -56,7 +56,7 @@ class ShadowedLight(Light):
 
     def __init__(self, design: SensorDesign, camera: Camera):
         super().__init__(design, camera)
-        self._sheet = SmoothMembrane(design)
+        self._membrane = SmoothMembrane(design)
         self._p_SL = np.column_stack([self._leds, np.full(len(self._leds), -self._distance)])
         loss = float(self._loss)
         self._direct = self._falloff / loss if loss > self._falloff else float(self._falloff > 0)
@@ -73,9 +73,9 @@ class ShadowedLight(Light):
         """Return the relative light (H, W) on a membrane with all markers at `p_SM` (N, 3)."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
-        sheet = self._sheet
-        z = sheet.heights(p_SM)
-        light = irradiance(sheet.xy, z, self._p_SL)
+        membrane = self._membrane
+        z = membrane.heights(p_SM)
+        light = irradiance(membrane.xy, z, self._p_SL)
         total = light.sum(axis=0)
         share = bilinear(total / self._middle, self._places(z, BLOCK_PX)).astype(np.float32)
         field = self._grow(np.maximum(1 - self._falloff / float(self._loss) * (1 - share), 0.0))
@@ -86,12 +86,12 @@ class ShadowedLight(Light):
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
         """Return the blocked fraction (H, W) of the LEDs' `light` (n, ny, nx); None: none."""
-        sheet = self._sheet
+        membrane = self._membrane
         clear = None
-        if may_block(sheet.xy, z, self._p_SL):
-            clear = clearance(sheet.xy, z, self._p_SL)
+        if may_block(membrane.xy, z, self._p_SL):
+            clear = clearance(membrane.xy, z, self._p_SL)
         if self._outside:
-            wall = wall_clearance(sheet.frame, self._depth, sheet.xy, z, self._p_SL)
+            wall = wall_clearance(membrane.frame, self._depth, membrane.xy, z, self._p_SL)
             clear = wall if clear is None else np.minimum(clear, wall)
         if clear is None or clear.min() >= 1:
             return None
@@ -122,13 +122,13 @@ class ShadowedLight(Light):
         if block != BLOCK_PX:
             near = bilinear(z, self._places(z, BLOCK_PX))
             height = cv2.resize(near, shift.shape[::-1], interpolation=cv2.INTER_LINEAR)
-            return self._sheet.columns_rows(self._line(slopes, shift, height))
+            return self._membrane.columns_rows(self._line(slopes, shift, height))
         height = np.zeros(shift.shape)
-        at = self._sheet.columns_rows(self._line(slopes, shift, height))
+        at = self._membrane.columns_rows(self._line(slopes, shift, height))
         for _ in range(_CAMERA_STEPS):
             last = height
             height = bilinear(z, at)
-            at = self._sheet.columns_rows(self._line(slopes, shift, height))
+            at = self._membrane.columns_rows(self._line(slopes, shift, height))
             if np.abs(height - last).max() < _NEAR:
                 break
         return at

@@ -67,7 +67,7 @@ class EllipseSampler:
         """Set the generator of the ellipse errors."""
         self._rng = np.random.default_rng(seed)
 
-    def sight(
+    def sample(
         self, p_SM: Array, n_S: Array, time: float = 0.0, *, errors: bool = True
     ) -> SyntheticEllipses:
         """Return the ellipses of visible markers, `p_SM`, `n_S` (N, 3) in S, and of the fiducials.

@@ -97,7 +97,7 @@ class SceneView:
         corners = np.concatenate([points[faces] for points, faces, _ in parts])
         return corners, np.concatenate([np.tile(rgba, (len(faces), 1)) for _, faces, rgba in parts])
 
-    def things(self) -> Array:
+    def object_triangles(self) -> Array:
         """Corners (n, 3, 3) m in W of the triangles of all but the membranes."""
         rigid = [solid.points_W[solid.faces] for solid in self.solids()]
         soft = [points[faces] for _, points, faces, _ in self.soft_bodies()]

@@ -78,11 +78,11 @@ def add_membrane(
         tendon.wrap_joint(f"{names[v]}z", 1.0)
 
 
-def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> list[str]:
+def _add_vertices(body: mujoco.MjsBody, membrane: Membrane, mesh: MembraneMesh) -> list[str]:
     """Add a MuJoCo body with three slides and a sphere for each moving vertex; return all names."""
     names = [BODY] * len(mesh.p_SV)
-    mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
-    damping = mesh.areas * SURFACE_DAMPING * membrane_stiffness(sheet)
+    mass = mesh.areas * membrane.thickness * membrane.density / membrane.pre_stretch**2
+    damping = mesh.areas * SURFACE_DAMPING * membrane_stiffness(membrane)
     armature = mesh.areas * SURFACE_ARMATURE
     for v in mesh.interior:
         names[v] = f"v{v}"
@@ -100,18 +100,20 @@ def _add_vertices(body: mujoco.MjsBody, sheet: Membrane, mesh: MembraneMesh) -> 
                 damping=[damping[v] * (1.0 if axis == "z" else IN_PLANE_DAMPING), 0.0, 0.0],
                 armature=armature[v],
             )
-        _add_contact_sphere(vertex, names[v], sheet.thickness / 2, sheet.friction)
+        _add_contact_sphere(vertex, names[v], membrane.thickness / 2, membrane.friction)
     return names
 
 
-def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: list[str]) -> None:
+def _add_flex(
+    spec: mujoco.MjSpec, membrane: Membrane, mesh: MembraneMesh, names: list[str]
+) -> None:
     """Add the flex of the rubber with its contacts switched off."""
     flex = spec.add_flex(name=FLEX)
     flex.dim = 2
-    flex.radius = sheet.thickness / 2
-    flex.thickness = sheet.thickness
-    flex.young = sheet.young * sheet.pre_stretch**2
-    flex.poisson = sheet.poisson
+    flex.radius = membrane.thickness / 2
+    flex.thickness = membrane.thickness
+    flex.young = membrane.young * membrane.pre_stretch**2
+    flex.poisson = membrane.poisson
     flex.damping = 1e-9
     flex.elastic2d = 2  # stretching only: bending matters below about five thicknesses
     flex.vertbody = names
@@ -125,7 +127,7 @@ def _add_flex(spec: mujoco.MjSpec, sheet: Membrane, mesh: MembraneMesh, names: l
     flex.conaffinity = 0
     flex.condim = 3
     flex.priority = 1
-    flex.friction = [sheet.friction, 0.005, 0.0001]
+    flex.friction = [membrane.friction, 0.005, 0.0001]
     flex.solimp = SOLIMP
     flex.rgba = [0.92, 0.92, 0.9, 1.0]
 
@@ -147,14 +149,14 @@ def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, fricti
     )
 
 
-def membrane_stiffness(sheet: Membrane) -> float:
+def membrane_stiffness(membrane: Membrane) -> float:
     """Return the stiffness, N/m, that sets damping and contact stiffness: stretching or bulging."""
-    return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
+    return max(membrane.young * membrane.thickness, 10 * membrane.pretension, SOFTEST)
 
 
-def contact_pressure(sheet: Membrane, gauge_pressure: float) -> float:
+def contact_pressure(membrane: Membrane, gauge_pressure: float) -> float:
     """A typical pressure under a contact, Pa: tension over a radius of about 10 mm, and the gas."""
-    return membrane_stiffness(sheet) / 0.04 + GAS_FRACTION * abs(gauge_pressure)
+    return membrane_stiffness(membrane) / 0.04 + GAS_FRACTION * abs(gauge_pressure)
 
 
 class ContactStiffness:
@@ -174,12 +176,12 @@ class ContactStiffness:
         vertex_geom_ids: np.ndarray,
         flex_id: int,
         mesh: MembraneMesh,
-        sheet: Membrane,
+        membrane: Membrane,
         *,
         remembers: bool,
     ):
         step = float(model.opt.timestep)
-        self._sheet_pressure = contact_pressure(sheet, 0.0)
+        self._sheet_pressure = contact_pressure(membrane, 0.0)
         bodies = model.geom_bodyid[vertex_geom_ids]
         # one block, in the mesh's order
         self._weights = np.asarray(model.body_invweight0)[bodies[0] : bodies[-1] + 1, 0]
@@ -196,8 +198,8 @@ class ContactStiffness:
             share = SOLIMP[1]
             model.geom_solref[vertex_geom_ids] = model.flex_solref[flex_id] = (time, 1.0)
         # kg/m^2
-        inertia = SURFACE_ARMATURE + sheet.thickness * sheet.density / sheet.pre_stretch**2
-        slowed = 1 + step * SURFACE_DAMPING * membrane_stiffness(sheet) / inertia
+        inertia = SURFACE_ARMATURE + membrane.thickness * membrane.density / membrane.pre_stretch**2
+        slowed = 1 + step * SURFACE_DAMPING * membrane_stiffness(membrane) / inertia
         self._soft = share / (1 - share) * slowed * depth * spring / mesh.areas[mesh.interior]
 
     def set_pressure(self, gauge_pressure: float) -> None:

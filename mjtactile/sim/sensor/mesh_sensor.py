@@ -65,7 +65,7 @@ class TactileSensor(BaseSensor):
     def _make_contact(self, model: mujoco.MjModel, data: mujoco.MjData, contact: str) -> None:
         """Select the contact model and create its stiffness, margins and stiction."""
         mesh = self.mesh
-        sheet = self.design.membrane
+        membrane = self.design.membrane
         vertices = self.vertex_geom_ids
         self.missed = missed(model, self.body_id, mesh)
         """Radius, m, and name of the thinnest geom that could slip between vertices."""
@@ -77,7 +77,7 @@ class TactileSensor(BaseSensor):
             refuse_thin(model, self.body_id, mesh)
         touch_with(model, vertices, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(
-            model, vertices, self.flex_id, mesh, sheet, remembers=on_vertices
+            model, vertices, self.flex_id, mesh, membrane, remembers=on_vertices
         )
         # live views
         self._margins = model.geom_margin[vertices[0] : vertices[-1] + 1]
@@ -88,7 +88,7 @@ class TactileSensor(BaseSensor):
         self._points: ContactPoints | None = None
         self._stiction: Stiction | None = None
         if on_vertices:
-            stiffness = sheet.young * sheet.thickness
+            stiffness = membrane.young * membrane.thickness
             self._points = ContactPoints(model, data, vertices, self.body_id, mesh, stiffness)
             self._stiction = Stiction(model, data, vertices, self.body_id)
         else:
@@ -236,12 +236,12 @@ class TactileSensor(BaseSensor):
 
     def tensions(self) -> Array:
         """Return the tension (n,) N/m at the vertices: the geometric mean of the principal ones."""
-        sheet = self.design.membrane
+        membrane = self.design.membrane
         triangles = self.mesh.triangles.ravel()
         stretches = np.maximum(self.stretches()[0], 0.1)
-        stresses = principal_stresses(stretches, sheet.young, sheet.poisson, sheet.law)
+        stresses = principal_stresses(stretches, membrane.young, membrane.poisson, membrane.law)
         along = (
-            sheet.thickness
+            membrane.thickness
             * np.maximum(stresses, 0.0)
             * stretches**2
             / stretches.prod(axis=1, keepdims=True)

@@ -73,13 +73,13 @@ def all_rows(model: mujoco.MjModel, flex_id: int) -> Array:
 class Rubber:
     """Keeps one flex's triangles at the moduli of their strain."""
 
-    def __init__(self, model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Membrane):
+    def __init__(self, model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, membrane: Membrane):
         elements = EdgeMatrices(model, flex_id, mesh)
-        mu = shear_modulus(sheet.young, sheet.poisson)
-        unstrained = 2 * mu * sheet.poisson / (1 - sheet.poisson)  # lambda' of no strain
+        mu = shear_modulus(membrane.young, membrane.poisson)
+        unstrained = 2 * mu * membrane.poisson / (1 - membrane.poisson)  # lambda' of no strain
         # E = (C - I)/2; the membrane's energy is that of its free volume, but MuJoCo's strain is
         # 1/l^2 of E (see add_membrane).
-        volume = mesh.triangle_areas * sheet.thickness * sheet.pre_stretch**2 / 2
+        volume = mesh.triangle_areas * membrane.thickness * membrane.pre_stretch**2 / 2
         trace = elements.metric[:, 0] + elements.metric[:, 1]
         shear = elements.metric.transpose(0, 2, 1) @ np.diag([2.0, 2.0, 4.0]) @ elements.metric
         by_lambda, by_mu = (
@@ -92,8 +92,8 @@ class Rubber:
         self.thin = np.ones(len(edges))
         """Square of the thickness's stretch over that of the area, (m,), at the last update."""
         # conversion of squared lengths to C relative to the free membrane
-        metric = elements.metric * sheet.pre_stretch**2
-        law = np.array([mu, sheet.poisson, unstrained, _MIN_LAMBDA, _MAX_LAMBDA])
+        metric = elements.metric * membrane.pre_stretch**2
+        law = np.array([mu, membrane.poisson, unstrained, _MIN_LAMBDA, _MAX_LAMBDA])
         arrays = (len(edges), edges, len(ends), ends, len(self._p_SV), self._p_SV)
         factors = (metric, law, by_mu, by_lambda)
         rows = all_rows(model, flex_id)
@@ -113,22 +113,22 @@ _STILL = 1e-4
 class RelaxingMesh:
     """Relaxation state of one membrane. It starts fully relaxed in the flat, mounted shape."""
 
-    def __init__(self, mesh: MembraneMesh, sheet: Membrane, relaxation: Relaxation):
+    def __init__(self, mesh: MembraneMesh, membrane: Membrane, relaxation: Relaxation):
         count = len(mesh.triangles)
         self._relaxation = relaxation
-        self._shares = relaxation.shares
+        self._fractions = relaxation.fractions
         self._elapsed = np.nan
-        self._kept = np.zeros(len(self._shares))
-        self._shear = shear_modulus(sheet.young, sheet.poisson)
+        self._kept = np.zeros(len(self._fractions))
+        self._shear = shear_modulus(membrane.young, membrane.poisson)
         self._p_SV = mesh.p_SV.copy()
         # long-term stress, then the relaxed part of each term: S_xx, S_yy, S_xy of each triangle
-        self._memory = np.zeros((len(self._shares) + 1, 3, count))
+        self._memory = np.zeros((len(self._fractions) + 1, 3, count))
         softening = (relaxation.softening, relaxation.softening_energy)
-        law = np.array([self._shear, sheet.poisson, sheet.pre_stretch**2, *softening])
+        law = np.array([self._shear, membrane.poisson, membrane.pre_stretch**2, *softening])
         vertices = (len(self._p_SV), self._p_SV)
-        flat = (np.ascontiguousarray(mesh.inverse_edges), mesh.triangle_areas * sheet.thickness)
+        flat = (np.ascontiguousarray(mesh.inverse_edges), mesh.triangle_areas * membrane.thickness)
         self._sheet = (count, np.ascontiguousarray(mesh.triangles), *vertices, *flat, law)
-        terms = (len(self._shares), self._shares, self._kept, self._memory)
+        terms = (len(self._fractions), self._fractions, self._kept, self._memory)
         workspace = (np.zeros(count), np.empty(12 * count + 3 * len(self._p_SV)))
         interior = np.ascontiguousarray(mesh.interior, np.int64)
         self._state = (*terms, *workspace, len(interior), interior)
@@ -160,7 +160,7 @@ class RelaxingMesh:
     @property
     def is_still(self) -> bool:
         """True if all terms have reached their limits."""
-        off = self._memory[0] * self._shares[:, None, None] - self._memory[1:]
+        off = self._memory[0] * self._fractions[:, None, None] - self._memory[1:]
         return bool(np.abs(off).max(initial=0.0) < _STILL * self._shear)
 
     def _advance(self, p_SV: Array, elapsed: float) -> None:

@@ -28,18 +28,18 @@ _NARROW = 0.1  # relative force error; squares and discs are below, rods as thin
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
     """Raise InputError for a membrane that the method cannot carry."""
-    sheet = design.membrane
+    membrane = design.membrane
     short = min(design.frame.length, design.frame.width)
-    if sheet.thickness > _THICKEST * short:
+    if membrane.thickness > _THICKEST * short:
         raise InputError(
-            f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of "
+            f"{membrane.thickness * 1e3:g} is a plate, not a membrane, in a frame of "
             f"{short * 1e3:g} mm: the model omits bending; at most {_THICKEST * short * 1e3:g}",
             source=design.name,
             field="membrane.thickness_mm",
         )
-    if sheet.pre_stretch < SLACKEST:
+    if membrane.pre_stretch < SLACKEST:
         raise InputError(
-            f"{sheet.pre_stretch:g} leaves the membrane so slack that it folds; at least "
+            f"{membrane.pre_stretch:g} leaves the membrane so slack that it folds; at least "
             f"{SLACKEST:g}",
             source=design.name,
             field="membrane.pre_stretch",
@@ -55,7 +55,7 @@ def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
 def design_flags(design: SensorDesign, nx: int, ny: int) -> Reasons:
     """Return flags for errors of a design that occur under any load."""
     flags: Reasons = {}
-    sheet = design.membrane
+    membrane = design.membrane
     frame = design.frame
     # second order; 1 % at 13 x 11 (tests/physics/test_membrane.py)
     error = 0.01 * 120 / ((nx - 1) * (ny - 1))
@@ -63,15 +63,15 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Reasons:
         flags["mesh"] = (
             f"mesh ({nx}, {ny}): heights and forces may be off by {error:.0%}; (13, 11) has 1-3 %"
         )
-    rigidity = sheet.young * sheet.thickness**3 / (12 * (1 - sheet.poisson**2))
+    rigidity = membrane.young * membrane.thickness**3 / (12 * (1 - membrane.poisson**2))
     wave = np.pi**2 * (1 / frame.length**2 + 1 / frame.width**2)
     # a bulge of 0.1 % strain
-    tension = max(sheet.pretension, 0.0) + 1e-3 * sheet.young * sheet.thickness
+    tension = max(membrane.pretension, 0.0) + 1e-3 * membrane.young * membrane.thickness
     if rigidity * wave > _BENDING * tension:
         share = rigidity * wave / tension
         flags["bending"] = (
             f"bending, which the model omits, would add {share:.0%} to the stiffness of this "
-            f"{sheet.thickness * 1e3:g} mm membrane; use a thinner or more stretched membrane"
+            f"{membrane.thickness * 1e3:g} mm membrane; use a thinner or more stretched membrane"
         )
     return flags
 
@@ -84,12 +84,12 @@ def membrane_flags(
     `stretches` (m, 2) are relative to the free membrane; `areas` (m,) m^2 are the triangles'.
     """
     flags: Reasons = {}
-    sheet = design.membrane
+    membrane = design.membrane
     ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
     largest = float(np.partition(stretches[:, 1], ninth)[ninth])
     error = (
         analytical_solutions.stvk_height_error(design, gauge_pressure)
-        if sheet.law is Law.STVK
+        if membrane.law is Law.STVK
         else 0.0
     )
     if error > STVK_ERROR:
@@ -103,7 +103,7 @@ def membrane_flags(
             "within 10 %; use less pressure or a thicker membrane"
         )
     # over a modulus
-    stresses = principal_stresses(np.maximum(stretches, 0.1), 1.0, sheet.poisson, sheet.law)
+    stresses = principal_stresses(np.maximum(stretches, 0.1), 1.0, membrane.poisson, membrane.law)
     share = float(areas[stresses.min(axis=1) < -1e-3].sum() / areas.sum())
     if share > WRINKLED:
         flags["wrinkles"] = (
@@ -114,11 +114,11 @@ def membrane_flags(
     return flags
 
 
-def quasistatic_flags(below_rim: float, doubt: float) -> Reasons:
+def quasistatic_flags(below_rim: float, relative_error: float) -> Reasons:
     """Return flags of a quasi-static membrane.
 
-    `below_rim` is the depth, m, at which the frame carries the contact, `doubt` the relative force
-    error for a contact that is narrow for the grid.
+    `below_rim` is the depth, m, at which the frame carries the contact, `relative_error` that of
+    the force for a contact that is narrow for the grid.
     """
     flags: Reasons = {}
     if below_rim > 0:
@@ -127,10 +127,10 @@ def quasistatic_flags(below_rim: float, doubt: float) -> Reasons:
             "membrane's mid-surface there), which carries load that the model omits; switch "
             "'mesh' on"
         )
-    if doubt > _NARROW:
+    if relative_error > _NARROW:
         flags["small_feature"] = (
             "a near object is narrow for the grid of the quasi-static membrane: 9 of 10 "
-            f"forces are within {100 * doubt:.0f} %; mjtactile.QuasistaticMembrane on a finer "
-            "grid is more accurate"
+            f"forces are within {100 * relative_error:.0f} %; mjtactile.QuasistaticMembrane on a "
+            "finer grid is more accurate"
         )
     return flags

@@ -45,4 +45,4 @@ def test_strengths_are_near_their_names_and_the_same_again():
         gamma = kind.table.get("gamma", 1.0)
         if gamma != 1.0:
             assert 0.8 <= (gamma - 1) / (asked[kind.name]["gamma"] - 1) <= 1.2
-        assert kind.troubles  # within the fields' ranges
+        assert kind.faults  # within the fields' ranges

@@ -10,7 +10,7 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.core.ritz_bulge import inflated_height
-from mjtactile.sensing.force.spline_fem import Gas, Sheet
+from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 
 DENSE = load_sensor("dense")
 ROUND = load_sensor("round30")
@@ -25,7 +25,7 @@ ROUNDED = replace(ROUND.frame, shape="rounded", width=20e-3, corner_radius=4e-3)
 
 
 def by_splines(design, pressure, spans):
-    sheet = Sheet(design, spans)
+    sheet = SplineMembrane(design, spans)
     c = sheet.equilibrium(Gas(pressure))
     middle = sheet.own(np.zeros((1, 2))) if design.frame.outline else np.zeros((1, 2))
     return float((sheet.basis(middle) @ c[2])[0])

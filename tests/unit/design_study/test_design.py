@@ -10,7 +10,7 @@ import pytest
 from mjtactile import InputError, load_sensor
 from mjtactile.cli import main
 from mjtactile.design_study import design_sweep, predict_file, sensor_file_edit
-from mjtactile.design_study.resolution import ResolutionPredictor, ball, place_sd
+from mjtactile.design_study.resolution import ResolutionPredictor, ball, position_sd
 from mjtactile.design_study.score import Score
 from mjtactile.design_study.virtual_bench import VirtualBench
 
@@ -52,8 +52,8 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
     said = math.sqrt(paper16.noise(felt)[2, 2])
     forces = []
     for number in range(40):
-        seen = paper16._sighter.sight(*paper16.poses(pressed.state.x), 0.1)
-        touch, _ = paper16.chain.step(felt.state, replace(seen, time=0.1 + number), 0.1 + number)
+        seen = paper16._sampler.sample(*paper16.poses(pressed.state.x), 0.1)
+        touch, _ = paper16.pipeline.step(felt.state, replace(seen, time=0.1 + number), 0.1 + number)
         forces.append(touch.traction.wrench[2])
     # a bound: forty numbers give their sd to 11 %; a chain that keeps the camera state between
     # images scatters by half of the value for one image alone
@@ -83,11 +83,11 @@ def test_place_of_a_force():
     wrench = np.concatenate([force, np.cross(r, force)])
     cov = np.zeros((6, 6))
     cov[4, 4] = 1e-6
-    assert place_sd(wrench, cov, r[2]) == pytest.approx(0.5e-3)
+    assert position_sd(wrench, cov, r[2]) == pytest.approx(0.5e-3)
     # an sd of the force itself moves the position by its fraction of the arm
     cov = np.zeros((6, 6))
     cov[2, 2] = 0.1**2
-    assert place_sd(wrench, cov, r[2]) == pytest.approx(3e-3 * 0.1 / 2)
+    assert position_sd(wrench, cov, r[2]) == pytest.approx(3e-3 * 0.1 / 2)
 
 
 @pytest.mark.parametrize("name", ["dense", "paper16", "fine", "dense_fiducials"])

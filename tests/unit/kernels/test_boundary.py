@@ -90,9 +90,9 @@ def test_codes_raise_what_they_mean():
         kernel("factor_definite")(1, 0, band)
     # more than any computer has
     huge = 2**55
-    with pytest.raises(MemoryError, match="kernel judge_borders: no memory"):
+    with pytest.raises(MemoryError, match="kernel check_borders: no memory"):
         empty = np.broadcast_to(0.0, 0)
-        library = kernel("judge_borders").__self__
+        library = kernel("check_borders").__self__
         library.function(huge, None, None, None, 1.0, np.zeros(29).ctypes.data, empty.ctypes.data)
 
 
@@ -104,7 +104,7 @@ def test_a_sheet_of_too_few_splines_is_refused():
         with pytest.raises(InputError, match=r"inverse\.spans"):
             InverseMembrane(design, settings)
     coarse = InverseMembrane(design, DEFAULTS.inverse.__class__(spans=(3, 3)))
-    assert np.isfinite(coarse.sheet.state(np.zeros((3, 16))).volume)
+    assert np.isfinite(coarse.membrane.state(np.zeros((3, 16))).volume)
 
 
 def test_as_many_neighbours_as_there_are():

@@ -47,8 +47,10 @@ def test_patches(sensor):
     estimator = InverseMembrane(design)
 
     class rest:
-        c = estimator.sheet.equilibrium(
-            estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 600.0)
+        c = estimator.membrane.equilibrium(
+            estimator.membrane.seal(
+                estimator.membrane.state(np.zeros((3, estimator.membrane.count))), 600.0
+            )
         )
 
     several = 0
@@ -74,7 +76,7 @@ def test_patches(sensor):
 
 def test_nothing_presses():
     estimator = InverseMembrane(load_sensor("dense"))
-    c = np.zeros((3, estimator.sheet.count))
+    c = np.zeros((3, estimator.membrane.count))
     pull = np.full((3, len(estimator.nodes)), 10.0)
 
     class rest:

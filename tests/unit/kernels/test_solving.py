@@ -79,8 +79,8 @@ def test_sheet(law):
     """The kernel's membrane equals numpy's to rounding of sums of some hundred products."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
-    ours = spline_fem.Sheet(design, (14, 10))
-    theirs = numpy_membrane.Sheet(design, (14, 10))
+    ours = spline_fem.SplineMembrane(design, (14, 10))
+    theirs = numpy_membrane.SplineMembrane(design, (14, 10))
     rng = np.random.default_rng(4)
     n = ours.count
     c = ours.equilibrium(Gas(600.0)) + rng.normal(0, 3e-5, (3, n))
@@ -115,7 +115,7 @@ def test_sheet(law):
 def test_a_stiffness_that_is_not_definite_is_pushed():
     """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite
     and downhill all the same."""
-    ours = spline_fem.Sheet(load_sensor("dense"), (14, 10))
+    ours = spline_fem.SplineMembrane(load_sensor("dense"), (14, 10))
     state = ours.state(np.random.default_rng(0).normal(0, 2e-3, (3, ours.count)))
     assert np.linalg.eigvalsh(from_band(ours.tangent(state, 0.0), ours.width))[0] < 0
     residual, stiffness = ours.linearise(state, Gas(0.0))

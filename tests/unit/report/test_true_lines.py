@@ -31,7 +31,7 @@ class Scene:
     def triangles(self):
         raise AssertionError("the membrane is no body")
 
-    def things(self):
+    def object_triangles(self):
         number = np.arange(4000)
         z = 1 - (2 * number + 1) / 4000  # a spiral, evenly all over
         turn = number * np.pi * (3 - np.sqrt(5))

@@ -259,7 +259,7 @@ def retreat(opening, touch=OK, last=LAST, time=5.0):
 def test_the_retreat_starts_from_the_measured_opening():
     """A goal 20 mm ahead of the jaws, plus 15 mm, was behind them: they stayed closed."""
     supervisor, sent = retreat(lambda goal: max(goal, LAST.opening + 0.020))
-    assert supervisor.is_over and not supervisor.doubt
+    assert supervisor.is_over and not supervisor.unverified
     assert sent[-1].opening == pytest.approx(LAST.opening + 0.020 + RETREAT_OPENING)
     assert all(after.opening >= before.opening for before, after in pairwise(sent))
 
@@ -267,15 +267,15 @@ def test_the_retreat_starts_from_the_measured_opening():
 def test_jaws_that_stay_closed_are_not_called_safe():
     supervisor, _ = retreat(lambda goal: LAST.opening)
     assert supervisor.is_over
-    assert supervisor.doubt == (
+    assert supervisor.unverified == (
         "the jaws are at 50.0 mm instead of 65.0 mm, the forces are 0.50 N, 0.50 N"
     )
 
 
 def test_forces_that_are_gone_verify_what_no_gripper_measures():
     free = replace(OK, force_normal=0.0, touching=False)
-    assert not retreat(lambda goal: math.nan, free)[0].doubt
-    assert retreat(lambda goal: math.nan, BLIND)[0].doubt == (
+    assert not retreat(lambda goal: math.nan, free)[0].unverified
+    assert retreat(lambda goal: math.nan, BLIND)[0].unverified == (
         "the opening is unknown, the forces are unknown, unknown"
     )
 

@@ -134,8 +134,8 @@ def test_gas_that_came_since_raises_the_markers(sensor):
     chain, state, finder = sensor
     rest = state.reference.rest
     share = 2e-3
-    gas = type(rest.gas)(rest.gas.gauge, (1 + share) * rest.gas.constant)
-    more = chain.inverse.sheet.equilibrium(gas, rest.stiffness_scale, start=rest.c)
+    gas = type(rest.gas)(rest.gas.gauge_pressure, (1 + share) * rest.gas.constant)
+    more = chain.inverse.membrane.equilibrium(gas, rest.stiffness_scale, start=rest.c)
     rise = (chain.inverse.positions(more) - chain.inverse.positions(rest.c))[:, 2]
     # the sheet's splines are 3 mm wide, and the response is linear to a per cent of it
     assert finder.forward.by_gas * share == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
@@ -254,7 +254,7 @@ def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
     sharpness = 0.5 * np.diag(before)
 
     def felt(misfit):
-        left = (max(misfit, 1.0) / DEFAULTS.body.misfit_max) ** 2
+        left = (max(misfit, 1.0) / DEFAULTS.contact_shape.misfit_max) ** 2
         load = replace(found.load, explained=1 - left)
         return attach_shape(touch, found.shape, load, sharpness).traction.wrench_cov
 
@@ -276,7 +276,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     press = follow(sensor, [touch])[0].press
     state = press.now.state
     weights = state.contact_forces / state.contact_forces.sum()
-    s = DEFAULTS.body
+    s = DEFAULTS.contact_shape
     height = float((weights * state.heights).sum()) + s.shear_above[0]
     force = np.array([0.05, -0.03, 0.0])
     shear = np.concatenate([force, np.cross([2e-3, -1e-3, height], force)])
@@ -296,7 +296,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
 def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
     films = sensor[2].forward
-    frame = films.film.design.frame
+    frame = films.membrane.design.frame
     half = frame.length / 2 - 1.5e-3
     radius = 12e-3
     across = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # along x, not z
@@ -312,7 +312,7 @@ def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     # of its ends, with two rows of nodes each of some 28
     assert 0.01 * force < low < 4 / 28 * force
     load = np.array([-force, 0, 0])
-    s = DEFAULTS.body
+    s = DEFAULTS.contact_shape
     known, told = (_model(load, 1.0, 0.0, 1e-4, at, s)[0, 0] for at in (0.0, low))
     assert told - known == pytest.approx((s.frame_fraction * low) ** 2)
 

@@ -19,15 +19,15 @@ class Round:
     def __init__(self, name):
         design = load_sensor(name)
         self.flat = design.markers.p_SM
-        self.chain = SensingPipeline(design)
+        self.pipeline = SensingPipeline(design)
         sides = (design.frame.length, design.frame.width)
         self.film = QuasistaticMembrane(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
         self.carried = interpolation_matrix(self.film, self.flat[:, :2])
         rest = self.seen(self.film.rest.x)
-        self.state = self.chain.load_rest_reference(
-            self.chain.initial_state(), rest, self.film.gauge_pressure
+        self.state = self.pipeline.load_rest_reference(
+            self.pipeline.initial_state(), rest, self.film.gauge_pressure
         )
-        self.finder = self.chain.make_shape_estimator(self.state)
+        self.finder = self.pipeline.make_shape_estimator(self.state)
         self.top = float(self.film.rest.heights.max())
 
     def seen(self, x, rng=None):
@@ -42,10 +42,10 @@ class Round:
     def shape(self, body, seed):
         state = self.film.solve(body)
         markers = self.seen(state.x, np.random.default_rng(seed))
-        touch = self.chain.estimate_touch(self.state, markers, self.chain.fitter.fit(markers), 0.0)[
-            0
-        ]
-        return state, self.chain.estimate_contact_shape(self.state, [touch], self.finder)
+        touch = self.pipeline.estimate_touch(
+            self.state, markers, self.pipeline.fitter.fit(markers), 0.0
+        )[0]
+        return state, self.pipeline.estimate_contact_shape(self.state, [touch], self.finder)
 
 
 @pytest.fixture(scope="module", params=["round30", "ellipse"])

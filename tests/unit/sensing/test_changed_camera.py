@@ -91,7 +91,7 @@ def test_modes_are_what_a_changed_camera_shows():
     assert modes.shape == (len(p), 3, MODES)
     away = p - design.camera.p_SC
     # a camera that moves by x makes all markers seem to move by as much
-    assert modes[:, :, 0] == pytest.approx(np.tile([s.knock_shift, 0, 0], (len(p), 1)))
+    assert modes[:, :, 0] == pytest.approx(np.tile([s.displaced_shift, 0, 0], (len(p), 1)))
     # turns keep distances from the camera
     for k in (3, 4, 5):
         assert (modes[:, :, k] * away).sum(axis=1) == pytest.approx(0, abs=1e-12)
@@ -113,7 +113,7 @@ def test_what_images_tell_of_a_camera_adds_up():
     """
     s = dataclasses.replace(DEFAULTS.inverse, drift_walk=0.0)
     rng = np.random.default_rng(0)
-    first = CameraDriftFilter.unseen(s, knocked=True)
+    first = CameraDriftFilter.unseen(s, displaced=True)
     belief = dataclasses.replace(first, time=0.0)
     normal = np.eye(MODES)
     right = np.zeros(MODES)
@@ -130,7 +130,7 @@ def test_what_images_tell_of_a_camera_adds_up():
         open_ = rows @ gain.root
         left = np.linalg.inv(np.eye(MODES + 1) + open_.T @ open_)
         found = left @ open_.T @ (seen - rows @ before.mean)
-        belief = before.told(found, left, gain.root, float(k))
+        belief = before.updated(found, left, gain.root, float(k))
     assert belief.known @ belief.known.T == pytest.approx(np.linalg.inv(normal), abs=1e-12)
     assert belief.mean == pytest.approx(np.linalg.solve(normal, right), abs=1e-10)
 
@@ -159,6 +159,6 @@ def test_overexposed_references_are_refused(sensor):
 def test_an_image_that_breaks_the_numbers_tells_nothing_of_the_camera(left):
     """A covariance that is singular, grows, or is no number: the belief stays, and the loop runs."""
     before = CameraDriftFilter.unseen(DEFAULTS.inverse)
-    after = before.told(np.ones(MODES), left, before.root, 1.0)
+    after = before.updated(np.ones(MODES), left, before.root, 1.0)
     assert np.isfinite(after.known).all() and np.isfinite(after.mean).all()
     assert np.linalg.det(after.known) > 0

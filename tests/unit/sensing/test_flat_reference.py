@@ -44,7 +44,7 @@ def test_radius_of_each_marker_is_found():
     # depth noise of 18 um in 45 mm over ten images is 1.3e-4; four sd
     np.testing.assert_allclose(flat.scale, factor, atol=6e-4)
     view = Renderer(DESIGN, radius=DESIGN.markers.radius * factor, seed=5)
-    markers = perception.chain.detect_markers(
+    markers = perception.pipeline.detect_markers(
         perception.state, view.render(DESIGN.markers.p_SM, OUTWARD)
     )[0]
     # without the calibration 3 % of 45 mm is 1.35 mm
@@ -69,7 +69,7 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
     np.testing.assert_allclose(flat.p_SC, p_SC, atol=1e-5)
     np.testing.assert_allclose(flat.R_SC, R_SC, atol=4e-4)
     raised = DESIGN.markers.p_SM + [0.0, 0.0, 1e-3]
-    markers = perception.chain.detect_markers(perception.state, image(raised, OUTWARD))[0]
+    markers = perception.pipeline.detect_markers(perception.state, image(raised, OUTWARD))[0]
     # 18 um / sqrt(81), four sd
     np.testing.assert_allclose(markers.p_SM.mean(axis=0), raised.mean(axis=0), atol=1e-5)
 

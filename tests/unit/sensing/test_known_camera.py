@@ -60,7 +60,7 @@ def touches(change=lambda image: image):
     return [[sensor.perceive(change(image), image.time) for _ in range(4)] for image in images]
 
 
-def troubled(table):
+def faulty(table):
     return FaultyImage(from_table(CameraFaults, table, "test"))
 
 
@@ -76,7 +76,7 @@ def test_it_recovers_within_an_image(clean, table):
 
     This is three sd of a clean image.
     """
-    for now, then in zip(touches(troubled(table)), clean, strict=True):
+    for now, then in zip(touches(faulty(table)), clean, strict=True):
         for touch, wanted in zip(now, then, strict=True):
             assert touch.status == "ok"
             assert touch.camera.seen == 10
@@ -90,15 +90,15 @@ def test_what_has_changed_is_said():
     center.
     """
     table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
-    camera = touches(troubled(table))[2][-1].camera
+    camera = touches(faulty(table))[2][-1].camera
     assert camera.shift == pytest.approx((4.0, 3.0), abs=0.03)
     # a picture turned clockwise is a scene turned against the clock
     assert np.degrees(abs(camera.turn)) == pytest.approx(0.3, abs=0.005)
     assert camera.scale == pytest.approx(0.002, abs=1e-4)
     assert camera.misfit < 3
-    blurred = touches(troubled({"defocus_px": 1.0}))[0][0].camera
+    blurred = touches(faulty({"defocus_px": 1.0}))[0][0].camera
     assert blurred.blur_px == pytest.approx(1.0, abs=0.15)
-    curved = touches(troubled({"gamma": 1.3}))[0][0].camera
+    curved = touches(faulty({"gamma": 1.3}))[0][0].camera
     assert curved.gamma == pytest.approx(1.3, abs=0.1)
 
 
@@ -109,7 +109,7 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     distance is proportional to one over its radius.
     """
     sensor, _ = begun()
-    finder = sensor.chain.detector.known._camera
+    finder = sensor.pipeline.detector.known._camera
     s = DEFAULTS.inverse
     p_SM = DESIGN.markers.p_SM + [0.0, 0.0, 2e-3]
     eye = DESIGN.camera.p_SC + [0.0, 0.0, DESIGN.apparent_glass_thickness]
@@ -120,13 +120,13 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     radius_change_px = s.drift_levels * mean[8] * (darker - 0.05)
     shown = eye + (p_SM - eye) * (radius_px / (radius_px + radius_change_px))[:, None]
     camera = CameraDriftEstimate(mean, np.eye(OBSERVED_MODES), 0.05, None)
-    assert finder.undone(shown, darker, camera) == pytest.approx(p_SM, abs=1e-12)
+    assert finder.correct_positions(shown, darker, camera) == pytest.approx(p_SM, abs=1e-12)
 
 
 def estimate_after_loss(sensor, share, load):
     """First and fourth touch, less the load, once a share of the gas has gone; without a gauge."""
     design = load_sensor(sensor)
-    sheet = InverseMembrane(design).sheet
+    sheet = InverseMembrane(design).membrane
     rest = sheet.equilibrium(Gas(membrane_images.GAUGE))
     gas = sheet.seal(sheet.state(rest), membrane_images.GAUGE)
     less = replace(gas, constant=(1 - share) * gas.constant)
@@ -157,7 +157,7 @@ def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(share, load):
 def covered(*ids, of=DESIGN):
     """A change of the picture that blackens a square over these fiducials."""
     sensor, _ = begun()
-    places = sensor.chain.detector.known._circles.places_px[list(ids)]
+    places = sensor.pipeline.detector.known._circles.places_px[list(ids)]
 
     def change(image):
         pixels = image.pixels.copy()
@@ -182,7 +182,7 @@ def test_without_fiducials_the_camera_is_where_it_was_last(clean):
     """With all fiducials covered after a shift, the last correction still applies, and no change is
     reported."""
     sensor, images = begun()
-    knock = troubled({"image_shift_px": [4.0, -3.0]})
+    knock = faulty({"image_shift_px": [4.0, -3.0]})
     cover = covered(*range(10))
     sensor.perceive(knock(images[0]), images[0].time)
     touch = sensor.perceive(knock(cover(images[0])), images[0].time)
@@ -201,7 +201,7 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
     pixel and a tenth of a percent.
     """
     _, images = begun()
-    changed = troubled({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
+    changed = faulty({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
     shown = covered(*hidden)(changed) if hidden else changed
     [found] = fiducial_findings("camera left", DESIGN, shown)
     assert found.level == level and f"{10 - len(hidden)} of 10 fiducials detected" in found.text
@@ -216,10 +216,10 @@ def test_fiducials_are_no_markers():
     """Fiducials are never named as markers, even after a shift of ten pixels with missing markers
     next to them."""
     sensor, images = begun()
-    knock = troubled({"image_shift_px": [8.0, 6.0]})
+    knock = faulty({"image_shift_px": [8.0, 6.0]})
     pixels = knock(images[3]).pixels.copy()
     pixels[:, 75:150] = 150  # the first column of markers is gone
-    markers, _ = sensor.chain.detect_markers(sensor.state, Image(pixels, images[3].time))
+    markers, _ = sensor.pipeline.detect_markers(sensor.state, Image(pixels, images[3].time))
     assert len(markers.fiducials) == 10
     assert set(markers.ids) == {k for k in range(81) if k % 9}
     assert np.abs(markers.p_SM - DESIGN.markers.p_SM[markers.ids])[:, :2].max() < 2e-3
@@ -231,7 +231,7 @@ def test_a_sensor_without_them_knows_nothing_of_it():
     sensor.measure_flat_reference(images.flat)
     sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     touch = sensor.perceive(images.rest[0], 0.0)
-    assert sensor.chain.detector.known is None
+    assert sensor.pipeline.detector.known is None
     assert touch.camera is None
     assert touch.markers.fiducials is None
 
@@ -269,7 +269,7 @@ def test_they_are_rows_of_the_same_fit():
 
 def test_one_that_is_far_off_counts_for_nothing():
     sensor, _ = begun()
-    finder = sensor.chain.detector.known._camera
+    finder = sensor.pipeline.detector.known._camera
     rest = sensor.state.reference.fiducials
     center = rest.center_px + [0.5, -0.2]
     assert isinstance(finder, CameraDriftEstimator)
@@ -302,7 +302,7 @@ def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
 
 def test_a_calibration_keeps_where_they_were():
     sensor, images = begun()
-    markers = sensor.chain.detect_rest_markers(sensor.state, images[:1])
+    markers = sensor.pipeline.detect_rest_markers(sensor.state, images[:1])
     part = RestMarkers(markers, 1000.0, sealed=True)
     again = RestMarkers.from_section(Section(part.to_table(), "", "left.json"))
     for name, value in vars(markers.fiducials).items():

@@ -16,11 +16,11 @@ DENSE = load_sensor("dense")
 NODES = np.array([[0.0, 0.0], [18e-3, 0.0]])  # the second is beyond the outermost markers, at 16 mm
 NOTHING = DEFAULTS.override(
     {
-        f"doubt.{name}": (0.0,) * 4
-        for name in ("share", "lateral", "sharp", "caught", "outside", "change", "burst")
+        f"model_error.{name}": (0.0,) * 4
+        for name in ("sparse", "lateral", "sharp", "caught", "outside", "change", "burst")
     }
-    | {"doubt.drag": 0.0}
-).doubt
+    | {"model_error.drag": 0.0}
+).model_error
 AT_REST = FitDiagnostics(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
@@ -34,11 +34,11 @@ def loaded(*forces, **more):
 
 def test_shares_are_of_the_force_and_torques_have_a_lever():
     felt = loaded([0.0, 0.0, -2.0], [0.0, 0.0, 0.0])
-    assert sd(felt, share=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
+    assert sd(felt, sparse=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
         [0.2, 0.2, 0.4, 0.6 * 3e-3, 0.6 * 3e-3, 0.8 * 3e-3]
     )
     sparse = replace(DENSE, markers=replace(DENSE.markers, pitch_x=2 * DENSE.markers.pitch_x))
-    assert sd(felt, sparse, share=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
+    assert sd(felt, sparse, sparse=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
 
 
 def test_shear_that_cancels_itself_is_doubted_all_the_same():
@@ -104,7 +104,9 @@ def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_side
     """A shape explains the parts `sharp` and `caught`, and `lateral` for shear and spin; the rest
     of the variance remains."""
     felt = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
-    shares = {name: getattr(DEFAULTS.doubt, name) for name in ("share", "lateral", "outside")}
+    shares = {
+        name: getattr(DEFAULTS.model_error, name) for name in ("sparse", "lateral", "outside")
+    }
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
     doubt = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
     left = doubt.variance(felt) - doubt.of_sharpness(felt.force, felt.excess)

@@ -13,6 +13,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import SETTINGS
 from mjtactile.core.types import Traction
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.image.markers import detect
@@ -97,6 +98,9 @@ def test_a_chain_works_with_what_it_is_given():
         ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
         ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: min_detected, markers"),
         ({"zero": 1.0}, "unknown setting"),
+        ({"body.log_body": 3.0}, "`body.log_body` is now `contact_shape.log_shape`"),
+        ({"gauge.floor": 1.5}, "`gauge.floor` is now `gas_filter.floor`"),
+        ({"inverse.knock_min": 6.0}, "`inverse.knock_min` is now `inverse.displaced_min`"),
         ({"zero.touch_sd": math.nan}, "nan is outside 0.05 to 500"),
         ({"zero.touch_sd": "5"}, "'5' is not a number"),
         ({"zero.memory_images": 1.5}, "1.5 is not a whole number"),
@@ -110,6 +114,12 @@ def test_a_chain_works_with_what_it_is_given():
 def test_a_wrong_name_or_value_is_refused(values, message):
     with pytest.raises(InputError, match=message):
         DEFAULTS.override(values)
+
+
+def test_every_new_name_of_a_setting_exists():
+    sections = {name for name, stage in vars(DEFAULTS).items() if dataclasses.is_dataclass(stage)}
+    assert set(SETTINGS.values()) <= DEFAULTS.to_dict().keys() | sections
+    assert not set(SETTINGS) & (DEFAULTS.to_dict().keys() | sections)
 
 
 def test_settings_go_into_recordings_as_json():

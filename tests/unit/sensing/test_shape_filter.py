@@ -71,7 +71,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
     both = sum(m / v for m, v in zip(means, variances, strict=True)) / precision
     # exact except for the 1e-6 that stands for unobserved parameters
     assert common.precision[0, 0] == pytest.approx(precision, rel=1e-4)
-    assert common.told[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
+    assert common.information[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
     off = (means[1] - means[0]) ** 2 / sum(variances)
     assert common.drift == pytest.approx(off, rel=1e-4)
 

@@ -26,7 +26,7 @@ def sensor():
     """Provide an estimator and the shape of a flat membrane: its normal is z, so that loads equal
     their given values."""
     estimator = InverseMembrane(load_sensor("dense"))
-    c = np.zeros((3, estimator.sheet.count))
+    c = np.zeros((3, estimator.membrane.count))
     rest = InverseRest(Gas(0.0), 1.0, c, np.zeros((estimator.design.markers.count, 3)))
     markers_p = estimator.positions(c)
     count = len(markers_p)

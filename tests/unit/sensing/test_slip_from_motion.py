@@ -54,7 +54,7 @@ def test_a_body_that_slides_along_the_shear_slips():
         (motion((-10e-3, 0.0)), history()),  # against the shear: it is carried along
         (motion((0.0, 10e-3)), history()),  # across it
         (motion((10e-3, 0.0), sd=3e-3), history()),  # within its uncertainty
-        (motion((0.9 * S.body_speed, 0.0), sd=1e-5), history()),  # creeping
+        (motion((0.9 * S.shape_speed, 0.0), sd=1e-5), history()),  # creeping
         (motion((10e-3, 0.0)), history((0.5 * S.min_load, 0.0, 0.0))),  # no shear: it rolls
         # partial slip: a shape moves by the fraction `follows` of its drag on the rubber
         (motion((10e-3, 0.0)), history(dragged=0.1 * 8e-3 / S.follows)),
@@ -72,7 +72,7 @@ def test_a_body_that_turns_on_the_spot_slips():
     """Its centre of pressure stays where it is."""
     assert spins(motion(spinning=1.0))
     assert with_motion(STICKS, history(), motion(spinning=-1.0))[0].state == "slipping"
-    assert not spins(motion(spinning=0.9 * S.body_spin))
+    assert not spins(motion(spinning=0.9 * S.shape_spin))
     assert not spins(motion(spinning=1.0, spinning_sd=0.5))
     # round: rotation is not observable
     assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))

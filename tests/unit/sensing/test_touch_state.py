@@ -23,11 +23,13 @@ NOISE = np.array([2e-6, 2e-6, 6e-6])  # sd of a marker, m
 @pytest.fixture(scope="module")
 def sensor():
     estimator = InverseMembrane(load_sensor("paper16"))
-    c = estimator.sheet.equilibrium(
-        estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 0.0)
+    c = estimator.membrane.equilibrium(
+        estimator.membrane.seal(
+            estimator.membrane.state(np.zeros((3, estimator.membrane.count))), 0.0
+        )
     )
     assert np.abs(c).max() < 1e-9  # without pressure a sheet is flat
-    markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
     return estimator, estimator.rest_state(markers, SUPPLY)
 
 
@@ -45,7 +47,9 @@ def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
     resultant (3,) N."""
     traction = parabola(estimator, force, place, radius)
     load = traction @ np.kron(*estimator._grid[2:4]).T
-    return estimator.sheet.equilibrium(rest.gas, rest.stiffness_scale, load, start=rest.c), traction
+    return estimator.membrane.equilibrium(
+        rest.gas, rest.stiffness_scale, load, start=rest.c
+    ), traction
 
 
 def traction(force, sd=5e-3):
@@ -102,7 +106,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     """
     estimator, rest = sensor
     warm = replace(rest.gas, constant=rest.gas.constant * (1 + 0.3 / 293.15))
-    c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
+    c = estimator.membrane.equilibrium(warm, rest.stiffness_scale, start=rest.c)
     rng = np.random.default_rng(2)
     shape = None
     now = contact_detection.RestTracker.of(rest)
@@ -156,7 +160,7 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     chain = SensingPipeline(load_sensor("paper16"))
     estimator = chain.inverse
-    detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    detect_rest_markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
     state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     rest = state.reference.rest
@@ -171,7 +175,9 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     # a step of 3 K without pressure sensor looks like a larger camera image, which is not a force
     assert rest.gas.constant is not None
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
-    bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
+    bulged = seen(
+        estimator, estimator.membrane.equilibrium(hot, rest.stiffness_scale, start=rest.c)
+    )
     warm, _ = chain.estimate_touch(state, bulged, surface, 10.0)
     assert warm.status == "ok" and abs(warm.force_normal) < 3 * warm.force_normal_sd
     pulled = seen(estimator, pressed(estimator, rest, np.array([0, 0, 0.25]))[0])
@@ -187,7 +193,7 @@ def loaded(sensor):
     """Provide a chain, its markers under 1.5 N, and its state after two such images."""
     estimator, _ = sensor
     chain = SensingPipeline(load_sensor("paper16"))
-    detect_rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    detect_rest_markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
     state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
     assert state.reference is not None
     strong = seen(estimator, pressed(estimator, state.reference.rest, np.array([0, 0, -1.5]))[0])
@@ -247,7 +253,7 @@ def light_estimate(sensor, **settings):
     estimator, _ = sensor
     coarse = 5 * NOISE
     chain = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
-    nothing = estimator.sheet.equilibrium(Gas(SUPPLY))
+    nothing = estimator.membrane.equilibrium(Gas(SUPPLY))
     state = chain.load_rest_reference(
         chain.initial_state(), seen(estimator, nothing, noise=coarse), SUPPLY
     )

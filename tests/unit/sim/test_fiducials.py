@@ -84,7 +84,7 @@ def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed(
 
 def test_a_sighting_has_them_too():
     design = load_sensor("dense_fiducials")
-    seen = EllipseSampler(design).sight(*flat(design)).ellipses
+    seen = EllipseSampler(design).sample(*flat(design)).ellipses
     assert len(seen) == design.markers.count + 10
     _, center = outlines(design)
     # sd 0.01 px

@@ -57,12 +57,12 @@ def test_exact_ellipses_lead_back_to_the_circles():
     """Exact ellipses through glass and lens give the circles back, by the sensing chain's closed
     form, which is independent code."""
     p_SM, n_S = bulged()
-    sighter = EllipseSampler(DESIGN)
-    center, shape = sighter._true(p_SM, n_S)
+    sampler = EllipseSampler(DESIGN)
+    center, shape = sampler._true(p_SM, n_S)
     axes, angle = axes_from_shape(shape)
     found = estimate_poses(
         Ellipses(center, axes, angle, np.tile(np.eye(5), (81, 1, 1)), np.full(81, "ok")),
-        sighter.camera,
+        sampler.camera,
         DESIGN.markers.radius,
     )
     first = np.linalg.norm(found.p_CM + DESIGN.camera.p_SC - p_SM, axis=1)
@@ -74,25 +74,25 @@ def test_exact_ellipses_lead_back_to_the_circles():
 
 def test_errors_are_as_large_as_said():
     """Chi-square of five numbers, 81 markers, 40 sightings: 1 +- 0.011 (sd)."""
-    sighter = EllipseSampler(DESIGN, seed=3)
+    sampler = EllipseSampler(DESIGN, seed=3)
     pose = bulged()
-    true = np.concatenate(sighter._true(*pose), axis=1)
-    spread = drawn_from(sighter, pose)
+    true = np.concatenate(sampler._true(*pose), axis=1)
+    spread = drawn_from(sampler, pose)
     chi = [
         np.einsum("ni,nij,nj->n", e, np.linalg.inv(spread), e).mean() / 5
-        for e in (shape_of(sighter.sight(*pose).ellipses) - true for _ in range(40))
+        for e in (shape_of(sampler.sample(*pose).ellipses) - true for _ in range(40))
     ]
     assert np.mean(chi) == pytest.approx(1.0, abs=0.04)
 
 
-def drawn_from(sighter, pose):
+def drawn_from(sampler, pose):
     """The covariance that errors are drawn from, of the shapes without errors."""
     from mjtactile.sim.rendering import synthetic_ellipses
 
-    _, shape = sighter._true(*pose)
-    blur = sighter.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2])
+    _, shape = sampler._true(*pose)
+    blur = sampler.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2])
     loss = synthetic_ellipses.LOSS + synthetic_ellipses.LOSS_BY_BLUR * blur[:, None]
-    return loss[:, :, None] * loss[:, None] * sighter._bound(shape, pose[0])
+    return loss[:, :, None] * loss[:, None] * sampler._bound(shape, pose[0])
 
 
 @pytest.mark.parametrize("blur", [0.7, 2.0])
@@ -101,9 +101,9 @@ def test_errors_are_those_of_the_image_stages(blur):
     10 %."""
     design = replace(DESIGN, camera=replace(DESIGN.camera, blur_px=blur))
     renderer = Renderer(design, seed=1)
-    sighter = EllipseSampler(design, seed=1)
+    sampler = EllipseSampler(design, seed=1)
     pose = bulged()
-    true = np.concatenate(sighter._true(*pose), axis=1)
+    true = np.concatenate(sampler._true(*pose), axis=1)
     seen = []
     drawn = []
     for _ in range(16):
@@ -111,7 +111,7 @@ def test_errors_are_those_of_the_image_stages(blur):
         order = np.linalg.norm(fit.center[:, None] - true[:, :2], axis=2).argmin(axis=0)
         assert (status == "ok").all() and len(status) == 81
         seen.append(np.concatenate([fit.center, fit.shape], axis=1)[order] - true)
-        drawn.append(shape_of(sighter.sight(*pose).ellipses) - true)
+        drawn.append(shape_of(sampler.sample(*pose).ellipses) - true)
     ratio = np.median(np.std(drawn, axis=0), axis=0) / np.median(np.std(seen, axis=0), axis=0)
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
 
@@ -121,7 +121,7 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
     radius[7] = 0.0
     p_SM = FLAT[0].copy()
     p_SM[0, 0] -= 0.01
-    ellipses = EllipseSampler(DESIGN, radius=radius).sight(p_SM, FLAT[1]).ellipses
+    ellipses = EllipseSampler(DESIGN, radius=radius).sample(p_SM, FLAT[1]).ellipses
     assert len(ellipses) == 79 and (ellipses.status == "ok").all()
 
 

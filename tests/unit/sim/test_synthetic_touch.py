@@ -85,7 +85,9 @@ def test_the_kernel_draws_as_the_formula_does():
         wanted = true + errors.gain @ true + gain * true + here.mean + error
         np.testing.assert_allclose(felt, wanted, rtol=1e-11, atol=1e-14)
         np.testing.assert_allclose(
-            cov, np.outer(here.said, here.said) * errors.reported_correlation, rtol=1e-11
+            cov,
+            np.outer(here.reported_sd, here.reported_sd) * errors.reported_correlation,
+            rtol=1e-11,
         )
 
 

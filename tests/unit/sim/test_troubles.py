@@ -72,13 +72,13 @@ def pictures():
     return [renderer.render(low, UP, 0.0), renderer.render(low + [0, 0, 2e-3], UP, 1 / 30)]
 
 
-def troubles(**table):
+def faults(**table):
     return from_table(CameraFaults, table, "my.toml")
 
 
 def shown(pictures, seed=0, **table):
     """The second of the pictures as it arrives after the first."""
-    camera = FaultyImage(troubles(**table), seed)
+    camera = FaultyImage(faults(**table), seed)
     return [camera(picture) for picture in pictures][-1].pixels.astype(float)
 
 
@@ -87,7 +87,7 @@ def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(pictures):
     assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
     assert FaultyImage(UNTROUBLED)(pictures[0]) is pictures[0]
-    assert not FaultyImage(troubles(dust_px=9, flicker_Hz=50)).has_faults
+    assert not FaultyImage(faults(dust_px=9, flicker_Hz=50)).has_faults
 
 
 @pytest.mark.parametrize("key", STRONG)
@@ -99,7 +99,7 @@ def test_each_changes_the_picture_and_is_the_same_again(pictures, key):
 
 
 def test_nothing_happens_before_its_time(pictures):
-    camera = FaultyImage(troubles(gamma=2, from_s=0.02))
+    camera = FaultyImage(faults(gamma=2, from_s=0.02))
     first, second = [camera(picture) for picture in pictures]
     assert first is pictures[0] and not np.array_equal(second.pixels, pictures[1].pixels)
 
@@ -111,7 +111,7 @@ def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
     """
     middle = np.array([319.5, 239.5])
     before = detect(pictures[1]).center_px
-    camera = FaultyImage(troubles(scale_percent=1, image_shift_px=[3, 2]))
+    camera = FaultyImage(faults(scale_percent=1, image_shift_px=[3, 2]))
     after = detect(camera(pictures[1])).center_px
     wanted = middle + 1.01 * (before - middle) + [3, 2]
     nearest = np.linalg.norm(after[:, None] - wanted, axis=2).min(axis=0)
@@ -124,7 +124,7 @@ def test_levels_follow_their_curves():
     wedge = Image(level.astype(np.uint8), 0.0)
 
     def curve(**table):
-        return FaultyImage(troubles(**table))(wedge).pixels
+        return FaultyImage(faults(**table))(wedge).pixels
 
     assert np.array_equal(curve(gamma=1.3), np.rint(255 * (level / 255) ** (1 / 1.3)))
     assert np.array_equal(curve(black_DN=50, white_DN=200), np.clip(level, 50, 200))

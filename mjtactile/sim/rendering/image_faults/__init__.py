@@ -25,10 +25,10 @@ _DEFAULTS = {field.name: field.default for field in fields(CameraFaults)}
 class FaultyImage:
     """Faults of one camera, and their state from one image to the next."""
 
-    def __init__(self, troubles: CameraFaults, seed: int = 0):
-        self.troubles = troubles
+    def __init__(self, faults: CameraFaults, seed: int = 0):
+        self.faults = faults
         self._seed = seed
-        self._steps = [step for step in STEPS if is_on(step, troubles)]
+        self._steps = [step for step in STEPS if is_on(step, faults)]
         self._last: dict[str, tuple[float, Floats, Floats]] = {}
         self._number = 0
 
@@ -39,7 +39,7 @@ class FaultyImage:
 
     def __call__(self, image: Image) -> Image:
         """Return the image with the faults; unchanged before the faults start."""
-        if not self._steps or image.time < self.troubles.start:
+        if not self._steps or image.time < self.faults.start:
             return image
         pixels = image.pixels.astype(np.float32)
         for step in self._steps:
@@ -47,13 +47,13 @@ class FaultyImage:
             if last is not None and image.time - last[0] > _FORGOTTEN:
                 last = None
             shot = FaultContext(self._seed, self._number, image.time, step.name, last)
-            changed = step.apply(pixels, self.troubles, shot)
+            changed = step.apply(pixels, self.faults, shot)
             self._last[step.name] = image.time, pixels, changed
             pixels = changed
         self._number += 1
         return Image(np.clip(np.rint(pixels), 0, 255).astype(np.uint8), image.time)
 
 
-def is_on(step: Step, troubles: CameraFaults) -> bool:
+def is_on(step: Step, faults: CameraFaults) -> bool:
     """Return True if any of the step's switches differs from its default."""
-    return any(getattr(troubles, name) != _DEFAULTS[name] for name in step.switches)
+    return any(getattr(faults, name) != _DEFAULTS[name] for name in step.switches)

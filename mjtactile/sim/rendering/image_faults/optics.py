@@ -67,10 +67,10 @@ def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
     height, width = pixels.shape
     middle = np.array([(height - 1) / 2, (width - 1) / 2])
-    cos = math.cos(t.turn) / (1 + t.zoom)
-    sin = math.sin(t.turn) / (1 + t.zoom)
+    cos = math.cos(t.rotation) / (1 + t.zoom)
+    sin = math.sin(t.rotation) / (1 + t.zoom)
     back = np.array([[cos, sin], [-sin, cos]])  # rows, columns
-    start = middle - back @ (middle + np.array(t.knock)[::-1])
+    start = middle - back @ (middle + np.array(t.shift)[::-1])
     change = np.column_stack([back, start])
     return _floats(affine_transform(pixels, change, order=3, mode="mirror"))
 
@@ -121,7 +121,7 @@ def flickering(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 STEPS = (
-    Step("placed", ("zoom", "knock", "turn"), placed),
+    Step("placed", ("zoom", "shift", "rotation"), placed),
     Step("defocused", ("defocus",), defocused),
     Step("fogged", ("fog",), fogged),
     Step("dusty", ("dust",), dusty),
