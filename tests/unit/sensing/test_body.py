@@ -18,7 +18,7 @@ from mjtactile.quasistatic import obstacle
 from mjtactile.sensing.apply_contact_shape import attach_shape
 from mjtactile.sensing.contact_shape import press_tracker as following
 from mjtactile.sensing.contact_shape.estimator import Found
-from mjtactile.sensing.contact_shape.force_fusion import _model, below_frame, borne
+from mjtactile.sensing.contact_shape.force_fusion import _model, below_frame, contact_load
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, rubber_step
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
@@ -283,7 +283,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
 
     def taken(s):
         """Return the part of the load's components due to shear at the height of blunt shapes."""
-        return borne(films, press, touch.traction.wrench, 2.0, s).rows @ shear
+        return contact_load(films, press, touch.traction.wrench, 2.0, s).rows @ shear
 
     # of a ball: edge and tip are a thousandth
     assert press.kinds(("smooth", "edge", "point", "flat", "multiple"))["smooth"] > 0.99

@@ -186,9 +186,9 @@ def test_a_bulge_without_shadow_keeps_all_its_light():
     p = DENSE.markers.p_SM.copy()
     p[:, 2] = 3e-3 * np.cos(np.pi * p[:, 0] / 40e-3) * np.cos(np.pi * p[:, 1] / 30e-3)
     light = ShadowedLight(DENSE, optics.Camera.from_design(DENSE.camera, DENSE.glass))
-    z = light._sheet.heights(p)
-    assert not may_block(light._sheet.xy, z, light._p_SL)
-    parts = irradiance(light._sheet.xy, z, light._p_SL)
+    z = light._membrane.heights(p)
+    assert not may_block(light._membrane.xy, z, light._p_SL)
+    parts = irradiance(light._membrane.xy, z, light._p_SL)
     assert light._blocked(z, parts / parts.sum(axis=0)) is None
 
 
@@ -244,7 +244,7 @@ def test_camera_rays_meet_the_sheet_where_it_is():
     the pixels there."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     light = ShadowedLight(DENSE, lens)
-    sheet = light._sheet
+    sheet = light._membrane
     z = sheet.heights(dented(6e-3, width=5e-3))
     places = light._places(z, 4)
     uv = optics.project(lens, np.dstack([sheet.xy, z + DOWN]))[4:-4, 4:-4]
