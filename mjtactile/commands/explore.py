@@ -144,6 +144,7 @@ def _in(options: argparse.Namespace, out: Path | None) -> int:
 def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, Any]]:
     from mjtactile.explore.exploration import PatchStore, explored
     from mjtactile.explore.from_recording import patches_of_recording
+    from mjtactile.recording.recorded_sensors import recorded_sensors
 
     patches = []
     turns = [*options.turns, *[0.0] * len(options.sources)]
@@ -152,7 +153,9 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
             patches += PatchStore(source / _TOUCHED).read()
         else:
             yaw = math.radians(turns[number])
-            patches += patches_of_recording(load_recording(source), 1000 * (number + 1), yaw)
+            recording = load_recording(source)
+            recorded_sensors(recording, options.sensor)  # refuses another than the recorded one
+            patches += patches_of_recording(recording, 1000 * (number + 1), yaw)
     if not patches:
         raise InputError(
             "the inputs contain no touches", source=options.sources[0], field="--input"

@@ -65,12 +65,11 @@ ARGUMENTS = (
         type=arg.number(0, 86400, above=True),
     ),
     scenario.FRAMES,
-    arg.sensor("sensor on each finger"),
+    arg.sensor("sensor on each finger (default: dense; of a replay: the recorded one)", None),
     arg.option(
         "--object NAME|FILE.xml",
         "sim and emulated: object on the table: "
         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
-        "egg",
     ),
     arg.option(
         "--pressure-kPa P",
@@ -100,8 +99,11 @@ ARGUMENTS = (
         "estimate the contact shape of every touch; of a recording, from its images",
     ),
     scenario.TIME_SCALE,
-    arg.option("--seed N", "sim and emulated: placement and noise", 0, type=arg.whole(0)),
+    arg.option("--seed N", "sim and emulated: placement and noise (default: 0)", type=arg.whole(0)),
 )
+
+
+_SENSOR = "dense"
 
 
 @dataclass
@@ -124,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
 
     scenario.apply_time_scale(options.time_scale, options.rig)
     stage = _stage(options)
-    design = _at_pressure(load_sensor(options.sensor), options.pressure)
+    design = _at_pressure(load_sensor(options.sensor or _SENSOR), options.pressure)
     progress = Progress()
     with (
         output_folder(options.out, "recording") as folder,
@@ -134,10 +136,10 @@ def run(options: argparse.Namespace) -> int:
     ):  # remaining work after the rig is switched off
         recording = folder / "recording"
         if options.rig == "stage":
-            result = _on_stage(options, design, stage, recording, progress)
+            result: dict[str, Any] = _on_stage(options, design, stage, recording, progress)
         else:
             result = _on_rig(options, design, stage, recording, progress, later)
-    result |= {"rig": options.rig, "sensor": design.name, "out": options.out}
+    result = {"sensor": design.name} | result | {"rig": options.rig, "out": options.out}
     if options.json:
         print_json(result)
         return 0
@@ -197,10 +199,10 @@ def _on_stage(
         true = _at_pressure(load_sensor(options.as_built), options.pressure)
     header = {
         "object": None,
-        "sensor": options.sensor,
+        "sensor": options.sensor or _SENSOR,
         "controller": "stage",
         "rig": "stage",
-        "seed": options.seed,
+        "seed": options.seed or 0,
         "design": design.name,
     }
     with Recorder(folder, header, frames=options.frames) as recorder:
@@ -209,7 +211,7 @@ def _on_stage(
             stage or NOTHING,
             recorder,
             seconds=options.seconds,
-            seed=options.seed,
+            seed=options.seed or 0,
             load_cell=options.load_cell,
             say=progress.message,
         )
@@ -227,23 +229,22 @@ def _on_rig(
 ) -> dict[str, Any]:
     from mjtactile import open_session
 
-    wanted = resolve_scenario(
-        Scenario(
-            object=options.object,
-            controller="monitor",
-            rig=options.rig,
-            sensor=options.sensor,
-            seed=options.seed,
-            contact_shapes=options.contact_shapes,
-        )
-    )
+    values = {
+        "object": options.object,
+        "seed": options.seed,
+        "sensor": options.sensor,
+        "controller": "monitor",
+    }
+    given = {name: value for name, value in values.items() if value is not None}
+    requested = Scenario(rig=options.rig, contact_shapes=options.contact_shapes, **given)
+    wanted = resolve_scenario(requested, given)
     # with the pressure that was asked for, unless the fingers name their own sensor
-    named = wanted.sensor == options.sensor
+    named = wanted.sensor == requested.sensor
     built = replace(wanted, sensor=design) if named else wanted
     with open_session(built, workers=0, say=progress.message) as session:
         header = wanted.header() | {"design": built.design().name}
         del header["command"]  # the recording does not contain a grasp
-        if session.rig.scene is None:
+        if session.rig.scene is None and not session.rig.recorded:
             header["object"] = None
         for finger in session.rig.fingers if options.pressure is not None else ():
             if finger.design.chamber.supply_gauge != design.chamber.supply_gauge:
@@ -254,6 +255,8 @@ def _on_rig(
             recorder.note(stage=stage.note() | {"finger": options.finger})
         result = _record(session, recorder, options.seconds, progress, stage)
     recorder.close(outcome="recorded")
+    if session.rig.recorded:
+        result |= {"sensor": wanted.names()["sensor"], "recorded": dict(session.rig.recorded)}
     return result
 
 

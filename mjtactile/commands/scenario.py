@@ -94,9 +94,11 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
         base = load_scenario(options.scenario)
     values = {name: getattr(options, name, None) for name in _FIELDS}
     given = {name: value for name, value in values.items() if value is not None}
+    chosen = {*given, *(base.given if getattr(options, "scenario", None) else ())}
     if "sensor" in given:
         base = replace(base, sensors={})
-    return resolve_scenario(replace(base, **given))
+        chosen.discard("sensors")
+    return resolve_scenario(replace(base, **given), chosen)
 
 
 def stem(scenario: Scenario) -> str:

@@ -4,6 +4,7 @@ by the simulator *and* by sensing. Its parts: `mjtactile.core.sensor_parts`.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core import optics, resources
-from mjtactile.core.config_fields import ML, MM, file_path, part, read, text
+from mjtactile.core.config_fields import ML, MM, file_path, part, read, text, write_fields
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.relaxation import Relaxation
@@ -30,8 +31,9 @@ from mjtactile.core.sensor_parts import (
     Membrane,
 )
 from mjtactile.core.signature_checks import validated
-from mjtactile.core.toml import Section, read_toml
+from mjtactile.core.toml import Section, parse_toml, read_toml_with_text, toml_text
 
+_TEXT = "_source_text"  # attribute of a design with the text of its file
 _RIM = 2 * np.pi * np.arange(16) / 16  # points on a marker's edge
 _NAMED_MAX = 5  # markers listed in a message
 _FARTHER = 1.005  # step of the search for a distance that shows all markers
@@ -74,6 +76,37 @@ class SensorDesign:
         frame = None if self.frame.shape == FrameShape.RECTANGLE else self.frame
         if self.markers.frame != frame:
             object.__setattr__(self, "markers", replace(self.markers, frame=frame))
+
+    @property
+    def file_text(self) -> str:
+        """The sensor in file format: the text that it was read from, or one that reads back to the
+        same values."""
+        known = vars(self).get(_TEXT)
+        return toml_text(write_fields(self)) if known is None else known
+
+    def stored_file(self) -> dict[str, str]:
+        """Return `file_text` as recordings keep it.
+
+        Returns:
+            Name, text, and the text's SHA-256.
+        """
+        content = self.file_text
+        checksum = hashlib.sha256(content.encode()).hexdigest()
+        return {"name": self.name, "sha256": checksum, "text": content}
+
+    def has_values_of(self, other: SensorDesign) -> bool:
+        """Compare two sensors by content.
+
+        Args:
+            other: The other sensor.
+
+        Returns:
+            True if all values agree; name and calibration file may differ.
+        """
+        mine, others = (
+            write_fields(replace(one, name="", calibration=None)) for one in (self, other)
+        )
+        return mine == others
 
     def require_rectangle(self, who: str) -> None:
         """Reject a frame that is not rectangular.
@@ -173,7 +206,20 @@ def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
     if isinstance(name_or_path, SensorDesign):
         return name_or_path
     path = resources.find(name_or_path, "models/sensors", ".toml")
-    return sensor_from_table(read_toml(path), name=path.stem, source=str(path))
+    table, source_text = read_toml_with_text(path)
+    return _with_text(sensor_from_table(table, name=path.stem, source=str(path)), source_text)
+
+
+def sensor_from_text(content: str, *, name: str, source: str) -> SensorDesign:
+    """Read a sensor from the text of its file, as `sensor_from_table` does."""
+    table = parse_toml(content, source)
+    return _with_text(sensor_from_table(table, name=name, source=source), content)
+
+
+def _with_text(design: SensorDesign, source_text: str) -> SensorDesign:
+    """Attach the text that a sensor was read from; a changed copy has none."""
+    object.__setattr__(design, _TEXT, source_text)
+    return design
 
 
 def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> SensorDesign:

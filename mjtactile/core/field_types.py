@@ -42,6 +42,15 @@ class Entry:
         return {self.key: value}
 
 
+def in_unit(value: float, unit: float) -> float:
+    """Convert an SI value to a file's `unit`, so that reading it gives the same bits."""
+    found = value / unit
+    for candidate in (found, math.nextafter(found, math.inf), math.nextafter(found, -math.inf)):
+        if candidate * unit == value:
+            return candidate
+    return found
+
+
 @dataclass(frozen=True, kw_only=True)
 class Number(Entry):
     """Number within [low, high] of the file's `unit` (SI units in one of it)."""
@@ -59,7 +68,7 @@ class Number(Entry):
     def write(self, value: Any) -> dict[str, Any]:
         if value is None or self.whole:
             return {self.key: value}
-        return {self.key: value / self.unit} if math.isfinite(value) else {}
+        return {self.key: in_unit(value, self.unit)} if math.isfinite(value) else {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +87,8 @@ class Numbers(Number):
         return section.wholes(self.key, int(low), int(high), default)
 
     def write(self, value: Any) -> dict[str, Any]:
-        return {self.key: [item if self.whole else item / self.unit for item in value]}
+        items = [item if self.whole else in_unit(item, self.unit) for item in value]
+        return {self.key: items}
 
 
 @dataclass(frozen=True, kw_only=True)

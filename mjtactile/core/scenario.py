@@ -110,7 +110,7 @@ class Scenario:
         controller: Shipped name or FILE.py.
         rig: Shipped name, FILE.toml, "replay:FOLDER", or that of an installed backend.
         sensor: Sensor on each finger: shipped name, FILE.toml, or a design created in memory.
-        sensors: Sensors by finger, if different from `sensor`; they override the rig file.
+        sensors: Sensors by finger, if different from `sensor`, as that; they override the rig file.
         effects: Simulated effects: "auto", or "+NAME,-NAME".
         accuracy: Accuracy of the simulation: "" (default), "0.02N" or "realtime".
         randomization: Ranges from which the seed randomizes the world: shipped name, FILE.toml, or
@@ -129,7 +129,7 @@ class Scenario:
     controller: str = _file("controller", "controllers", ".py", default="gentle")
     rig: str = _file("rig", "models/rigs", ".toml", "replay:FOLDER", default="sim")
     sensor: str | SensorDesign = entry(_SENSOR, "dense")
-    sensors: Mapping[str, str] = entry(
+    sensors: Mapping[str, str | SensorDesign] = entry(
         _EachFinger(key="sensors", name=_SENSOR), default_factory=dict, hash=False
     )
     effects: str = text("effects", default="auto")
@@ -157,9 +157,20 @@ class Scenario:
         return load_sensor(self.sensor)
 
     @property
+    def given(self) -> set[str]:
+        """Names of the fields that differ from their defaults."""
+        default = Scenario()
+        return {f.name for f in fields(self) if getattr(self, f.name) != getattr(default, f.name)}
+
+    @property
     def sensor_name(self) -> str:
         """Name of `sensor` in files: a shipped name, or the path of a user's file."""
-        return self.sensor.name if isinstance(self.sensor, SensorDesign) else self.sensor
+        return _name(self.sensor)
+
+    @property
+    def finger_sensor_names(self) -> dict[str, str]:
+        """The same of `sensors`, by finger."""
+        return {finger: _name(sensor) for finger, sensor in self.sensors.items()}
 
     def to_dict(self) -> dict[str, Any]:
         """Write it out.
@@ -173,7 +184,7 @@ class Scenario:
             del values["contact_shapes"]
         return values | {
             "sensor": self.sensor_name,
-            "sensors": dict(self.sensors),
+            "sensors": self.finger_sensor_names,
             "time_limit_s": limit,
         }
 
@@ -181,11 +192,18 @@ class Scenario:
         """Return the description of the run for a recording.
 
         Returns:
-            The scenario, and the command to run it again.
+            The scenario, the command to run it again, and the contents of sensors that are given
+            by their values (those of files are added by the recorder).
         """
         values = self.to_dict()
         names = {key: values[key] for key in ("object", "sensor", "controller", "rig", "seed")}
-        return names | {"command": self.command(), "scenario": values}
+        own = {f"sensor_{finger}": sensor for finger, sensor in self.sensors.items()}
+        files = {
+            key: sensor.stored_file()
+            for key, sensor in {"sensor": self.sensor, **own}.items()
+            if isinstance(sensor, SensorDesign)
+        }
+        return names | {"command": self.command(), "scenario": values, "files": files}
 
     def names(self) -> dict[str, Any]:
         """Return the description of the run for its summary.
@@ -193,7 +211,7 @@ class Scenario:
         Returns:
             The names of object, sensor and controller, and the seed.
         """
-        sensors = {self.sensor_name: None} | dict.fromkeys(self.sensors.values())
+        sensors = {self.sensor_name: None} | dict.fromkeys(self.finger_sensor_names.values())
         return {
             "object": Path(self.object).stem,
             "sensor": ", ".join(Path(name).stem for name in sensors),
@@ -210,11 +228,17 @@ class Scenario:
         words = ["mjtactile", "grasp", "--object", self.object]
         words += ["--controller", self.controller, "--seed", str(self.seed)]
         values = self.to_dict()
+        if isinstance(self.sensor, SensorDesign):
+            del values["sensor"]  # no file has these values
         for name in ("task", "sensor", "rig", "accuracy", "effects", "randomization"):
-            if values[name] != _DEFAULTS[name]:
+            if values.get(name, _DEFAULTS[name]) != _DEFAULTS[name]:
                 words.append(f"--{name}={values[name]}")
         words += ["--contact-shapes"] if self.contact_shapes else []
         return shlex.join(words)
+
+
+def _name(sensor: str | SensorDesign) -> str:
+    return sensor.name if isinstance(sensor, SensorDesign) else sensor
 
 
 _DEFAULTS = Scenario().to_dict()

@@ -27,6 +27,40 @@ def read_toml(path: Path) -> dict[str, Any]:
     return _parse(path, "TOML", _toml)
 
 
+def read_toml_with_text(path: Path) -> tuple[dict[str, Any], str]:
+    """`read_toml`, and the file's text."""
+    return _parse(path, "TOML", lambda text: (_toml(text), text))
+
+
+def toml_text(table: Mapping[str, Any], *, digits: int = 17) -> str:
+    """Return a table as TOML, with sections of one level; floats have so many `digits` (17: the
+    same bits when it is read). Values of None are left out."""
+    sections = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    plain = {key: value for key, value in table.items() if key not in sections}
+    lines = _entries(plain, digits)
+    for section, values in sections.items():
+        lines += ["", f"[{section}]", *_entries(values, digits)]
+    return "\n".join(lines) + "\n"
+
+
+def _entries(table: Mapping[str, Any], digits: int) -> list[str]:
+    return [f"{key} = {_value(value, digits)}" for key, value in table.items() if value is not None]
+
+
+def _value(value: Any, digits: int) -> str:
+    """Format a TOML value."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        text = repr(value) if digits >= 17 else f"{value:.{digits}g}"
+        return text if any(mark in text for mark in ".en") else f"{text}.0"
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return "[" + ", ".join(_value(one, digits) for one in value) + "]"
+
+
 def _toml(text: str) -> dict[str, Any]:
     for piece in re.split(r"[,=\[\]{}#\n]", text):
         if (
@@ -40,6 +74,16 @@ def _toml(text: str) -> dict[str, Any]:
 def read_json(path: Path) -> Any:
     """The value in a JSON file. Raises InputError where it cannot be read or is not JSON."""
     return _parse(path, "JSON", json.loads)
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """The table in TOML text. Raises InputError that names `source` where it is not TOML."""
+    try:
+        return _toml(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"not valid TOML: {' '.join(str(error).split())}", source=source
+        ) from error
 
 
 def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:

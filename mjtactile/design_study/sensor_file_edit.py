@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from mjtactile.core.config_fields import write_fields
 from mjtactile.core.design import SensorDesign, sensor_from_table
 from mjtactile.core.errors import InputError
+from mjtactile.core.toml import toml_text
+
+_DIGITS = 10  # of numbers in a sensor file
 
 
 def sensor_text(design: SensorDesign, head: str = "") -> str:
@@ -22,16 +23,10 @@ def sensor_text(design: SensorDesign, head: str = "") -> str:
     Returns:
         TOML that `load_sensor` reads.
     """
-    table = {key: value for key, value in write_fields(design).items() if value is not None}
+    table = write_fields(design)
     table.pop("calibration", None)  # it belongs to an as-built sensor; this is a design
-    lines = [f"# {line}" for line in head.splitlines()]
-    lines.append("# Units are in the key names.")
-    lines += [f"{key} = {_value(value)}" for key, value in table.items() if not _is_table(value)]
-    for section, values in table.items():
-        if _is_table(values):
-            lines += ["", f"[{section}]"]
-            lines += [f"{key} = {_value(value)}" for key, value in values.items()]
-    return "\n".join(lines) + "\n"
+    lines = [*head.splitlines(), "Units are in the key names."]
+    return "".join(f"# {line}\n" for line in lines) + toml_text(table, digits=_DIGITS)
 
 
 def rebuilt(design: SensorDesign) -> SensorDesign:
@@ -137,21 +132,3 @@ def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:
     scaled = scaled_pixels(design, width / camera.width).camera
     middle = height / camera.height * (camera.cy + 0.5) - 0.5
     return replace(design, camera=replace(scaled, width=width, height=height, cy=middle))
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, Mapping)
-
-
-def _value(value: Any) -> str:
-    """Format a TOML value; floats have ten digits, and read back to the written value."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        digits = f"{value:.10g}"
-        return digits if any(mark in digits for mark in ".en") else f"{digits}.0"
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return "[" + ", ".join(_value(one) for one in value) + "]"

@@ -113,7 +113,8 @@ class TrueOutcome(Observer):
         hold = sum(self._held) / len(self._held) if self._held else None
         true = {"peak_force_true_N": self._peak, "hold_force_true_N": hold}
         reason = {"reason": ""} if outcome == "held" else {}
-        return dict(summary) | true | reason | {"outcome": outcome}
+        known = {"outcome": outcome, "outcome_from": "ground truth"}
+        return dict(summary) | true | reason | known
 
 
 def files(scenario: Scenario) -> list[Path]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.calibration import calibration_from_table, pressure_reading
-from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
@@ -16,6 +16,7 @@ from mjtactile.explore.grip_scan import GripCycle, grips_of, patches_of_grip
 from mjtactile.explore.patch_from_touch import Pressed, patch_from_press
 from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.reader import Recording
+from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.recording.stage_protocol import Move, stage_from_note
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
@@ -51,8 +52,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
         raise InputError("has no reference images (flat and rest)", source=recording.folder)
     if "stage" in recording.notes:
         return _of_presses(recording)
-    sensor = str(recording.header.get("sensor", "dense"))
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
+    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
     session = Session(rig)
     session.take_references()
     cycles = _re_estimate(recording, session)
@@ -90,7 +90,7 @@ def _of_presses(recording: Recording) -> list[Patch]:
     stage = stage_from_note(recording.notes["stage"], recording.folder)
     fingers = recording.fingers
     finger = fingers.index(recording.notes["stage"].get("finger", fingers[0]))
-    design = load_sensor(str(recording.header.get("sensor", "dense")))
+    design = recorded_sensors(recording)[fingers[finger]]
     perception = _zeroed(recording, finger, design)
     assert perception.state.reference is not None
     times = recording.column("time")[:, 0]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
-from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.log_schema import SENSED, TRUE
 from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.report.overlay import followed
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
@@ -69,7 +69,8 @@ class RecordedEpisode:
         self.recording: Recording = load_recording(folder)
         if not len(self.recording):
             raise InputError("has no cycles to export", source=folder)
-        self.design = _design(self.recording)
+        self._designs = recorded_sensors(self.recording)
+        self.design = next(iter(self._designs.values()))
         self.estimate_difference = math.nan
         """Largest difference of re-estimated and recorded normal forces, cycles read so far, N."""
         tables = self.recording.notes.get("calibration", {})
@@ -132,7 +133,8 @@ class RecordedEpisode:
         """Texts of the sensor and rig files and of calibrations, by file name."""
         stored = self.recording.header.get("files", {}).items()
         notes = self.recording.notes.get("calibration", {}).items()
-        return {f"{kind}.toml": file["text"] for kind, file in stored} | {
+        suffixes = {"controller": ".py"}
+        return {f"{kind}{suffixes.get(kind, '.toml')}": file["text"] for kind, file in stored} | {
             f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes
         }
 
@@ -146,9 +148,8 @@ class RecordedEpisode:
     def design_of(self, finger: str) -> SensorDesign:
         """The design with the lens that was measured of this finger."""
         calibration = self.calibrations[finger]
-        if calibration is None:
-            return self.design
-        return calibration.used(self.design).design(self.design)
+        design = self._designs[finger]
+        return design if calibration is None else calibration.used(design).design(design)
 
     @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
@@ -167,9 +168,10 @@ class RecordedEpisode:
         if self._perceptions:
             flat = self._perceptions[number].state.flat
             return flat.R_SC, flat.p_SC
-        if calibration is not None and (frame := calibration.used(self.design).frame) is not None:
+        design = self._designs[finger]
+        if calibration is not None and (frame := calibration.used(design).frame) is not None:
             return frame.R_SC, frame.p_SC
-        return np.eye(3), self.design.camera.p_SC
+        return np.eye(3), design.camera.p_SC
 
     @cached_property
     def _perceptions(self) -> tuple[StatefulPipeline, ...]:
@@ -185,11 +187,12 @@ class RecordedEpisode:
             return ()
 
     def _perception(self, number: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:
-        perception = StatefulPipeline.of(self.design, calibration := self.calibrations[finger])
+        design = self._designs[finger]
+        perception = StatefulPipeline.of(design, calibration := self.calibrations[finger])
         perception.measure_flat_reference(list(flat.images(number)))
         gauge = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
         if gauge is None or math.isnan(gauge):
-            gauge = self.design.chamber.supply_gauge
+            gauge = design.chamber.supply_gauge
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
         perception.measure_rest_reference(list(rest.images(number)), gauge)
@@ -274,13 +277,3 @@ def meanings() -> dict[str, dict[str, str]]:
         key: {"unit": unit, "meaning": text}
         for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())
     }
-
-
-def _design(recording: Recording) -> SensorDesign:
-    """Return the sensor design stored in the recording, otherwise that of the sensor file."""
-    stored = recording.header.get("files", {}).get("sensor")
-    if stored is None:
-        return load_sensor(recording.header.get("sensor") or "dense")
-    table = tomllib.loads(stored["text"])
-    name = Path(stored["name"]).stem
-    return sensor_from_table(table, name=name, source=str(recording.folder / LOG))

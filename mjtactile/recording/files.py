@@ -75,24 +75,36 @@ def versions() -> dict[str, str]:
 
 
 def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the versions and the contents of the sensor and rig files that a header names.
+    """Return the versions, and the contents of the files that a header names.
 
-    They document the recording conditions after the files have changed.
+    These are the sensor, sensors of single fingers ("sensor_left"), rig and controller. Contents
+    that the header has already are kept. They document the recording conditions after the files
+    have changed.
     """
-    files = {}
-    for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
-        name = header.get(key)
-        try:
-            if name:
-                text = resources.find(name, folder, ".toml").read_text(encoding="utf-8")
-            else:
-                text = None
-        except (InputError, OSError):  # a rig without a file: sim, replay
-            text = None
-        if text is not None:
-            files[key] = {
-                "name": str(name),
-                "sha256": hashlib.sha256(text.encode()).hexdigest(),
-                "text": text,
-            }
-    return {"versions": versions(), "files": files}
+    scenario = header.get("scenario") or {}
+    named = {
+        "sensor": (header.get("sensor") or scenario.get("sensor"), *SENSORS),
+        **{f"sensor_{key}": (name, *SENSORS) for key, name in scenario.get("sensors", {}).items()},
+        "rig": (header.get("rig"), "models/rigs", ".toml"),
+        "controller": (header.get("controller"), "controllers", ".py"),
+    }
+    found = {key: stored_file(*where) for key, where in named.items()}
+    files = {key: file for key, file in found.items() if file is not None}
+    return {"versions": versions(), "files": files | dict(header.get("files", {}))}
+
+
+SENSORS = ("models/sensors", ".toml")
+"""Folder of shipped sensors, and suffix of sensor files."""
+
+
+def stored_file(name: Any, folder: str, suffix: str) -> dict[str, str] | None:
+    """Return name, SHA-256 and text of the file that a user's `name` stands for; None without a
+    file, as of the rigs "sim" and "replay:FOLDER"."""
+    try:
+        text = resources.find(name, folder, suffix).read_text(encoding="utf-8-sig") if name else ""
+    except (InputError, OSError, ValueError):
+        return None
+    if not name:
+        return None
+    checksum = hashlib.sha256(text.encode()).hexdigest()
+    return {"name": str(name), "sha256": checksum, "text": text}

@@ -6,6 +6,7 @@ reader's users need no checks of their own.
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Mapping
 from pathlib import PurePosixPath
@@ -106,6 +107,7 @@ _NOTES = {
     "start_opening": NUMBER,
     "start_lift_height": NUMBER,
     "calibration": TABLE,
+    "sensors": TABLE,
     "simulated": TABLE,
     "flags": TABLE,
     "break_force_N": NUMBER,
@@ -187,7 +189,10 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
         return "versions"
     if not all(map(_is_flag, row.get("flags", {}).values())):
         return "flags"
-    return next((key for key in ("files", "calibration") if not _has_tables(row, key)), None)
+    if not all(map(has_its_checksum, row.get("sensors", {}).values())):
+        return "sensors"
+    keys = ("files", "calibration")
+    return next((key for key in keys if not _has_tables(row, key)), None)
 
 
 def _has_tables(row: Mapping[str, Any], key: str) -> bool:
@@ -198,6 +203,13 @@ def _has_tables(row: Mapping[str, Any], key: str) -> bool:
         if key == "files" and not {kind(value) for value in table.values()} <= {TEXT}:
             return False
     return True
+
+
+def has_its_checksum(file: Any) -> bool:
+    """Return True for a file's name, text and checksum, if text and checksum agree."""
+    if kind(file) != TABLE or {kind(file.get(key)) for key in ("name", "sha256", "text")} != {TEXT}:
+        return False
+    return hashlib.sha256(file["text"].encode()).hexdigest() == file["sha256"]
 
 
 def _is_simulated(how: Mapping[str, Any]) -> bool:

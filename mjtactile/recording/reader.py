@@ -20,7 +20,7 @@ from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import COMMAND_FIELDS, Array, Command, Image, ValveState
 from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
-from mjtactile.recording.log_validation import wrong_column, wrong_note
+from mjtactile.recording.log_validation import has_its_checksum, wrong_column, wrong_note
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +77,25 @@ class Recording:
         """Flags of the recorded run by kind; their times are NaN in a recording from before
         0.2.0."""
         return read_flags(self.notes.get("flags", {}))
+
+    def facts(self) -> dict[str, Any]:
+        """Return names and outcome of the recorded run, for the results of a replay.
+
+        Returns:
+            The folder; object, task, sensor, controller, rig and seed; the outcome and the error;
+            number of the recorded cycles, True if the recording was closed properly, and its
+            defects. A name is None if the recording does not contain it.
+        """
+        scenario = self.header.get("scenario") or {}
+        names = ("object", "task", "sensor", "controller", "rig", "seed")
+        return {
+            "folder": str(self.folder),
+            **{name: self.header.get(name, scenario.get(name)) for name in names},
+            **{name: self.notes.get(name) for name in ("outcome", "error")},
+            "cycles": len(self),
+            "complete": self.complete,
+            "problems": list(self.problems),
+        }
 
     @property
     def has_shapes(self) -> bool:
@@ -258,6 +277,7 @@ def load_recording(path: str | Path) -> Recording:
         raise InputError(
             f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1"
         )
+    header = _without_damaged_files(header, problems)
     notes: dict[str, Any] = {}
     for row in rows:
         if row.get("kind") in ("note", "end"):
@@ -277,6 +297,18 @@ def load_recording(path: str | Path) -> Recording:
         if row.get("kind") == "reference"
     )
     return Recording(folder, header, notes, columns, complete, tuple(problems), references)
+
+
+def _without_damaged_files(header: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
+    """Return the header without files whose text does not have its checksum; name them."""
+    files = header.get("files", {})
+    sound = {kind: file for kind, file in files.items() if has_its_checksum(file)}
+    problems += [
+        f"line 1: the text of the {k} file is corrupt and was ignored"
+        for k in files
+        if k not in sound
+    ]
+    return {**header, **({"files": sound} if files else {})}
 
 
 def _keep_force_limit(columns: dict[str, np.ndarray]) -> None:

@@ -90,9 +90,9 @@ class Recorder(Observer):
                 "kind": "start",
                 "format": FORMAT,
                 "version": VERSION,
-                **provenance(header),
                 "frames": frames,
                 **header,
+                **provenance(header),
             }
         )
 

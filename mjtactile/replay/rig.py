@@ -8,19 +8,20 @@ the commands that it would have requested.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
 
 from mjtactile.core.calibration import calibration_from_table
-from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import COMMAND_FIELDS, Command, GripperState, Image, ValveState
 from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
-from mjtactile.rig.scenario import resolve_scenario
 
 
 class Tape:
@@ -157,21 +158,18 @@ class ReplayValve:
         """Do nothing: the valve followed the recorded command."""
 
 
-def build_replay_rig(
-    folder: str, design: SensorDesign, sensors: Mapping[str, str] | None = None
-) -> Rig:
-    """Build a rig from the recording in `folder`.
+def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Rig:
+    """Build a rig from the recording in `folder`, with the sensors that it contains.
 
     Args:
         folder: Folder of the recording, or of the run that contains it.
-        design: The sensor on the fingers.
-        sensors: Name or file of a finger's own sensor, by finger.
+        asked: Sensor that the user asked for; None: any.
 
     Raises:
-        InputError: The recording cannot be replayed with this sensor design.
+        InputError: The recording cannot be replayed, or has another sensor than `asked`.
     """
     recording = load_recording(folder)
-    _require_replayable(recording, design, folder)
+    _require_replayable(recording, folder)
     tape = Tape(recording)
     width = recording.width
     count = recording.valve_count
@@ -183,8 +181,7 @@ def build_replay_rig(
         calibration_from_table(tables[name], folder) if name in tables else None
         for name in recording.fingers
     )
-    own = sensors or {}
-    designs = tuple(load_sensor(own[name]) if name in own else design for name in recording.fingers)
+    designs = tuple(recorded_sensors(recording, asked).values())
     return Rig(
         name="replay",
         fingers=make_fingers(recording.fingers, designs, cameras, valves, calibrations),
@@ -194,28 +191,25 @@ def build_replay_rig(
         close=lambda: None,
         length=float(recording.columns["time"][-1] - recording.columns["time"][0]),
         simulated=recording.notes.get("simulated", {}),
+        recorded=recording.facts(),
         flags=lambda: recording.flags,
     )
 
 
-def _require_replayable(recording: Recording, design: SensorDesign, folder: str) -> None:
-    """Raise InputError for an incomplete recording, or one of another sensor."""
+def _require_replayable(recording: Recording, folder: str) -> None:
+    """Raise InputError for an incomplete recording."""
     has_cycles = len(recording) > 0 and "start_opening" in recording.notes
     if not has_cycles or len(recording.references) != 2:
         raise InputError(
             "cannot be replayed: it has no cycles or no reference images", source=folder
         )
     recording.require_images()
-    recorded = recording.header.get("design")
-    if recorded is not None and recorded != design.name:
-        message = f"was recorded with sensor {recorded!r}, not {design.name!r}"
-        raise InputError(message, source=folder, field="--sensor")
 
 
 def build(request: RigRequest) -> Rig:
     """The backend "replay" of `mjtactile.rig.registry`."""
-    sensors = resolve_scenario(request.scenario).sensors
-    return build_replay_rig(request.argument, request.design, sensors)
+    asked = request.scenario.sensor
+    return build_replay_rig(request.argument, None if asked == Scenario().sensor else asked)
 
 
 def _reference_images(recording: Recording, finger: int) -> Iterator[Image]:

@@ -91,8 +91,7 @@ def session_of(recording: Recording) -> Session | None:
     """
     if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
         return None
-    sensor = str(recording.header.get("sensor", "dense"))
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
+    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
     session = Session(rig, contact_shapes=recording.has_shapes)
     session.take_references()
     return session

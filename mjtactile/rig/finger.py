@@ -94,6 +94,7 @@ class Rig:
         varied: Values sampled for a randomized simulated world, by name, in the files' units.
         simulated: Settings of a simulation: `mesh`, `timestep_ms`, and each of the `effects` with
             state, reason and cost.
+        recorded: Names and outcome of a replayed run (`Recording.facts`); empty elsewhere.
         flags: Reasons for reduced simulation accuracy so far, by kind of model error; in a replay
             the recorded ones.
         goal: Goal of the task.
@@ -115,6 +116,7 @@ class Rig:
     length: float = math.inf
     varied: Mapping[str, Any] = field(default_factory=dict)
     simulated: Mapping[str, Any] = field(default_factory=dict)
+    recorded: Mapping[str, Any] = field(default_factory=dict)
     flags: Callable[[], Flags] = dict
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None

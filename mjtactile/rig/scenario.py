@@ -5,7 +5,8 @@ For the format see docs/reference/scenario_files.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, read_json, read_toml
 from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.recording.recorded_sensors import recorded_sensors, require_recorded
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.simulated import SimRigFile
 
@@ -61,32 +63,31 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
 
 
 @validated()
-def resolve_scenario(scenario: Scenario) -> Scenario:
-    """Fill in the actual sensor of each of the rig's fingers.
+def resolve_scenario(scenario: Scenario, given: Collection[str] | None = None) -> Scenario:
+    """Fill in the actual sensor of each of the rig's fingers, and the facts of a replayed run.
 
-    The fingers of a rig file or of a replayed recording may name their own sensors. A sensor common
-    to all fingers becomes the scenario's `sensor`. A recording is replayed with its own sensor
-    unless another one is requested. It is replayed with shapes if it has them.
+    The fingers of a rig file may name their own sensors. A sensor common to all fingers becomes the
+    scenario's `sensor`. A recording is replayed with the sensors that it contains. Its object,
+    task, controller, seed and time limit apply unless others are given. It is replayed with shapes
+    if it has them.
 
     Args:
         scenario: The requested scenario.
+        given: Names of the fields that the user gave; None: those that differ from the defaults.
 
     Returns:
-        The scenario with its sensors, and for a recording with its shapes.
+        The scenario with its sensors, and for a recording with its facts.
 
     Raises:
-        InputError: The rig file is missing or wrong.
+        InputError: The rig file is missing or wrong, or a recording has another sensor than the
+            given one.
     """
     backend, _, folder = scenario.rig.partition(":")
     if backend == "replay":
-        recording = load_recording(folder)
-        return replace(
-            scenario,
-            sensor=_recorded_sensor(recording, scenario.sensor),
-            sensors=_recorded_sensors(recording) | dict(scenario.sensors),
-            contact_shapes=scenario.contact_shapes or recording.has_shapes,
-        )
-    if not _is_file(scenario.rig):
+        chosen = scenario.given if given is None else given
+        return _replayed(scenario, load_recording(folder), chosen)
+    given_by_values = any(isinstance(own, SensorDesign) for own in scenario.sensors.values())
+    if given_by_values or not _is_file(scenario.rig):
         return scenario
     default = scenario.sensor_name
     file = with_sensors(read_rig_file(scenario.rig), scenario.sensors)
@@ -111,7 +112,9 @@ def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
     }
 
 
-def with_sensors(file: RigFile | SimRigFile, sensors: Mapping[str, str]) -> RigFile | SimRigFile:
+def with_sensors(
+    file: RigFile | SimRigFile, sensors: Mapping[str, str | SensorDesign]
+) -> RigFile | SimRigFile:
     """Return the rig file with these sensors on these fingers. Raises InputError for a finger that
     the rig does not have."""
     names = list(_fitted(file))
@@ -129,19 +132,40 @@ def _is_file(rig: str) -> bool:
     return rig.endswith(".toml") or "/" in rig or rig in resources.names("models/rigs", ".toml")
 
 
-def _recorded_sensor(recording: Recording, asked: str | SensorDesign) -> str | SensorDesign:
-    """Return the sensor of a replay: the requested one, else the recorded one if it still
-    exists."""
-    scenario = recording.header.get("scenario")
-    known = scenario.get("sensor") if isinstance(scenario, Mapping) else None
-    if asked != Scenario().sensor or not isinstance(known, str):
-        return asked
-    is_there = known in resources.names("models/sensors", ".toml") or Path(known).exists()
-    return known if is_there else asked
+_OF_A_RUN = ("object", "task", "controller", "seed", "time_limit")
+"""Fields of a replayed run that apply unless others are given."""
 
 
-def _recorded_sensors(recording: Recording) -> dict[str, str]:
-    """Those that a recording's fingers had of their own."""
+def _replayed(scenario: Scenario, recording: Recording, given: Collection[str]) -> Scenario:
+    """Return the scenario of a replay."""
+    sensors = recorded_sensors(recording, scenario.sensor if "sensor" in given else None)
+    if not sensors:
+        return scenario  # it has no cycles, and cannot be replayed
+    for finger, asked in scenario.sensors.items() if "sensors" in given else ():
+        if finger not in sensors:
+            message = f"was recorded without a finger {finger!r}"
+            raise InputError(message, source=recording.folder, field="sensors", choices=sensors)
+        require_recorded(recording, finger, sensors[finger], asked)
+    kept = {
+        name: value
+        for name, value in _run_fields(recording).items()
+        if name in _OF_A_RUN and name not in given
+    }
+    first, *_ = sensors.values()
+    return replace(
+        scenario,
+        **kept,
+        sensor=first,
+        sensors={finger: own for finger, own in sensors.items() if not own.has_values_of(first)},
+        contact_shapes=scenario.contact_shapes or recording.has_shapes,
+    )
+
+
+def _run_fields(recording: Recording) -> dict[str, Any]:
+    """Return the fields of the recorded scenario, with the names of `Scenario`."""
     scenario = recording.header.get("scenario")
-    sensors = scenario.get("sensors") if isinstance(scenario, Mapping) else None
-    return dict(sensors) if isinstance(sensors, Mapping) else {}
+    found = dict(scenario) if isinstance(scenario, Mapping) else {}
+    if "time_limit_s" in found:
+        limit = found.pop("time_limit_s")
+        found["time_limit"] = math.inf if limit is None else limit
+    return {name: value for name, value in found.items() if value is not None}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.fidelity_levels import disabled_effects
 from mjtactile.core.fidelity_levels import fidelity_notes as fidelity_notes
 from mjtactile.core.flags import Flags
@@ -58,6 +58,10 @@ class GraspResult:
 
     measures: Mapping[str, float] = field(default_factory=dict)
     """Ground-truth measures of the task, by name."""
+    recorded: Mapping[str, Any] = field(default_factory=dict)
+    """Names and outcome of the replayed run; empty: no replay."""
+    has_truth: bool = True
+    """False on a rig without ground truth: the outcome is then the controller's, or recorded."""
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON object of `mjtactile grasp --json`; unknown values are NaN, and null in
@@ -82,9 +86,23 @@ class GraspResult:
         if self.reason:
             found["reason"] = self.reason
         found |= dict.fromkeys(self.left_out, False)
+        found["outcome_from"] = self.outcome_from
+        if self.recorded:
+            found["recorded"] = dict(self.recorded)
         if self.force_error_estimate is not None:
             found["force_error_estimate_N"] = self.force_error_estimate
         return found | {"scenario": self.scenario.to_dict()}
+
+    @property
+    def outcome_from(self) -> str:
+        """Origin of the outcome: "ground truth", "recording" or "estimates"."""
+        if self.recorded.get("outcome") in OUTCOMES:
+            return "recording"
+        return "ground truth" if self.has_truth else "estimates"
+
+
+OUTCOMES = ("held", "dropped", "crushed", "not set down", "fault")
+"""Outcomes of a grasp; recordings of other jobs have others."""
 
 
 _GRIPPING = ("close", "regulate", "lift", "hold")
@@ -188,17 +206,26 @@ def run_grasp(
         begin = wall.perf_counter()
         start = rig.clock.now()
         completed = False
+        has_ended = False
         try:
             last = session.run(controller, time_limit=_time_limit(scenario), observer=log)
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.lost:
                 raise  # else the grasp was decided before: the object had stayed behind
-        factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
+        except DeviceError:
+            if rig.recorded.get("outcome") not in OUTCOMES:
+                raise  # else the recording has ended before this controller did
+            has_ended = True
+        duration = rig.length if has_ended else rig.clock.now() - start
+        factor = duration / (wall.perf_counter() - begin)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
-        result = replace(result, flags=flags)
-        if result.outcome == "dropped":
+        result = replace(result, flags=flags, recorded=rig.recorded)
+        if result.outcome_from == "recording":
+            reason = str(rig.recorded["error"] or "")
+            result = replace(result, outcome=rig.recorded["outcome"], reason=reason)
+        elif result.outcome == "dropped":
             causes = failure_causes(rig, flags, log.grip_opening)
             result = replace(result, reason="; ".join(filter(None, [result.reason, *causes])))
     if log.estimate is None:
@@ -282,4 +309,5 @@ def _result(
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,
         measures=score.measures() if score else {},
+        has_truth=score is not None,
     )

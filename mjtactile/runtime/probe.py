@@ -18,6 +18,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Material, Touch
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.reader import Recording
+from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.cycle import Cycle
@@ -116,6 +117,8 @@ def run_probe(
         flags = session.flags
     names = scenario.names()
     del names["controller"]
+    if session.rig.recorded:
+        names["recorded"] = dict(session.rig.recorded)
     return log.result(names, settings, flags)
 
 
@@ -124,15 +127,16 @@ def replay_probe(
 ) -> ProbeResult:
     """Classify the material again from the images of a recording of a probe or any squeeze.
 
-    Raises InputError if the recording has no references or images are missing.
+    It is evaluated with its own sensors. Raises InputError if the recording has no references,
+    images are missing, or it was recorded with another `sensor` than the given one.
     """
     recording.require_images()
-    name = sensor or str(recording.header.get("sensor", "dense"))
     stages = {reference.stage for reference in recording.references}
     if not {"flat", "rest"} <= stages or not recording.width:
         message = "has no reference images (flat and rest): the sensors cannot be zeroed"
         raise InputError(message, source=recording.folder)
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=name))
+    sensors = recorded_sensors(recording, sensor)
+    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
     session = Session(rig, settings=settings, contact_shapes=recording.has_shapes)
     session.take_references()
     perceptions = session.perceptions
@@ -154,8 +158,9 @@ def replay_probe(
     return log.result(
         {
             "object": Path(str(header.get("object", "unknown"))).stem,
-            "sensor": Path(name).stem,
+            "sensor": ", ".join(dict.fromkeys(one.name for one in sensors.values())),
             "seed": header.get("seed"),
+            "recorded": recording.facts(),
         },
         settings,
         session.flags,

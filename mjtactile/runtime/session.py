@@ -121,6 +121,8 @@ class Session:
             settings=self.settings.to_dict(),
             **simulated,
         )
+        sensors = {finger.name: finger.design.stored_file() for finger in rig.fingers}
+        observer.note(sensors=sensors)
         self._report_references(observer)
         if rig.touch_is_synthetic:  # references are not used
             inflate(rig.fingers, rig.clock)

@@ -155,7 +155,7 @@ def folder(tmp_path_factory):
 
 
 def test_a_replay_answers_with_what_was_sent(folder):
-    rig = build_replay_rig(str(folder), DESIGN)
+    rig = build_replay_rig(str(folder))
     limits = load_recording(folder).columns["command_force_limit"]
     for _ in range(200):
         if rig.gripper._tape.cycle == 3:

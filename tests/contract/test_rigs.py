@@ -7,6 +7,7 @@ test asserts one.
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
 
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjtactile.core import resources
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import ForceScale, LensCalibration, stamp
 from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command
 from mjtactile.core.types.command import PRESSURE_STEP
 from mjtactile.emulator.process import EmulatorProcess
@@ -27,6 +30,8 @@ from mjtactile.replay.rig import build_replay_rig
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
+from mjtactile.rig.scenario import resolve_scenario
+from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.pipeline import SensingPipeline
@@ -101,7 +106,7 @@ def rig(request):
             patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
         )
     else:
-        rig = build_replay_rig(str(request.getfixturevalue("recording_folder")), DESIGN)
+        rig = build_replay_rig(str(request.getfixturevalue("recording_folder")))
     try:
         yield rig
     finally:
@@ -198,7 +203,7 @@ def test_closing_twice_does_no_harm(rig):
 
 
 def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path):
-    record(build_replay_rig(str(recording_folder), DESIGN), tmp_path)
+    record(build_replay_rig(str(recording_folder)), tmp_path)
     first = load_recording(recording_folder)
     second = load_recording(tmp_path)
     for key in (
@@ -220,6 +225,54 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
         assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
+
+
+def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
+    """Edited or gone: the same bits, since the recording contains the sensor. It is not that of the
+    default, whose pressure would be another."""
+    path = tmp_path / "mine.toml"
+    text = resources.find("dense", "models/sensors", ".toml").read_text()
+    path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.33 "))
+    scenario = Scenario(sensor=str(path))
+    rig = build_rig(scenario)
+    session = Session(rig)
+    with contextlib.closing(rig), Recorder(tmp_path / "first", scenario.header()) as recorder:
+        session.take_references(recorder)
+        session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+    forces = load_recording(tmp_path / "first").column("force_normal")
+    for change in (lambda: path.write_text(text), path.unlink):
+        change()
+        with Recorder(tmp_path / change.__name__, {"sensor": "dense"}) as recorder:
+            session = Session(build_replay_rig(str(tmp_path / "first")))
+            session.take_references(recorder)
+            session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+        again = load_recording(tmp_path / change.__name__)
+        assert np.array_equal(forces, again.column("force_normal"), equal_nan=True)
+        assert "0.33" in again.notes["sensors"]["left"]["text"]
+    with pytest.raises(InputError, match=r"--sensor: finger 'left' was recorded with 'mine', not"):
+        build_replay_rig(str(tmp_path / "first"), "paper16")
+
+
+def test_a_replay_reports_the_recorded_names_and_outcome(tmp_path):
+    """Not the defaults (egg, gentle, seed 0), nor an outcome of the replay, to which nothing
+    reacts."""
+    names = {"object": "random:12", "controller": "adaptive", "seed": 12}
+    scenario = Scenario(**names, task="shake")
+    rig = build_rig(Scenario())
+    session = Session(rig)
+    with contextlib.closing(rig), Recorder(tmp_path, scenario.header()) as recorder:
+        session.take_references(recorder)
+        session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+        recorder.close(outcome="crushed")
+    summary = run_grasp(resolve_scenario(Scenario(rig=f"replay:{tmp_path}"))).summary()
+    assert (summary["outcome"], summary["outcome_from"]) == ("crushed", "recording")
+    assert names.items() <= summary.items() and summary["scenario"]["task"] == "shake"
+    recorded = {**names, "sensor": "dense", "task": "shake", "outcome": "crushed", "rig": "sim"}
+    assert recorded.items() <= summary["recorded"].items()
+    other = resolve_scenario(Scenario(rig=f"replay:{tmp_path}", controller="slip_aware"))
+    summary = run_grasp(other).summary()
+    assert summary["controller"] == "slip_aware" and summary["outcome"] == "crushed"
+    assert summary["recorded"]["controller"] == "adaptive"
 
 
 def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path):
@@ -249,7 +302,7 @@ def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path)
     finally:
         rig.close()
     assert "calibration of left: never measured: frame, valve" in said
-    replay = build_replay_rig(str(tmp_path / "first"), DESIGN)
+    replay = build_replay_rig(str(tmp_path / "first"))
     recalled = [(f.name, f.calibration) for f in replay.fingers]
     assert {name: c and c.table() for name, c in recalled} == {
         name: c.table() for name, c in known.items()
@@ -266,7 +319,7 @@ def test_a_replay_ends_where_the_recording_does(recording_folder):
         def step(self, observation):
             return observation.command
 
-    rig = build_replay_rig(str(recording_folder), DESIGN)
+    rig = build_replay_rig(str(recording_folder))
     session = Session(rig)
     session.take_references()
     with pytest.raises(DeviceError, match=f"ends after {CYCLES} cycles"):
@@ -277,7 +330,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
     with Recorder(tmp_path, {"object": "egg"}):
         pass
     with pytest.raises(InputError, match="cannot be replayed"):
-        build_replay_rig(str(tmp_path), DESIGN)
+        build_replay_rig(str(tmp_path))
     with pytest.raises(InputError, match="contains no recording"):
         build_rig("replay:/nonexistent", DESIGN, object_name="egg", seed=0)
 

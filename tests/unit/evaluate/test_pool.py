@@ -143,7 +143,7 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
     """A limit on the size of files stands for the disk's: the write fails half-way, and resuming
     goes on from whole lines."""
     kept = store.Store(tmp_path / "out", {"options": {}}, resume=False)
-    kept.add({"episode": 0, "controller": "a"})
+    kept.add({"episode": 0, "controller": "a", "outcome": "held"})
     size = (tmp_path / "out" / "episodes.jsonl").stat().st_size
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10, limits[1]))

@@ -71,7 +71,7 @@ def test_unknown_force_is_null_in_the_file_and_nan_again_when_read(tmp_path):
     assert np.isnan(load_recording(tmp_path).column("force_normal")).all()
 
 
-@pytest.mark.parametrize("keep", [0.2, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("keep", [0.4, 0.5, 0.9, 0.999])
 def test_a_recording_cut_off_anywhere_still_loads(tmp_path, keep):
     write_fake_recording(tmp_path, count=20)
     log = tmp_path / "log.jsonl"

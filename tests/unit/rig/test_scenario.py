@@ -8,6 +8,7 @@ import pytest
 import mjtactile
 from mjtactile.cli import main
 from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
@@ -118,16 +119,70 @@ def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
         resolve_scenario(replace(one, sensors={"thumb": "dense"}))
 
 
-def test_a_recording_is_replayed_with_the_sensor_that_it_names(tmp_path):
-    """Unless another is asked for, or its file is gone."""
-    for name, known in (("shipped", "paper16"), ("gone", "gone.toml")):
-        scenario = Scenario().to_dict() | {"sensor": known}
-        with Recorder(tmp_path / name, {"scenario": scenario}) as recorder:
-            recorder.add(fake_cycle(0, 1))
-    replayed = resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'shipped'}"))
-    assert replayed.sensor == "paper16"
-    assert resolve_scenario(replace(replayed, sensor="round30")).sensor == "round30"
-    assert resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'gone'}")).sensor == "dense"
+def recorded(folder, sensor, **fields):
+    scenario = Scenario(sensor=sensor, **fields)
+    with Recorder(folder, scenario.header()) as recorder:
+        recorder.add(fake_cycle(0, 1))
+    return f"replay:{folder}"
+
+
+def test_a_recording_is_replayed_with_the_sensor_that_it_contains(tmp_path, caplog):
+    """Its text counts, whatever became of the file: another than the recorded one is refused."""
+    path = tmp_path / "mine.toml"
+    text = resources.find("dense", "models/sensors", ".toml").read_text()
+    path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.36 "))
+    mine = load_sensor(path)
+    rig = recorded(tmp_path / "run", str(path))
+    assert resolve_scenario(Scenario(rig=rig)).sensor == mine and not caplog.text
+    path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.6 "))  # edited
+    assert load_sensor(path).membrane != mine.membrane
+    replayed = resolve_scenario(Scenario(rig=rig))
+    assert replayed.sensor == mine and "mine.toml' has changed since" in caplog.text
+    assert resolve_scenario(replayed) == replayed
+    with pytest.raises(InputError, match="recorded with other values of 'mine', not with"):
+        resolve_scenario(replace(replayed, sensor=str(path)))
+    path.unlink()
+    assert resolve_scenario(Scenario(rig=rig)).sensor == mine
+    with pytest.raises(InputError, match=r"--sensor: finger 'left' was recorded with 'mine', not"):
+        resolve_scenario(replace(replayed, sensor="round30"))
+    # the default is another, too, if it is given
+    with pytest.raises(InputError, match="was recorded with 'mine', not with the present 'dense'"):
+        resolve_scenario(Scenario(rig=rig), given={"sensor"})
+
+
+def test_a_sensor_that_no_file_has_is_recorded_by_its_values(tmp_path):
+    dense = load_sensor("dense")
+    thick = replace(dense, membrane=replace(dense.membrane, thickness=0.36e-3))
+    found = resolve_scenario(Scenario(rig=recorded(tmp_path, thick))).sensor
+    assert found == thick
+    assert "--sensor" not in Scenario(sensor=thick).command()
+
+
+def test_a_replay_has_the_names_of_its_recording(tmp_path):
+    rig = recorded(
+        tmp_path, "dense", object="random:12", controller="adaptive", task="pour", seed=4
+    )
+    replayed = resolve_scenario(Scenario(rig=rig))
+    assert replayed.names() == {
+        "object": "random:12",
+        "sensor": "dense",
+        "controller": "adaptive",
+        "seed": 4,
+    }
+    assert replayed.task == "pour"
+    other = resolve_scenario(Scenario(rig=rig, controller="slip_aware"))
+    assert (other.controller, other.object) == ("slip_aware", "random:12")
+
+
+def test_a_recording_without_its_sensors_text_uses_the_file_with_a_warning(tmp_path, caplog):
+    with Recorder(tmp_path / "old", {"sensor": "nowhere"}) as recorder:
+        recorder.add(fake_cycle(0, 1))
+    with pytest.raises(InputError, match=r"does not contain the text of its sensor: .*nowhere"):
+        resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'old'}"))
+    with Recorder(tmp_path / "none", {}) as recorder:
+        recorder.add(fake_cycle(0, 1))
+    assert resolve_scenario(Scenario(rig=f"replay:{tmp_path / 'none'}")).design().name == "dense"
+    assert "the present file 'dense' is used" in caplog.text
 
 
 QUICK = """
