@@ -29,8 +29,9 @@ from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.fast_step import advance
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import carrier_geoms
-from mjtactile.sim.sensor.collision_rule import apply_collision_rule, pair_notes
+from mjtactile.sim.sensor.collision_rule import apply_collision_rule, contact_notes
 from mjtactile.sim.sensor.contact_loads import membrane_wrench
+from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
@@ -130,13 +131,14 @@ class SimFinger(NotCopyable):
         self._seed = int(sequence.generate_state(1)[0])
         prefix = membrane.prefix
         self._outputs = [_address(model, prefix + name, size) for name, size in OUTPUTS.items()]
-        apply_collision_rule(model)
+        carrier = int(model.body(prefix + BODY).id)
+        apply_collision_rule(model, carrier)
         self.reset()
         reached = carrier_geoms.carrier_geoms(model, data, self.sensor)
         if len(reached) and not carrier_contact:
             carrier_geoms.exclude(model, reached)
             reached = reached[:0]
-        found = [carrier_geoms.reach_note(model, self.sensor, reached), *pair_notes(model)]
+        found = [carrier_geoms.reach_note(model, self.sensor, reached), *contact_notes(model, carrier)]
         self.notes = [note for note in found if note]
         """Findings on the scene that `bind` issues as warnings."""
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mjtactile
+from mjtactile.core.errors import SimulationError
 from mjtactile.plugin.attach import CAMERA, PHYSICS
 
 G = 9.81  # gravity, m/s^2
@@ -70,12 +71,45 @@ def test_mujocos_rule_decides_what_the_membrane_carries(contype, conaffinity, ef
     np.testing.assert_allclose(finger.ground_truth_wrench()[2], -0.05 * G, atol=0.02)
 
 
-def test_a_geom_that_collides_by_a_pair_only_is_named():
-    geoms = '<geom name="a" size="0.01" contype="0" conaffinity="0"/><geom name="b" size="0.001"/>'
-    spec = mujoco.MjSpec.from_string(SCENE.format(geom=geoms, z=0.1, pad=""))
-    spec.add_pair(geomname1="a", geomname2="b")
+SILENT = '<geom name="a" size="0.01" mass="0.05" contype="0" conaffinity="0"/>'
+SMALL = '<geom name="b" size="0.001" pos="0 0 0.3" mass="0"/>'
+
+
+def bound(objects, pad="", pair=(), exclude=(), z=0.0145):
+    spec = mujoco.MjSpec.from_string(SCENE.format(geom=objects, z=z, pad=pad))
+    if pair:
+        spec.add_pair(geomname1=pair[0], geomname2=pair[1])
+    if exclude:
+        spec.add_exclude(bodyname1=exclude[0], bodyname2=exclude[1])
     mjtactile.configure_options(spec)
-    tip = mjtactile.attach(spec, "dense", site="tip")
+    tip = mjtactile.attach(spec, "dense", site="tip", prefix="t/")
     model = spec.compile()
+    data = mujoco.MjData(model)
+    return model, data, tip.bind(model, data)
+
+
+def test_a_geom_that_collides_by_a_pair_only_is_named_and_stops_the_run():
     with pytest.warns(UserWarning, match="'a' makes contact by <pair> only"):
-        tip.bind(model, mujoco.MjData(model))
+        model, data, finger = bound(SILENT + SMALL, pair=("a", "b"))
+    with pytest.raises(SimulationError, match="'a' went through the membrane"):
+        mjtactile.step(model, data, [finger], nstep=100)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("pair", [("pad", "a"), ("a", "pad")])
+def test_a_pair_with_the_carrier_holds_for_its_membrane(pair):
+    """The weight of the ball rests on the membrane, in either order of the pair."""
+    depth = mjtactile.load_sensor("dense").chamber.depth
+    pad = PAD.format(z=-depth - 0.0045)  # behind the glass
+    model, data, finger = bound(SILENT, pad, pair)
+    mjtactile.step(model, data, [finger], nstep=100)
+    np.testing.assert_allclose(finger.ground_truth_wrench()[2], -0.05 * G, atol=0.02)
+
+
+@pytest.mark.parametrize("exclude", [("finger", "ball"), ("ball", "finger")])
+def test_an_exclude_of_the_carrier_is_named_and_the_membrane_carries(exclude):
+    ball = '<geom size="0.01" mass="0.05"/>'
+    with pytest.warns(UserWarning, match="<exclude> of the carrier and 'ball' does not apply"):
+        model, data, finger = bound(ball, exclude=exclude)
+    mjtactile.step(model, data, [finger], nstep=100)
+    np.testing.assert_allclose(finger.ground_truth_wrench()[2], -0.05 * G, atol=0.02)

@@ -17,6 +17,7 @@ from mjtactile.core import geometry
 from mjtactile.core.flags import SIMULATION, Cadence, Reasons
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import carrier_geoms, contact_loads, feature_size, validity_checks
+from mjtactile.sim.sensor.collision_rule import pair_only_geoms
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
@@ -40,7 +41,14 @@ class SceneMonitor:
         self._model = model
         self._data = data
         self._sensors = sensors
-        touching = [feature_size.touching_geoms(model, sensor.body_id) for sensor in sensors]
+        touching = [
+            # those with contacts by <pair> only go through the membrane, which stops the run
+            np.union1d(
+                feature_size.touching_geoms(model, sensor.body_id),
+                pair_only_geoms(model, sensor.body_id),
+            )
+            for sensor in sensors
+        ]
         self._geoms = np.unique(np.concatenate([np.empty(0, int), *touching]))
         self._can_touch = [np.isin(self._geoms, own) for own in touching]
         """Masks over `_geoms`, one per sensor, of the geoms that the sensor can touch."""
