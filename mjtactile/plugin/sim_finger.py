@@ -138,7 +138,10 @@ class SimFinger(NotCopyable):
         if len(reached) and not carrier_contact:
             carrier_geoms.exclude(model, reached)
             reached = reached[:0]
-        found = [carrier_geoms.reach_note(model, self.sensor, reached), *contact_notes(model, carrier)]
+        found = [
+            carrier_geoms.reach_note(model, self.sensor, reached),
+            *contact_notes(model, carrier),
+        ]
         self.notes = [note for note in found if note]
         """Findings on the scene that `bind` issues as warnings."""
 

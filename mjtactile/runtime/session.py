@@ -49,7 +49,7 @@ class Session:
     Args:
         rig: The rig.
         perceptions: Sensing pipeline of each finger; None: created here with `settings`.
-        settings: Settings of the pipelines created here.
+        settings: Settings of the pipelines created here; None: the defaults.
         threads: Number of perception threads in addition to the loop (None: automatic).
         pool: Perception processes instead of threads.
         contact_shapes: True to estimate the shape of every touch, even if the controller does not
@@ -62,14 +62,14 @@ class Session:
         rig: Rig,
         perceptions: Sequence[Perceiver] | None = None,
         *,
-        settings: Settings = DEFAULTS,
+        settings: Settings | None = None,
         threads: int | None = None,
         pool: PerceptionPool | None = None,
         contact_shapes: bool = False,
         say: Say = lambda _: None,
     ):
         self.rig = rig
-        self.settings = settings
+        self.settings = DEFAULTS if settings is None else settings
         self._threads = threads
         self._pool = pool
         self._shapes = contact_shapes
@@ -81,7 +81,7 @@ class Session:
             perceptions = [SyntheticPerception() for _ in rig.fingers]
         elif perceptions is None:
             perceptions = [
-                StatefulPipeline.of(finger.design, finger.calibration, settings=settings)
+                StatefulPipeline.of(finger.design, finger.calibration, settings=self.settings)
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
@@ -259,20 +259,21 @@ def open_session(
     design: SensorDesign | None = None,
     *,
     workers: int | None = None,
-    settings: Settings = DEFAULTS,
+    settings: Settings | None = None,
     say: Say = lambda _: None,
     **fields: Any,
 ) -> Iterator[Session]:
-    """Build the rig of a scenario, and bring it to its safe state on every exit path.
+    """Open a session with the rig of a scenario, in simulation or on devices.
 
-    Signals do not interrupt the shutdown.
+    The session takes references, estimates touch and runs controllers. The rig is brought to its
+    safe state on every exit path. Signals do not interrupt the shutdown.
 
     Args:
         scenario: A scenario; or a rig's name alone, as for `--rig`.
         design: Sensor on the fingers; only with a name.
         workers: Number of perception workers in addition to the loop (None: automatic, 0: none):
             threads on a real rig, processes in simulation.
-        settings: Settings of the sensing pipelines.
+        settings: Settings of the sensing pipelines; None: the defaults.
         say: Callback for messages, one line each.
         **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 

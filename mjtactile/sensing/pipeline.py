@@ -62,7 +62,7 @@ class SensingPipeline:
     Args:
         design: Sensor design from the sensor file.
         calibration: Calibration of this sensor; None: no calibration.
-        settings: Settings of the stages.
+        settings: Settings of the stages; None: the defaults.
     """
 
     def __init__(
@@ -70,8 +70,9 @@ class SensingPipeline:
         design: SensorDesign,
         calibration: Calibration | None = None,
         *,
-        settings: Settings = DEFAULTS,
+        settings: Settings | None = None,
     ):
+        settings = DEFAULTS if settings is None else settings
         design.require_markers_that_fit()
         nothing = Calibration("", design.name)
         self._measured = nothing if calibration is None else calibration.used(design)

@@ -15,7 +15,7 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.pose.flat_reference import FlatReference
-from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings import Settings
 
 
 @validated()
@@ -48,14 +48,14 @@ class StatefulPipeline:
         design: SensorDesign,
         calibration: Calibration | None = None,
         *,
-        settings: Settings = DEFAULTS,
+        settings: Settings | None = None,
     ) -> StatefulPipeline:
         """Create a pipeline for a sensor that has no references yet.
 
         Args:
             design: The sensor file's values.
             calibration: Measured calibration of this sensor; None: no calibration.
-            settings: The stages' parameters.
+            settings: The stages' parameters; None: the defaults.
 
         Returns:
             The pipeline, with the state before any measurement.

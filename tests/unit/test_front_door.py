@@ -77,3 +77,17 @@ print("scipy" in sys.modules)
 
 def test_the_package_says_that_it_is_typed():
     assert (SOURCE.parent / "py.typed").exists()
+
+
+@pytest.mark.parametrize("name", sorted(mjtactile.__all__))
+def test_help_has_no_long_default_values(name):
+    """`help` prints the signature first; a line of the pages has 100 characters."""
+    home = getattr(mjtactile, name)
+    members = [home, *(vars(home).values() if inspect.isclass(home) else ())]
+    for member in filter(callable, members):
+        try:
+            parameters = inspect.signature(member).parameters.values()
+        except ValueError:  # a class of exceptions or a protocol
+            continue
+        long = [p.name for p in parameters if len(repr(p.default)) > 100]
+        assert long == [], member

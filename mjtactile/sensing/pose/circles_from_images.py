@@ -102,7 +102,7 @@ def detect_circles(
     min_radius_px: float = 1.5,
     neighbours: Neighbours = "auto",
     gamma: float | Literal["auto"] = 1.0,
-    settings: Settings = DEFAULTS,
+    settings: Settings | None = None,
 ) -> DetectedCircles:
     """Find circles of a known radius in one image, and their poses.
 
@@ -122,7 +122,7 @@ def detect_circles(
         gamma: Gamma of a camera whose gray levels are light to the power of 1/gamma; "auto" uses a
             clear estimate from the circles. The covariance then includes its uncertainty. If the
             estimate clearly differs from the given value, it includes the difference.
-        settings: Settings of the stages.
+        settings: Settings of the stages; None: the defaults.
 
     Returns:
         Ellipses and both poses of each circle with covariances, and every other candidate with the
@@ -133,6 +133,7 @@ def detect_circles(
             than the camera.
     """
     _check_options(neighbours, gamma)
+    settings = DEFAULTS if settings is None else settings
     grey = grey_image(plain_grey(image))
     if mismatch := camera.size_mismatch(grey):
         raise InputError(mismatch, source="detect-circles", field="image")

@@ -64,7 +64,7 @@ def track_circles(
     *,
     polarity: Polarity = "dark",
     min_radius_px: float = 2.0,
-    settings: Settings = DEFAULTS,
+    settings: Settings | None = None,
 ) -> Iterator[TrackedCircles]:
     """Find the circles of a marked skin in a sequence of images, and track each.
 
@@ -78,7 +78,7 @@ def track_circles(
         radius: Radius of the circles, m; None: pixels only.
         polarity: Circles "dark" on a bright background, or "bright".
         min_radius_px: Minimum radius to search for.
-        settings: Settings of the stages.
+        settings: Settings of the stages; None: the defaults.
 
     Yields:
         The circles of each image.
@@ -91,6 +91,7 @@ def track_circles(
         raise InputError(
             "camera and radius must be given together", source="track_circles", field="radius"
         )
+    settings = DEFAULTS if settings is None else settings
     skin: _Skin | None = None
     for image in images:
         poses = None
