@@ -1,6 +1,6 @@
 """`mjtactile bench benchmark-index`: table of docs/validation/benchmarks.md.
 
-Title and question of each benchmark come from its page in docs/validation/benchmarks, and the
+The title of each benchmark comes from its page in docs/validation/benchmarks, and the
 headline result from a cell of its tables. Nothing is measured here.
 """
 
@@ -72,10 +72,10 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
         quick: Not used.
 
     Returns:
-        `benchmarks`: `page`, `title`, `question`, `headline` (texts) for each of `ENTRIES`.
+        `benchmarks`: `page`, `title`, `headline` (texts) for each of `ENTRIES`.
 
     Raises:
-        InputError: A page has no title, question or value.
+        InputError: A page has no title or value.
     """
     folder = resources.folder("docs") / "validation" / "benchmarks"
     rows = []
@@ -87,7 +87,6 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
             {
                 "page": entry.page,
                 "title": _found(r"(?m)^# (.+)$", text, source),
-                "question": _found(r"(?m)^\*\*Question\.\*\* ([^?(]+\?)", text, source),
                 "headline": entry.headline.format(value),
             }
         )
@@ -97,10 +96,10 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """Return the index as a table in Markdown."""
     rows = [
-        f"| [{row['title']}](benchmarks/{row['page']}.md) | {row['question']} | {row['headline']} |"
+        f"| [{row['title']}](benchmarks/{row['page']}.md) | {row['headline']} |"
         for row in result["benchmarks"]
     ]
-    return "\n".join(["| benchmark | question | headline result |", "|---|---|---|", *rows]) + "\n"
+    return "\n".join(["| benchmark | headline result |", "|---|---|", *rows]) + "\n"
 
 
 def _found(pattern: str, text: str, source: str) -> str:

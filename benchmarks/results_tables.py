@@ -179,22 +179,6 @@ NUMBERS = (
         command="bench tasks",
         headline=True,
     ),
-    *(
-        Number(
-            what=f"objects held without damage, {condition}, with touch / without",
-            page="validation/controller_comparison",
-            row=f"{task} |",
-            column="adaptive | touchless",
-            command="bench tasks",
-        )
-        for task, condition in (
-            ("weigh", "unknown mass"),
-            ("pour", "filled or emptied in the gripper"),
-            ("shake", "shaken and rotated"),
-            ("bump", "bumped"),
-            ("hand-over", "until taken over"),
-        )
-    ),
     Number(
         what="material class correct",
         page="validation/benchmarks/material",

@@ -66,7 +66,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "tasks": ("tasks.run", "benefit of touch: tasks with and without touch, same episodes"),
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
-    "benchmark-index": ("benchmark_index", "no measurement: questions and headline results"),
+    "benchmark-index": ("benchmark_index", "no measurement: headline results"),
     "summary-page": ("results_tables", "no measurement: all results from the other pages"),
     "flags-page": ("flags_page", "no measurement: print the table of all flags"),
     "command-page": ("command_page", "no measurement: print the table of a command's fields"),
