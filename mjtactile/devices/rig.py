@@ -4,6 +4,7 @@ addresses."""
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import sys
 from collections.abc import Callable, Sequence
@@ -13,7 +14,6 @@ from mjtactile.core import scaled_clock, signals
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
-from mjtactile.devices.shutdown import close_all
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.file import CameraConfig, RigFile
@@ -23,6 +23,7 @@ from mjtactile.rig.protocols import CameraDevice
 from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
+_log = logging.getLogger(__name__)
 _EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
 # time slice of a thread in Python's interpreter, s: the default of 5 ms would delay an image's
 # timestamp by that time
@@ -166,3 +167,22 @@ def _check_image(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) 
             source=rig_file.path,
             field=f"camera.{camera.finger}.width_px",
         )
+
+
+def close_all(closers: list[Callable[[], None]]) -> None:
+    """Call every closer, last one first, even after failures. Then raise DeviceError with all
+    failures.
+
+    If another exception is already being raised, the failures are only logged.
+    """
+    failures = []
+    in_transit = sys.exc_info()[0] is not None
+    with signals.deferred():
+        while closers:
+            try:
+                closers.pop()()
+            except Exception as error:  # noqa: BLE001  # every device must get its turn
+                failures.append(str(error))
+                _log.error("%s", error)
+    if failures and not in_transit:
+        raise DeviceError("; ".join(failures))

@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import math
 import time as wall
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from mjtactile.core.errors import DeviceError, SimulationError
+from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Command, GripperState, Image, Observation, Touch, ValveState
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
-from mjtactile.runtime import pressure_command
 from mjtactile.runtime.perception_threads import unknown_touch
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.supervisor import Supervisor
@@ -204,16 +203,59 @@ class ControlCycle:
     def _send(self, wanted: Command) -> Command:
         rig = self.rig
         wanted = wanted.checked()
-        pressure_command.check(rig, wanted)
+        _check_pressures(rig, wanted)
         opening = self.gripper.opening
         allowed = self.supervisor.decide(
             self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height, opening
         )
-        last = pressure_command.started(rig, allowed, self.last, self.valves)
+        last = _rate_limit_start(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)
         sent = rig.gripper.command(limited)
-        self.attempt(lambda: pressure_command.send(rig, limited, self.last))
+        self.attempt(lambda: _send_pressures(rig, limited, self.last))
         kept = (allowed.phase, allowed.memory, allowed.reason)
         if (sent.phase, sent.memory, sent.reason) == kept:
             return sent
         return replace(sent, phase=allowed.phase, memory=allowed.memory, reason=allowed.reason)
+
+
+def _check_pressures(rig: Rig, wanted: Command) -> None:
+    """Raise InputError if the rig has no controllable valve with a pressure sensor, or the number
+    of pressures differs from that of its fingers."""
+    if wanted.gauge_pressure is None:
+        return
+    if rig.limits.pressure is None:
+        message = (
+            f"rig {rig.name!r} has no controllable valves with a pressure sensor: the "
+            "pressure in its fingers cannot be changed"
+        )
+        raise InputError(message, source="Command", field="gauge_pressure")
+    if len(wanted.gauge_pressure) != len(rig.fingers):
+        message = f"{len(wanted.gauge_pressure)} pressures for {len(rig.fingers)} fingers"
+        raise InputError(message, source="Command", field="gauge_pressure")
+
+
+def _rate_limit_start(
+    rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveState]
+) -> Command:
+    """Return the previous command, with pressures from which the rate limits start.
+
+    The first pressures start at the sensor readings, or without a reading at the requested
+    value.
+    """
+    if wanted.gauge_pressure is None or last.gauge_pressure is not None:
+        return last
+    pairs = zip(wanted.gauge_pressure, rig.readings(valves), strict=True)
+    shown = tuple(one if gauge is None else gauge.gauge_pressure for one, gauge in pairs)
+    return replace(last, gauge_pressure=shown)
+
+
+def _send_pressures(rig: Rig, command: Command, last: Command) -> None:
+    """Make each finger's valve follow a command, or stop its control when no pressure is commanded.
+
+    Raises DeviceError if a valve does not respond.
+    """
+    if command.gauge_pressure is None and last.gauge_pressure is None:
+        return
+    pressures = command.gauge_pressure or (None,) * len(rig.fingers)
+    for finger, pressure in zip(rig.fingers, pressures, strict=True):
+        finger.regulate_pressure(pressure)
