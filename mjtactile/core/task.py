@@ -34,7 +34,7 @@ from mjtactile.core.types import TaskGoal
 
 GRAVITY = 9.81  # gravity, m/s^2
 _SPAN = ("low", "high")
-KINDS = ("fill", "shake", "push", "move_support", "pull")
+KINDS = ("fill", "friction", "shake", "push", "move_support", "pull")
 Range = tuple[float, float]
 
 
@@ -105,6 +105,9 @@ class Disturbance:
     start: Range = numbers("start_s", _SPAN, 0, 600, about="start time after the lift")
     duration: Range = numbers("duration_s", _SPAN, 0.001, 600)
     mass: Range | None = _range("final_mass_g", 0.1, 2000, 1e-3, of="fill", about="mass at the end")
+    friction: Range | None = _range(
+        "final_friction", 0.05, 3, of="friction", about="friction coefficient at the end"
+    )
     acceleration: Range | None = _range("acceleration_m_s2", 0, 20, of="shake", about="amplitude")
     rate: Range | None = _range("rate_Hz", 0.1, 20, of="shake")
     tilt: Range | None = _range(
@@ -121,6 +124,7 @@ class Disturbance:
     def validate(self, section: Section) -> None:
         required = {
             "fill": ("mass",),
+            "friction": ("friction",),
             "shake": ("acceleration", "rate"),
             "push": ("impulse",),
             "move_support": ("height",),
@@ -192,7 +196,8 @@ class SampledTask:
             (event.values.get("impulse", 0.0) / event.duration for event in self.events),
             default=0.0,
         )
-        return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * friction)
+        least = min([friction, *(event.values.get("friction", 9.0) for event in self.events)])
+        return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * least)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,6 @@ class TaskScorer:
     def __post_init__(self) -> None:
         model = self.world.model
         self._bodies = ground_truth.object_bodies(self.world)
-        self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
         self._gripper_start = float(ground_truth.gripper_position(self.world)[2])
         self._places = model.body_weldid == 0
         self._start = self._standing()
@@ -107,8 +106,8 @@ class TaskScorer:
         return self._height() > _IN_AIR
 
     def friction_sum(self) -> float:
-        """Return the sum of the fingers' friction coefficients: n mu."""
-        return sum(self._friction)
+        """Return the present sum of the fingers' friction coefficients: n mu."""
+        return sum(sensor.friction for sensor in self.world.sensors)
 
     def need(self) -> float:
         """Return the present minimum normal force per finger, N; 0 without contact."""
@@ -127,7 +126,7 @@ class TaskScorer:
         along = force if axis is None else force - (force @ axis) * axis
         torque = 0.0 if axis is None else float(cross(arm, force) @ axis)
         load = math.hypot(math.sqrt(along @ along), torque / (sum(radii) / len(radii)))
-        return load / sum(self._friction)
+        return load / self.friction_sum()
 
     def failure(self) -> str:
         """Return the failed requirement of the task, or ""."""

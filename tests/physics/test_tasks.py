@@ -8,7 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mjtactile.core.task import SampledDisturbance, load_task
+from mjtactile import Scenario, build_rig
+from mjtactile.core.task import KINDS, SampledDisturbance, load_task
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
@@ -81,10 +82,58 @@ def test_a_hand_that_turns_keeps_gravitys_size():
 
 
 def test_the_place_goes_where_it_is_sent_and_what_stands_there_with_it():
-    world = world_with(event("table", 0.0, 0.5, height=0.02))
+    world = world_with(event("move_support", 0.0, 0.5, height=0.02))
     before = ground_truth.object_position(world)[2]
     advance(world, 0.8)
     assert ground_truth.object_position(world)[2] - before == pytest.approx(0.02, abs=2e-4)
+
+
+@pytest.mark.parametrize("effects", [None, "-mesh"])
+def test_friction_that_falls_raises_the_required_grip(effects):
+    """The required grip is m g / (2 mu) before, half-way and after the ramp, which is linear in
+    time. MuJoCo uses the larger coefficient of two geoms, so that of the object is limited."""
+    scenario = Scenario(object="vial", effects=effects or "")
+    world = build_rig(scenario).scene
+    event_ = event("friction", 0.1, 0.4, friction=0.2)
+    schedule = DisturbanceSchedule(world, [event_], 0.0)
+    before = world.sensors[0].friction
+    start = world.time
+    for time, friction in ((0.05, before), (0.3, (before + 0.2) / 2), (0.6, 0.2)):
+        schedule.step()
+        world.data.time = start + time
+        schedule.step()
+        assert [sensor.friction for sensor in world.sensors] == pytest.approx([friction] * 2)
+    surfaces = np.isin(world.model.geom_bodyid, ground_truth.object_bodies(world))
+    assert world.model.geom_friction[surfaces, 0].max() <= 0.2 + 1e-9
+    scorer = TaskScorer(world, load_task("wet"))
+    assert scorer.friction_sum() == pytest.approx(0.4)
+
+
+def test_every_kind_of_disturbance_acts():
+    """Each kind of a task file changes the world; a renamed kind had none once."""
+    values = {
+        "fill": {"mass": 0.1},
+        "friction": {"friction": 0.2},
+        "shake": {"acceleration": 3.0, "rate": 3.0},
+        "push": {"impulse": 0.02},
+        "move_support": {"height": 0.02},
+        "pull": {"force": 1.0},
+    }
+    assert set(values) == set(KINDS)
+    for kind, own in values.items():
+        world = GraspWorld("paper16", "vial", mesh=MESH)
+        schedule = DisturbanceSchedule(world, [event(kind, 0.0, 0.4, **own)], 0.0)
+        schedule.step()
+        before = _inputs(world)
+        world.data.time += 0.1
+        schedule.step()
+        assert not np.array_equal(_inputs(world), before), kind
+
+
+def _inputs(world):
+    model, data = world.model, world.data
+    parts = (model.body_mass, model.geom_friction, model.opt.gravity, data.xfrc_applied)
+    return np.concatenate([np.ravel(part) for part in (*parts, model.body_pos)])
 
 
 def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():

@@ -1,4 +1,5 @@
-"""Disturbances of a held object in a task: filling, shaking, pushing, pulling, moved support.
+"""Disturbances of a held object in a task: filling, wetting, shaking, pushing, pulling, moved
+support.
 
 A shaken or rotated gripper is simulated by shaken and rotated gravity, which is the same in the
 gripper's own frame.
@@ -27,7 +28,8 @@ _PLACES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
 _FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed
-_FILLS_EVERY = 0.01  # update period of the mass, s
+_RAMP_PERIOD = 0.01  # update period of mass and friction, s
+_RAMPS = ("fill", "friction")
 _ROTATION_MAX = math.radians(60)
 
 
@@ -52,6 +54,10 @@ class DisturbanceSchedule:
         self._gravity = model.opt.gravity.copy()
         self._mass = model.body_mass[self._bodies].copy()
         self._inertia = model.body_inertia[self._bodies].copy()
+        owners = np.isin(model.geom_bodyid, self._bodies)
+        self._surfaces = np.flatnonzero(owners)
+        self._surface_friction = model.geom_friction[self._surfaces, 0].copy()
+        self._frictions = [sensor.friction for sensor in world.sensors]
         self._places = _static_bodies(model)
         self._place_height = model.body_pos[self._places, 2].copy()
         self._first_mass = float(self._mass.sum())
@@ -70,12 +76,16 @@ class DisturbanceSchedule:
         time = world.time - self.up_since
         force = np.zeros(3)
         gravity = self._gravity.copy()
+        frictions = self._frictions
         for event in self._events:
             done = min(max((time - event.start) / event.duration, 0.0), 1.0)
             is_on = 0.0 < done < 1.0
             if event.kind == "fill" and done > 0:
                 self._fill(event.values["mass"], done)
-            elif event.kind == "table" and done > 0:
+            elif event.kind == "friction" and done > 0:
+                final = event.values["friction"]
+                frictions = [now + (final - now) * done if now else 0.0 for now in frictions]
+            elif event.kind == "move_support" and done > 0:
                 height = event.values["height"] * done
                 world.model.body_pos[self._places, 2] = self._place_height + height
             elif event.kind == "shake" and is_on:
@@ -84,6 +94,8 @@ class DisturbanceSchedule:
                 force += np.array(event.direction) * event.values["impulse"] / event.duration
             elif event.kind == "pull" and done > 0:
                 force += self._pull(event, done)
+        if frictions is not self._frictions:
+            self._wet(frictions)
         world.model.opt.gravity[:] = gravity
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
 
@@ -98,7 +110,7 @@ class DisturbanceSchedule:
         for event in self._events:
             goes_on = event.kind == "pull" or time < event.start + event.duration + world.timestep
             if goes_on:
-                waits = _FILLS_EVERY if event.kind == "fill" else 0.0
+                waits = _RAMP_PERIOD if event.kind in _RAMPS else 0.0
                 due = min(due, max(event.start, time + waits))
         return self.up_since + due
 
@@ -116,6 +128,17 @@ class DisturbanceSchedule:
         # each is a tree of its own, in the world's
         model.body_subtreemass[self._bodies] += added
         model.body_subtreemass[0] += added.sum()
+
+    def _wet(self, frictions: Sequence[float]) -> None:
+        """Set the friction coefficient of each membrane with the object.
+
+        MuJoCo uses the larger coefficient of two geoms, so that of the object is limited as well.
+        """
+        for sensor, friction in zip(self._world.sensors, frictions, strict=True):
+            sensor.set_friction(friction)
+        limit = max(frictions)
+        friction = np.minimum(self._surface_friction, limit)
+        self._world.model.geom_friction[self._surfaces, 0] = friction
 
     def _pull(self, event: SampledDisturbance, done: float) -> Array:
         """Return the pulling force (3,), N.

@@ -60,6 +60,15 @@ class BaseSensor(NotCopyable, ABC):
     def _update_to_now(self) -> None:
         """Update membrane and gas to the present state, awake, before the valve is moved."""
 
+    @property
+    @abstractmethod
+    def friction(self) -> float:
+        """Friction coefficient of the membrane with other bodies, now."""
+
+    @abstractmethod
+    def set_friction(self, friction: float) -> None:
+        """Change the friction coefficient, as water or oil does, from the next step on."""
+
     def wake(self) -> None:
         """Resume from the state in which the sensor fell asleep, as after a change of the model."""
 

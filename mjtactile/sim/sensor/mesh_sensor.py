@@ -80,6 +80,8 @@ class TactileSensor(BaseSensor):
             model, vertices, self.flex_id, mesh, membrane, remembers=on_vertices
         )
         # live views
+        self._frictions = model.geom_friction[vertices[0] : vertices[-1] + 1, 0]
+        self._flex_friction = model.flex_friction[self.flex_id]
         self._margins = model.geom_margin[vertices[0] : vertices[-1] + 1]
         bodies = model.geom_bodyid[vertices]
         self._body_margins = model.body_margin[bodies[0] : bodies[-1] + 1]
@@ -93,6 +95,14 @@ class TactileSensor(BaseSensor):
             self._stiction = Stiction(model, data, vertices, self.body_id)
         else:
             self._approach = ThinObjectMargin(model, data, self.body_id, self.flex_id, mesh)
+
+    @property
+    def friction(self) -> float:
+        return float(self._frictions[0])
+
+    def set_friction(self, friction: float) -> None:
+        self._frictions[:] = friction
+        self._flex_friction[0] = friction
 
     def _make_sheet(
         self, model: mujoco.MjModel, data: mujoco.MjData, effects: frozenset[str]

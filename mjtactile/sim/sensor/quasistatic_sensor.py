@@ -39,6 +39,7 @@ _PATIENCE = 25  # steps without a solution in a row
 _LATE = 2  # such steps that are not worth a word
 _NO_FLEX = -2
 # indices in the kernel's input
+_FRICTION = 0
 _GAS = 2
 _TIME = 6
 
@@ -123,6 +124,13 @@ class QuasistaticSensor(BaseSensor):
             *(self._given, self._numbers, self.body_id, *tree, *joints, *bodies[1:]),
             *(model.nv, self._force, self._hold),
         )
+
+    @property
+    def friction(self) -> float:
+        return float(self._given[_FRICTION])
+
+    def set_friction(self, friction: float) -> None:
+        self._given[_FRICTION] = friction
 
     # -- before every step
 

@@ -94,6 +94,11 @@ def test_the_need_is_coulombs_at_the_worst_moment():
     assert sampled.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
 
 
+def test_the_need_is_that_of_the_lowest_friction():
+    sampled = load_task("wet").sample(5, 2)
+    assert sampled.need(0.04, 0.8, 2) == pytest.approx(0.04 * 9.81 / (2 * 0.35))
+
+
 def test_when_somebody_pulls_with_three_tenths_of_a_newton():
     sampled = load_task("hand-over").sample(5, 2)
     pull = sampled.events[1]
@@ -120,6 +125,10 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
             '[[disturbance]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
             "rate_Hz = [1, 2]",
             ["disturbance[0].rate_Hz"],
+        ),
+        (
+            '[[disturbance]]\nkind = "friction"\nstart_s = [0, 1]\nduration_s = [1, 1]',
+            ["final_friction", "is missing"],
         ),
         ("[object]\nmass_g = [50, 20]", ["object.mass_g", "lower limit above its upper limit"]),
     ],
