@@ -2,13 +2,11 @@
 
 - **Load.** The shear force on a finger is the load that it carries. The grip follows the largest
   shear of the last second, plus a specified push from any direction.
-- **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. Close over the table
-  the controller reduces the grip until shear decreases with it: that ratio is mu. Later, a stable
-  hold at a ratio is a lower bound of mu. A slip gives mu itself, unless shear does not grow with
-  the grip.
-- **Margin.** The grip is MARGIN times the force that load and friction require. Without slip the
-  estimate of friction grows slowly, so that the grip loosens. For a larger grip the jaws move
-  immediately, by the measured stiffness. The error that remains after DELAY is regulated.
+- **Friction.** A Bayesian filter estimates the friction coefficient, which may change while the
+  object is held (docs/theory/friction.md). The grip is the minimum force at which the probability
+  of slip is below RISK. Close over the table a larger risk is taken, until friction is known.
+- **Jaws.** For a larger grip they move immediately, by the measured stiffness. The error that
+  remains after DELAY is regulated.
 - **Table and external pull.** Shear that vanishes, and returns with the opposite sign, is support
   by the table: release. Any other lasting change of shear is an external pull.
 
@@ -23,12 +21,12 @@ import numpy as np
 
 from mjtactile.grasp_estimation import (
     FrameLoadEstimator,
-    FrictionEstimator,
-    FrictionProbe,
+    FrictionFilter,
     GripStiffnessEstimator,
     LoadEstimator,
     estimate_weight,
     phases,
+    slip_sign,
 )
 from mjtactile.types import Command, Observation
 
@@ -37,8 +35,12 @@ MIN_TEST_FORCE = 0.10  # minimum force, N, of the friction test close over the t
 # touch threshold, N, well above noise; maximum push, N, until both fingers touch
 TOUCH_FORCE, MAX_PUSH = 0.08, 0.5
 SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
-MARGIN = 1.3  # grip force over the force required by load and friction
-FRICTION_FIRST = 0.6  # initial friction coefficient; it is then tested close above the table
+# probability of slip: in the air, during the first lift, and while friction is tested
+RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
+# friction is known if its 5 % quantile is this fraction of the median; maximum time of the test, s
+KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
+SLIP_LOAD = 1.25  # assumed load over the shear after a slip: a sliding contact carries only a part
+LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.12, 0.3
@@ -55,13 +57,12 @@ SEARCH = 0.030  # search range for the table below the specified place height, m
 # pull over all fingers, N, and its duration, s; a bump is shorter
 PULL_FORCE, PULL_TIME = 0.20, 0.09
 RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
-CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind")
+CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind", "test", "slip")
 MEMORY_KEYS = {
     LoadEstimator: "load",
     GripStiffnessEstimator: "spring",
     FrameLoadEstimator: "frames",
-    FrictionEstimator: "belief",
-    FrictionProbe: "trial",
+    FrictionFilter: "friction",
 }
 START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "narrowest": 1.0,
@@ -71,8 +72,8 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
     "load": vars(LoadEstimator()),
     "spring": vars(GripStiffnessEstimator()),
     "frames": vars(FrameLoadEstimator()),
-    "belief": vars(FrictionEstimator(FRICTION_FIRST)),
-    "trial": vars(FrictionProbe(FRICTION_FIRST)),
+    "friction": vars(FrictionFilter()),
+    "risk": LOW_RISK,
 }
 
 
@@ -102,19 +103,30 @@ def _stored(kind: Any, command: Command) -> Any:
 def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
+    memory = command.memory
     load = _stored(LoadEstimator, command).after(touch, observation.period)
-    belief = _stored(FrictionEstimator, command).after(touch, observation.period)
-    trial = _stored(FrictionProbe, command)
+    friction = _stored(FrictionFilter, command).after(
+        touch, observation.period, is_test=memory["risk"] == TEST_RISK
+    )
     frames = _stored(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
     )
+    slip_time = 0.0 if slip_sign(touch) == 2 else memory["slip_time"] + observation.period
     worst, minimum = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
-    if trial.is_on:  # the tested friction must be fully used: no margin
-        worst, minimum = trial.grip * load.maximum, MIN_TEST_FORCE
-    target = max(minimum, min(MARGIN * worst / belief.friction, MAX_FORCE, frames.maximum))
-    estimators = {"load": vars(load), "belief": vars(belief), "frames": vars(frames)}
+    if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
+        worst, minimum = load.maximum, MIN_TEST_FORCE
+    elif slip_time < SLIP_WAIT:  # the shear of a sliding contact is below its load
+        worst *= SLIP_LOAD
+    grip = friction.grip(worst, memory["risk"])
+    target = max(minimum, min(grip, MAX_FORCE, frames.maximum))
+    estimators = {"load": vars(load), "friction": vars(friction), "frames": vars(frames)}
     return phases.remember(
-        command, target=target, **estimators, mass=load.mass, mass_sd=estimate_weight(touch).sd
+        command,
+        target=target,
+        slip_time=slip_time,
+        **estimators,
+        mass=load.mass,
+        mass_sd=estimate_weight(touch).sd,
     )
 
 
@@ -132,7 +144,7 @@ def _regulated(observation: Observation, command: Command, forces: list[float]) 
     )
     stiffness = spring.stiffness(force)
     step = memory["target"] - observation.command.memory.get("target", MIN_FORCE)
-    step = step if _stored(FrictionProbe, command).is_on else max(step, 0.0)
+    step = step if memory["risk"] == TEST_RISK else max(step, 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
     speed = (due - force) / (stiffness * SETTLING)
     speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
@@ -161,28 +173,28 @@ def _regulate(observation: Observation, command: Command, forces: list[float]) -
     """Bring the force to the first target."""
     command = _regulated(observation, command, forces)
     is_settled = abs(sum(forces) / len(forces) - command.memory["target"]) < FORCE_TOLERANCE
-    command = phases.settle(
+    return phases.settle(
         observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
     )
-    if command.phase != "lift":
-        return command
-    standing = _stored(LoadEstimator, command).standing(observation.touch)
-    return phases.remember(command, load=vars(standing))
 
 
 def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
     command = _regulated(observation, command, forces)
     target = command.memory["target"]
-    behind = target - sum(forces) / len(forces) > min(FORCE_TOLERANCE, 0.1 * target)
+    grip = sum(forces) / len(forces)
+    load = _stored(LoadEstimator, command)
+    behind = target - grip > min(FORCE_TOLERANCE, 0.1 * target)
+    # faces that the fingers only drag along themselves slip without a load
+    slides = command.memory["slip_time"] < SLIP_WAIT and load.maximum > LOADED * grip
     behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
     command = phases.remember(command, behind_time=behind_time)
     is_low = command.lift_height < command.memory["low"]
-    if not is_low and not _stored(FrictionProbe, command).over:
-        return _try_friction(observation, command)
-    if _stored(FrictionEstimator, command).since_slip < SLIP_WAIT or 0.0 < behind_time < GRIP_WAIT:
+    if not is_low and command.memory["risk"] != RISK:
+        return _test_friction(observation, command)
+    if slides or 0.0 < behind_time < GRIP_WAIT:
         return command  # grip first, within the jaws' limits
-    goal, load = observation.goal.lift_height, _stored(LoadEstimator, command)
+    goal = observation.goal.lift_height
     if not load.down and not is_low:
         command = phases.remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
@@ -191,16 +203,19 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
     return replace(command, lift_height=min(goal, command.lift_height + rise))
 
 
-def _try_friction(now: Observation, command: Command) -> Command:
-    """Reduce the grip force and detect slip, until friction is known or the minimum grip
-    suffices."""
-    belief = _stored(FrictionEstimator, command)
-    trial = _stored(FrictionProbe, command).after(now.touch, now.period, belief.friction)
-    proof = belief.used if trial.passed and not trial.slipped else belief.wrong
-    belief = replace(belief, friction=trial.friction, before=0.0, wrong=proof)
-    # after a slip the object may stand on the table again
-    low = command.lift_height + trial.slipped * WEIGH_HEIGHT
-    return phases.remember(command, trial=vars(trial), belief=vars(belief), low=low)
+def _test_friction(now: Observation, command: Command) -> Command:
+    """Reduce the grip force, until friction is known or the minimum grip suffices."""
+    memory = command.memory
+    friction = _stored(FrictionFilter, command)
+    median = friction.quantile(0.5)
+    is_known = friction.quantile(0.05) > KNOWN * median or median > FRICTION_MAX
+    test_time = memory["test_time"] + now.period
+    slipped = memory["slip_time"] == 0.0
+    if is_known or slipped or test_time > TEST_TIME:
+        # after a slip the object may stand on the table again
+        low = command.lift_height + slipped * WEIGH_HEIGHT
+        return phases.remember(command, risk=RISK, low=low)
+    return phases.remember(command, risk=TEST_RISK, test_time=test_time)
 
 
 def _hold(observation: Observation, command: Command, forces: list[float]) -> Command:

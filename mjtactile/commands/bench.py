@@ -64,6 +64,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "relaxation": ("relaxation", "grasps of ten minutes on relaxing rubber: force error and cost"),
     "commissioning": ("commissioning.run", "setup, calibration, fit, grasp of a faulty rig"),
     "tasks": ("tasks.run", "benefit of touch: tasks with and without touch, same episodes"),
+    "friction": ("friction", "likelihoods of the signs of the friction filter, grasps"),
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
     "benchmark-index": ("benchmark_index", "no measurement: headline results"),

@@ -1,10 +1,10 @@
 """Properties of the grasped object from touch, for any controller.
 
-`touch_statics` evaluates one moment and `slip_test` tests for slip. `friction_estimator`,
+`touch_statics` evaluates one moment and `slip_test` tests for slip. `friction_filter`,
 `load_estimator` and `grip_stiffness` track friction, load and stiffness from image to image.
 """
 
-from mjtactile.grasp_estimation.friction_estimator import FrictionEstimator, FrictionProbe
+from mjtactile.grasp_estimation.friction_filter import FrictionFilter, slip_sign
 from mjtactile.grasp_estimation.grip_stiffness import GripStiffnessEstimator
 from mjtactile.grasp_estimation.load_estimator import FrameLoadEstimator, LoadEstimator
 from mjtactile.grasp_estimation.slip_test import SlipTestResult, evaluate_slip_test
@@ -15,6 +15,7 @@ from mjtactile.grasp_estimation.touch_statics import (
     Weight,
     estimate_friction,
     estimate_weight,
+    external_shear,
     load_direction,
     load_vector,
     min_grip_force,
@@ -28,8 +29,7 @@ __all__ = [
     "GRAVITY",
     "FrameLoadEstimator",
     "Friction",
-    "FrictionEstimator",
-    "FrictionProbe",
+    "FrictionFilter",
     "GripStiffnessEstimator",
     "LoadEstimator",
     "SlipTestResult",
@@ -37,10 +37,12 @@ __all__ = [
     "estimate_friction",
     "estimate_weight",
     "evaluate_slip_test",
+    "external_shear",
     "load_direction",
     "load_vector",
     "min_grip_force",
     "pull_force",
     "shear",
+    "slip_sign",
     "support_force",
 ]

@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,20 +24,52 @@ GRID = np.linspace(0.10, 1.30, 49)
 """Values of the friction coefficient."""
 _SPACING = float(GRID[1] - GRID[0])
 # diffusion of mu, 1/sqrt(s), steady and changing; rates of the mode, 1/s, to changing and back
-_DRIFT = (0.02, 0.5)
+_DRIFT = (0.02, 0.25)
 _RATES = (0.01, 1.0)
-_PRIOR = (0.75, 0.3)  # mean and standard deviation of mu before the first image
-# P(sign | sticking), P(sign | sliding) of one image; signs: no finger, some, all report slip
-_SIGNS = np.array([[0.990, 0.009, 0.001], [0.35, 0.25, 0.40]])
+_PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
+# probability in one image, by the utilization over mu, that some fingers report slip, that all do,
+# and that all do with a growing distance (`mjtactile bench friction`)
+_RATIO = (0.4, 0.55, 0.65, 0.75, 0.85, 0.95, 1.05)
+_SIGNS = (
+    (0.002, 0.006, 0.013, 0.015, 0.045, 0.110, 0.130),
+    (0.0002, 0.0015, 0.004, 0.004, 0.007, 0.055, 0.065),
+    (0.00001, 0.0001, 0.0007, 0.0035, 0.024, 0.110, 0.370),
+)
+_GROWTH = 5e-5  # minimum growth of the distance from image to image, m
 _USED_SD = (0.03, 0.012)  # sd of the utilization: constant part, and times 1 N over the force
 _WRONG = 0.01  # probability of an image in which that model does not hold
-_INDEPENDENT = 0.5  # independent images per image: successive errors are correlated
-_ANSWER_SD = 0.04  # sd of the relative change of the shear within `_ANSWER_TIME`
+# fraction of an image that is independent of the previous one: in a steady hold its errors last
+_INDEPENDENT = 0.5
+# of a sign: a report lasts for five images, and one finger slips at its own utilization; no report
+# is more evidence while the grip is loosened on purpose
+_WEIGHTS = (0.03, 0.06, 0.2, 1.0)
+_TEST_WEIGHT = 0.25
+# change of the shear over that of the grip, sticking and sliding; sd of it, and per change
+_ANSWERS = (0.15, 0.65)
+_ANSWER_SD = (0.08, 0.2)
 _ANSWER_TIME = 0.15  # time constant of the mean that a change is relative to, s
 _ANSWER_MIN = 0.05  # minimum relative change of the grip
+_REPORT_TIME = 0.15  # duration of a slip report after the slip, s
 _FORCE_MIN = 0.05  # minimum mean normal force for an update, N
-_LAG = 0.25  # prediction time, s: an image, the servo and its play
+_LAG = 0.15  # prediction time, s: an image, the servo and its play
 _LOAD_SD = 0.06  # relative sd of load over grip: errors of the forces and of their control
+
+
+NONE, SOME, ALL, CONFIRMED = range(4)
+"""Signs of slip: no finger, some fingers, all fingers report it; its distance grows on all."""
+
+
+class Signs(NamedTuple):
+    """Evidence of one image: mean `press` and `drag`, N, utilizations of the last `_REPORT_TIME`,
+    slip distances, m, sign of slip, and relative changes of grip and shear (NaN: unknown)."""
+
+    press: float
+    drag: float
+    recent: list[float]
+    distances: list[float]
+    slip: int
+    harder: float
+    more: float
 
 
 @dataclass(frozen=True)
@@ -48,39 +81,62 @@ class FrictionFilter:
     Attributes:
         weights: (2 n) Probability of each value of `GRID`, steady and changing; empty: the prior.
         press, drag: Recent mean normal force and mean shear per finger, N; 0: unknown.
+        recent: Utilizations, shear over normal force, of the last `_REPORT_TIME`: slip is reported
+            late.
+        distances: Slip distance of each finger, m.
     """
 
     weights: Sequence[float] = ()
     press: float = 0.0
     drag: float = 0.0
+    recent: Sequence[float] = ()
+    distances: Sequence[float] = ()
 
-    def after(self, touch: Sequence[Touch], period: float) -> FrictionFilter:
+    def after(
+        self, touch: Sequence[Touch], period: float, *, is_test: bool = False
+    ) -> FrictionFilter:
         """Update with one image.
 
         Args:
             touch: Current touches.
             period: Time since the previous image, s.
+            is_test: True while the grip is loosened on purpose, so that no slip is evidence.
 
         Returns:
-            The updated filter.
+            The updated filter; without a usable image only the prediction.
         """
         predicted = _transition(period) @ self._posterior()
-        press = float(np.mean([one.force_normal for one in touch]))
-        drag = float(np.linalg.norm(shear(touch), axis=1).mean())
-        if not (math.isfinite(press) and math.isfinite(drag) and press > _FORCE_MIN):
+        signs = self.signs(touch, period)
+        if signs is None:
             return replace(self, weights=predicted.tolist())
-        slides, evidence = _utilization(drag / press, press)
-        sign = _SIGNS[:, _sign(touch)]
-        evidence = evidence * (sign[0] + (sign[1] - sign[0]) * slides)
-        if self.press > 0 and self.drag > 0:
-            evidence = evidence * _answer(press / self.press - 1, drag / self.drag - 1, slides)
-        weights = predicted * np.tile(evidence**_INDEPENDENT, 2)
+        weights = predicted * np.tile(_likelihood(signs, is_test), 2)
         follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
         return FrictionFilter(
             (weights / weights.sum()).tolist(),
-            self.press + follow * (press - self.press),
-            self.drag + follow * (drag - self.drag),
+            self.press + follow * (signs.press - self.press),
+            self.drag + follow * (signs.drag - self.drag),
+            signs.recent,
+            signs.distances,
         )
+
+    def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
+        """Return the evidence of an image; None without a known grip force."""
+        press = float(np.mean([one.force_normal for one in touch]))
+        drag = float(np.linalg.norm(shear(touch), axis=1).mean())
+        if not (math.isfinite(drag) and press > _FORCE_MIN):
+            return None
+        count = max(1, round(_REPORT_TIME / period))
+        recent = [*self.recent, drag / press][-count:]
+        distances = [0.0 if one.slip is None else one.slip.distance for one in touch]
+        slip = slip_sign(touch)
+        pairs = zip(distances, self.distances, strict=False)
+        if slip == ALL and self.distances and all(new - old > _GROWTH for new, old in pairs):
+            slip = CONFIRMED
+        if min(self.press, self.drag) > 0:
+            changes = press / self.press - 1, drag / self.drag - 1
+        else:
+            changes = math.nan, math.nan
+        return Signs(press, drag, recent, distances, slip, *changes)
 
     def density(self) -> Array:
         """Return the probability (n,) of each value of `GRID`."""
@@ -115,11 +171,16 @@ def _normal_cdf(value: Array) -> Array:
 @cache
 def _prior() -> Array:
     """Return the steady prior, (2 n)."""
+    share = _RATES[0] / (_RATES[0] + _RATES[1])
+    return np.concatenate([(1 - share) * _common(), share * _common()])
+
+
+@cache
+def _common() -> Array:
+    """Return the probability (n,) of each value of `GRID` for any pair of surfaces."""
     mean, sd = _PRIOR
     weights = np.exp(-0.5 * ((GRID - mean) / sd) ** 2)
-    share = _RATES[0] / (_RATES[0] + _RATES[1])
-    both = np.concatenate([(1 - share) * weights, share * weights])
-    return both / both.sum()
+    return weights / weights.sum()
 
 
 @cache
@@ -128,9 +189,7 @@ def _transition(period: float) -> Array:
     offset = GRID[:, None] - GRID[None, :]
     blocks = []
     for drift in _DRIFT:
-        sd = math.sqrt(drift**2 * period + (0.3 * _SPACING) ** 2 * period)
-        # exact for a narrow kernel as well: the grid's variance of a step to the neighbours
-        kernel = _kernel(offset, sd)
+        kernel = _kernel(offset, drift * math.sqrt(period)) * _common()[:, None]
         blocks.append(kernel / kernel.sum(axis=0))
     to_changing, to_steady = (1 - math.exp(-rate * period) for rate in _RATES)
     return np.block(
@@ -150,25 +209,33 @@ def _kernel(offset: Array, sd: float) -> Array:
     return np.where(steps == 0, 1 - 2 * near, np.where(steps == 1, near, 0.0))
 
 
-def _utilization(used: float, press: float) -> tuple[Array, Array]:
-    """Return P(sliding | mu) and the likelihood of this utilization, each (n,)."""
-    sd = _USED_SD[0] + _USED_SD[1] / press
-    beyond = (used - GRID) / sd
-    return _normal_cdf(beyond), _WRONG + (1 - _WRONG) * _normal_cdf(0.5 - beyond)
+def slip_sign(touch: Sequence[Touch]) -> int:
+    """Return `NONE`, `SOME` or `ALL`: how many of the fingers in contact report slip."""
+    states = [one.slip.state for one in touch if one.slip is not None]
+    slips = [state == "slipping" for state in states if state not in ("none", "unknown")]
+    return NONE if not any(slips) else ALL if all(slips) else SOME
 
 
-def _sign(touch: Sequence[Touch]) -> int:
-    """Return 0, 1 or 2: no finger, some fingers, all fingers report slip."""
-    slips = [one.slip is not None and one.slip.state == "slipping" for one in touch]
-    return 2 if all(slips) else int(any(slips))
+def _likelihood(signs: Signs, is_test: bool = False) -> Array:
+    """Return the likelihood (n,) of the evidence of one image (Eq. R2 to R5)."""
+    sd = _USED_SD[0] + _USED_SD[1] / signs.press
+    beyond = (signs.recent[-1] - GRID) / sd
+    possible = _WRONG + (1 - _WRONG) * _normal_cdf(2.0 - beyond)
+    used = max(signs.recent)
+    answer = _answer(signs.harder, signs.more, _normal_cdf((used - GRID) / sd))
+    chances = [np.interp(used / GRID, _RATIO, chance) for chance in _SIGNS]
+    sign = 1 - sum(chances) if signs.slip == NONE else chances[signs.slip - 1]
+    weight = _TEST_WEIGHT if is_test and signs.slip == NONE else _WEIGHTS[signs.slip]
+    return (possible * answer) ** _INDEPENDENT * sign**weight
 
 
 def _answer(harder: float, more: float, slides: Array) -> Array:
     """Return the likelihood (n,) of a change of the shear after a change of the grip, relative."""
-    if abs(harder) < _ANSWER_MIN:
+    if not abs(harder) > _ANSWER_MIN:
         return np.ones_like(slides)
+    sd = _ANSWER_SD[0] + _ANSWER_SD[1] * abs(harder)
     sticking, sliding = (
-        0.1 + math.exp(-0.5 * ((more - share * harder) / _ANSWER_SD) ** 2) for share in (0, 1)
+        0.1 + math.exp(-0.5 * ((more - share * harder) / sd) ** 2) for share in _ANSWERS
     )
     return sticking + (sliding - sticking) * slides
 

@@ -10,7 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.grasp_estimation.touch_statics import GRAVITY, load_direction, load_vector, shear
+from mjtactile.grasp_estimation.touch_statics import (
+    GRAVITY,
+    external_shear,
+    load_direction,
+    load_vector,
+)
 
 _KEPT = 1.5  # time constant of forgetting a past load, s: half of a shake is light
 _SPARE = 0.02  # shear margin for noise and for the start of a load, N
@@ -30,7 +35,6 @@ class LoadEstimator:
         past: Load a moment ago, N; negative: unknown.
         down: (n, 2) Direction of the load on each finger; empty until the fingers alone carry it.
         mass: Averaged mass, kg; 0 before lifting.
-        inner: (n, 2) Internal shear between the fingers per newton of grip; empty: unknown.
         last: Load in the previous image alone, N; negative: no image.
     """
 
@@ -39,33 +43,12 @@ class LoadEstimator:
     past: float = -1.0
     down: Sequence[Sequence[float]] = ()
     mass: float = 0.0
-    inner: Sequence[Sequence[float]] = ()
     last: float = -1.0
 
     @property
     def worst(self) -> float:
         """Load on each finger that the grip must hold, N."""
         return max(self.maximum, self.ahead) + _SPARE
-
-    def standing(self, touch: Sequence[Touch]) -> LoadEstimator:
-        """Store the internal shear between the fingers, while the object is gripped and still
-        stands.
-
-        Closing on tilted faces causes shear, which grows with the grip. An object pushed sideways
-        also causes shear, but then one finger has a larger normal force. That part disappears when
-        the object is lifted.
-
-        Args:
-            touch: Current touches.
-
-        Returns:
-            The estimator with the internal shear, which is not load.
-        """
-        press = np.array([one.force_normal for one in touch])
-        drag = shear(touch)
-        pushed = float(np.ptp(press))
-        trust = max(0.0, 1.0 - pushed / max(float(np.linalg.norm(drag, axis=1).mean()), 1e-9))
-        return replace(self, inner=(trust * drag / max(float(press.mean()), 1e-9)).tolist())
 
     def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
         """Store the load direction; from now on the fingers alone carry the load.
@@ -76,9 +59,7 @@ class LoadEstimator:
         Returns:
             The estimator with the downward direction.
         """
-        press = float(np.mean([one.force_normal for one in touch]))
-        before = press * np.asarray(self.inner) if len(self.inner) else 0.0
-        return replace(self, down=load_direction(touch, before).tolist())
+        return replace(self, down=load_direction(touch).tolist())
 
     def vector(self, touch: Sequence[Touch]) -> Array:
         """Return the external force on the hanging object.
@@ -99,8 +80,8 @@ class LoadEstimator:
         predicted increase. Before that, the gripper waits for its grip, so the load grows no
         faster. The load decreases slowly; the predicted part is not retained.
 
-        Once the object hangs, internal shear and upward forces are not load. A slip clears the
-        internal shear.
+        Internal shear between two opposite fingers is not load; once the object hangs, upward
+        forces are not either.
 
         Args:
             touch: Current touches.
@@ -117,14 +98,12 @@ class LoadEstimator:
             found = float(carried[0]) / GRAVITY
             mass = mass + period / _WEIGHING * (found - mass) if mass else found
         else:
-            now = float(np.linalg.norm(shear(touch), axis=1).mean())
+            now = float(np.linalg.norm(external_shear(touch), axis=1).mean())
         sure = now if self.last < 0 else min(now, self.last)
         past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
         ahead = sure + (max(sure - past, 0.0) if len(self.down) else 0.0)
         maximum = max(sure, self.maximum * math.exp(-period / _KEPT))
-        slips = all(one.slip is not None and one.slip.state == "slipping" for one in touch)
-        inner = () if slips else self.inner
-        return LoadEstimator(maximum, ahead, past, self.down, mass, inner, now)
+        return LoadEstimator(maximum, ahead, past, self.down, mass, now)
 
 
 _EFFORT_ERROR = 0.3  # relative error of an effort: a data sheet's torque, the current's resolution

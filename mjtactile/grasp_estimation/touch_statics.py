@@ -30,6 +30,8 @@ GAIN_SD = 0.015
 It is the residual of stiffness and geometry after a calibration (docs/validation/accuracy.md).
 """
 
+_HALF_TURN = np.array([-1.0, 1.0])
+
 
 @dataclass(frozen=True, eq=False)
 class Weight:
@@ -76,6 +78,24 @@ def shear(touch: Sequence[Touch]) -> Array:
         (n, 2) Force, N, in each finger's frame S; NaN if it is unknown.
     """
     return np.array([_wrench(one)[:2] for one in touch])
+
+
+def external_shear(touch: Sequence[Touch]) -> Array:
+    """Return the shear of each finger without the internal forces of two opposite fingers.
+
+    A box that stands askew is sheared by the closing fingers in opposite directions, and more so
+    with a stronger grip. This is not a load. The y axes of both frames S must have the same
+    direction (docs/reference/rig_files.md): each frame is the other one after a half turn about y.
+
+    Args:
+        touch: One value per finger.
+
+    Returns:
+        (n, 2) Half of the external force, N, in each finger's frame S. For more than two fingers,
+        or one, the shear.
+    """
+    found = shear(touch)
+    return (found + _HALF_TURN * found[::-1]) / 2 if len(touch) == 2 else found
 
 
 def estimate_weight(
@@ -171,17 +191,16 @@ def support_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     return float(np.mean(gone - np.linalg.norm(before, axis=1)))
 
 
-def load_direction(touch: Sequence[Touch], before: ArrayLike = 0.0) -> Array:
+def load_direction(touch: Sequence[Touch]) -> Array:
     """Estimate the direction of the load on each finger.
 
     Args:
         touch: Touches while the object hangs on the fingers without a tilting moment.
-        before: (n, 2) `shear` present without the load and still present, N.
 
     Returns:
         (n, 2) Unit vectors, each in its finger's frame S; NaN if unknown.
     """
-    change = shear(touch) - np.asarray(before, float)
+    change = external_shear(touch)
     return change / np.maximum(np.linalg.norm(change, axis=1), 1e-9)[:, None]
 
 

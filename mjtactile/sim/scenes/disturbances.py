@@ -76,15 +76,12 @@ class DisturbanceSchedule:
         time = world.time - self.up_since
         force = np.zeros(3)
         gravity = self._gravity.copy()
-        frictions = self._frictions
+        self._wet(time)
         for event in self._events:
             done = min(max((time - event.start) / event.duration, 0.0), 1.0)
             is_on = 0.0 < done < 1.0
             if event.kind == "fill" and done > 0:
                 self._fill(event.values["mass"], done)
-            elif event.kind == "friction" and done > 0:
-                final = event.values["friction"]
-                frictions = [now + (final - now) * done if now else 0.0 for now in frictions]
             elif event.kind == "move_support" and done > 0:
                 height = event.values["height"] * done
                 world.model.body_pos[self._places, 2] = self._place_height + height
@@ -94,8 +91,6 @@ class DisturbanceSchedule:
                 force += np.array(event.direction) * event.values["impulse"] / event.duration
             elif event.kind == "pull" and done > 0:
                 force += self._pull(event, done)
-        if frictions is not self._frictions:
-            self._wet(frictions)
         world.model.opt.gravity[:] = gravity
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
 
@@ -129,16 +124,23 @@ class DisturbanceSchedule:
         model.body_subtreemass[self._bodies] += added
         model.body_subtreemass[0] += added.sum()
 
-    def _wet(self, frictions: Sequence[float]) -> None:
-        """Set the friction coefficient of each membrane with the object.
+    def _wet(self, time: float) -> None:
+        """Set the friction coefficient of each membrane with the object, `time` s after the lift.
 
         MuJoCo uses the larger coefficient of two geoms, so that of the object is limited as well.
         """
+        frictions = self._frictions
+        for event in self._events:
+            done = min(max((time - event.start) / event.duration, 0.0), 1.0)
+            if event.kind == "friction" and done > 0:
+                final = event.values["friction"]
+                frictions = [now + (final - now) * done if now else 0.0 for now in frictions]
+        if frictions is self._frictions:
+            return
         for sensor, friction in zip(self._world.sensors, frictions, strict=True):
             sensor.set_friction(friction)
-        limit = max(frictions)
-        friction = np.minimum(self._surface_friction, limit)
-        self._world.model.geom_friction[self._surfaces, 0] = friction
+        surface = np.minimum(self._surface_friction, max(frictions))
+        self._world.model.geom_friction[self._surfaces, 0] = surface
 
     def _pull(self, event: SampledDisturbance, done: float) -> Array:
         """Return the pulling force (3,), N.

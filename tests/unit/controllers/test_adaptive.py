@@ -58,11 +58,11 @@ def holding(load=0.2, goal=None):
 @pytest.mark.parametrize("friction", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("weight", [0.1, 0.3])
 def test_friction_is_found_before_it_lifts_on(friction, weight):
-    """The trial estimates the friction before the lift continues, and the grip keeps a margin.
+    """The test estimates the friction before the lift continues, and the grip keeps a margin.
 
     Coulomb: an object of `weight` N on each finger leaves the table within half a millimeter, and
-    slides where the grip is too light. The trial accepts a friction that would hold with a third
-    less grip, in steps of a quarter. The grip keeps 0.02 N of load in reserve.
+    slides where the grip is too light. At most the median of the posterior is tested for two
+    seconds; the grip keeps 0.02 N of load in reserve.
     """
     grips = []
 
@@ -72,14 +72,11 @@ def test_friction_is_found_before_it_lifts_on(friction, weight):
         carried = min(1.0, command.lift_height / 5e-4) * weight
         return (finger(min(carried, friction * grip), normal=grip),) * 2
 
-    command = run(Command(0.04, 5.0, 0.0, "lift"), touch_at, 160)
+    goal = TaskGoal(hold_time=60.0)
+    command = run(Command(0.04, 5.0, 0.0, "lift"), touch_at, 240, goal)
     assert command.phase == "hold"
     margin = command.memory["target"] * friction / weight
-    assert 1.2 < margin < 1.25 / 0.75 * (1 + 0.02 / weight)
-
-
-def believed(command):
-    return command.memory["belief"]["friction"]
+    assert 1.05 < margin < 1.7 * (1 + 0.02 / weight)
 
 
 def test_it_weighs_what_it_lifts():
@@ -115,29 +112,30 @@ def test_a_thing_that_leans_in_the_grip_is_no_load():
     assert run(command, lean, 60, goal).memory["target"] == pytest.approx(before, rel=0.1)
 
 
-def test_a_slip_that_all_fingers_say_teaches_friction():
+def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     command, goal = holding(0.2)
     kept: Any = command.memory
-    belief = {**kept["belief"], "proven": 0.0, "wrong": 0.0}  # no trial was made
-    command = replace(command, memory={**command.memory, "belief": belief})
-    assert believed(command) > 0.5
-    grip = command.memory["target"]
+    grip = kept["target"]
 
-    def one(k, now):
-        return finger(0.2, normal=grip, state="slipping"), finger(0.2, normal=grip)
+    def report(*states):
+        def touch_at(k, now):
+            slips = [finger(0.2, normal=grip, state=state) for state in states]
+            moved = [replace(one.slip, distance=1e-3 * (k + 1)) for one in slips]
+            return tuple(replace(one, slip=slip) for one, slip in zip(slips, moved, strict=True))
 
-    def both(k, now):
-        return (finger(0.2, normal=grip, state="slipping"),) * 2
+        return touch_at
 
-    assert believed(run(command, one, 3, goal)) > 0.5  # it may roll
-    reported_once = run(command, both, 1, goal)
-    assert believed(reported_once) == pytest.approx(0.8 * believed(command), rel=0.01)
-    # it closes immediately, by the compression of two membranes under a quarter more force
-    more = reported_once.memory["target"] - command.memory["target"]
+    alone = run(command, report("slipping", "sticking"), 3, goal)
+    assert alone.memory["target"] < 1.5 * grip  # it may roll
+    one = run(command, report("slipping", "slipping"), 1, goal)
+    more = one.memory["target"] - grip
+    # within a cycle it closes by the compression of two membranes under that force
     stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
-    assert reported_once.opening == pytest.approx(command.opening - more / stiffness, abs=1.2e-4)
-    again = run(reported_once, both, 5, goal)
-    assert believed(again) == believed(reported_once)  # the same slip, not another
+    assert more > 0.2 * grip
+    way = min(more / stiffness, 0.006)
+    assert one.opening == pytest.approx(command.opening - way, abs=1.2e-4)
+    both = run(command, report("slipping", "slipping"), 3, goal)
+    assert both.memory["target"] > 1.3 * alone.memory["target"]
 
 
 def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():

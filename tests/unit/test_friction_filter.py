@@ -1,0 +1,158 @@
+"""Tests of the friction filter against simulated grips with a known friction coefficient mu(t)."""
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import Slip, Touch, Traction
+from mjtactile.grasp_estimation import FrictionFilter
+from mjtactile.grasp_estimation.friction_filter import GRID, _likelihood, _transition
+
+PERIOD = 1 / 30
+RISK = 0.01
+NODES = np.zeros(1)
+
+
+def touches(drag, press, state="sticking", distance=0.0):
+    """Return two equal touches with this shear and normal force, N."""
+    wrench = np.array([0.0, -drag, -press, 0.0, 0.0, 0.0])
+    traction = Traction(NODES, NODES, np.zeros((1, 1, 3)), wrench, np.eye(6), 0.0, "simulated")
+    slip = Slip(state, np.zeros(2), distance, 1.0)
+    return [Touch(0.0, 0.0, press, 0.003, True, traction=traction, slip=slip)] * 2
+
+
+def updated(friction, touch, count=1):
+    """Return the filter after `count` equal images, stored as plain values in between."""
+    for _ in range(count):
+        friction = FrictionFilter(**asdict(friction)).after(touch, PERIOD)
+    return friction
+
+
+def grip_of(mu, load, seed, seconds, lag=0.12):
+    """Simulate a grip of a `load`, N per finger, that follows the filter with a delay.
+
+    Coulomb: the shear is the load, or `mu(t)` times the normal force. Fully sliding objects fall.
+    A slip is reported in four of five images. Return filters, normal forces, N, and the
+    distance, m.
+    """
+    rng = np.random.default_rng(seed)
+    friction = FrictionFilter()
+    press, speed, distance = load / 0.4, 0.0, 0.0
+    found, forces = [], []
+    for k in range(round(seconds / PERIOD)):
+        limit = mu(k * PERIOD) * press
+        slides = load > limit or speed > 0
+        drag = min(load, limit) if not slides else limit
+        speed = max(0.0, speed + 9.81 * (1 - limit / load) * PERIOD) if slides else 0.0
+        distance += speed * PERIOD
+        reported = slides and rng.random() < 0.8
+        noise = 1 + 0.02 * rng.standard_normal(2)
+        touch = touches(
+            drag * noise[0], press * noise[1], "slipping" if reported else "sticking", distance
+        )
+        friction = updated(friction, touch)
+        found.append(friction)
+        forces.append(press)
+        target = min(friction.grip(load, RISK), 2.2)
+        press += PERIOD / lag * (target - press)
+    return found, forces, distance
+
+
+def test_a_posterior_is_a_distribution_and_a_smaller_risk_is_a_firmer_grip():
+    friction = updated(FrictionFilter(), touches(0.2, 0.5), 10)
+    assert sum(friction.weights) == pytest.approx(1.0) and min(friction.weights) >= 0
+    grips = [friction.grip(0.2, risk) for risk in (0.5, 0.1, 0.01, 0.001)]
+    assert grips == sorted(grips) and grips[0] < 0.5 * grips[-1]
+    # proportional to the load
+    assert friction.grip(0.4, RISK) == pytest.approx(2 * friction.grip(0.2, RISK))
+
+
+def test_the_prediction_does_not_depend_on_the_rate_of_the_images():
+    prior = np.zeros(2 * len(GRID))
+    prior[20] = 1.0
+    slow = _transition(0.2) @ prior
+    fast = np.linalg.matrix_power(_transition(0.02), 10) @ prior
+    both = np.tile(GRID, 2)
+    for power in (1, 2):  # mean and spread
+        assert both**power @ fast == pytest.approx(both**power @ slow, rel=0.01)
+    assert fast[: len(GRID)].sum() == pytest.approx(slow[: len(GRID)].sum(), abs=1e-3)
+
+
+def test_a_hold_bounds_friction_from_below():
+    friction = updated(FrictionFilter(), touches(0.35, 0.5), 60)
+    assert friction.quantile(0.01) > 0.6 and friction.quantile(0.5) > 0.7
+    assert FrictionFilter().quantile(0.01) < 0.2
+
+
+@pytest.mark.parametrize("mu", [0.35, 0.5, 0.8])
+def test_a_slip_is_the_coefficient(mu):
+    """The object slides while the grip grows: mu is found within the error of one utilization."""
+    friction = updated(FrictionFilter(), touches(0.8 * mu * 0.5, 0.5), 30)
+    for k in range(6):
+        friction = updated(friction, touches(mu * 0.5, 0.5, "slipping", 1e-3 * k))
+    assert friction.quantile(0.5) == pytest.approx(mu, abs=0.08)
+
+
+def test_a_confirmed_slip_counts_whatever_was_held_before():
+    """Ten seconds at a utilization of 0.6 do not delay the answer to a slip at 0.5."""
+    held = updated(FrictionFilter(), touches(0.3, 0.5), 300)
+    before = held.grip(0.3, RISK)
+    first = updated(held, touches(0.25, 0.5, "slipping", 0.0))
+    second = updated(first, touches(0.25, 0.5, "slipping", 1e-3))
+    third = updated(second, touches(0.25, 0.5, "slipping", 2e-3))
+    assert third.grip(0.3, RISK) > 1.4 * before
+    # the same report without a growing distance is weaker evidence
+    weak = updated(updated(held, touches(0.25, 0.5, "slipping")), touches(0.25, 0.5, "slipping"))
+    assert weak.grip(0.3, RISK) < second.grip(0.3, RISK)
+
+
+def test_a_shear_that_falls_with_the_grip_is_a_slip():
+    """The grip is loosened by a third. A shear that follows it is friction; one that stays is a
+    load, which shows a larger coefficient."""
+    held = updated(FrictionFilter(), touches(0.3, 0.6), 30)
+    loads, slides = held, held
+    for press in (0.55, 0.5, 0.45, 0.4, 0.4):
+        loads = updated(loads, touches(0.3, press))
+        slides = updated(slides, touches(0.5 * press, press))
+    assert slides.quantile(0.5) < loads.quantile(0.5) - 0.1
+    assert loads.quantile(0.01) > 0.55
+
+
+@pytest.mark.parametrize(("seconds", "slid"), [(1.0, 6e-3), (3.0, 2e-3)])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_grip_survives_a_surface_that_gets_wet(seconds, slid, seed):
+    """mu falls from 0.8 to 0.35: the grip follows before the object has slid far, and the posterior
+    covers the new value."""
+    start = 4.0
+    ramp = lambda t: 0.8 - 0.45 * min(max((t - start) / seconds, 0.0), 1.0)  # noqa: E731
+    found, forces, distance = grip_of(ramp, 0.2, seed, start + seconds + 4.0)
+    assert forces[-1] * 0.35 > 0.2 and distance < slid
+    assert found[-1].quantile(0.01) < 0.36 < found[-1].quantile(0.99)
+    assert forces[-1] < 1.2 and max(forces) <= 2.2
+
+
+def test_a_constant_friction_keeps_a_light_grip():
+    """Without a slip the grip does not grow in ten seconds by more than a fifth."""
+    _, forces, distance = grip_of(lambda _: 0.8, 0.2, 1, 14.0)
+    assert distance == 0.0
+    assert forces[-1] < 1.2 * forces[120] and forces[-1] < 2.5 * 0.2 / 0.8
+
+
+def test_an_image_without_force_is_only_a_prediction():
+    friction = updated(FrictionFilter(), touches(0.3, 0.5), 30)
+    unknown = updated(friction, touches(math.nan, math.nan))
+    np.testing.assert_allclose(unknown.weights, _transition(PERIOD) @ np.array(friction.weights))
+    assert unknown.recent == friction.recent
+
+
+def test_signs_are_likelier_at_a_higher_utilization():
+    """Every sign of slip favors small coefficients, and more fingers do so more strongly."""
+    held = updated(FrictionFilter(), touches(0.3, 0.5), 30)
+    ratios = []
+    for state, distance in (("sticking", 0.0), ("slipping", 0.0), ("slipping", 1e-3)):
+        signs = held.signs(touches(0.3, 0.5, state, distance), PERIOD)
+        likelihood = _likelihood(signs)
+        ratios.append(likelihood[np.searchsorted(GRID, 0.62)] / likelihood[-1])
+    assert ratios == sorted(ratios) and ratios[0] < 1.0 < ratios[1]
