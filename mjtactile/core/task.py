@@ -196,8 +196,8 @@ class SampledTask:
             (event.values.get("impulse", 0.0) / event.duration for event in self.events),
             default=0.0,
         )
-        least = min([friction, *(event.values.get("friction", 9.0) for event in self.events)])
-        return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * least)
+        lowest = min([friction, *(event.values.get("friction", 9.0) for event in self.events)])
+        return (heaviest * (GRAVITY + shaken) + pushed) / (fingers * lowest)
 
 
 @dataclass(frozen=True)
