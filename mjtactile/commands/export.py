@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import output_folder, print_result, stdout_to_stderr
+from mjtactile.commands.output import print_result, stdout_to_stderr, whole_folder
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -18,7 +19,8 @@ Foxglove's schemas, a ROS 2 bag, or Rerun files for viewing. Except for Rerun, t
 contains all data that the format supports: images, estimated wrenches with their standard
 deviations, states, commands, units, frames, calibrations, and the reasons for unknown values.
 For a recording with all of its images, the membrane surface and its markers are computed again
-from them."""
+from them. Damaged lines, images and recordings are left out and counted; the data set appears
+when it is complete."""
 EPILOG = """\
 examples:
   mjtactile grasp --out runs/egg && mjtactile export runs/egg --format lerobot --out data/egg
@@ -39,7 +41,16 @@ FORMATS = {
     "rosbag2": ("data", "rosbags"),
 }
 """Formats with the pip extra that installs their packages, and the modules of these packages."""
-_WRITTEN = ("meta", "data", "episode_000000", "episode_000000.mcap", "episode_000000.rrd")
+_WRITTEN = (
+    "meta",
+    "data",
+    "videos",
+    "references",
+    "mjtactile_msgs",
+    "episode_000000",
+    "episode_000000.mcap",
+    "episode_000000.rrd",
+)
 
 ARGUMENTS = (
     arg.positional(
@@ -68,20 +79,30 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.export.episode import find_episodes
 
     progress = Progress(quiet=options.json)
-    episodes = find_episodes(options.source)
-    with output_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
-        result = _write(options, episodes, out, progress)
+    left_out: list[str] = []
+    episodes = find_episodes(options.source, left_out.append)
+    problems = {
+        str(one.recording.folder): list(one.recording.problems)
+        for one in episodes
+        if one.recording.problems
+    }
+    with whole_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
+        result = _write(options, episodes, out, progress, left_out.append)
     result |= {"format": options.format, "out": str(options.out)}
-    print_result(
-        options,
-        result,
-        f"{result['episodes']} episodes, {result['frames']} frames\n  written to {options.out}",
-    )
+    result |= {"left_out": left_out, "problems": problems}
+    lines = [f"{result['episodes']} episodes, {result['frames']} frames"]
+    lines += [f"  left out  {reason}" for reason in left_out]
+    lines += [f"  {folder}: {'; '.join(found)}" for folder, found in problems.items()]
+    print_result(options, result, "\n".join([*lines, f"  written to {options.out}"]))
     return 0
 
 
 def _write(
-    options: argparse.Namespace, episodes: list[Any], out: Path, progress: Progress
+    options: argparse.Namespace,
+    episodes: list[Any],
+    out: Path,
+    progress: Progress,
+    leave_out: Callable[[str], None],
 ) -> dict[str, Any]:
     if options.format == "lerobot":
         from mjtactile.export.lerobot import dataset
@@ -93,18 +114,19 @@ def _write(
             crf=options.crf,
             task=options.task,
             say=progress.message,
+            leave_out=leave_out,
         )
     if options.format == "mcap":
         from mjtactile.export import mcap
 
-        return mcap.write(episodes, out, say=progress.message)
+        return mcap.write(episodes, out, say=progress.message, leave_out=leave_out)
     if options.format == "rerun":
         from mjtactile.export import rrd
 
-        return rrd.write(episodes, out, say=progress.message)
+        return rrd.write(episodes, out, say=progress.message, leave_out=leave_out)
     from mjtactile.export import rosbag2
 
-    return rosbag2.write(episodes, out, say=progress.message)
+    return rosbag2.write(episodes, out, say=progress.message, leave_out=leave_out)
 
 
 def _need(name: str) -> None:

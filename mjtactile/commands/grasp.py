@@ -296,6 +296,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
             "  estimate  force error of the simulation about "
             f"{1e3 * summary['force_error_estimate_N']:.0f} mN"
         )
+    for problem in summary.get("recorded", {}).get("problems", ()):
+        print(f"  recording {problem}")
     print_flags(summary["flags"])
     speed = summary["real_time_factor"]
     spent = summary["perception_ms_median"]

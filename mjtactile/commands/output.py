@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mjtactile import InputError
+from mjtactile import InputError, Recording
 from mjtactile.commands.nonblocking_output import Background
 from mjtactile.core import resources
 from mjtactile.recording.files import to_json
@@ -41,6 +41,19 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
             message = f"the file cannot be written: {error.strerror}"
             raise InputError(message, source=path, field="--out") from error
         yield path
+
+
+@contextlib.contextmanager
+def whole_folder(path: Path, *results: str) -> Iterator[Path]:
+    """Provide an empty folder whose contents are moved to `path` at the end: all, or none after a
+    failure. Raises InputError as `output_folder`."""
+    with (
+        output_folder(path, *results) as out,
+        tempfile.TemporaryDirectory(dir=out, prefix=".unfinished-") as part,
+    ):
+        yield Path(part)
+        for item in sorted(Path(part).iterdir()):
+            item.replace(out / item.name)
 
 
 def require_new(path: Path, field: str = "--out") -> None:
@@ -150,6 +163,12 @@ def print_flags(flags: Flags) -> None:
     """Print the reasons why a simulation's results are less accurate than usual."""
     for kind, flag in flags.items():
         print(f"  warning ({kind}): {flag}{f' ({flag.when})' if flag.when else ''}")
+
+
+def print_problems(recording: Recording) -> None:
+    """Print the parts of a recording that are damaged or missing."""
+    for problem in recording.problems:
+        print(f"  recording {problem}")
 
 
 def page_of_table(name: str) -> Path:

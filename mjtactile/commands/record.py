@@ -144,6 +144,8 @@ def run(options: argparse.Namespace) -> int:
         print_json(result)
         return 0
     print_flags(result["flags"])
+    for problem in result.get("recorded", {}).get("problems", ()):
+        print(f"  recording {problem}")
     if "unknown" not in result:
         print(f"{result['cycles']} cycles\n  recorded in {options.out}/recording")
     else:
@@ -237,7 +239,7 @@ def _on_rig(
     }
     given = {name: value for name, value in values.items() if value is not None}
     requested = Scenario(rig=options.rig, contact_shapes=options.contact_shapes, **given)
-    wanted = resolve_scenario(requested, given)
+    wanted = resolve_scenario(requested, tuple(given))
     # with the pressure that was asked for, unless the fingers name their own sensor
     named = wanted.sensor == requested.sensor
     built = replace(wanted, sensor=design) if named else wanted

@@ -98,7 +98,7 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     if "sensor" in given:
         base = replace(base, sensors={})
         chosen.discard("sensors")
-    return resolve_scenario(replace(base, **given), chosen)
+    return resolve_scenario(replace(base, **given), tuple(chosen))
 
 
 def stem(scenario: Scenario) -> str:

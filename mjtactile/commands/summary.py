@@ -9,7 +9,7 @@ from typing import Any
 
 from mjtactile import InputError, Recording, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import print_flags, print_json, stdout_to_stderr
+from mjtactile.commands.output import print_flags, print_json, print_problems, stdout_to_stderr
 from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.runtime.progress import Progress
 
@@ -59,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
         "shown": len(strip.kept),
         "re_estimate": felt,
         "flags": recording.flags,
+        "problems": recording.problems,
     }
     if options.json:
         print_json(result)
@@ -66,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{result['cycles']} cycles, {result['shown']} of them shown")
         if not felt:
             print("  no surfaces: they need the images of all cycles and of the references")
+        print_problems(recording)
         print(f"  written to {path}")
         print_flags(recording.flags)
     return 0

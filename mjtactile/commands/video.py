@@ -8,7 +8,13 @@ from pathlib import Path
 
 from mjtactile import InputError, load_recording
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import print_flags, print_json, require_new, stdout_to_stderr
+from mjtactile.commands.output import (
+    print_flags,
+    print_json,
+    print_problems,
+    require_new,
+    stdout_to_stderr,
+)
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -58,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
             seconds=options.seconds,
             say=Progress(quiet=options.json).message,
         )
-    result |= {"out": str(path), "flags": recording.flags}
+    result |= {"out": str(path), "flags": recording.flags, "problems": recording.problems}
     if options.json:
         print_json(result)
     else:
@@ -67,5 +73,6 @@ def run(options: argparse.Namespace) -> int:
             f"{result['height_px']} pixels\n"
             f"  written to {path}"
         )
+        print_problems(recording)
         print_flags(recording.flags)
     return 0

@@ -29,6 +29,13 @@ def decode(data: bytes, flags: int) -> NDArray | None:
         return None
 
 
+def is_sound(data: bytes) -> bool:
+    """Return True if an image file is complete; a PNG file is only checked, not decoded."""
+    if data.startswith(_SIGNATURE):
+        return _is_sound_png(data)
+    return decode(data, cv2.IMREAD_GRAYSCALE) is not None
+
+
 def _is_sound_png(data: bytes) -> bool:
     """Return True if each chunk is complete with a valid checksum.
 

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.log_schema import SENSED, TRUE
@@ -27,6 +28,8 @@ from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.report.overlay import followed
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
+T = TypeVar("T")
+U = TypeVar("U")
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several values that are not one set per finger."""
 LISTS = ("patches", "shape_outline")
@@ -228,11 +231,14 @@ class RecordedEpisode:
             yield Perceived(time, row, images, files, touch, ellipses)
 
 
-def find_episodes(path: Path) -> list[RecordedEpisode]:
+def find_episodes(
+    path: Path, leave_out: Callable[[str], None] = lambda _: None
+) -> list[RecordedEpisode]:
     """Return the recording in `path`, or all recordings in its subfolders, sorted by name.
 
-    For an evaluation, these are its episodes, without those repeated for images. Raises InputError
-    if there are none.
+    For an evaluation, these are its episodes, without those repeated for images. A recording that
+    cannot be read is left out, and `leave_out` receives the reason. Raises InputError if there are
+    none.
     """
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
     if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
@@ -242,20 +248,57 @@ def find_episodes(path: Path) -> list[RecordedEpisode]:
     if not folders:
         what = "contains no recording; an evaluation keeps recordings with --record"
         raise InputError(what, source=path, field="RUN")
-    return [RecordedEpisode(folder) for folder in folders]
+    return with_each(folders, RecordedEpisode, leave_out)
+
+
+def with_each(
+    inputs: Iterable[T], job: Callable[[T], U], leave_out: Callable[[str], None]
+) -> list[U]:
+    """Return the result of a job for each input that it can be done for.
+
+    `leave_out` receives the reasons of the others. Raises the first of them if there is no result.
+    """
+    results: list[U] = []
+    first: MjtactileError | None = None
+    for one in inputs:
+        try:
+            results.append(job(one))
+        except MjtactileError as error:
+            first = first or error
+            leave_out(" ".join(str(error).split()))
+    if first is not None and not results:
+        raise first
+    return results
 
 
 def write_each(
     episodes: Sequence[RecordedEpisode],
+    out: Path,
+    suffix: str,
+    write_one: Callable[[Path, RecordedEpisode], None],
+    *,
     say: Callable[[str], None],
-    write_one: Callable[[int, RecordedEpisode], None],
+    leave_out: Callable[[str], None],
 ) -> dict[str, Any]:
-    """Write a file for each episode; return the number of episodes and frames."""
-    for k, episode in enumerate(episodes):
-        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
-        write_one(k, episode)
-    frames = sum(len(episode.recording) for episode in episodes)
-    return {"episodes": len(episodes), "frames": frames}
+    """Write `episode_000000`, with `suffix`, and so on; return the number of episodes and frames.
+
+    An episode that cannot be written is left out, and `leave_out` receives the reason.
+    """
+    frames: list[int] = []
+
+    def write(episode: RecordedEpisode) -> None:
+        say(f"{len(frames) + 1} of {len(episodes)}: {episode.recording.folder}")
+        path = out / f"episode_{len(frames):06d}{suffix}"
+        try:
+            write_one(path, episode)
+        except MjtactileError:
+            shutil.rmtree(path, ignore_errors=True)  # a folder
+            path.unlink(missing_ok=True)
+            raise
+        frames.append(len(episode.recording))
+
+    with_each(episodes, write, leave_out)
+    return {"episodes": len(frames), "frames": sum(frames)}
 
 
 def part_names(episode: RecordedEpisode, key: str) -> list[str]:

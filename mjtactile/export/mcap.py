@@ -14,13 +14,17 @@ from mjtactile.export.viewer_entities import rendered_items
 
 
 def write(
-    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode],
+    out: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write `episode_000000.mcap` and so on into `out`; returns the number of frames."""
-    return write_each(episodes, say, lambda k, own: _write_one(own, out / f"episode_{k:06d}.mcap"))
+    return write_each(episodes, out, ".mcap", _write_one, say=say, leave_out=leave_out)
 
 
-def _write_one(episode: RecordedEpisode, path: Path) -> None:
+def _write_one(path: Path, episode: RecordedEpisode) -> None:
     sink = FoxgloveFile(path)
     try:
         for item in rendered_items(episode):

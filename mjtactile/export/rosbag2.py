@@ -84,11 +84,17 @@ ament_package()
 
 
 def write(
-    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode],
+    out: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write the bags `episode_000000` and so on, and the message package's source, into `out`."""
     _write_package(out / PACKAGE)
-    return write_each(episodes, say, lambda k, own: _Bag(own).write(out / f"episode_{k:06d}"))
+    return write_each(
+        episodes, out, "", lambda path, own: _Bag(own).write(path), say=say, leave_out=leave_out
+    )
 
 
 def typestore() -> Any:

@@ -12,15 +12,19 @@ from mjtactile.export.viewer_entities import rendered_items
 
 
 def write(
-    episodes: Sequence[RecordedEpisode], out: Path, *, say: Callable[[str], None] = lambda _: None
+    episodes: Sequence[RecordedEpisode],
+    out: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write `episode_000000.rrd` and so on into `out`; returns the number of frames."""
 
-    def write_one(k: int, episode: RecordedEpisode) -> None:
+    def write_one(path: Path, episode: RecordedEpisode) -> None:
         sink = RerunSink(episode.fingers, pictured=False)
-        to_file(sink, out / f"episode_{k:06d}.rrd")
+        to_file(sink, path)
         for item in rendered_items(episode):
             sink.log(item)
         sink.close()
 
-    return write_each(episodes, say, write_one)
+    return write_each(episodes, out, ".rrd", write_one, say=say, leave_out=leave_out)

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, read_flags
-from mjtactile.core.image_decoding import decode
+from mjtactile.core.image_decoding import decode, is_sound
 from mjtactile.core.renamed import current_row
 from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import COMMAND_FIELDS, Array, Command, Image, ValveState
@@ -251,7 +252,9 @@ def _read_image(path: Path, time: float) -> Image:
 def load_recording(path: str | Path) -> Recording:
     """Read a recording, even if its run was interrupted.
 
-    A truncated or damaged line is omitted, together with all following lines. `problems` names it.
+    Damaged lines, and cycles with a missing or damaged image, are left out. `problems` counts and
+    names them. If no image is left, the log alone is read. In a reference, the nearest image of the
+    same finger takes the place of a damaged one.
 
     Args:
         path: The recording's folder, or a run's folder around it.
@@ -282,21 +285,21 @@ def load_recording(path: str | Path) -> Recording:
     for row in rows:
         if row.get("kind") in ("note", "end"):
             notes |= {key: value for key, value in row.items() if key != "kind"}
-    cycles = [row for row in rows if row.get("kind") == "cycle"]
+    cycles, lost = _with_images(folder, [row for row in rows if row.get("kind") == "cycle"])
+    problems += lost
     complete = rows[-1].get("kind") == "end"
     if not complete:
         problems.append(f"cut off after {len(cycles)} cycles")
     columns = _columns(cycles)
     if header["version"] == 1:
         _keep_force_limit(columns)
-    references = tuple(
-        RecordedReference(
-            folder, row["stage"], row["images"], row["image_time"], row["gauge_pressure"]
-        )
-        for row in rows
-        if row.get("kind") == "reference"
-    )
-    return Recording(folder, header, notes, columns, complete, tuple(problems), references)
+    references: list[RecordedReference] = []
+    for row in rows:
+        if row.get("kind") == "reference":
+            reference, lost = _reference(folder, row)
+            references += [] if reference is None else [reference]
+            problems += lost
+    return Recording(folder, header, notes, columns, complete, tuple(problems), tuple(references))
 
 
 def _without_damaged_files(header: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:
@@ -322,9 +325,13 @@ def _keep_force_limit(columns: dict[str, np.ndarray]) -> None:
         limits[k] = limit
 
 
+_NAMED = 3  # damaged lines or cycles in a message
+
+
 def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """Every line that is whole; the first that is not ends the log."""
+    """Return every line that is whole, and the numbers of the others as a problem."""
     rows: list[dict[str, Any]] = []
+    damaged: list[str] = []
     first: dict[str, Any] = {}
     with log.open("rb") as lines:
         for number, line in enumerate(lines, 1):
@@ -333,19 +340,90 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
             except (ValueError, RecursionError):
                 row = None
             if not isinstance(row, dict):
-                return rows, [
-                    f"line {number} is truncated or corrupt; it and all following lines were "
-                    "ignored"
-                ]
+                damaged.append(f"line {number} is truncated or corrupt")
+                continue
             row = current_row(row)
             is_cycle = row.get("kind") == "cycle"
+            if wrong := wrong_column(row, first or row) if is_cycle else wrong_note(row):
+                damaged.append(f"line {number} is corrupt: {wrong}")
+                continue
             first = first or (row if is_cycle else {})
-            if wrong := wrong_column(row, first) if is_cycle else wrong_note(row):
-                return rows, [
-                    f"line {number} is corrupt: {wrong}; it and all following lines were ignored"
-                ]
             rows.append(row)
-    return rows, []
+    return rows, _left_out("lines", damaged)
+
+
+def _left_out(what: str, damaged: Sequence[str]) -> list[str]:
+    """Return the number of the left out and the first of them as a problem; none: no problem."""
+    if not damaged:
+        return []
+    more = ", ..." if len(damaged) > _NAMED else ""
+    return [f"{len(damaged)} {what} left out: {'; '.join(damaged[:_NAMED])}{more}"]
+
+
+def _with_images(
+    folder: Path, cycles: Sequence[dict[str, Any]]
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the cycles without a missing or damaged image, and the others as a problem.
+
+    If no image is left, as without the folder of images, the log alone is kept.
+    """
+    kept: list[dict[str, Any]] = []
+    damaged: list[str] = []
+    for row in cycles:
+        bad = next((name for name in row.get("images", ()) if not _is_image(folder / name)), None)
+        if bad is None:
+            kept.append(row)
+        else:
+            damaged.append(f"image {bad} is missing or damaged")
+    if damaged and not any(row.get("images") for row in kept):
+        missing = [f"{len(damaged)} cycles have no images: {damaged[0]}"]
+        return [row | {"images": []} for row in cycles], missing
+    return kept, _left_out("cycles", damaged)
+
+
+def _reference(folder: Path, row: Mapping[str, Any]) -> tuple[RecordedReference | None, list[str]]:
+    """Return a reference, and its missing or damaged images as a problem.
+
+    The nearest image of the same finger takes the place of a damaged one. Without any, there is no
+    reference.
+    """
+    stage = row["stage"]
+    names = [_replaced(folder, own) for own in row["images"]]
+    damaged = [
+        f"image {name} is missing or damaged"
+        for own, new in zip(row["images"], names, strict=True)
+        for k, name in enumerate(own)
+        if new[k : k + 1] != [name]
+    ]
+    problems = _left_out(f"images of the reference {stage!r}", damaged)
+    if any(own and not new for own, new in zip(row["images"], names, strict=True)):
+        return None, problems
+    return RecordedReference(
+        folder, stage, names, row["image_time"], row["gauge_pressure"]
+    ), problems
+
+
+def _replaced(folder: Path, names: Sequence[str]) -> list[str]:
+    """Return the names with the nearest sound image in place of each damaged one."""
+    sound = [k for k, name in enumerate(names) if _is_image(folder / name)]
+    if not sound:
+        return []
+    return [names[min(sound, key=lambda other: abs(other - k))] for k in range(len(names))]
+
+
+def _is_image(path: Path) -> bool:
+    """Return True if an image file exists and is complete."""
+    try:
+        status = path.stat()
+        return _is_sound(path, status.st_mtime_ns, status.st_size)
+    except OSError:
+        return False
+
+
+@lru_cache(maxsize=1 << 16)
+def _is_sound(path: Path, modified_ns: int, size: int) -> bool:
+    """Check a file once; a recording is loaded several times in a command."""
+    return is_sound(path.read_bytes())
 
 
 def _columns(cycles: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ For the format see docs/reference/scenario_files.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -
 
 
 @validated()
-def resolve_scenario(scenario: Scenario, given: Collection[str] | None = None) -> Scenario:
+def resolve_scenario(scenario: Scenario, given: Sequence[str] | None = None) -> Scenario:
     """Fill in the actual sensor of each of the rig's fingers, and the facts of a replayed run.
 
     The fingers of a rig file may name their own sensors. A sensor common to all fingers becomes the
@@ -84,7 +84,7 @@ def resolve_scenario(scenario: Scenario, given: Collection[str] | None = None) -
     """
     backend, _, folder = scenario.rig.partition(":")
     if backend == "replay":
-        chosen = scenario.given if given is None else given
+        chosen = tuple(scenario.given) if given is None else given
         return _replayed(scenario, load_recording(folder), chosen)
     given_by_values = any(isinstance(own, SensorDesign) for own in scenario.sensors.values())
     if given_by_values or not _is_file(scenario.rig):
@@ -136,7 +136,7 @@ _OF_A_RUN = ("object", "task", "controller", "seed", "time_limit")
 """Fields of a replayed run that apply unless others are given."""
 
 
-def _replayed(scenario: Scenario, recording: Recording, given: Collection[str]) -> Scenario:
+def _replayed(scenario: Scenario, recording: Recording, given: Sequence[str]) -> Scenario:
     """Return the scenario of a replay."""
     sensors = recorded_sensors(recording, scenario.sensor if "sensor" in given else None)
     if not sensors:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.export.episode import RecordedEpisode, meanings
+from mjtactile.export.episode import RecordedEpisode, meanings, with_each
 from mjtactile.export.lerobot import statistics
 from mjtactile.export.lerobot.features import INDEX, Feature, features_of
 from mjtactile.export.lerobot.files import CHUNK, DATA_MB, FILE, VIDEO_MB, DataFiles, VideoFile
@@ -27,15 +27,19 @@ def write(
     crf: int = 0,
     task: str | None = None,
     say: Callable[[str], None] = lambda _: None,
+    leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write all episodes into `out` and return the counts; `crf`: 0 is lossless, 18-30 lossy.
 
-    Raises InputError if the episodes are not compatible, or if requested images are missing.
+    An episode without the requested images, or incompatible with the first, is left out, and
+    `leave_out` receives the reason. Raises InputError if none is left.
     """
-    fps = round(episodes[0].rate)
-    features = features_of(episodes[0], images)
-    for episode in episodes:
-        _check(episode, episodes[0], fps, features, images)
+    first, *_ = with_each(episodes, lambda one: _require_images(one, images), lambda _: None)
+    fps = round(first.rate)
+    features = features_of(first, images)
+    episodes = with_each(
+        episodes, lambda one: _checked(one, first, fps, features, images), leave_out
+    )
     tasks = list(dict.fromkeys(task or episode.task for episode in episodes))
     writer = DataFiles(out, features)
     rows = []
@@ -62,14 +66,15 @@ def write(
     return {"episodes": len(episodes), "frames": total, "fps": fps, "tasks": tasks}
 
 
-def _check(
+def _checked(
     episode: RecordedEpisode,
     first: RecordedEpisode,
     fps: int,
     features: Mapping[str, Feature],
     images: str,
-) -> None:
-    """Raise InputError if `episode` is not compatible with the `first`."""
+) -> RecordedEpisode:
+    """Return the episode. Raises InputError if it is not compatible with the `first`."""
+    _require_images(episode, images)
     folder = episode.recording.folder
     other = first.recording.folder
     if round(episode.rate) != fps:
@@ -80,11 +85,18 @@ def _check(
     if mine != infos:
         odd = sorted(mine.keys() ^ infos.keys()) or [k for k in mine if mine[k] != infos[k]]
         raise InputError(f"has different columns than {other}: {', '.join(odd[:5])}", source=folder)
+    return episode
+
+
+def _require_images(episode: RecordedEpisode, images: str) -> RecordedEpisode:
+    """Return the episode. Raises InputError if it lacks requested images."""
     count = len(episode.recording)
     stored = sum(len(names) > 0 for names in episode.recording.columns["images"])
     if images != "none" and stored < count:
         what = f"{stored} of {count} cycles have their images; record with --frames all"
+        folder = episode.recording.folder
         raise InputError(what, source=folder, field="--images", choices=["none"])
+    return episode
 
 
 def _episode(

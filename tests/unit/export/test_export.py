@@ -2,6 +2,7 @@
 recording's."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
+from mjtactile.cli import main
 from mjtactile.core import optics
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
@@ -19,6 +21,42 @@ from tests.lenses import CAMERAS
 
 # -- LeRobot
 # --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["mcap", "lerobot", "rosbag2"])
+def test_damaged_recordings_lose_no_other(pair, tmp_path, kind, capsys):
+    """After a power cut, the log ends inside a line and the last images are empty: its whole cycles
+    are exported. A recording without cycles is left out."""
+    source = tmp_path / "runs"
+    shutil.copytree(pair, source)
+    log = source / "a" / "recording" / "log.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    cycles = [k for k, line in enumerate(lines) if '"kind": "cycle"' in line]
+    log.write_text("".join(lines[: cycles[10]]) + lines[cycles[10]][:50])
+    for name in json.loads(lines[cycles[9]])["images"]:
+        (log.parent / name).write_bytes(b"")
+    (source / "c" / "recording").mkdir(parents=True)
+    (source / "c" / "recording" / "log.jsonl").write_text(lines[0])
+    out = tmp_path / "out"
+    words = ["export", str(source), "--format", kind, "--out", str(out), "--json"]
+    assert main(words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["episodes"], result["frames"]) == (2, 9 + 9)
+    (reason,) = result["left_out"]
+    assert "has no cycles to export" in reason and str(source / "c") in reason
+    (problems,) = result["problems"].values()
+    assert "1 cycles left out" in " ".join(problems) and "1 lines left out" in " ".join(problems)
+    assert not list(out.glob(".*"))
+
+
+def test_a_failed_export_leaves_nothing_behind(pair, tmp_path, capsys, monkeypatch):
+    """So that the same command can be given again."""
+    words = ["export", str(pair), "--format", "mcap", "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(mcap, "_attach", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
+    assert main(words) == 3
+    assert not (tmp_path / "out").exists()
+    monkeypatch.undo()
+    assert main(words) == 0 and len(list((tmp_path / "out").iterdir())) == 2
 
 
 # -- MCAP

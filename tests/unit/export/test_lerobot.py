@@ -176,10 +176,11 @@ def test_markers_are_those_that_the_chain_sees(press, tmp_path):
 
 
 def test_episodes_that_do_not_fit_are_named(pair, press, tmp_path):
-    with pytest.raises(InputError, match="different columns"):
-        lerobot.write(
-            [RecordedEpisode(pair / "a"), RecordedEpisode(press)], tmp_path, images="none"
-        )
+    reasons = []
+    episodes = [RecordedEpisode(pair / "a"), RecordedEpisode(press), RecordedEpisode(pair / "b")]
+    result = lerobot.write(episodes, tmp_path / "some", images="none", leave_out=reasons.append)
+    assert (result["episodes"], result["frames"]) == (2, 21)
+    assert len(reasons) == 1 and "different columns" in reasons[0] and str(press) in reasons[0]
     with pytest.raises(InputError, match="contains no recording"):
         find_episodes(tmp_path)
     shutil.copytree(pair / "a", tmp_path / "few")

@@ -1,5 +1,5 @@
-"""Tests of recordings with damage or changes: the part before the damage is read, the rest is
-named, and the reader does not fail.
+"""Tests of recordings with damage or changes: all undamaged parts are read, the rest is named, and
+the reader does not fail.
 
 Readers of a recording rely on these checks: kinds, shapes, and files inside the folder.
 """
@@ -103,10 +103,38 @@ def test_the_line_and_the_column_are_named(tmp_path, whole):
     lines[number] = json.dumps(row)
     (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
     found = load_recording(tmp_path)
-    assert len(found) == 3
-    assert found.problems[0] == (
-        f"line {number + 1} is corrupt: force_normal; it and all following lines were ignored"
-    )
+    assert len(found) == 5  # of 6
+    assert found.problems[0] == f"1 lines left out: line {number + 1} is corrupt: force_normal"
+
+
+def images_of(folder):
+    return sorted((folder / "frames").glob("0*.png"))
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "missing"])
+def test_a_damaged_image_costs_its_cycle_only(tmp_path, damage):
+    """A power cut leaves the last files empty; a bit may flip anywhere."""
+    write_fake_recording(tmp_path, count=6)
+    path = next(one for one in images_of(tmp_path) if one.name.startswith("000003"))
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    content = {"empty": b"", "cut": bytes(data[:-20]), "flipped": bytes(data)}
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes(content[damage])
+    found = load_recording(tmp_path)
+    assert len(found) == 5 and all(len(images) == 2 for images in found.images())
+    assert not [name for names in found.columns["images"] for name in names if "000003" in name]
+    assert found.problems == (f"1 cycles left out: image frames/{path.name} is missing or damaged",)
+
+
+def test_without_any_image_the_log_is_read(tmp_path):
+    write_fake_recording(tmp_path, count=6)
+    for path in images_of(tmp_path):
+        path.unlink()
+    found = load_recording(tmp_path)
+    assert len(found) == 6 and "6 cycles have no images" in found.problems[0]
 
 
 @pytest.mark.parametrize(

@@ -147,7 +147,7 @@ def test_a_recording_is_replayed_with_the_sensor_that_it_contains(tmp_path, capl
         resolve_scenario(replace(replayed, sensor="round30"))
     # the default is another, too, if it is given
     with pytest.raises(InputError, match="was recorded with 'mine', not with the present 'dense'"):
-        resolve_scenario(Scenario(rig=rig), given={"sensor"})
+        resolve_scenario(Scenario(rig=rig), given=("sensor",))
 
 
 def test_a_sensor_that_no_file_has_is_recorded_by_its_values(tmp_path):
