@@ -31,7 +31,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
-from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect
+from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect, effects_named
 
 _MIN_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 
@@ -89,7 +89,7 @@ def attach(
     mesh: tuple[int, int] | None = None,
     mass: float = 0.05,
     contact: str = "auto",
-    effects: Collection[str] | None = None,
+    effects: Collection[str] | str | None = None,
     carrier_contact: bool = True,
 ) -> AttachedSensor:
     """Attach a sensor to a scene, with `user` sensors for its estimates.
@@ -104,8 +104,9 @@ def attach(
         mass: Mass of frame, glass and camera, kg.
         contact: Contact geometry of the membrane: its "vertices", its triangles ("elements"),
             "both", or "auto" for a choice by the scene's smallest feature.
-        effects: Names that `mjtactile effects` lists; None: all of physics and camera. The sensing
-            pipeline always runs: synthetic touch is available in grasps only.
+        effects: Names that `mjtactile effects` lists; None: all of physics and camera. A text such
+            as "-mesh" or "+bending,-friction" changes this default. The sensing pipeline always
+            runs: synthetic touch is available in grasps only.
         carrier_contact: Keep the contacts of geoms to which the sensor is fixed. False excludes
             those in the chamber or in front of the frame: there, objects would rest on them instead
             of the membrane.
@@ -127,7 +128,8 @@ def attach(
             field="mesh",
         )
     options: Any = {"prefix": prefix, "mesh": mesh, "mass": mass, "contact": contact}
-    on = {*(PHYSICS | CAMERA if effects is None else effects), Effect.CHAIN}
+    named = effects_named("auto" if effects is None else effects, PHYSICS | CAMERA)
+    on = {*named, Effect.CHAIN}
     membrane = attach_membrane(spec, design, site=site, effects=on, **options)
     # stage "none": MuJoCo fills the others with zeros in every step
     kind: Any = {"type": mujoco.mjtSensor.mjSENS_USER, "needstage": mujoco.mjtStage.mjSTAGE_NONE}

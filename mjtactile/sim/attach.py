@@ -118,15 +118,16 @@ def attach_membrane(
     mesh: tuple[int, int] | None = None,
     mass: float = 0.05,
     contact: str = "auto",
-    effects: Collection[str] = PHYSICS,
+    effects: Collection[str] | str = PHYSICS,
 ) -> Attachment:
     """Attach `sensor` (a design, a shipped name or a TOML file) to `spec` at `site`.
 
     `prefix` distinguishes several sensors. `mesh` is the number of vertices along x and y. `mass`,
     kg, is that of frame, glass and camera. `contact` selects the contact geometry of the membrane:
     its "vertices", its triangles ("elements"), "both", or "auto" by the scene's smallest feature.
-    `effects` are those of `Effect`, or their names. Raises InputError for an unknown site or
-    effect, a prefix already used, or a membrane or options of `spec` that the method cannot carry.
+    `effects` are those of `Effect`, their names, or changes of the default such as "-mesh". Raises
+    InputError for an unknown site or effect, a prefix already used, or a membrane or options of
+    `spec` that the method cannot carry.
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)

@@ -19,16 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core import renamed, resources
+from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.renamed import hint
 from mjtactile.sim.effects import activation_rules
 from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
 from mjtactile.sim.sensor import feature_size, sharp_geoms
-from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.sensor.effect_switches import Effect, read_switches
 
 
 @dataclass(frozen=True)
@@ -121,27 +120,19 @@ def _switch(on: bool) -> str:
 
 def parse(text: str) -> dict[Effect, bool]:
     """Read "auto" or "+bending,-friction" into name to on. Raises InputError listing the names."""
-    forced: dict[Effect, bool] = {}
-    for part in [] if text.strip() in ("", "auto") else text.split(","):
-        sign = part.strip()[:1]
-        name = part.strip()[1:].strip().replace("_", " ")
-        effect = next((e for e in EFFECTS if e.name.lower() == name.lower()), None)
-        if sign not in ("+", "-") or effect is None:
+    forced = read_switches(text, "--effects")
+    for effect in EFFECTS:
+        if effect.name not in forced:
+            continue
+        if forced[effect.name] and not effect.built:
             raise InputError(
-                f"{part.strip()!r} is not +NAME or -NAME{hint(name, renamed.EFFECTS)}",
-                field="--effects",
-                choices=["auto", *(e.name for e in EFFECTS)],
+                f"'{effect.name}' is not in this version: {effect.kind}", field="--effects"
             )
-        if sign == "+" and not effect.built:
+        if not forced[effect.name] and effect.fixed:
             raise InputError(
-                f"{effect.name!r} is not in this version: {effect.kind}", field="--effects"
-            )
-        if sign == "-" and effect.fixed:
-            raise InputError(
-                f"{effect.name!r} cannot be left out: it is part of {effect.kind}",
+                f"'{effect.name}' cannot be left out: it is part of {effect.kind}",
                 field="--effects",
             )
-        forced[effect.name] = sign == "+"
     return forced
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.neo_hookean import Law
+from mjtactile.core.renamed import EFFECTS, hint
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
@@ -86,12 +87,39 @@ _BOTH = 3
 _WEIGHTLESS = 1e-12  # kg; MuJoCo wants some mass, the inertia itself is kept as armature
 
 
-def effects_named(names: Collection[str]) -> frozenset[Effect]:
-    """The effects of these names. Raises InputError for one that does not exist."""
+def effects_named(
+    names: Collection[str] | str, default: frozenset[Effect] = PHYSICS
+) -> frozenset[Effect]:
+    """Return the effects of these names, or `default` with the changes of a text "+NAME,-NAME".
+
+    Raises InputError for an effect that does not exist.
+    """
+    if isinstance(names, str):
+        switches = read_switches(names, "effects")
+        forced = {effect for effect, on in switches.items() if on}
+        return frozenset((default | forced) - (switches.keys() - forced))
     for name in names:
         if name not in set(Effect):
             raise InputError(f"{name!r} is not an effect", field="effects", choices=Effect)
     return frozenset(map(Effect, names))
+
+
+def read_switches(text: str, field: str) -> dict[Effect, bool]:
+    """Read "auto" or "+bending,-friction" into effect to on. Raises InputError naming `field`."""
+    by_name = {effect.lower(): effect for effect in Effect}
+    switches: dict[Effect, bool] = {}
+    for part in [] if text.strip() in ("", "auto") else text.split(","):
+        sign = part.strip()[:1]
+        name = part.strip()[1:].strip().replace("_", " ")
+        effect = by_name.get(name.lower())
+        if sign not in ("+", "-") or effect is None:
+            raise InputError(
+                f"{part.strip()!r} is not +NAME or -NAME{hint(name, EFFECTS)}",
+                field=field,
+                choices=["auto", *Effect],
+            )
+        switches[effect] = sign == "+"
+    return switches
 
 
 def set_physics(child: mujoco.MjSpec, mesh: MembraneMesh, on: frozenset[str]) -> None:
