@@ -311,11 +311,12 @@ int64_t qs_solve_batch(const double *numbers /* 19 */, const double *law /* 11 *
                    double *force /* environments, columns, rows */, double *trend /* environments, 4, columns, rows */,
                    double *found /* environments, 14 */);
 /* Update a quasi-static membrane in a moving scene (sim/sensor/quasistatic_sensor.py). `given`,
-   `memory`: see qs_friction.h. Inputs are the poses of MuJoCo's bodies and geoms. Out: obstacles
-   `body` in the frame of the MuJoCo body `carrier`; the equilibrium as in qs_solve, or by a
-   linear spring after small motions; sticking and sliding. `touched`: nodes of the sticking
-   stiffness, and nodes in contact at the last solution. `before`: x and y of that solution, then
-   workspace. */
+   `memory`, `patches`: see qs_friction.h. Inputs are the poses of MuJoCo's bodies and geoms. `slot`:
+   patch of each geom; `body_of`: body of each patch. Out: obstacles `body` in the frame of the
+   MuJoCo body `carrier`; the equilibrium as in qs_solve, or by linear springs after small motions;
+   sticking stiffness `grip` and sliding of each patch. `touched`: patches (plus one) of the nodes at
+   the last sticking stiffness and at the last solution, then workspace. `before`: x and y of that
+   solution, then workspace. */
 int64_t qs_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
@@ -324,20 +325,23 @@ int64_t qs_follow(const double *numbers /* 19 */, const double *law /* 11 */, in
                     const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
-                    const int64_t *geom /* geoms */, const int64_t *body_of /* geoms */, const double *bounds /* geoms, 7 */,
-                    double *memory /* 69 */, uint8_t *touched /* 2, columns, rows */, double *before /* 6, columns, rows */);
+                    const int64_t *geom /* geoms */, const int64_t *slot /* geoms */, const double *bounds /* geoms, 7 */,
+                    int64_t slots, const int64_t *body_of /* slots */, double *memory /* 25 */, double *patches /* slots, 62 */,
+                    double *grip /* 3 * slots, 3 * slots */, int32_t *touched /* 3, columns, rows */,
+                    double *before /* 6, columns, rows */);
 /* Compute the generalized forces `push` of this membrane on MuJoCo's degrees of freedom, and the
-   `hold` on a free body (see qs_joint_forces.c). Returns 1 if there is contact. */
-int64_t qs_push(const double *given /* 8 */, const double *memory /* 69 */, int64_t carrier, int64_t nbody,
+   `holds` on free bodies (see qs_joint_forces.c). Returns 1 if there is contact. */
+int64_t qs_push(const double *given /* 8 */, int64_t slots, const double *patches /* slots, 62 */, const int64_t *body_of /* slots */,
+                  const double *grip /* 3 * slots, 3 * slots */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
-                  int64_t nv, double *push /* nv */, double *hold /* 43 */);
+                  int64_t nv, double *push /* nv */, double *holds /* slots, 43 */);
 /* Add the `pushes` of all membranes to the forces `applied` by others, and the damping of `holds`
    to `undamped` (sim/sensor/quasistatic_forces.py). */
-int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, nv */, const double *holds /* membranes, 43 */, double step,
-                 const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */, double *left /* nv */,
-                 double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
+int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, nv */, int64_t held, const double *holds /* held, 43 */,
+                 double step, const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */,
+                 double *left /* nv */, double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
 /* Run up to `count` steps (sim/batched_quasistatic_step.py). `told`: number of steps done; number
    of steps in which the solver ran out of iterations; 1 if a degree of freedom is too fast; 1 if a
    membrane did not converge. The last two end the run. `mujoco`: addresses of mj_kinematics,
@@ -347,7 +351,7 @@ int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes,
    requested lift, m; maximum change of the opening goal per step, its maximum lead over the jaws,
    maximum change of the lift goal per step; opening at qpos 0. */
 int64_t qs_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, double step, int64_t membranes,
-                   const int64_t *follows /* membranes, 34 */, const int64_t *pushes /* membranes, 19 */, const int64_t *adds /* 12 */,
+                   const int64_t *follows /* membranes, 38 */, const int64_t *pushes /* membranes, 22 */, const int64_t *adds /* 13 */,
                    double *goals /* 8 */, int64_t reads, const int64_t *read /* reads */, const double *per /* reads */, int64_t nq,
                    const double *qpos /* nq */, int64_t drives, const int64_t *control /* drives */,
                    const double *affine /* drives, 3 */, int64_t nu, double *ctrl /* nu */, int64_t nv, const double *qvel /* nv */,

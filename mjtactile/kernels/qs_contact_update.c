@@ -23,7 +23,7 @@
 
 long qs_lowest_size(const Membrane *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES; }
 
-Seen qs_lowest_in(const Membrane *f, double **room) {
+Seen qs_lowest_before(const Membrane *f, double **room) {
     const long n = f->count;
     Seen s = {.floors = -1};
     s.obstacle = qs_take(room, n), s.level = qs_take(room, n), s.slope = qs_take(room, 2 * n), s.lower = qs_take(room, n);
@@ -32,6 +32,12 @@ Seen qs_lowest_in(const Membrane *f, double **room) {
     s.planes = qs_take(room, QS_FLOORS * QS_PLANES);
     /* lines are multiples of eight */
     s.touching = (uint8_t *)qs_take(room, n / 8), s.wanted = (uint8_t *)qs_take(room, n / 8);
+    return s;
+}
+
+Seen qs_lowest_in(const Membrane *f, double **room) {
+    const long n = f->count;
+    Seen s = qs_lowest_before(f, room);
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
     return s;
 }

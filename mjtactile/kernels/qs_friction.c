@@ -7,6 +7,7 @@
 
 #include "quasistatic.h"
 #include "qs_friction.h"
+#include "qs_lowest_obstacle.h"
 #include "qs_workspace.h"
 #include "kernels.h"
 #include "small_linalg.h"
@@ -17,6 +18,14 @@
    spring */
 #define CLOSE 8e-6
 #define LEVER 0.01      /* lever arm that converts a rotation into a distance, m */
+/* steps without a solution after which the obstacles are raised until there is one, m; a body that
+   arrives is not awaited */
+#define LATE 2
+#define FIRST_LIFT 2e-5 /* m */
+#define DOUBLINGS 10
+/* steps between attempts without a lift, and with half of it */
+#define EASE 8
+#define LOWER 4
 /* fraction of contact nodes that may change before the sticking stiffness is computed again */
 #define CHANGED 0.1
 /* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
@@ -50,55 +59,98 @@ static int put(double value, double *where) {
     return changes;
 }
 
-/* Write the poses of the geoms into the membrane's obstacles. Returns the MuJoCo body of the
-   nearest geom, or -1. `near`: number of near MuJoCo bodies; `moved`: 1 if any geom has moved. */
-static long look(long geoms, const int64_t *geom, const int64_t *body_of, const double *bounds, const double *geom_xpos,
-                 const double *geom_xmat, const double *R, const double *p, double *rows, double *near, int *moved) {
-    long nearest = -1, other = -1;
-    double lowest = INFINITY;
-    *near = 0, *moved = 0;
-    for (long k = 0; k < geoms; k++) {
+/* Arguments of a solution. */
+typedef struct {
+    const double *numbers, *law;
+    int64_t columns, rows, keeping;
+    const float *kept;
+    const double *rest;
+    int64_t roomy;
+    double *room;
+    int64_t geoms;
+    double *body;
+    int64_t pooled;
+    const double *pool;
+    double *x, *force, *trend, *found;
+} Solution;
+
+/* MuJoCo's geoms and bodies near a membrane. `slot`: patch of each geom; `of`: body of each
+   patch. */
+typedef struct {
+    long geoms, slots;
+    const int64_t *geom, *slot, *of;
+    const double *bounds, *geom_xpos, *geom_xmat, *xpos, *xmat;
+    const double *R, *p;            /* pose of the carrier */
+} Scene;
+
+/* Write the poses of the geoms into the membrane's obstacles, and mark the near bodies. Returns 1
+   if any geom has moved. */
+static int look(const Scene *s, double *rows, Memory *m, Patch *patches) {
+    int moved = 0;
+    for (long k = 0; k < s->slots; k++) patches[k].near = 0;
+    m->near = 0;
+    for (long k = 0; k < s->geoms; k++) {
         double off[3], at[3], turned[9], *row = rows + QS_OBSTACLE * k;
-        for (int i = 0; i < 3; i++) off[i] = geom_xpos[3 * geom[k] + i] - p[i];
-        into(R, off, at);
-        if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= bounds[BOUNDS * k]) {
-            for (int i = 0; i < 3; i++) *moved |= put(AWAY, row + 13 + i);
+        for (int i = 0; i < 3; i++) off[i] = s->geom_xpos[3 * s->geom[k] + i] - s->p[i];
+        into(s->R, off, at);
+        if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= s->bounds[BOUNDS * k]) {
+            for (int i = 0; i < 3; i++) moved |= put(AWAY, row + 13 + i);
             continue;
         }
-        times(R, geom_xmat + 9 * geom[k], 1, turned);
-        for (int i = 0; i < 9; i++) *moved |= put(turned[i], row + 4 + i);
-        for (int i = 0; i < 3; i++) *moved |= put(at[i], row + 13 + i);
-        if (nearest < 0 || body_of[k] == nearest) *near = most(*near, 1);
-        else if (body_of[k] != other) *near += 1, other = body_of[k];
-        if (at[2] < lowest || nearest < 0) lowest = at[2], nearest = nearest < 0 || *near < 2 ? body_of[k] : nearest;
+        times(s->R, s->geom_xmat + 9 * s->geom[k], 1, turned);
+        for (int i = 0; i < 9; i++) moved |= put(turned[i], row + 4 + i);
+        for (int i = 0; i < 3; i++) moved |= put(at[i], row + 13 + i);
+        Patch *own = patches + s->slot[k];
+        if (!own->near) own->near = 1, m->near += 1;
     }
-    return nearest;
+    return moved;
 }
 
-/* Compute the stiffness of the contact nodes, which move as one rigid set, against x, y and
-   rotation about `middle`. Returns 1 if memory runs out. */
-static int find_grip(const Membrane *f, const double *x, const double *force, const double *compliance, const double *middle, uint8_t *held,
-                     Memory *m) {
-    long count = 0, *node = malloc(f->inner * sizeof *node);
+/* Compute the pose in S of the body of a patch. */
+static void pose_of(const Scene *s, long slot, double R_SB[9], double p_SB[3]) {
+    double off[3];
+    const long body = s->of[slot];
+    times(s->R, s->xmat + 9 * body, 1, R_SB);
+    for (int i = 0; i < 3; i++) off[i] = s->xpos[3 * body + i] - s->p[i];
+    into(s->R, off, p_SB);
+}
+
+/* Return the position of a node in the plane, along x or y. */
+static inline double x_of(const Membrane *f, const double *x, long k) { return k / f->rows * f->dx - f->numbers.length_x / 2 + x[k]; }
+static inline double y_of(const Membrane *f, const double *x, long k) {
+    return k % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + k];
+}
+
+/* Compute the stiffness `grip` (3 slots, 3 slots) of the contact nodes against x, y and rotation of
+   the patches about their centers. The nodes of a patch move as one rigid set. `held`: patch of
+   each node, plus one. Returns 1 if memory runs out. */
+static int find_grip(const Membrane *f, const double *x, const double *compliance, long slots, double *grip, const int32_t *held, Memory *m,
+                     Patch *patches) {
+    long count = 0, wide = 0, *node = malloc((f->inner + slots) * sizeof *node), *column = node + f->inner;
     if (!node) return 1;
+    for (long s = 0; s < slots; s++) {
+        column[s] = patches[s].touching ? 3 * wide++ : -1;
+        patches[s].gripped = 0;
+    }
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < f->rows - 1; j++) {
             const long k = i * f->rows + j;
-            held[k] = force[k] > 0;
-            if (held[k]) node[count++] = k;
+            if (held[k]) node[count++] = k, patches[held[k] - 1].gripped += 1;
         }
-    const long n = 2 * count, all = 2 * f->inner;
-    double *A = malloc((n * n + 3 * n) * sizeof *A), *b = A + n * n;
+    const long n = 2 * count, all = 2 * f->inner, loads = 3 * wide;
+    double *A = malloc((n * n + loads * n) * sizeof *A), *b = A + n * n;
     if (!A) return free(node), 1;
+    memset(b, 0, loads * n * sizeof *b);
     for (long a = 0; a < n; a++) {
         const long ka = node[a / 2], ma = 2 * ((ka / f->rows - 1) * f->inner_rows + ka % f->rows - 1) + a % 2;
         for (long c = 0; c <= a; c++) {
             const long kc = node[c / 2], mc = 2 * ((kc / f->rows - 1) * f->inner_rows + kc % f->rows - 1) + c % 2;
             A[a * n + c] = compliance[ma * all + mc];
         }
-        const double off_x = ka / f->rows * f->dx - f->numbers.length_x / 2 + x[ka] - middle[0];
-        const double off_y = ka % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + ka] - middle[1];
-        b[3 * a] = a % 2 == 0, b[3 * a + 1] = a % 2, b[3 * a + 2] = a % 2 ? off_x : -off_y;
+        const Patch *own = patches + held[ka] - 1;
+        const double off_x = x_of(f, x, ka) - own->middle[0], off_y = y_of(f, x, ka) - own->middle[1];
+        double *rigid = b + loads * a + column[held[ka] - 1];
+        rigid[0] = a % 2 == 0, rigid[1] = a % 2, rigid[2] = a % 2 ? off_x : -off_y;
     }
     for (long a = 0; a < n; a++) { /* Cholesky and forward substitution: K = (L^-1 B)^T (L^-1 B) */
         for (long c = 0; c <= a; c++) {
@@ -106,84 +158,127 @@ static int find_grip(const Membrane *f, const double *x, const double *force, co
             for (long k = 0; k < c; k++) sum -= A[a * n + k] * A[c * n + k];
             A[a * n + c] = c < a ? sum / A[c * n + c] : sqrt(most(sum, 1e-30));
         }
-        for (int c = 0; c < 3; c++) {
-            double sum = b[3 * a + c];
-            for (long k = 0; k < a; k++) sum -= A[a * n + k] * b[3 * k + c];
-            b[3 * a + c] = sum / A[a * n + a];
+        for (long c = 0; c < loads; c++) {
+            double sum = b[loads * a + c];
+            for (long k = 0; k < a; k++) sum -= A[a * n + k] * b[loads * k + c];
+            b[loads * a + c] = sum / A[a * n + a];
         }
     }
-    memset(m->grip, 0, sizeof m->grip);
-    for (long a = 0; a < n; a++)
-        for (int c = 0; c < 3; c++)
-            for (int d = 0; d < 3; d++) m->grip[3 * c + d] += b[3 * a + c] * b[3 * a + d];
+    memset(grip, 0, 9 * slots * slots * sizeof *grip);
+    for (long s = 0; s < slots; s++)
+        for (long t = 0; t < slots; t++) {
+            if (column[s] < 0 || column[t] < 0) continue;
+            for (long a = 0; a < n; a++)
+                for (int c = 0; c < 3; c++)
+                    for (int d = 0; d < 3; d++)
+                        grip[(3 * s + c) * 3 * slots + 3 * t + d] += b[loads * a + column[s] + c] * b[loads * a + column[t] + d];
+        }
     m->gripped = (double)count;
     free(A), free(node);
     return 0;
 }
 
-/* Compute center and radius of the contact, and the in-plane displacement `shift` (2) of its nodes
-   since the last solution. */
-static void find_middle(const Membrane *f, const double *x, const double *force, const double *x_before, const uint8_t *before,
-                        Memory *m, double shift[2]) {
+/* Compute center and radius of the contact at the nodes of `owner` `label` (0: all), and the
+   in-plane displacement `shift` (2) of its nodes since the last solution. */
+static void find_middle(const Membrane *f, const double *x, const double *force, const double *x_before, const int32_t *owner,
+                        const int32_t *before, int32_t label, double middle[3], double *mean_radius, double shift[2]) {
     double sum[3] = {0}, total = 0, kept = 0;
     shift[0] = shift[1] = 0;
     for (long k = 0; k < f->count; k++) {
-        if (!(force[k] > 0)) continue;
+        if (!owner[k] || (label && owner[k] != label)) continue;
         total += force[k];
-        sum[0] += force[k] * (k / f->rows * f->dx - f->numbers.length_x / 2 + x[k]);
-        sum[1] += force[k] * (k % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + k]);
+        sum[0] += force[k] * x_of(f, x, k);
+        sum[1] += force[k] * y_of(f, x, k);
         sum[2] += force[k] * x[2 * f->count + k];
-        if (!before[k]) continue;
+        if (before[k] != owner[k]) continue;
         kept += force[k];
         for (int c = 0; c < 2; c++) shift[c] += force[k] * (x[c * f->count + k] - x_before[c * f->count + k]);
     }
-    for (int c = 0; c < 3; c++) m->middle[c] = sum[c] / total;
+    for (int c = 0; c < 3; c++) middle[c] = sum[c] / total;
     for (int c = 0; c < 2; c++) shift[c] = kept > 0 ? shift[c] / kept : 0;
     double radius = 0;
     for (long k = 0; k < f->count; k++)
-        if (force[k] > 0)
-            radius += force[k] * hypot(k / f->rows * f->dx - f->numbers.length_x / 2 + x[k] - m->middle[0],
-                                       k % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + k] - m->middle[1]);
-    m->radius = radius / total;
+        if (owner[k] && !(label && owner[k] != label))
+            radius += force[k] * hypot(x_of(f, x, k) - middle[0], y_of(f, x, k) - middle[1]);
+    *mean_radius = radius / total;
 }
 
-/* Update the contact after a solution: its center, `shift` as in `find_middle`, and the sticking
-   stiffness. The latter is updated if enough nodes differ from those of `touched` (2, count): nodes
-   of the last sticking stiffness, and of the last solution. Returns 1 if memory runs out. */
-static int hold_anew(const Membrane *f, const Given *g, const double *x, const double *force, const double *compliance, double *x_before,
-                     uint8_t *touched, Memory *m, double shift[2]) {
-    uint8_t *was = touched + f->count;
-    long differ = 0, count = 0;
-    find_middle(f, x, force, x_before, was, m, shift);
-    for (long k = 0; k < f->count; k++) was[k] = force[k] > 0, count += was[k], differ += was[k] != touched[k];
-    memcpy(x_before, x, 2 * f->count * sizeof *x);
-    const int others = !m->gripped || differ > CHANGED * (double)count;
-    return others && g->friction > 0 && find_grip(f, x, force, compliance, m->middle, touched, m);
+static void release(Patch *p) {
+    p->touching = 0, p->slides = 0, p->gripped = 0, p->radius = 0, p->slid = 0;
+    memset(p->wrench, 0, sizeof p->wrench), memset(p->strain, 0, sizeof p->strain), memset(p->shear, 0, sizeof p->shear);
+}
+
+/* Return the obstacle on which a node lies, or -1: the lowest one over it, or next to it if the node
+   has moved off an edge. A thin one was moved under the node by `away`. */
+static long obstacle_under(const Membrane *f, const Bodies *bodies, const double at[2]) {
+    double height, slope[2], low = INFINITY;
+    long found = lowest_of(f, bodies, at[0], at[1], &height, slope);
+    for (int i = 0; i < 25 && !isfinite(height); i++) {
+        double by;
+        const long one = lowest_of(f, bodies, at[0] + (i % 5 - 2) * f->dx / 2, at[1] + (i / 5 - 2) * f->dy / 2, &by, slope);
+        if (one >= 0 && by < low) low = by, found = one;
+    }
+    return found;
+}
+
+/* Find the patch of each node in contact, plus one. `line`: padded length of a grid line. */
+static void find_owners(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const double *x,
+                        const double *force, const Memory *m, const Patch *patches, const int32_t *before, int32_t *owner) {
+    long only = -1;
+    for (long k = 0; k < s->slots; k++)
+        if (patches[k].near) only = k;
+    for (long k = 0; k < f->count; k++) {
+        owner[k] = 0;
+        if (!(force[k] > 0)) continue;
+        owner[k] = (int32_t)(only + 1);
+        if (m->near < 2) continue;
+        const long padded = k / f->rows * line + k % f->rows;
+        const double at[2] = {x_of(f, x, k) + seen->away[padded], y_of(f, x, k) + seen->away[f->columns * line + padded]};
+        const long on = obstacle_under(f, bodies, at);
+        if (on >= 0) owner[k] = (int32_t)(s->slot[on] + 1);
+        else if (before[k]) owner[k] = before[k];
+    }
+}
+
+/* Add up the frictionless wrench of each patch, and release those without contact. Returns the
+   number of patches in contact. */
+static long find_loads(const Membrane *f, const Seen *seen, long line, const double *x, const double *force, const double *found, long slots,
+                       Patch *patches, int32_t *owner) {
+    long count = 0, last = -1;
+    for (long s = 0; s < slots; s++) memset(patches[s].carried, 0, sizeof patches[s].carried);
+    for (long k = 0; k < f->count; k++) {
+        if (!owner[k]) continue;
+        const long padded = k / f->rows * line + k % f->rows;
+        const double r[3] = {x_of(f, x, k), y_of(f, x, k), x[2 * f->count + k]};
+        const double F[3] = {force[k] * seen->slope[padded], force[k] * seen->slope[f->columns * line + padded], -force[k]};
+        double torque[3], *sum = patches[owner[k] - 1].carried;
+        across(r, F, torque);
+        for (int c = 0; c < 3; c++) sum[c] += F[c], sum[3 + c] += torque[c];
+    }
+    for (long s = 0; s < slots; s++) {
+        Patch *p = patches + s;
+        if (!(-p->carried[2] > LEAST)) {
+            release(p);
+            continue;
+        }
+        if (!p->touching) release(p);
+        p->touching = 1, count++, last = s;
+    }
+    for (long k = 0; k < f->count; k++)
+        if (owner[k] && !patches[owner[k] - 1].touching) owner[k] = 0;
+    /* one patch carries all of it: exactly the wrench of the solution */
+    if (count == 1) memcpy(patches[last].carried, found, sizeof patches[last].carried);
+    return count;
 }
 
 /* Return the stiffness against indentation, N/m: tension of the membrane about a disc, plus gas and
-   bulge in series for the displaced volume. */
-static double normal_stiffness(const Given *g, const double *found) {
-    const double radius = sqrt(most(found[AREA], square(g->spacing)) / PI), wide = log(most(g->half / radius, 1.2));
+   bulge in series for the displaced volume. `share`: fraction of the contact area. */
+static double normal_stiffness(const Given *g, const double *found, double share, Patch *p) {
+    const double radius = sqrt(most(found[AREA] * share, square(g->spacing)) / PI), wide = log(most(g->half / radius, 1.2));
     const double lifted = PI * (square(g->half) - square(radius)) / (2 * wide);
     const double gas = g->gas > 0 ? 1 / (1 / g->gas + 1 / g->bulge) : 0;
+    p->tension = 2 * PI * found[TENSION] / wide, p->lifted = lifted;
     return 2 * PI * found[TENSION] / wide + gas * square(lifted);
-}
-
-static void stick(const Given *g, double normal_force, const double moved[3], Memory *m) {
-    double load[3];
-    for (int i = 0; i < 3; i++) m->strain[i] += moved[i];
-    outof(m->grip, m->strain, load);
-    const double carried = hypot(hypot(load[0], load[1]), load[2] / most(m->radius, g->spacing / 4)), limit = g->friction * normal_force;
-    m->slides = carried > limit;
-    const double left = m->slides ? limit / carried : 1;
-    m->slid += (1 - left) * hypot(m->strain[0], m->strain[1]);
-    for (int i = 0; i < 3; i++) m->strain[i] *= left, m->shear[i] = load[i] * left;
-}
-
-static void release(Memory *m) {
-    m->body = 0, m->slides = 0, m->gripped = 0, m->radius = 0, m->slid = 0;
-    memset(m->wrench, 0, sizeof m->wrench), memset(m->strain, 0, sizeof m->strain), memset(m->shear, 0, sizeof m->shear);
 }
 
 /* Return 1 if all obstacles are above the membrane: their bounding boxes, which rotate with them,
@@ -201,82 +296,215 @@ static int is_clear(const Membrane *f, const double *x, long geoms, const double
     return 1;
 }
 
+/* Attempt a solution with the obstacles raised by `lift`, m. On failure the state is kept. Returns
+   the status, or a negative error. */
+static int64_t attempt(const Solution *c, const double *settings, double lift, long nodes, double *keep) {
+    double *kept_force = keep + 3 * nodes, kept_found[FOUND];
+    memcpy(keep, c->x, 3 * nodes * sizeof *keep), memcpy(kept_force, c->force, nodes * sizeof *keep);
+    memcpy(kept_found, c->found, sizeof kept_found);
+    if (lift > 0)
+        for (long k = 0; k < c->geoms; k++) c->body[QS_OBSTACLE * k + 15] += lift;
+    const int64_t code = qs_solve(c->numbers, c->law, c->columns, c->rows, c->keeping, c->kept, c->rest, c->roomy, c->room, 1, 0, 1, settings,
+                                  c->geoms, c->body, c->pooled, c->pool, c->x, c->force, c->trend, c->found);
+    if (code < 0) return code;
+    const int64_t status = (int64_t)c->found[STATUS];
+    if (status == CONVERGED) return CONVERGED;
+    memcpy(c->x, keep, 3 * nodes * sizeof *keep), memcpy(c->force, kept_force, nodes * sizeof *keep);
+    memcpy(c->found, kept_found, sizeof kept_found), memset(c->trend, 0, 4 * nodes * sizeof *keep);
+    return status;
+}
+
+/* Find the equilibrium at the present poses. If there is none for more than LATE steps, raise the
+   obstacles until there is one. Obstacles stay raised until the next call of `look`. Returns 1 if a
+   solution was found, 0 if the last one is kept, or a negative error. */
+static int64_t solve(const Solution *c, const Scene *s, const double *settings, long nodes, double *keep, Memory *m, Patch *patches) {
+    int64_t status;
+    m->solved = 1;
+    if (m->lift == 0 || (long)m->lost % EASE == 0) {
+        status = attempt(c, settings, 0, nodes, keep);
+        if (status < 0) return status;
+        m->status = (double)status;
+        if (status == CONVERGED) return m->lost = 0, m->lift = 0, 1;
+    }
+    m->lost += 1;
+    if (m->touching && m->lost <= LATE) return 0;
+    double once[sizeof(Settings) / sizeof(double)], lift = m->lift > 0 ? m->lift : FIRST_LIFT;
+    memcpy(once, settings, sizeof once);
+    ((Settings *)once)->again = 0;
+    if (m->lift > FIRST_LIFT && (long)m->lost % LOWER == 0) lift /= 2;
+    for (int k = 0; k < DOUBLINGS; k++, lift *= 2) {
+        look(s, c->body, m, patches);
+        if ((status = attempt(c, once, lift, nodes, keep)) < 0) return status;
+        if (status == CONVERGED) return m->lift = lift, 1;
+    }
+    m->lift = FIRST_LIFT;
+    return 0;
+}
+
+/* Update the patches after a solution: their bodies, loads, centers and sticking stiffness. The
+   latter is updated if enough nodes differ from those of `touched` (3, count): patches of the nodes
+   at the last sticking stiffness and at the last solution, and workspace. `shift` (slots, 2): see
+   `find_middle`. Returns 1 if memory runs out. */
+static int hold_anew(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const Given *g, const double *x,
+                     const double *force, const double *found, const double *compliance, double *x_before, int32_t *touched, Memory *m,
+                     Patch *patches, double *grip, double *shift) {
+    int32_t *was = touched + f->count, *owner = was + f->count;
+    long differ = 0, count = 0, others = !m->gripped;
+    find_owners(f, bodies, s, seen, line, x, force, m, patches, was, owner);
+    m->touching = (double)find_loads(f, seen, line, x, force, found, s->slots, patches, owner);
+    for (long k = 0; k < s->slots; k++) {
+        Patch *p = patches + k;
+        if (!p->touching) continue;
+        find_middle(f, x, force, x_before, owner, was, (int32_t)(k + 1), p->middle, &p->radius, shift + 2 * k);
+        p->normal = normal_stiffness(g, found, m->touching > 1 ? p->carried[2] / found[FORCE_Z] : 1, p);
+        others |= !p->gripped;
+    }
+    for (long k = 0; k < f->count; k++) was[k] = owner[k], count += was[k] > 0, differ += was[k] != touched[k];
+    memcpy(x_before, x, 2 * f->count * sizeof *x);
+    if (!m->touching || !(g->friction > 0) || !(others || differ > CHANGED * (double)count)) return 0;
+    memcpy(touched, was, f->count * sizeof *was);
+    return find_grip(f, x, compliance, s->slots, grip, touched, m, patches);
+}
+
+/* Move the patches by `along` (slots, 3) against the membrane, up to Coulomb's limit for their
+   forces `pressed` (slots). */
+static void stick(const Given *g, long slots, const double *pressed, const double *along, const double *grip, Patch *patches) {
+    for (long s = 0; s < slots; s++)
+        for (int i = 0; i < 3 && patches[s].touching; i++) patches[s].strain[i] += along[3 * s + i];
+    for (long s = 0; s < slots; s++) {
+        Patch *p = patches + s;
+        if (!p->touching) continue;
+        double load[3];
+        for (int i = 0; i < 3; i++) {
+            const double *K = grip + (3 * s + i) * 3 * slots, *own = K + 3 * s;
+            load[i] = own[0] * p->strain[0] + own[1] * p->strain[1] + own[2] * p->strain[2];
+            for (long t = 0; t < slots; t++)
+                for (int j = 0; j < 3 && t != s && patches[t].touching; j++) load[i] += K[3 * t + j] * patches[t].strain[j];
+        }
+        const double carried = hypot(hypot(load[0], load[1]), load[2] / most(p->radius, g->spacing / 4)), limit = g->friction * pressed[s];
+        p->slides = carried > limit;
+        p->left = p->slides ? limit / carried : 1;
+        for (int i = 0; i < 3; i++) p->shear[i] = load[i] * p->left;
+    }
+    for (long s = 0; s < slots; s++) {
+        Patch *p = patches + s;
+        if (!p->touching) continue;
+        p->slid += (1 - p->left) * hypot(p->strain[0], p->strain[1]);
+        for (int i = 0; i < 3; i++) p->strain[i] *= p->left;
+    }
+}
+
+/* Sum up the patches in the state of the membrane. */
+static void sum_patches(const Membrane *f, const double *x, const double *force, const int32_t *was, long slots, const Patch *patches,
+                        Memory *m) {
+    memset(m->wrench, 0, sizeof m->wrench), m->slides = 0, m->slid = 0, m->radius = 0;
+    for (long s = 0; s < slots; s++) {
+        const Patch *p = patches + s;
+        if (!p->touching) continue;
+        for (int i = 0; i < 6; i++) m->wrench[i] += p->wrench[i];
+        m->slides = most(m->slides, p->slides), m->slid = most(m->slid, p->slid);
+        if (m->touching == 1) memcpy(m->middle, p->middle, sizeof m->middle), m->radius = p->radius;
+    }
+    double unused[2];
+    if (m->touching > 1) find_middle(f, x, force, x, was, was, 0, m->middle, &m->radius, unused);
+}
+
 int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
                     const double *rest, int64_t roomy, double *room, const double *settings, int64_t geoms, double *body,
                     int64_t pooled, const double *pool, double *x, double *force, double *trend, double *found, const double *given,
                     const double *compliance, int64_t carrier, int64_t nbody, const double *xpos, const double *xmat, int64_t ngeom,
-                    const double *geom_xpos, const double *geom_xmat, const int64_t *geom, const int64_t *body_of,
-                    const double *bounds, double *memory, uint8_t *touched, double *before) {
-    const Membrane f = plain(qs_membrane(numbers, law));
+                    const double *geom_xpos, const double *geom_xmat, const int64_t *geom, const int64_t *slot,
+                    const double *bounds, int64_t slots, const int64_t *body_of, double *memory, double *patch, double *grip,
+                    int32_t *touched, double *before) {
+    const Membrane padded = qs_membrane(numbers, law), f = plain(padded);
     const Given *g = (const Given *)given;
     Memory *m = (Memory *)memory;
-    const double *R = xmat + 9 * carrier, *p = xpos + 3 * carrier;
+    Patch *patches = (Patch *)patch;
+    const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier};
     (void)nbody, (void)ngeom;
-    int has_moved;
-    const long near = look(geoms, geom, body_of, bounds, geom_xpos, geom_xmat, R, p, body, &m->near, &has_moved);
+    const int has_moved = look(&s, body, m, patches);
     const int again = m->time == g->time; /* same time instant */
     /* a repeated update changes nothing */
     if (again && !has_moved && m->gas_observed == settings[0] && m->sealed_seen == settings[1]) return 0;
     m->gas_observed = settings[0], m->sealed_seen = settings[1];
     const int same_gas = m->gas == settings[0] && m->sealed == settings[1];
     m->solved = 0;
-    if (!m->body && same_gas && (near < 0 || is_clear(&f, x, geoms, body, bounds))) return 0;
-    double R_SB[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1}, p_SB[3] = {0}, off[3], moved[6] = {0};
-    if (near >= 0) {
-        times(R, xmat + 9 * near, 1, R_SB);
-        for (int i = 0; i < 3; i++) off[i] = xpos[3 * near + i] - p[i];
-        into(R, off, p_SB);
-    }
-    const int same = near >= 0 && m->body == near + 1;
-    double since[6] = {0};
+    if (!m->touching && same_gas && (!m->near || is_clear(&f, x, geoms, body, bounds))) return 0;
     m->time = g->time;
-    if (!again) memset(m->moved, 0, sizeof m->moved);
-    if (same) {
-        motion(m->R, m->p, R_SB, p_SB, m->middle, moved);
-        for (int i = 0; i < 3 && !again; i++) m->moved[i] = p_SB[i] - m->p[i], m->moved[3 + i] = moved[3 + i];
-        motion(m->R_rest, m->p_rest, R_SB, p_SB, m->middle, since);
+    double *own = malloc((6 + 2 + 3 + 2) * (slots + 1) * sizeof *own);
+    if (!own) return NO_MEMORY;
+    double *moved = own, *shift = moved + 6 * slots, *along = shift + 2 * slots, *further = along + 3 * slots, *pressed = further + slots;
+    memset(own, 0, (6 + 2 + 3 + 2) * slots * sizeof *own);
+    int still = m->touching > 0 && same_gas; /* 1: the last solution is kept */
+    for (long k = 0; k < slots; k++) {
+        Patch *p = patches + k;
+        if (!p->near && !p->touching) {
+            p->known = 0;
+            continue;
+        }
+        static const double origin[3] = {0};
+        double R_SB[9], p_SB[3], since[6] = {0};
+        pose_of(&s, k, R_SB, p_SB);
+        if (!again) memset(p->moved, 0, sizeof p->moved);
+        if (p->touching) {
+            motion(p->R, p->p, R_SB, p_SB, p->middle, moved + 6 * k);
+            for (int i = 0; i < 3 && !again; i++) p->moved[i] = p_SB[i] - p->p[i], p->moved[3 + i] = moved[6 * k + 3 + i];
+        }
+        if (p->known) motion(p->R_rest, p->p_rest, R_SB, p_SB, p->touching ? p->middle : origin, since);
+        const double way = fabs(since[0]) + fabs(since[1]) + fabs(since[2]) + LEVER * (fabs(since[3]) + fabs(since[4]) + fabs(since[5]));
+        still &= p->near && p->known && way < CLOSE;
+        further[k] = since[2];
+        memcpy(p->R, R_SB, sizeof R_SB), memcpy(p->p, p_SB, sizeof p_SB);
     }
-    const double way = fabs(since[0]) + fabs(since[1]) + fabs(since[2]) + LEVER * (fabs(since[3]) + fabs(since[4]) + fabs(since[5]));
-    double shift[2] = {0}, further = since[2];
-    if (!(same && same_gas && way < CLOSE)) {
-        double *x_before = before, *kept_x = before + 2 * f.count, *kept_force = kept_x + 3 * f.count;
-        uint8_t *was = touched + f.count;
-        memcpy(kept_x, x, 3 * f.count * sizeof *x), memcpy(kept_force, force, f.count * sizeof *x);
-        double kept_found[FOUND];
-        memcpy(kept_found, found, sizeof kept_found);
-        const int64_t code = qs_solve(numbers, law, columns, rows, keeping, kept, rest, roomy, room, 1, 0, 1, settings, geoms, body, pooled,
-                                        pool, x, force, trend, found);
-        if (code < 0) return code;
-        m->status = found[STATUS], m->solved = 1;
-        if (found[STATUS] != CONVERGED) {
-            memcpy(x, kept_x, 3 * f.count * sizeof *x), memcpy(force, kept_force, f.count * sizeof *x);
-            memcpy(found, kept_found, sizeof kept_found), memset(trend, 0, 4 * f.count * sizeof *x);
-            m->lost += 1;
+    int64_t code = 1;
+    if (!still) {
+        const Solution c = {numbers, law, columns, rows, keeping, kept, rest, roomy, room, geoms, body, pooled, pool, x, force, trend, found};
+        if ((code = solve(&c, &s, settings, f.count, before + 2 * f.count, m, patches)) < 0) return free(own), code;
+        if (code) {
+            m->gas = settings[0], m->sealed = settings[1];
+            for (long k = 0; k < slots; k++) {
+                Patch *p = patches + k;
+                if (!p->near) continue;
+                memcpy(p->R_rest, p->R, sizeof p->R), memcpy(p->p_rest, p->p, sizeof p->p);
+                p->known = 1, further[k] = 0;
+            }
+            const Bodies bodies = {geoms, body, pool, 0};
+            const Seen seen = qs_lowest_before(&padded, &room);
+            if (hold_anew(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, shift))
+                return free(own), NO_MEMORY;
         } else {
-            m->lost = 0, m->gas = settings[0], m->sealed = settings[1];
-            memcpy(m->R_rest, R_SB, sizeof R_SB), memcpy(m->p_rest, p_SB, sizeof p_SB);
-            further = 0;
+            for (long k = 0; k < slots; k++)
+                if (patches[k].touching && !patches[k].near) release(patches + k), m->touching -= 1;
         }
-        if (!(-found[FORCE_Z] > LEAST) || near < 0) {
-            release(m);
-            memset(was, 0, f.count);
-            memcpy(x_before, x, 2 * f.count * sizeof *x);
-            return 0;
-        }
-        if (!same) release(m), memset(was, 0, f.count);
-        if (hold_anew(&f, g, x, force, compliance, x_before, touched, m, shift)) return NO_MEMORY;
-        m->normal = normal_stiffness(g, found);
+        look(&s, body, m, patches);
     }
-    const double pressed = most(-found[FORCE_Z] - m->normal * further, 0);
-    const double along[3] = {moved[0] - shift[0], moved[1] - shift[1], moved[5]};
-    if (g->friction > 0) stick(g, pressed, along, m);
-    m->body = (double)(near + 1);
-    memcpy(m->R, R_SB, sizeof R_SB), memcpy(m->p, p_SB, sizeof p_SB);
-    memcpy(m->wrench, found, 6 * sizeof *found);
-    const double added[3] = {m->shear[0], m->shear[1], -pressed - found[FORCE_Z]};
-    double torque[3];
-    across(m->middle, added, torque);
-    torque[2] += m->shear[2];
-    for (int i = 0; i < 3; i++) m->wrench[i] += added[i], m->wrench[3 + i] += torque[i];
+    const double gas = g->gas > 0 ? 1 / (1 / g->gas + 1 / g->bulge) : 0;
+    double displaced = 0;
+    m->uncertain = 0;
+    for (long k = 0; k < slots; k++)
+        if (patches[k].touching) further[k] -= m->lift, displaced += patches[k].lifted * further[k];
+    for (long k = 0; k < slots; k++) {
+        const Patch *p = patches + k;
+        if (!p->touching) continue;
+        double added = p->normal * further[k];
+        if (m->touching > 1) added += gas * p->lifted * (displaced - p->lifted * further[k]);
+        pressed[k] = most(-p->carried[2] - added, 0);
+        if (m->lost > 0) m->uncertain += fabs(pressed[k] + p->carried[2]);
+        for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
+        along[3 * k + 2] = moved[6 * k + 5];
+    }
+    if (g->friction > 0) stick(g, slots, pressed, along, grip, patches);
+    for (long k = 0; k < slots; k++) {
+        Patch *p = patches + k;
+        if (!p->touching) continue;
+        memcpy(p->wrench, p->carried, sizeof p->wrench);
+        const double added[3] = {p->shear[0], p->shear[1], -pressed[k] - p->carried[2]};
+        double torque[3];
+        across(p->middle, added, torque);
+        torque[2] += p->shear[2];
+        for (int i = 0; i < 3; i++) p->wrench[i] += added[i], p->wrench[3 + i] += torque[i];
+    }
+    sum_patches(&f, x, force, touched + f.count, slots, patches, m);
+    free(own);
     return 0;
 }

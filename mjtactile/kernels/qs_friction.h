@@ -2,24 +2,44 @@
 #ifndef MJTACTILE_QS_FRICTION_H
 #define MJTACTILE_QS_FRICTION_H
 
-/* State between updates, all doubles. sim/sensor/quasistatic_gas.py has the indices. */
+/* State of a membrane between updates, all doubles. sim/sensor/quasistatic_gas.py has the
+   indices. */
 typedef struct {
-    double body;                    /* MuJoCo body in contact, plus one; 0: none */
+    double touching;                /* number of bodies in contact */
     double wrench[6];               /* wrench on the membrane about the origin of S */
     double middle[3], radius, slides;
-    /* shear displacement, m, m, rad, and load, N, N, N m, of the obstacle on the membrane */
-    double strain[3], shear[3];
-    double near, status, lost, solved;
-    double grip[9], gripped, normal;
-    double R[9], p[3];              /* pose of the obstacle at the last update */
-    double R_rest[9], p_rest[3];    /* pose of the obstacle at the last solution */
+    double slid;                    /* largest sliding distance over the membrane, m */
+    double near;                    /* number of near bodies */
+    double status, lost, solved;    /* of the last solution; steps in a row without one */
+    double lift;                    /* height by which the obstacles are raised for a solution, m */
+    double uncertain;               /* extrapolated force, N, while there is no solution */
+    double gripped;                 /* nodes of the sticking stiffness */
     double gas, sealed;             /* gas settings at the last solution */
-    /* displacement of the obstacle's origin, m, and rotation, rad, since the previous update */
-    double moved[6];
     double time;                    /* time of the last update, s */
-    double slid;                    /* sliding distance over the membrane since first touch, m */
     double gas_observed, sealed_seen;   /* gas settings at the last update */
 } Memory;
+
+/* State of one MuJoCo body at the membrane, all doubles. A body is a set of bodies that are fixed
+   to each other. */
+typedef struct {
+    double touching, near, known;   /* 1 in contact; near; with a pose of the last solution */
+    double wrench[6];               /* wrench on the membrane about the origin of S */
+    double middle[3], radius, slides;
+    /* shear displacement, m, m, rad, and load, N, N, N m, of the body on the membrane */
+    double strain[3], shear[3];
+    double gripped;                 /* its nodes of the sticking stiffness */
+    double carried[6];              /* frictionless wrench of the last solution */
+    /* stiffness against indentation by the tension, N/m; volume that the indentation displaces,
+       m^3/m; stiffness with the gas, N/m */
+    double tension, lifted, normal;
+    double R[9], p[3];              /* pose at the last update */
+    double R_rest[9], p_rest[3];    /* pose at the last solution */
+    /* displacement of the body's origin, m, and rotation, rad, since the previous update */
+    double moved[6];
+    double slid;                    /* sliding distance over the membrane since first touch, m */
+    double left;                    /* fraction of the load within Coulomb's limit */
+} Patch;
+#define QS_PATCH 62
 
 /* Inputs: friction coefficient; stiffness of bulge and gas, Pa/m^3; time step, s; half width of the
    frame, m; spacing of nodes, m; time, s; reach of the membrane from the center of its frame, m. */

@@ -11,6 +11,7 @@
 /* fraction of stiffness times step that damps a free body; from 0.5 on, every step is stable, but a
    heavy body oscillates on */
 #define SHARE 0.75
+#define HOLD 43 /* numbers of a hold */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
 
 /* Add the generalized force of a force and a torque, frame W, at `at` on a MuJoCo body to `out`. */
@@ -39,12 +40,14 @@ static void apply(long body, double sign, const double *F, const double *T, cons
 
 /* Compute the stiffness G^T K G of the hold on the body in contact, in the degrees of freedom of
    the free joint that carries it. Also compute their velocity relative to the membrane. `R_SB`,
-   `p_SB`: pose of that joint's body; the body in contact is assumed to move with it. */
-static void hold_of(const Given *g, const Memory *m, long dof, const double *R_SB, const double *p_SB, double *hold, const double *R) {
+   `p_SB`: pose of that joint's body; the body in contact is assumed to move with it. `grip`: the
+   stiffness of the patch, `wide` numbers a row. */
+static void hold_of(const Given *g, const Patch *m, const double *grip, long wide, long dof, const double *R_SB, const double *p_SB,
+                    double *hold, const double *R) {
     double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3], off[3], swing[3], moved[3];
     const double tilt = TILT * m->normal * square(most(m->radius, g->spacing / 4));
     K[3] = K[4] = tilt, K[5] = tilt;
-    if (!m->slides && m->gripped > 0) K[0] = m->grip[0], K[1] = m->grip[4], K[5] = m->grip[8];
+    if (!m->slides && m->gripped > 0) K[0] = grip[0], K[1] = grip[wide + 1], K[5] = grip[2 * wide + 2];
     for (int i = 0; i < 3; i++) r[i] = m->middle[i] - p_SB[i], off[i] = p_SB[i] - m->p[i];
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) G[6 * i + j] = R[3 * j + i], G[6 * (3 + i) + 3 + j] = R_SB[3 * i + j];
@@ -67,38 +70,44 @@ static void hold_of(const Given *g, const Memory *m, long dof, const double *R_S
     for (int i = 0; i < 6; i++) hold[37 + i] /= g->step;
 }
 
-int64_t qs_push(const double *given, const double *memory, int64_t carrier, int64_t nbody,
-                  const int32_t *parent, const int32_t *joints, const int32_t *first, int64_t njnt, const int32_t *type,
-                  const int32_t *dof, const double *anchor, const double *axis, const double *xpos, const double *xmat, int64_t nv,
-                  double *push, double *hold) {
+int64_t qs_push(const double *given, int64_t slots, const double *patch, const int64_t *body_of, const double *grip, int64_t carrier,
+                int64_t nbody, const int32_t *parent, const int32_t *joints, const int32_t *first, int64_t njnt, const int32_t *type,
+                const int32_t *dof, const double *anchor, const double *axis, const double *xpos, const double *xmat, int64_t nv,
+                double *push, double *holds) {
     const Given *g = (const Given *)given;
-    const Memory *m = (const Memory *)memory;
-    (void)nbody, (void)njnt;
-    memset(push, 0, nv * sizeof *push), hold[0] = 0;
-    if (!m->body) return 0;
-    const long body = (long)m->body - 1;
     const double *R = xmat + 9 * carrier;
-    double F[3], T[3], at[3], turn[3], local[3];
-    across(m->middle, m->wrench, turn);
-    for (int i = 0; i < 3; i++) local[i] = m->wrench[3 + i] - turn[i];
-    outof(R, m->wrench, F), outof(R, local, T), outof(R, m->middle, at);
-    for (int i = 0; i < 3; i++) at[i] += xpos[3 * carrier + i];
-    apply(carrier, 1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
-    apply(body, -1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
-    long carried = body; /* body with the free joint: this one, or one to which it is jointed */
-    while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
-    if (carried <= 0) return 1;
-    double R_SB[9], p_SB[3], apart[3];
-    times(R, xmat + 9 * carried, 1, R_SB);
-    for (int i = 0; i < 3; i++) apart[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
-    into(R, apart, p_SB);
-    hold_of(g, m, dof[first[carried]], R_SB, p_SB, hold, R);
-    return 1;
+    int64_t pushes = 0;
+    (void)nbody, (void)njnt;
+    memset(push, 0, nv * sizeof *push);
+    for (long s = 0; s < slots; s++) {
+        const Patch *m = (const Patch *)patch + s;
+        double *hold = holds + HOLD * s;
+        hold[0] = 0;
+        if (!m->touching) continue;
+        pushes = 1;
+        const long body = body_of[s];
+        double F[3], T[3], at[3], turn[3], local[3];
+        across(m->middle, m->wrench, turn);
+        for (int i = 0; i < 3; i++) local[i] = m->wrench[3 + i] - turn[i];
+        outof(R, m->wrench, F), outof(R, local, T), outof(R, m->middle, at);
+        for (int i = 0; i < 3; i++) at[i] += xpos[3 * carrier + i];
+        apply(carrier, 1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
+        apply(body, -1, F, T, at, parent, joints, first, type, dof, anchor, axis, xpos, xmat, push);
+        long carried = body; /* body with the free joint: this one, or one to which it is jointed */
+        while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
+        if (carried <= 0) continue;
+        double R_SB[9], p_SB[3], apart[3];
+        times(R, xmat + 9 * carried, 1, R_SB);
+        for (int i = 0; i < 3; i++) apart[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
+        into(R, apart, p_SB);
+        hold_of(g, m, grip + 9 * slots * s + 3 * s, 3 * slots, dof[first[carried]], R_SB, p_SB, hold, R);
+    }
+    return pushes;
 }
 
-/* Add the forces (membranes, nv) and holds (membranes, 43) of all membranes to `applied` and `damping`
-   (nv). */
-int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes, const double *holds, double step, const double *inertia,
+/* Add the forces `pushes` (membranes, nv) and the `holds` (held, 43) of all membranes to `applied`
+   and `damping` (nv). */
+int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes, int64_t held, const double *holds, double step, const double *inertia,
                  const double *velocity, double *base, double *left, double *applied, const double *undamped, double *damping) {
     /* forces were written by others */
     if (memcmp(applied, left, nv * sizeof *left)) memcpy(base, applied, nv * sizeof *base);
@@ -106,18 +115,19 @@ int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes, const double
     memcpy(damping, undamped, nv * sizeof *damping);
     for (long k = 0; k < membranes; k++)
         for (long i = 0; i < nv; i++) applied[i] += pushes[k * nv + i];
-    for (long k = 0; k < membranes; k++) {
-        const long dof = (long)holds[43 * k] - 1;
+    for (long k = 0; k < held; k++) {
+        const long dof = (long)holds[HOLD * k] - 1;
+        if (dof < 0) continue;
         long first = 1, count = 0;
         double K[36] = {0}, against[6] = {0};
-        for (long l = 0; l < membranes; l++) {
-            if ((long)holds[43 * l] - 1 != dof) continue;
+        for (long l = 0; l < held; l++) {
+            if ((long)holds[HOLD * l] - 1 != dof) continue;
             if (l < k) first = 0;
             count++;
-            for (int i = 0; i < 36; i++) K[i] += holds[43 * l + 1 + i];
-            for (int i = 0; i < 6; i++) against[i] += holds[43 * l + 37 + i];
+            for (int i = 0; i < 36; i++) K[i] += holds[HOLD * l + 1 + i];
+            for (int i = 0; i < 6; i++) against[i] += holds[HOLD * l + 37 + i];
         }
-        if (dof < 0 || !first) continue;
+        if (!first) continue;
         /* at least the stiffness, by Gershgorin in coordinates with an inertia of one */
         for (int a = 0; a < 6; a++) {
             double sum = 0;

@@ -5,9 +5,10 @@
 #include <string.h>
 
 #include "kernels.h"
+#include "qs_friction.h"
 
 typedef void (*OfMuJoCo)(const void *model, void *data);
-enum { FOLLOW = 34, PUSH = 19, HOLD = 43, TOLD = 4 };
+enum { FOLLOW = 38, PUSH = 22, HOLD = 43, TOLD = 4 };
 enum { RAN, UNSOLVED, HURRIES, BROKE };
 enum { OPENING_GOAL, OPENING, LIFT_GOAL, LIFT, JAW_STEP, REACH, LIFT_STEP, OFFSET };
 
@@ -23,17 +24,17 @@ static int64_t follow(const int64_t *w) {
     return qs_follow(AT(double, 0), AT(double, 1), w[2], w[3], w[4], AT(float, 5), AT(double, 6), w[7], AT(double, 8), AT(double, 9),
                        w[10], AT(double, 11), w[12], AT(double, 13), AT(double, 14), AT(double, 15), AT(double, 16), AT(double, 17),
                        AT(double, 18), AT(double, 19), w[20], w[21], AT(double, 22), AT(double, 23), w[24], AT(double, 25),
-                       AT(double, 26), AT(int64_t, 27), AT(int64_t, 28), AT(double, 29), AT(double, 30), AT(uint8_t, 31),
-                       AT(double, 32));
+                       AT(double, 26), AT(int64_t, 27), AT(int64_t, 28), AT(double, 29), w[30], AT(int64_t, 31), AT(double, 32),
+                       AT(double, 33), AT(double, 34), AT(int32_t, 35), AT(double, 36));
 }
 static int64_t push(const int64_t *w) {
-    return qs_push(AT(double, 0), AT(double, 1), w[2], w[3], AT(int32_t, 4), AT(int32_t, 5), AT(int32_t, 6), w[7], AT(int32_t, 8),
-                     AT(int32_t, 9), AT(double, 10), AT(double, 11), AT(double, 12), AT(double, 13), w[14], AT(double, 15),
-                     AT(double, 16));
+    return qs_push(AT(double, 0), w[1], AT(double, 2), AT(int64_t, 3), AT(double, 4), w[5], w[6], AT(int32_t, 7), AT(int32_t, 8),
+                     AT(int32_t, 9), w[10], AT(int32_t, 11), AT(int32_t, 12), AT(double, 13), AT(double, 14), AT(double, 15),
+                     AT(double, 16), w[17], AT(double, 18), AT(double, 19));
 }
 static int64_t add(const int64_t *w) {
-    return qs_add(w[0], w[1], AT(double, 2), AT(double, 3), number(w[4]), AT(double, 5), AT(double, 6), AT(double, 7), AT(double, 8),
-                    AT(double, 9), AT(double, 10), AT(double, 11));
+    return qs_add(w[0], w[1], AT(double, 2), w[3], AT(double, 4), number(w[5]), AT(double, 6), AT(double, 7), AT(double, 8), AT(double, 9),
+                    AT(double, 10), AT(double, 11), AT(double, 12));
 }
 
 static double nearer(double start, double goal, double most) { return start + fmin(fmax(goal - start, -most), most); }
@@ -65,18 +66,18 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step,
         for (int64_t f = 0; f < membranes; f++) {
             const int64_t *w = follows + FOLLOW * f;
             const int64_t *p = pushes + PUSH * f;
-            ((double *)(intptr_t)w[18])[6] = time; /* `time` of Given */
+            ((Given *)(intptr_t)w[18])->time = time;
             const int64_t code = follow(w);
             if (code < 0) return code;
-            const double *memory = (const double *)(intptr_t)w[30];
-            memcpy(wrenches + 6 * (membranes * i + f), memory + 1, 6 * sizeof *wrenches);
-            if (memory[20] > 0) told[BROKE] = 1;
+            const Memory *memory = (const Memory *)(intptr_t)w[32];
+            memcpy(wrenches + 6 * (membranes * i + f), memory->wrench, 6 * sizeof *wrenches);
+            if (memory->lost > 0) told[BROKE] = 1;
             const int64_t now = push(p);
-            int64_t *const pushing = AT(int64_t, 33);
+            int64_t *const pushing = AT(int64_t, 37);
             if (now || *pushing) adding = 1;
             *pushing = now;
-            memcpy((double *)(intptr_t)p[17], (const double *)(intptr_t)p[15], nv * sizeof(double));
-            memcpy((double *)(intptr_t)p[18], (const double *)(intptr_t)p[16], HOLD * sizeof(double));
+            memcpy((double *)(intptr_t)p[20], (const double *)(intptr_t)p[18], nv * sizeof(double));
+            memcpy((double *)(intptr_t)p[21], (const double *)(intptr_t)p[19], p[1] * HOLD * sizeof(double));
         }
         if (adding) add(adds);
         advance(model, data);

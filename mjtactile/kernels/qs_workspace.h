@@ -62,6 +62,8 @@ static inline double *qs_take(double **from, long n) {
 
 long qs_lowest_size(const Membrane *membrane);
 Seen qs_lowest_in(const Membrane *membrane, double **room); /* initially empty */
+/* Return the fields as the last solution in this workspace left them. */
+Seen qs_lowest_before(const Membrane *membrane, double **room);
 
 /* Convert between Python's fields of nodes only and padded ones; `fields` of them, one after the
    other. */

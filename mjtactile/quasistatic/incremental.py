@@ -136,16 +136,15 @@ class IncrementalMembrane:
 
 @dataclass(frozen=True, eq=False)
 class Grip:
-    """In-plane stiffness (3, 3) of sticking nodes about `middle` (2,) m, in x, y and rotation.
+    """In-plane stiffness (3 n, 3 n) of n sticking patches about their centers.
 
-    `spread` (2, inner, 3) are displacements of all inner nodes by the three rigid motions. `nodes`
-    (m,) are indices among the free nodes.
+    Each patch has three rigid motions: x, y and rotation. `labels` (n,) are the patches. `spread`
+    (2, inner, 3 n) are displacements of all inner nodes by the motions.
     """
 
-    middle: Array
+    labels: NDArray[np.int32]
     stiffness: Array
     spread: Array
-    nodes: NDArray[np.intp]
 
 
 class Sticking:
@@ -159,27 +158,36 @@ class Sticking:
         """(2 inner, 2 inner) m/N; x and y of each node in turn."""
         return compliance_of(self.membrane, self.membrane.rest)
 
-    def grip(self, x: Array, force: Array) -> Grip:
-        """Compute the stiffness of the nodes in contact when they move as one rigid set."""
+    def grip(self, x: Array, force: Array, owners: NDArray[np.int32] | None = None) -> Grip:
+        """Compute the stiffness of the nodes in contact when each patch moves as one rigid set.
+
+        `owners` (nx, ny) is the patch of each node in contact, 0 elsewhere; None: a single patch of
+        the nodes with a `force`.
+        """
         from scipy.linalg import cho_factor, cho_solve  # takes a while to import
 
         membrane = self.membrane
-        i, j = np.nonzero(force > 0)
-        share = force[i, j]
+        held = (force > 0).astype(np.int32) if owners is None else owners
+        i, j = np.nonzero(held)
+        labels, patches = np.unique(held[i, j], return_inverse=True)
+        load = force[i, j]
         places = np.stack([membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j]], axis=1)
-        middle = share @ places / share.sum()
-        off = places - middle
+        sums = np.stack([np.bincount(patches, load * place) for place in places.T], axis=1)
+        off = places - (sums / np.bincount(patches, load)[:, None])[patches]
         nodes = (i - 1) * (membrane.grid[1] - 2) + j - 1
         picked = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
-        rigid = np.zeros((len(picked), 3))
-        rigid[0::2, 0] = rigid[1::2, 1] = 1.0
-        rigid[0::2, 2], rigid[1::2, 2] = -off[:, 1], off[:, 0]
+        rigid = np.zeros((len(nodes), 2, len(labels), 3))
+        rows = np.arange(len(nodes))
+        rigid[rows, 0, patches, 0] = rigid[rows, 1, patches, 1] = 1.0
+        rigid[rows, 0, patches, 2] = -off[:, 1]
+        rigid[rows, 1, patches, 2] = off[:, 0]
+        motions = rigid.reshape(len(picked), -1)
         columns = self.compliance[:, picked]
         # half the cost of an LU factorization
-        loads = cho_solve(cho_factor(columns[picked]), rigid)
-        stiffness = rigid.T @ loads
-        spread = (columns @ loads).reshape(-1, 2, 3).transpose(1, 0, 2)
-        return Grip(middle, (stiffness + stiffness.T) / 2, spread, nodes)
+        loads = cho_solve(cho_factor(columns[picked]), motions)
+        stiffness = motions.T @ loads
+        spread = (columns @ loads).reshape(-1, 2, motions.shape[1]).transpose(1, 0, 2)
+        return Grip(labels, (stiffness + stiffness.T) / 2, spread)
 
 
 def empty_rows(count: int) -> Array:

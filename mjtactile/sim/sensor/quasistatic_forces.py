@@ -29,42 +29,50 @@ class QuasistaticForces:
         self._owners: list[str] = []
         self._forces = np.zeros((0, model.nv))
         self._holds = np.zeros((0, HOLD))
+        self._rows: list[slice] = []  # of `_holds`, by owner
         self._base = data.qfrc_applied.copy()
         self._left = data.qfrc_applied.copy()
         self._undamped = model.dof_damping.copy()
         self._add = None
 
-    def join(self, owner: str) -> int:
-        """Return the row number of `owner`; a known owner gets its previous row, set to zero."""
+    def join(self, owner: str, count: int) -> int:
+        """Return the row number of `owner`, whose membrane may touch `count` bodies.
+
+        A known owner gets its previous row, set to zero.
+        """
         if owner not in self._owners:
+            first = len(self._holds)
             self._owners.append(owner)
+            self._rows.append(slice(first, first + count))
             self._forces = np.vstack([self._forces, np.zeros((1, self._model.nv))])
-            self._holds = np.vstack([self._holds, np.zeros((1, HOLD))])
+            self._holds = np.vstack([self._holds, np.zeros((count, HOLD))])
             self._bind()
         number = self._owners.index(owner)
-        self._forces[number] = self._holds[number] = 0.0
+        self._forces[number] = 0.0
+        self._holds[self._rows[number]] = 0.0
         return number
 
-    def set(self, number: int, force: Array, hold: Array) -> None:
-        """Set row `number` to `force` (nv,) and the damping of the MuJoCo body of `hold` (HOLD,).
-        Other changes to `qfrc_applied` are kept."""
+    def set(self, number: int, force: Array, holds: Array) -> None:
+        """Set row `number` to `force` (nv,) and the damping of the MuJoCo bodies of `holds`
+        (count, HOLD). Other changes to `qfrc_applied` are kept."""
         self._forces[number] = force
-        self._holds[number] = hold
+        self._holds[self._rows[number]] = holds
         assert self._add is not None
         self._add()
 
     def words(self) -> Array:
-        """Return the arguments (12,) of `qs_add`; valid until another owner joins."""
+        """Return the arguments (13,) of `qs_add`; valid until another owner joins."""
         assert self._add is not None
         return words(self._add)
 
     def addresses(self, number: int) -> list[int]:
-        """Return the memory addresses of a row's force and hold."""
-        return [rows[number].ctypes.data for rows in (self._forces, self._holds)]
+        """Return the memory addresses of a row's force and of its holds."""
+        holds = self._holds[self._rows[number]]
+        return [self._forces[number].ctypes.data, holds.ctypes.data]
 
     def _bind(self) -> None:
         model, data = self._model, self._data
-        rows = (model.nv, len(self._owners), self._forces, self._holds)
+        rows = (model.nv, len(self._owners), self._forces, len(self._holds), self._holds)
         damping = (self._undamped, model.dof_damping.reshape(-1))
         self._add = bound(
             "qs_add",

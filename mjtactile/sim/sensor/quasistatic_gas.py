@@ -16,25 +16,40 @@ from mjtactile.quasistatic.incremental import HEAT_RATIO, IncrementalMembrane
 from mjtactile.sim.sensor.gas import ChamberGas
 
 STATE = np.dtype([
-    ("body", float),  # MuJoCo body in contact, plus one; 0: none
+    ("touching", float),  # number of bodies in contact
     ("wrench", float, 6),  # on the membrane about the origin of S, N and N m
     ("middle", float, 3),  # center of pressure, m
     ("radius", float),  # mean distance of the pressure from it in the frame's plane, m
-    ("slides", float),  # 1 at the friction limit
-    ("strain", float, 3),  # shear displacement along x and y, m, and rotation, rad
-    ("shear", float, 3),
-    ("near", float),  # number of near obstacles
+    ("slides", float),  # 1 if a body is at the friction limit
+    ("slid", float),  # largest sliding distance since first touch, m
+    ("near", float),  # number of near bodies
     ("status", float),
     ("lost", float),  # steps without a solution in a row
-    ("grip", float, 12),
-    ("poses", float, 24),
+    ("solved", float),
+    ("lift", float),  # height by which the obstacles are raised for a solution, m
+    ("uncertain", float),  # extrapolated force, N, while there is no solution
+    ("gripped", float),
     ("gas", float),  # gas settings of the last solution
     ("is_sealed", float),
-    ("motion", float, 7),
-    ("slid", float),  # sliding distance since first touch, m
+    ("time", float),
     ("observed_gas", float, 2),
 ])  # fmt: skip
 """State of one quasi-static membrane between updates, as in kernels/qs_friction.h. SI units, S."""
+PATCH = np.dtype([
+    ("touching", float),
+    ("near", float),
+    ("known", float),
+    ("wrench", float, 6),  # on the membrane about the origin of S, N and N m
+    ("middle", float, 3),
+    ("radius", float),
+    ("slides", float),
+    ("strain", float, 3),  # shear displacement along x and y, m, and rotation, rad
+    ("shear", float, 3),
+    ("rest", float, 40),
+    ("slid", float),
+    ("left", float),
+])  # fmt: skip
+"""State of one body at the membrane, as in kernels/qs_friction.h. SI units, S."""
 _FLAT = 1.0  # pressure, Pa, below which the membrane is flat
 _SEALED = 1  # index in a membrane's settings
 
@@ -156,7 +171,7 @@ class QuasistaticGas:
         self._stiffness[0] = 0.0
         if not self._is_sealed and live.settings[0] == pressure:
             return
-        if abs(pressure) < _FLAT and not self._state["body"]:
+        if abs(pressure) < _FLAT and not self._state["touching"]:
             live.lie_flat()
             self._state["gas"] = pressure
             self._state["is_sealed"] = 0.0

@@ -72,8 +72,9 @@ _KINDS = {
 class ContactGeoms:
     """Geoms that a quasi-static membrane can touch, as rows of obstacles in its sensor's frame.
 
-    `ids` (k,) are the geoms, `bodies` (k,) their MuJoCo bodies, and `rows` (k, NUMBERS) their
-    obstacles, whose poses the kernel writes. `pool` holds the planes of the meshes' hulls, or is
+    `ids` (k,) are the geoms and `rows` (k, NUMBERS) their obstacles, whose poses the kernel writes.
+    Geoms that are fixed to each other form a patch: `slots` (k,) are their patches and `bodies`
+    (n,) the MuJoCo bodies that carry these. `pool` holds the planes of the meshes' hulls, or is
     None. `bounds` (k, 7): squared distance from the sensor's origin within which a geom is near,
     m^2, then center and half-extents, m, of its bounding box.
     """
@@ -90,7 +91,10 @@ class ContactGeoms:
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = obstacles.rows_and_pool(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
-        self.bodies: NDArray[np.int64] = model.geom_bodyid[self.ids].astype(np.int64)
+        carriers = feature_size.weld_bodies(model)[model.geom_bodyid[self.ids]]
+        bodies, slots = np.unique(carriers, return_inverse=True)
+        self.bodies: NDArray[np.int64] = bodies.astype(np.int64)
+        self.slots: NDArray[np.int64] = slots.astype(np.int64)
         near = (reach + model.geom_rbound[self.ids]) ** 2
         self.bounds = np.column_stack([near, model.geom_aabb[self.ids]])
         _refuse_soft(model)

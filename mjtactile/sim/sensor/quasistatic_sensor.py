@@ -26,7 +26,7 @@ from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of
-from mjtactile.sim.sensor.quasistatic_gas import STATE, QuasistaticGas
+from mjtactile.sim.sensor.quasistatic_gas import PATCH, STATE, QuasistaticGas
 from mjtactile.sim.sensor.quasistatic_geoms import (
     FEELER,
     ContactGeoms,
@@ -74,7 +74,7 @@ class QuasistaticSensor(BaseSensor):
         reach = math.hypot(half, top) + 1e-3
         self._geoms = ContactGeoms(model, self.body_id, reach)
         self._live = IncrementalMembrane(
-            membrane, self._geoms.rows, self._geoms.pool, design.membrane.thickness
+            membrane, self._geoms.rows, self._geoms.pool, below_rim=math.inf
         )
         self._sticking = sticking_of(membrane)
         self._given = np.array(  # as `PredictionReport` of kernels/qs_friction.h has it
@@ -91,12 +91,17 @@ class QuasistaticSensor(BaseSensor):
         )
         self._numbers = np.zeros(STATE.itemsize // 8)
         self._state = self._numbers.view(STATE)[0]
-        self._touched = np.zeros((2, *membrane.grid), np.uint8)
+        count = len(self._geoms.bodies)
+        self._patch_numbers = np.zeros((count, PATCH.itemsize // 8))
+        self._patches = self._patch_numbers.view(PATCH)[:, 0]
+        self._grip = np.zeros((3 * count, 3 * count))
+        # patches of the nodes, plus one: at the last sticking stiffness, and at the last solution
+        self._touched = np.zeros((3, *membrane.grid), np.int32)
         self._before = np.zeros((6, *membrane.grid))
         self._pushes = pushes_of(model, data)
-        self._number = self._pushes.join(prefix)
+        self._number = self._pushes.join(prefix, count)
         self._force = np.zeros(model.nv)
-        self._hold = np.zeros(HOLD)
+        self._holds = np.zeros((count, HOLD))
         # 1 if the membrane exerted a force at the last update
         self._pushing = np.zeros(1, np.int64)
         self._bind()
@@ -110,19 +115,21 @@ class QuasistaticSensor(BaseSensor):
         """Bind the kernels to the arrays of model and data."""
         model, data, geoms = self._model, self._data, self._geoms
         bodies = (model.nbody, data.xpos, data.xmat)
-        contact_geoms = (data.geom_xpos, data.geom_xmat, geoms.ids, geoms.bodies, geoms.bounds)
+        contact_geoms = (data.geom_xpos, data.geom_xmat, geoms.ids, geoms.slots, geoms.bounds)
+        slots = (len(geoms.bodies), geoms.bodies)
+        patches = (len(geoms.bodies), self._patch_numbers, geoms.bodies, self._grip)
         self._follow = bound(
             "qs_follow",
             *(*self._live.arguments, self._given, self._sticking.compliance),
             *(self.body_id, *bodies, model.ngeom, *contact_geoms),
-            *(self._numbers, self._touched, self._before),
+            *(*slots, self._numbers, self._patch_numbers, self._grip, self._touched, self._before),
         )
         tree = (model.nbody, model.body_parentid, model.body_jntnum, model.body_jntadr)
         joints = (model.njnt, model.jnt_type, model.jnt_dofadr, data.xanchor, data.xaxis)
         self._find_push = bound(
             "qs_push",
-            *(self._given, self._numbers, self.body_id, *tree, *joints, *bodies[1:]),
-            *(model.nv, self._force, self._hold),
+            *(self._given, *patches, self.body_id, *tree, *joints, *bodies[1:]),
+            *(model.nv, self._force, self._holds),
         )
 
     @property
@@ -140,7 +147,7 @@ class QuasistaticSensor(BaseSensor):
         self._update_membrane()
         pushes = self._find_push()
         if pushes or self._pushing[0]:
-            self._pushes.set(self._number, self._force, self._hold)
+            self._pushes.set(self._number, self._force, self._holds)
         self._pushing[0] = pushes
 
     def _update_to_now(self) -> None:
@@ -191,6 +198,7 @@ class QuasistaticSensor(BaseSensor):
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T
         live.rest_on(gauge_pressure, False, 1.0)
         self._numbers[:] = 0.0
+        self._patch_numbers[:] = 0.0
         self._qs_gas.seal(gauge_pressure, self.time)
         self._update_membrane()
 
@@ -201,15 +209,15 @@ class QuasistaticSensor(BaseSensor):
         return self._qs_gas.hold(self.time)
 
     def follow_message(self) -> Array:
-        """Return the arguments (34,) of `qs_follow` and the address of its flag."""
+        """Return the arguments (38,) of `qs_follow` and the address of its flag."""
         return np.append(words(self._follow), self._pushing.ctypes.data)
 
     def push_message(self) -> Array:
-        """Return the arguments (19,) of `qs_push` and the addresses of its two results."""
+        """Return the arguments (22,) of `qs_push` and the addresses of its two results."""
         return np.concatenate([words(self._find_push), self._pushes.addresses(self._number)])
 
     def add_messages(self) -> Array:
-        """Return the arguments (12,) of `qs_add`."""
+        """Return the arguments (13,) of `qs_add`."""
         return self._pushes.words()
 
     # -- present state
@@ -222,7 +230,7 @@ class QuasistaticSensor(BaseSensor):
     @property
     def is_touched(self) -> bool:
         """True if an obstacle touches the membrane."""
-        return bool(self._state["body"] > 0)
+        return bool(self._state["touching"] > 0)
 
     @property
     def wrench(self) -> Array:
@@ -267,19 +275,22 @@ class QuasistaticSensor(BaseSensor):
     def contact_forces(self) -> tuple[Array, Array]:
         """Return forces (n, 3) N on the touching nodes and positions (n, 3) m, in S.
 
-        The shear force is distributed in proportion to the normal force.
+        The shear force of each body is distributed in proportion to the normal force.
         """
         force = self._live.force
-        i, j = np.nonzero(force > 0)
         membrane = self._membrane
         x = self._live.x
+        owners = self._touched[1]
+        i, j = np.nonzero(owners)
         places = np.stack(
             [membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j], x[2, i, j]], axis=1
         )
         normal = force[i, j]
-        share = normal / normal.sum() if len(normal) else normal
-        wrench = self.wrench
-        return np.column_stack([share * wrench[0], share * wrench[1], -normal]), places
+        slots = owners[i, j] - 1
+        totals = np.bincount(slots, normal, minlength=len(self._patches))
+        share = normal / totals[slots]
+        shear = self._patches["wrench"][slots, :2]
+        return np.column_stack([share * shear[:, 0], share * shear[:, 1], -normal]), places
 
     @property
     def p_SV(self) -> Array:
@@ -295,16 +306,17 @@ class QuasistaticSensor(BaseSensor):
     def _positions(self) -> Callable[[], Array]:
         """Return a function that computes `p_SV` of the last update."""
         x = self._live.x.copy()
-        strain = self._state["strain"].copy()
         held = None
-        if self.is_touched and strain.any():
-            held = np.where(self._touched[0], self._live.force + 1e-9, 0.0)
+        if self.is_touched and self._patches["strain"].any():
+            held = self._touched[0].copy()
+            normal = np.where(held, self._live.force + 1e-9, 0.0)
+            strains = self._patches["strain"].copy()
 
         def positions() -> Array:
             moved = x.reshape(3, -1).T.copy()
             if held is not None:
-                spread = self._sticking.grip(x, held).spread
-                moved[self.mesh.interior, :2] += (spread @ strain).T
+                grip = self._sticking.grip(x, normal, held)
+                moved[self.mesh.interior, :2] += (grip.spread @ strains[grip.labels - 1].ravel()).T
             return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
 
         return positions
@@ -346,11 +358,6 @@ class QuasistaticSensor(BaseSensor):
         if near:
             narrow = self._live.relative_force_error() if self.is_touched else 0.0
             flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
-        if near > 1:
-            flags["bodies"] = (
-                "several objects are near one quasi-static membrane, which treats them as "
-                "one; switch 'mesh' on"
-            )
         return flags | validity_checks.membrane_flags(
             self.design, self.gauge_pressure, *self.stretches()
         )

@@ -1,0 +1,119 @@
+"""Tests of the quasi-static membrane in scenes with several bodies: statics of each body, third law,
+symmetry, and the mesh as reference."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.sim import ground_truth
+from mjtactile.sim.attach import attach_membrane, configure_options
+from mjtactile.sim.scenes.world import World
+
+DENSE = load_sensor("dense")
+G = 9.81
+QUASISTATIC = "-mesh"
+
+
+def scene(bodies, effects=QUASISTATIC, timestep=2e-3, carrier=""):
+    """Place bodies (MJCF) over one sensor that faces up, inflated to 1 kPa and sealed.
+
+    The bodies arrive when the chamber is sealed.
+    """
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{carrier}{bodies}</worldbody></mujoco>")
+    configure_options(spec, timestep)
+    site = spec.site("s") or spec.worldbody.add_site(name="s")
+    world = World(spec, [attach_membrane(spec, DENSE, site=site, effects=effects)])
+    model, data = world.model, world.data
+    own = [model.joint(j).qposadr[0] for j in range(model.njnt) if "_v" not in model.joint(j).name]
+    high = [place + 2 * (model.joint(j).type[0] == 0) for j, place in enumerate(own)]
+    data.qpos[high] += 1.0
+    model.opt.gravity[:] = 0.0
+    world.sensors[0].open_valve(1000.0)
+    world.step(50)
+    world.sensors[0].close_valve()
+    data.qpos[high] -= 1.0
+    data.qvel[:] = 0.0
+    model.opt.gravity[2] = -G
+    return world
+
+
+SLIDE = '<joint type="slide" axis="0 0 1" damping="1"/>'
+
+
+def ball(name, x, y, z, radius, mass, joint=SLIDE):
+    return (
+        f'<body name="{name}" pos="{x} {y} {z}">{joint}'
+        f'<geom name="{name}" size="{radius}" mass="{mass}"/></body>'
+    )
+
+
+def applied(world, body):
+    """Vertical force, N, of the membranes on a body with a slide."""
+    return float(world.data.qfrc_applied[world.model.body_dofadr[world.model.body(body).id]])
+
+
+PAIR = ball("a", -0.0095, 0, 0.0117, 0.008, 0.020) + ball("b", 0.0095, 0, 0.0117, 0.008, 0.050)
+
+
+def test_each_of_two_balls_is_carried_by_its_weight():
+    """At rest the force on each body is its weight; the membrane carries the sum."""
+    world = scene(PAIR)
+    world.step(1500)
+    forces = [applied(world, name) for name in "ab"]
+    # at rest within 10 um/s times the damping of 1 N s/m
+    np.testing.assert_allclose(forces, [0.020 * G, 0.050 * G], atol=1e-4)
+    total = ground_truth.contact_force(world, 0)
+    assert total[2] == pytest.approx(-0.070 * G, abs=2e-4)
+    assert "quasistatic" not in world.flags
+
+
+def test_three_balls_of_equal_weight_are_carried_alike():
+    """The two outer ones of three in a row are mirror images; all carry the same weight."""
+    world = scene(
+        "".join(ball(n, x, 0, 0.009, 0.005, 0.02) for n, x in zip("abc", (-1e-2, 0, 1e-2), strict=True))
+    )
+    world.step(1500)
+    # within 8 um of the last solution, the membrane is one spring per ball: 0.2 % of the weight
+    np.testing.assert_allclose([applied(world, n) for n in "abc"], 0.02 * G, rtol=2e-3)
+    heights = world.data.qpos[:3]
+    assert heights[0] == pytest.approx(heights[2], abs=1e-6)  # m
+
+
+def test_two_balls_rest_as_on_the_mesh():
+    """The weights are those of the test above; the mesh's heights are the reference."""
+    depth = []
+    for effects in ("auto", QUASISTATIC):
+        world = scene(PAIR, effects)
+        world.step(1500)
+        depth.append(np.array([world.data.body(n).xpos[2] for n in "ab"]))
+    # the mesh has 13 x 11 vertices: some 30 um in height at a ball of 8 mm
+    np.testing.assert_allclose(depth[1], depth[0], atol=1e-4)
+
+
+X_SLIDE = '<joint name="{0}" type="slide" axis="1 0 0" stiffness="1e4" damping="10"/>'
+
+
+def test_each_of_two_balls_slides_at_its_own_limit():
+    """A sensor that moves sideways drags each ball with the friction coefficient times its weight;
+    the sensor itself gets the opposite of the sum."""
+    carrier = """<body name="c"><joint name="c" type="slide" axis="1 0 0"/><geom size=".001" mass="1"
+     pos="0 0 -.1"/><site name="s"/></body>"""
+    pair = [
+        ball(n, x, 0, 0.0117, 0.008, mass, X_SLIDE.format(n) + SLIDE)
+        for n, x, mass in (("a", -0.0095, 0.02), ("b", 0.0095, 0.05))
+    ]
+    world = scene("".join(pair), carrier=carrier)
+    world.step(1000)
+    model, data = world.model, world.data
+    dofs = [model.joint(name).dofadr[0] for name in "abc"]
+    drags = []
+    for speed in (0.005, -0.005):  # m/s
+        for _ in range(500):
+            data.qvel[dofs[2]] = speed
+            world.step()
+        drags.append(data.qfrc_applied[dofs])
+    assert np.sum(drags, axis=1) == pytest.approx(0.0, abs=1e-12)
+    limits = DENSE.membrane.friction * G * np.array([0.02, 0.05])
+    # half the difference: the balls also lean outward on the bulge, alike in both directions
+    np.testing.assert_allclose((drags[0] - drags[1])[:2] / 2, limits, rtol=0.05)
