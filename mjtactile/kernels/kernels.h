@@ -326,7 +326,7 @@ int64_t qs_follow(const double *numbers /* 19 */, const double *law /* 11 */, in
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *slot /* geoms */, const double *bounds /* geoms, 7 */,
-                    int64_t slots, const int64_t *body_of /* slots */, double *memory /* 25 */, double *patches /* slots, 62 */,
+                    int64_t slots, const int64_t *body_of /* slots */, double *memory /* 26 */, double *patches /* slots, 62 */,
                     double *grip /* 3 * slots, 3 * slots */, int32_t *touched /* 3, columns, rows */,
                     double *before /* 6, columns, rows */);
 /* Compute the generalized forces `push` of this membrane on MuJoCo's degrees of freedom, and the

@@ -26,6 +26,7 @@
 /* steps between attempts without a lift, and with half of it */
 #define EASE 8
 #define LOWER 4
+#define PAUSE 32        /* steps until the next attempt if no lift has a solution */
 /* fraction of contact nodes that may change before the sticking stiffness is computed again */
 #define CHANGED 0.1
 /* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
@@ -74,13 +75,14 @@ typedef struct {
     double *x, *force, *trend, *found;
 } Solution;
 
-/* MuJoCo's geoms and bodies near a membrane. `slot`: patch of each geom; `of`: body of each
+/* MuJoCo's geoms and bodies near a membrane, in front of the glass at -`depth` m. `slot`: patch of each geom; `of`: body of each
    patch. */
 typedef struct {
     long geoms, slots;
     const int64_t *geom, *slot, *of;
     const double *bounds, *geom_xpos, *geom_xmat, *xpos, *xmat;
     const double *R, *p;            /* pose of the carrier */
+    double depth;
 } Scene;
 
 /* Write the poses of the geoms into the membrane's obstacles, and mark the near bodies. Returns 1
@@ -93,11 +95,18 @@ static int look(const Scene *s, double *rows, Memory *m, Patch *patches) {
         double off[3], at[3], turned[9], *row = rows + QS_OBSTACLE * k;
         for (int i = 0; i < 3; i++) off[i] = s->geom_xpos[3 * s->geom[k] + i] - s->p[i];
         into(s->R, off, at);
-        if (at[0] * at[0] + at[1] * at[1] + at[2] * at[2] >= s->bounds[BOUNDS * k]) {
+        const double *bounds = s->bounds + BOUNDS * k, *box = bounds + 1;
+        int is_near = at[0] * at[0] + at[1] * at[1] + at[2] * at[2] < bounds[0];
+        if (is_near) {
+            times(s->R, s->geom_xmat + 9 * s->geom[k], 1, turned);
+            double top = at[2];
+            for (int i = 0; i < 3; i++) top += turned[6 + i] * box[i] + fabs(turned[6 + i]) * box[3 + i];
+            is_near = top > -s->depth;
+        }
+        if (!is_near) {
             for (int i = 0; i < 3; i++) moved |= put(AWAY, row + 13 + i);
             continue;
         }
-        times(s->R, s->geom_xmat + 9 * s->geom[k], 1, turned);
         for (int i = 0; i < 9; i++) moved |= put(turned[i], row + 4 + i);
         for (int i = 0; i < 3; i++) moved |= put(at[i], row + 13 + i);
         Patch *own = patches + s->slot[k];
@@ -296,9 +305,9 @@ static int is_clear(const Membrane *f, const double *x, long geoms, const double
     return 1;
 }
 
-/* Attempt a solution with the obstacles raised by `lift`, m. On failure the state is kept. Returns
-   the status, or a negative error. */
-static int64_t attempt(const Solution *c, const double *settings, double lift, long nodes, double *keep) {
+/* Attempt a solution with the obstacles raised by `lift`, m; of what is `touching`, some must stay in
+   contact. On failure the state is kept. Returns the status, or a negative error. */
+static int64_t attempt(const Solution *c, const double *settings, double lift, int touching, long nodes, double *keep) {
     double *kept_force = keep + 3 * nodes, kept_found[FOUND];
     memcpy(keep, c->x, 3 * nodes * sizeof *keep), memcpy(kept_force, c->force, nodes * sizeof *keep);
     memcpy(kept_found, c->found, sizeof kept_found);
@@ -307,7 +316,8 @@ static int64_t attempt(const Solution *c, const double *settings, double lift, l
     const int64_t code = qs_solve(c->numbers, c->law, c->columns, c->rows, c->keeping, c->kept, c->rest, c->roomy, c->room, 1, 0, 1, settings,
                                   c->geoms, c->body, c->pooled, c->pool, c->x, c->force, c->trend, c->found);
     if (code < 0) return code;
-    const int64_t status = (int64_t)c->found[STATUS];
+    int64_t status = (int64_t)c->found[STATUS];
+    if (status == CONVERGED && lift > 0 && touching && !(-c->found[FORCE_Z] > LEAST)) status = NOT_CONVERGED; /* too high */
     if (status == CONVERGED) return CONVERGED;
     memcpy(c->x, keep, 3 * nodes * sizeof *keep), memcpy(c->force, kept_force, nodes * sizeof *keep);
     memcpy(c->found, kept_found, sizeof kept_found), memset(c->trend, 0, 4 * nodes * sizeof *keep);
@@ -320,8 +330,9 @@ static int64_t attempt(const Solution *c, const double *settings, double lift, l
 static int64_t solve(const Solution *c, const Scene *s, const double *settings, long nodes, double *keep, Memory *m, Patch *patches) {
     int64_t status;
     m->solved = 1;
+    if (m->pause > 0) return m->pause -= 1, m->lost += 1, 0;
     if (m->lift == 0 || (long)m->lost % EASE == 0) {
-        status = attempt(c, settings, 0, nodes, keep);
+        status = attempt(c, settings, 0, 0, nodes, keep);
         if (status < 0) return status;
         m->status = (double)status;
         if (status == CONVERGED) return m->lost = 0, m->lift = 0, 1;
@@ -330,14 +341,14 @@ static int64_t solve(const Solution *c, const Scene *s, const double *settings, 
     if (m->touching && m->lost <= LATE) return 0;
     double once[sizeof(Settings) / sizeof(double)], lift = m->lift > 0 ? m->lift : FIRST_LIFT;
     memcpy(once, settings, sizeof once);
-    ((Settings *)once)->again = 0;
     if (m->lift > FIRST_LIFT && (long)m->lost % LOWER == 0) lift /= 2;
     for (int k = 0; k < DOUBLINGS; k++, lift *= 2) {
         look(s, c->body, m, patches);
-        if ((status = attempt(c, once, lift, nodes, keep)) < 0) return status;
+        ((Settings *)once)->again = k % 3 == 2; /* from rest, in small steps: slower, but surer */
+        if ((status = attempt(c, once, lift, m->touching > 0, nodes, keep)) < 0) return status;
         if (status == CONVERGED) return m->lift = lift, 1;
     }
-    m->lift = FIRST_LIFT;
+    m->lift = FIRST_LIFT, m->pause = PAUSE;
     return 0;
 }
 
@@ -420,7 +431,8 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
     const Given *g = (const Given *)given;
     Memory *m = (Memory *)memory;
     Patch *patches = (Patch *)patch;
-    const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier};
+    const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier,
+                     f.numbers.depth};
     (void)nbody, (void)ngeom;
     const int has_moved = look(&s, body, m, patches);
     const int again = m->time == g->time; /* same time instant */

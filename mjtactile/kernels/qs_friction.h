@@ -12,6 +12,7 @@ typedef struct {
     double near;                    /* number of near bodies */
     double status, lost, solved;    /* of the last solution; steps in a row without one */
     double lift;                    /* height by which the obstacles are raised for a solution, m */
+    double pause;                   /* steps until the next attempt to find a solution */
     double uncertain;               /* extrapolated force, N, while there is no solution */
     double gripped;                 /* nodes of the sticking stiffness */
     double gas, sealed;             /* gas settings at the last solution */

@@ -7,6 +7,7 @@ The in-plane stiffness of the untouched membrane, inverted once, holds sticking 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +26,8 @@ _TOLERANCE = 1e-6  # tolerance of the displacements, m
 _MAX_STEPS = 40
 HEAT_RATIO = 14
 """Index of the gas exponent in a membrane's parameters."""
+AWAY = 10.0
+"""Position, m, of obstacles that are not near (kernels/qs_friction.c)."""
 _RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 
 
@@ -40,7 +43,7 @@ class IncrementalMembrane:
     ):
         """Bind the solver to obstacles `rows` (k, NUMBERS), read at every solution, and `pool`.
 
-        They may be up to `below_rim` m below the rim of the frame, which supports them there.
+        They may be up to `below_rim` m below the rim of the frame, which carries them there.
         """
         self.membrane = membrane
         self.x = np.zeros_like(membrane.rest.x)
@@ -95,18 +98,35 @@ class IncrementalMembrane:
         self.trend[:] = 0.0
         self.found[:] = 0.0
 
-    def below_rim(self) -> float:
-        """Return the depth of the obstacles below the membrane's mid-surface on the frame, m."""
+    def below_rim(self) -> tuple[float, int]:
+        """Return the depth, m, of the deepest obstacle below the membrane's mid-surface on the
+        frame, and its row; 0 and -1 if none is below."""
         membrane = self.membrane
         x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
         inner = np.zeros(membrane.grid, bool)
         inner[1:-1, 1:-1] = True
         places = np.stack([x[~inner], y[~inner]], axis=1)
-        heights = np.empty(len(places))
+        depth, row = self._deepest(places, np.zeros(len(places)))
+        return max(depth, 0.0), row if depth > 0 else -1
+
+    def deepest(self) -> int:
+        """Return the row of the obstacle that is deepest below the untouched membrane; -1: none."""
+        membrane = self.membrane
+        x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
+        places = np.stack([x.ravel(), y.ravel()], axis=1)
+        return self._deepest(places, membrane.rest.x[2].ravel())[1]
+
+    def _deepest(self, places: Array, surface: Array) -> tuple[float, int]:
+        """Return the largest depth, m, of obstacles below `surface` (n,) m at `places` (n, 2) m,
+        and its row; infinitely far above and -1 if none is there."""
+        found = -math.inf, -1
         pooled = 0 if self.pool is None else self.pool.size
-        given = (len(self.rows), self.rows, pooled, self.pool, len(places), places)
-        kernel("qs_obstacle_heights")(self.numbers, *given, heights)
-        return max(-float(heights.min()), 0.0)
+        heights = np.empty(len(places))
+        for row in np.flatnonzero(self.rows[:, 15] < AWAY):
+            obstacle = (1, self.rows[row : row + 1], pooled, self.pool)
+            kernel("qs_obstacle_heights")(self.numbers, *obstacle, len(places), places, heights)
+            found = max(found, (float((surface - heights).max()), int(row)))
+        return found
 
     def relative_force_error(self) -> float:
         """Return the relative force error not exceeded in 9 of 10 cases, of reachable obstacles."""

@@ -98,10 +98,7 @@ class Stepper:
             self._stop(f"MuJoCo warned: {', '.join(self._warning_names())}")
         if not self._sensors:
             return
-        for sensor in self._sensors:
-            reason = sensor.failure()
-            if reason:
-                self._stop(reason)
+        self._check_sensors()
         if unsolved is None:
             unsolved = int(self._data.solver_niter[0] >= self._model.opt.iterations)
         self._unsolved[0] += unsolved
@@ -113,6 +110,14 @@ class Stepper:
         reason = self._monitor.tunneled_geom(every=False)
         if reason:
             self._stop(reason)
+
+    def _check_sensors(self) -> None:
+        for sensor in self._sensors:
+            reason = sensor.failure()
+            if reason:
+                self._stop(reason)
+            if urgent := sensor.unsolved_flags():
+                self.update_flags(urgent)
 
     def _check(self) -> None:
         flags, checked, reason = self._monitor.check()

@@ -71,7 +71,9 @@ def test_each_of_two_balls_is_carried_by_its_weight():
 def test_three_balls_of_equal_weight_are_carried_alike():
     """The two outer ones of three in a row are mirror images; all carry the same weight."""
     world = scene(
-        "".join(ball(n, x, 0, 0.009, 0.005, 0.02) for n, x in zip("abc", (-1e-2, 0, 1e-2), strict=True))
+        "".join(
+            ball(n, x, 0, 0.009, 0.005, 0.02) for n, x in zip("abc", (-1e-2, 0, 1e-2), strict=True)
+        )
     )
     world.step(1500)
     # within 8 um of the last solution, the membrane is one spring per ball: 0.2 % of the weight
@@ -117,3 +119,38 @@ def test_each_of_two_balls_slides_at_its_own_limit():
     limits = DENSE.membrane.friction * G * np.array([0.02, 0.05])
     # half the difference: the balls also lean outward on the bulge, alike in both directions
     np.testing.assert_allclose((drags[0] - drags[1])[:2] / 2, limits, rtol=0.05)
+
+
+SHAPES = {
+    "plate": 'type="box" size=".0005 .01 .01" mass="0.3"',
+    "corner": 'type="box" size=".004 .004 .004" euler="35 45 0" mass="0.1"',
+    "heavy": 'size="0.01" mass="1.5"',
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_body_without_an_equilibrium_is_held_and_flagged(kind):
+    """A thin plate, a corner or a load down to the glass does not end the scene. The force is
+    extrapolated, and the flag has its amount and the geom."""
+    body = f'<body name="p" pos="0.001 0 0.019">{SLIDE}<geom name="p" {SHAPES[kind]}/></body>'
+    world = scene(body)
+    start, found = world.time, np.inf
+    for _ in range(250):
+        world.step()
+        if world.sensors[0].unsolved_flags():
+            found = min(found, world.time)
+    flag = world.flags["quasistatic"]
+    assert "'p'" in flag and "N of the force are extrapolated" in flag
+    assert start < flag.first == pytest.approx(found)  # at once
+    # the body is held: by the membrane, and by the glass below it
+    assert np.isfinite(world.data.qpos).all()
+    assert world.data.body("p").xpos[2] > -DENSE.chamber.depth
+
+
+def test_a_body_that_starts_deep_in_the_membrane_is_lifted_out():
+    """A ball that starts 6 mm too deep comes to rest with its weight."""
+    world = scene(ball("a", 0, 0, 0.0, 0.008, 0.05))
+    world.step(600)
+    # it still settles, by some mm/s times the damping of 1 N s/m
+    assert applied(world, "a") == pytest.approx(0.05 * G, abs=5e-3)
+    assert world.flags["quasistatic"].last < world.time - 0.5

@@ -9,6 +9,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.flags import Reasons
 from mjtactile.core.not_copyable import NotCopyable
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.effect_switches import make_gas
@@ -144,6 +145,10 @@ class BaseSensor(NotCopyable, ABC):
         """From now on, gas and walls get warmer by `rate` K/s."""
         self.wake()
         self._gas.warm(rate)
+
+    def unsolved_flags(self) -> Reasons:
+        """Return flags of the last step that are due at once."""
+        return {}
 
     def _empty(self) -> str | None:
         """Return the failure message of a chamber without gas; None if it has some."""

@@ -127,16 +127,15 @@ class SceneMonitor:
         self._check_count += 1
         # quasi-static membranes detect tunneling themselves
         if self.only_quasistatic and self._check_count % _QS_RARE_PERIOD:
-            for number in range(len(self._sensors)):
-                flags |= self._frame(number)
+            for number, sensor in enumerate(self._sensors):
+                flags |= self._frame(number) | self._contact_flags(sensor)
             return flags, {Cadence.FAST}, stop
         places = self._geoms_in(self._sensors)
         is_slow_check = self._check_count % _RARELY == 0
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
-            if is_slow_check:
-                flags |= sensor.flags()
+            flags |= sensor.flags() if is_slow_check else self._contact_flags(sensor)
             rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
             flags |= self._frame(number)
@@ -149,12 +148,20 @@ class SceneMonitor:
                 )
             if lasting > _SUNK:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
-            stop = stop or self._jumped(number, places[number])
+            jumped = self._jumped(number, places[number])
+            if jumped and isinstance(sensor, QuasistaticSensor):
+                flags["quasistatic"] = jumped
+            else:
+                stop = stop or jumped
         self._places = places
         stop = stop or self.tunneled_geom()
         if not is_slow_check:
             return flags, SIMULATION - {Cadence.SLOW}, stop
         return flags | self._too_fast(places), SIMULATION, stop
+
+    @staticmethod
+    def _contact_flags(sensor: AnySensor) -> Reasons:
+        return sensor.contact_flags() if isinstance(sensor, QuasistaticSensor) else {}
 
     def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Reasons:
         """Return flags of the geoms in the contacts `rows`: small features, edges, hulls."""
@@ -252,14 +259,14 @@ class SceneMonitor:
         ]
 
     def tunneled_geom(self, every: bool = True) -> str | None:
-        """Return a message for the first geom that went through a membrane, or None.
+        """Return a message for the first geom that went through a mesh, or None.
 
         Without `every`, only geoms thin enough to pass within one step are checked.
         """
         if not every and not self.needs_every_step:
             return None
         for number, sensor in enumerate(self._sensors):
-            if sensor.is_asleep:
+            if sensor.is_asleep or isinstance(sensor, QuasistaticSensor):
                 continue
             p_SV = None
             for geom in self._over(sensor, self._geoms_of[number] if every else self._thin[number]):

@@ -27,6 +27,7 @@ STATE = np.dtype([
     ("lost", float),  # steps without a solution in a row
     ("solved", float),
     ("lift", float),  # height by which the obstacles are raised for a solution, m
+    ("pause", float),
     ("uncertain", float),  # extrapolated force, N, while there is no solution
     ("gripped", float),
     ("gas", float),  # gas settings of the last solution

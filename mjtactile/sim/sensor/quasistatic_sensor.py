@@ -20,7 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 from mjtactile.quasistatic import MembraneStatus
 from mjtactile.quasistatic.incremental import IncrementalMembrane
-from mjtactile.sim.sensor import validity_checks
+from mjtactile.sim.sensor import feature_size, validity_checks
 from mjtactile.sim.sensor.base_sensor import BaseSensor
 from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
@@ -35,8 +35,7 @@ from mjtactile.sim.sensor.quasistatic_geoms import (
     sticking_of,
 )
 
-_PATIENCE = 25  # steps without a solution in a row
-_LATE = 2  # such steps that are not worth a word
+_LATE = 2  # steps without a solution in a row that are not worth a flag
 _NO_FLEX = -2
 # indices in the kernel's input
 _FRICTION = 0
@@ -102,6 +101,8 @@ class QuasistaticSensor(BaseSensor):
         self._number = self._pushes.join(prefix, count)
         self._force = np.zeros(model.nv)
         self._holds = np.zeros((count, HOLD))
+        # largest extrapolated force so far, N, and the flag with it
+        self._extrapolated = (0.0, "")
         # 1 if the membrane exerted a force at the last update
         self._pushing = np.zeros(1, np.int64)
         self._bind()
@@ -348,39 +349,57 @@ class QuasistaticSensor(BaseSensor):
 
     def flags(self) -> Reasons:
         """Return flags for reduced accuracy of the present state."""
-        flags: Reasons = {}
-        lost = int(self._state["lost"])
-        if lost > _LATE:
-            flags["quasistatic"] = (
-                f"the quasi-static membrane found no equilibrium for {lost} steps: {self._reason()}"
-            )
-        near = self._state["near"]
-        if near:
-            narrow = self._live.relative_force_error() if self.is_touched else 0.0
-            flags |= validity_checks.quasistatic_flags(self._live.below_rim(), narrow)
-        return flags | validity_checks.membrane_flags(
+        return self.contact_flags() | validity_checks.membrane_flags(
             self.design, self.gauge_pressure, *self.stretches()
         )
 
+    def contact_flags(self) -> Reasons:
+        """Return the flags of the present contact."""
+        if not self._state["near"]:
+            return {}
+        narrow = self._live.relative_force_error() if self.is_touched else 0.0
+        below, row = self._live.below_rim() if self.is_touched else (0.0, -1)
+        return self.unsolved_flags() | validity_checks.quasistatic_flags(
+            below, self._name(row), narrow
+        )
+
+    def unsolved_flags(self) -> Reasons:
+        """Return the flag of a force that is extrapolated because there is no equilibrium."""
+        lost = int(self._state["lost"])
+        if lost <= _LATE and not self._state["lift"] > 0:
+            return {}
+        uncertain = float(self._state["uncertain"])
+        if uncertain >= self._extrapolated[0]:
+            status = MembraneStatus(int(self._state["status"]))
+            reason = _REASONS.get(status, "the gas pressure jumps")
+            force = (
+                f"{uncertain:.2g} N of the force are extrapolated"
+                if self.is_touched
+                else "no force"
+            )
+            text = (
+                f"sensor {self.prefix!r}: {self._name(self._live.deepest())} {reason} ({force}); "
+                "switch 'mesh' on"
+            )
+            self._extrapolated = uncertain, text
+        return {"quasistatic": self._extrapolated[1]}
+
     def failure(self) -> str | None:
         """Return the reason why this sensor's state is outside the membrane model, or None."""
-        lost = self._state["lost"]
-        is_on_glass = self._state["status"] == MembraneStatus.GLASS_CONTACT
-        if lost and (is_on_glass or lost >= _PATIENCE):
-            return f"sensor {self.prefix!r}: {self._reason()}; switch 'mesh' on"
         return self._empty()
 
-    def _reason(self) -> str:
-        status = MembraneStatus(int(self._state["status"]))
-        return _REASONS.get(status, "the gas pressure jumps")
+    def _name(self, row: int) -> str:
+        """Return the name of the geom of an obstacle."""
+        if row < 0:
+            return "an object"
+        return repr(feature_size.name_of(self._model, int(self._geoms.ids[row])))
 
 
 _REASONS = {
-    MembraneStatus.NOT_CONVERGED: "the membrane finds no equilibrium on the objects that touch it",
-    MembraneStatus.RIM_CONTACT: "an object presses below the rim of the frame",
-    MembraneStatus.GLASS_CONTACT: "an object presses the membrane against the glass",
-    MembraneStatus.INVERTED: "an object is too steep for the quasi-static membrane",
-    MembraneStatus.NUMERICAL_FAILURE: "the solution is not finite for the objects that touch",
-    MembraneStatus.TUNNELLING: "an object is so thin that it passes between the nodes",
-    MembraneStatus.OVERSTRETCHED: "the stretch exceeds the range of the material model",
+    MembraneStatus.NOT_CONVERGED: "leaves the quasi-static membrane without an equilibrium",
+    MembraneStatus.GLASS_CONTACT: "presses the quasi-static membrane against the glass",
+    MembraneStatus.INVERTED: "is too steep for the quasi-static membrane",
+    MembraneStatus.NUMERICAL_FAILURE: "gives the quasi-static membrane no finite solution",
+    MembraneStatus.TUNNELLING: "is so thin that it passes between the membrane's nodes",
+    MembraneStatus.OVERSTRETCHED: "stretches the membrane beyond the range of its material model",
 }

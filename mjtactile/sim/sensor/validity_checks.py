@@ -114,18 +114,17 @@ def membrane_flags(
     return flags
 
 
-def quasistatic_flags(below_rim: float, relative_error: float) -> Reasons:
+def quasistatic_flags(below_rim: float, lowest: str, relative_error: float) -> Reasons:
     """Return flags of a quasi-static membrane.
 
-    `below_rim` is the depth, m, at which the frame carries the contact, `relative_error` that of
-    the force for a contact that is narrow for the grid.
+    `below_rim` is the depth, m, of the geom `lowest` below the rim of the frame. `relative_error`
+    is that of the force of a contact that is narrow for the grid.
     """
     flags: Reasons = {}
     if below_rim > 0:
         flags["rim_contact"] = (
-            f"an object lies on the frame's rim ({1e3 * below_rim:.2f} mm below the "
-            "membrane's mid-surface there), which carries load that the model omits; switch "
-            "'mesh' on"
+            f"{lowest} lies on the frame's rim, {1e3 * below_rim:.2f} mm below the membrane's "
+            "mid-surface there: the membrane's force may be off by 10 %; switch 'mesh' on"
         )
     if relative_error > _NARROW:
         flags["small_feature"] = (
