@@ -1,0 +1,197 @@
+"""`Membranes`: many quasi-static membranes of one sensor on one device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.quasistatic.cut_cells import free_nodes
+from mjtactile.quasistatic.membrane import QuasistaticMembrane
+from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
+from mjtactile.warp.elasticity import Sheet
+from mjtactile.warp.equilibrium import Fields, Gas, Scheme, solve
+from mjtactile.warp.obstacles import Geom
+from mjtactile.warp.relaxation import MAX_NODES
+from mjtactile.warp.stencil import plane_stencil
+
+wp.set_module_options({"enable_backward": False})
+
+BLOCK = 64  # threads of a membrane on a GPU
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """Iteration of a solution.
+
+    `outer` limits the outer steps of one solution, each with `sweeps` of relaxation for the heights
+    and the in-plane displacements. A solution ends when a step is below `tolerance`, m.
+    """
+
+    outer: int = 4
+    sweeps: tuple[int, int] = (10, 4)
+    relaxation: tuple[float, float] = (1.6, 1.2)
+    tolerance: float = 1e-6
+
+
+@wp.kernel
+def _solve_all(
+    sheet: Sheet,
+    scheme: Scheme,
+    gas: Gas,
+    geoms: wp.array2d(dtype=Geom),
+    pool: wp.array(dtype=wp.vec4),
+    modulus: wp.array(dtype=float),
+    fields: Fields,
+):
+    f, lane = wp.tid()
+    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, wp.block_dim(), modulus[f])
+
+
+class Membranes:
+    """`count` membranes of one sensor, each with up to `slots` geoms near it.
+
+    `geoms` (count, slots) are obstacles in each sensor's frame; a kind of -1 is an empty slot.
+    `fields` holds state and results. `modulus` (count,) scales the shear modulus times thickness.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorDesign | str,
+        count: int,
+        *,
+        slots: int = 1,
+        grid: tuple[int, int] = (21, 16),
+        device: str | None = None,
+        iteration: Iteration | None = None,
+        planes: Array | None = None,
+    ):
+        """Create the membranes, inflated and sealed at the sensor's supply pressure.
+
+        Args:
+            sensor: The sensor's design, or a shipped name.
+            count: Number of membranes.
+            slots: Number of geoms that may be near one membrane.
+            grid: Number of nodes along x and y; the product is at most MAX_NODES.
+            device: Warp device, such as "cpu" or "cuda:0"; None: Warp's default.
+            iteration: Iteration of a solution; None: the default.
+            planes: Planes (n, 4) of convex geoms: outward normal and distance, m.
+
+        Raises:
+            InputError: A grid with too many nodes, or a sensor whose membrane finds no equilibrium.
+        """
+        if grid[0] * grid[1] > MAX_NODES:
+            raise InputError(
+                f"{grid} has {grid[0] * grid[1]} nodes; at most {MAX_NODES}", field="grid"
+            )
+        from mjtactile.core.design import load_sensor
+
+        self.design = load_sensor(sensor)
+        self.membrane = membrane_of(self.design, grid)
+        self.count, self.grid = count, grid
+        self.device = wp.get_device(device)
+        self.block = BLOCK if self.device.is_cuda else 1
+        self.iteration = iteration or Iteration()
+        with wp.ScopedDevice(self.device):
+            self.sheet = _sheet(self.membrane)
+            self.scheme = _scheme(self.membrane, self.iteration)
+            self.fields = _fields(count, grid)
+            self.gas = Gas()
+            self.gas.flat = float(self.design.chamber_volume_flat)
+            self.gas.ambient = float(self.design.chamber.ambient)
+            self.gas.exponent = float(self.design.chamber.polytropic_exponent)
+            self.gas.amount = wp.full(count, float(self.membrane._gas), dtype=float)
+            self.gas.sealed = wp.full(count, int(self.membrane.sealed), dtype=int)
+            self.modulus = wp.full(count, 1.0, dtype=float)
+            self.geoms = wp.zeros((count, slots), dtype=Geom)
+            rows = np.zeros((1, 4)) if planes is None else planes
+            self.pool = wp.array(rows.astype(np.float32), dtype=wp.vec4)
+        empty = self.geoms.numpy()
+        empty["kind"] = -1
+        self.geoms.assign(empty)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return all membranes to rest without contact."""
+        rest = self.membrane.rest
+        x = rest.x.reshape(3, -1).astype(np.float32)
+        whole = np.broadcast_to(x, (self.count, *x.shape))
+        for field in (self.fields.u, self.fields.kept):
+            field.assign(whole)
+        self.fields.force.zero_()
+        self.fields.pressure.fill_(float(self.membrane.gauge_pressure))
+        self.fields.volume.fill_(float(rest.volume))
+        self.fields.status.zero_()
+
+    def solve(self) -> None:
+        """Bring all membranes to equilibrium on their geoms, from their present states."""
+        wp.launch_tiled(
+            _solve_all,
+            dim=[self.count],
+            inputs=[
+                self.sheet,
+                self.scheme,
+                self.gas,
+                self.geoms,
+                self.pool,
+                self.modulus,
+                self.fields,
+            ],
+            block_dim=self.block,
+            device=self.device,
+        )
+
+
+def _sheet(membrane: QuasistaticMembrane) -> Sheet:
+    numbers = membrane._numbers
+    sheet = Sheet()
+    sheet.nx, sheet.ny = membrane.grid
+    sheet.dx = float(membrane.x[1] - membrane.x[0])
+    sheet.dy = float(membrane.y[1] - membrane.y[0])
+    sheet.lambda2 = float(numbers[4])
+    sheet.neo_hookean = int(numbers[5])
+    sheet.modulus, sheet.poisson = float(numbers[6]), float(numbers[7])
+    sheet.law_middle, sheet.law_per_unit = float(numbers[8]), float(numbers[9])
+    sheet.half_thickness = membrane.design.membrane.thickness / 2
+    sheet.depth = membrane.design.chamber.depth
+    sheet.law = wp.array(membrane._law.astype(np.float32), dtype=float)
+    inner = np.zeros(membrane.grid, np.int32)
+    inner[1:-1, 1:-1] = 1
+    if membrane._cut.size:
+        inner *= free_nodes(membrane._cut, membrane.grid).astype(np.int32)
+    sheet.free = wp.array(inner.ravel(), dtype=int)
+    sheet.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
+    return sheet
+
+
+def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Scheme:
+    scheme = Scheme()
+    scheme.outer = iteration.outer
+    scheme.sweeps_z, scheme.sweeps_xy = iteration.sweeps
+    scheme.relaxation_z, scheme.relaxation_xy = iteration.relaxation
+    scheme.tolerance = iteration.tolerance
+    scheme.bulge = 1 / bulge_stiffness(membrane)
+    return scheme
+
+
+def _fields(count: int, grid: tuple[int, int]) -> Fields:
+    nodes = grid[0] * grid[1]
+    fields = Fields()
+    for name in ("u", "kept"):
+        setattr(fields, name, wp.zeros((count, 3, nodes), dtype=float))
+    for name in (
+        *("force", "height", "slope_x", "slope_y", "gap", "link_x", "link_y"),
+        *("rx", "ry", "rz", "extra"),
+    ):
+        setattr(fields, name, wp.zeros((count, nodes), dtype=float))
+    fields.owner = wp.zeros((count, nodes), dtype=int)
+    fields.spring = wp.zeros((count, 4, nodes), dtype=float)
+    for name in ("pressure", "volume"):
+        setattr(fields, name, wp.zeros(count, dtype=float))
+    for name in ("status", "iterations"):
+        setattr(fields, name, wp.zeros(count, dtype=int))
+    return fields
