@@ -41,9 +41,14 @@ class Sheet:
 
 @wp.struct
 class NodeLoad:
-    """Load of one node: force, N, links to +x and +y, N/m, volume, m^3, minimum turn, 1."""
+    """Load of one node.
 
-    force: wp.vec3
+    `elastic` N; `swell` m^2, the derivative of the volume by its position; `link_x` and `link_y`
+    N/m, stiffness towards +x and +y; `volume` m^3; `turn`, minimum ratio of projected area.
+    """
+
+    elastic: wp.vec3
+    swell: wp.vec3
     link_x: float
     link_y: float
     volume: float
@@ -86,9 +91,9 @@ def stress(sheet: Sheet, scale: float, g1: wp.vec3, g2: wp.vec3) -> wp.vec3:
 
 @wp.func
 def node_load(
-    sheet: Sheet, u: wp.array3d(dtype=float), f: int, i: int, j: int, p: float, scale: float
+    sheet: Sheet, u: wp.array3d(dtype=float), f: int, i: int, j: int, scale: float
 ) -> NodeLoad:
-    """Return the elastic and gas load of node (i, j), summed over the corners of its cells.
+    """Return the load of node (i, j), summed over the corners of its cells.
 
     A node's force depends on three corners of each cell: its own, and the two at the ends of its
     edges.
@@ -96,6 +101,7 @@ def node_load(
     load = NodeLoad()
     w = 0.25 * sheet.dx * sheet.dy
     force = wp.vec3(0.0, 0.0, 0.0)
+    swell = wp.vec3(0.0, 0.0, 0.0)
     link_x = float(0.0)
     link_y = float(0.0)
     volume = float(0.0)
@@ -125,12 +131,11 @@ def node_load(
             t_a = g1[0] * g2[1] - g1[1] * g2[0]
             volume += w * a[2] * t_a
             turn = wp.min(turn, t_a)
-            gas = wp.vec3(
+            swell += w * wp.vec3(
                 a[2] * (g1[1] * sy - g2[1] * sx) - b[2] * h2[1] * sx + d[2] * h1[1] * sy,
                 a[2] * (g2[0] * sx - g1[0] * sy) + b[2] * h2[0] * sx - d[2] * h1[0] * sy,
                 t_a,
             )
-            force += gas * (w * p)
             fair = _MIN_TENSION * 0.5 * wp.max(s[0] + s[1], 0.0)
             flat = 1.0 / (1.0 + g1[2] * g1[2] + g2[2] * g2[2])
             if si > 0:
@@ -139,7 +144,8 @@ def node_load(
             if sj > 0:
                 flat_d = 1.0 / (1.0 + h1[2] * h1[2] + g2[2] * g2[2])
                 link_y += (wp.max(s[1], fair) * flat + wp.max(sd[1], fair) * flat_d) * sy * sy
-    load.force = force
+    load.elastic = force
+    load.swell = swell
     load.link_x = link_x
     load.link_y = link_y
     load.volume = volume

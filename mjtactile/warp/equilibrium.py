@@ -28,7 +28,7 @@ _HALVINGS = wp.constant(12)  # of a spacing, to find an edge
 _NEAREST_EDGE = wp.constant(0.95)
 _MIN_TURN = wp.constant(0.05)  # minimum ratio of a cell's projected area
 _MAX_SHIFT = wp.constant(5.0e-4)  # maximum in-plane step, m
-_TOUCH = wp.constant(1.0e-9)
+_MAX_TREND = wp.constant(2.0)
 
 
 @wp.struct
@@ -36,12 +36,14 @@ class Scheme:
     """Iteration: numbers of outer steps and sweeps, relaxation factors, tolerance, m."""
 
     outer: int
+    batches: int
     sweeps_z: int
     sweeps_xy: int
     relaxation_z: float
     relaxation_xy: float
     tolerance: float
     bulge: float  # dV/dp of the free bulge, m^3/Pa
+    trend: int
 
 
 @wp.struct
@@ -56,11 +58,14 @@ class Fields:
     slope_y: wp.array2d(dtype=float)
     owner: wp.array2d(dtype=int)
     gap: wp.array2d(dtype=float)
+    change: wp.array2d(dtype=float)
     link_x: wp.array2d(dtype=float)
     link_y: wp.array2d(dtype=float)
     rx: wp.array2d(dtype=float)
     ry: wp.array2d(dtype=float)
     rz: wp.array2d(dtype=float)
+    swell: wp.array2d(dtype=float)
+    trend: wp.array3d(dtype=float)
     extra: wp.array2d(dtype=float)
     spring: wp.array3d(dtype=float)
     pressure: wp.array(dtype=float)
@@ -167,6 +172,18 @@ def _bend(center: float, one: float, other: float) -> float:
 
 
 @wp.func
+def _height_correction(sheet: Sheet, fields: Fields, f: int, k: int) -> float:
+    """Return the height by which a round obstacle is lowered at an inner node (X4), m."""
+    h = fields.height[f, k]
+    bend = _bend(h, fields.height[f, k - sheet.ny], fields.height[f, k + sheet.ny])
+    bend += _bend(h, fields.height[f, k - 1], fields.height[f, k + 1])
+    sx = fields.slope_x[f, k]
+    sy = fields.slope_y[f, k]
+    steep = 1.0 + sx * sx + sy * sy
+    return _CORRECTION * wp.max(bend, 0.0) / (steep * wp.sqrt(steep))
+
+
+@wp.func
 def evaluate(
     sheet: Sheet,
     geoms: wp.array2d(dtype=Geom),
@@ -175,7 +192,6 @@ def evaluate(
     f: int,
     lane: int,
     threads: int,
-    p: float,
     scale: float,
 ) -> wp.vec2:
     """Evaluate forces, links and obstacles at all nodes; return volume and minimum turn."""
@@ -185,12 +201,11 @@ def evaluate(
     for k in range(lane, count, threads):
         i = k // sheet.ny
         j = k - i * sheet.ny
-        load = node_load(sheet, fields.u, f, i, j, p, scale)
+        load = node_load(sheet, fields.u, f, i, j, scale)
         volume += load.volume
         turn = wp.min(turn, load.turn)
-        fields.rx[f, k] = load.force[0]
-        fields.ry[f, k] = load.force[1]
-        fields.rz[f, k] = load.force[2]
+        fields.rz[f, k] = load.elastic[2]
+        fields.swell[f, k] = load.swell[2]
         fields.link_x[f, k] = load.link_x
         fields.link_y[f, k] = load.link_y
         x = node_at(sheet, fields.u, f, i, j)
@@ -240,13 +255,15 @@ def find_springs(
 
 
 @wp.func
-def prepare_heights(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) -> None:
-    """Add the springs to residual and links, and compute the room below the obstacles."""
+def prepare_heights(
+    sheet: Sheet, fields: Fields, f: int, lane: int, threads: int, p: float
+) -> None:
+    """Add gas and springs to residual and links, and compute the room below the obstacles."""
     ny = sheet.ny
     for k in range(lane, sheet.nx * ny, threads):
         i = k // ny
         j = k - i * ny
-        r = fields.rz[f, k]
+        r = fields.rz[f, k] + p * fields.swell[f, k]
         gap = float(MISS)
         z = fields.u[f, 2, k]
         if sheet.free[k] != 0:
@@ -261,14 +278,10 @@ def prepare_heights(sheet: Sheet, fields: Fields, f: int, lane: int, threads: in
                     r -= theirs * (z - fields.u[f, 2, other] - _along(sheet, fields, f, other, back))
             h = fields.height[f, k]
             if is_on(h):
-                bend = _bend(h, fields.height[f, k - ny], fields.height[f, k + ny])
-                bend += _bend(h, fields.height[f, k - 1], fields.height[f, k + 1])
-                sx = fields.slope_x[f, k]
-                sy = fields.slope_y[f, k]
-                steep = 1.0 + sx * sx + sy * sy
-                gap = h - _CORRECTION * wp.max(bend, 0.0) / (steep * wp.sqrt(steep)) - z
+                gap = h - _height_correction(sheet, fields, f, k) - z
         fields.rz[f, k] = r
         fields.gap[f, k] = gap
+        fields.change[f, k] = 0.0
     synchronize()
     for k in range(lane, sheet.nx * ny, threads):
         i = k // ny
@@ -293,10 +306,11 @@ def prepare_plane(
         ry = float(0.0)
         extra = float(0.0)
         if sheet.free[k] != 0:
-            load = node_load(sheet, fields.u, f, i, j, p, scale)
+            load = node_load(sheet, fields.u, f, i, j, scale)
+            push = load.elastic + p * load.swell
             q = fields.force[f, k]
-            rx = load.force[0] + q * fields.slope_x[f, k]
-            ry = load.force[1] + q * fields.slope_y[f, k]
+            rx = push[0] + q * fields.slope_x[f, k]
+            ry = push[1] + q * fields.slope_y[f, k]
             if q > 0.0:
                 d = fields.link_x[f, k] + fields.link_x[f, k - ny]
                 d += fields.link_y[f, k] + fields.link_y[f, k - 1]
@@ -307,6 +321,43 @@ def prepare_plane(
         fields.ry[f, k] = ry
         fields.extra[f, k] = extra
     synchronize()
+
+
+@wp.func
+def extrapolate(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) -> float:
+    """Continue the last change of the membrane by the factor that fits the motion of the obstacles.
+
+    Return the factor; 0 if the last change explains less than half of the gaps.
+    """
+    along = float(0.0)
+    trends = float(0.0)
+    gaps = float(0.0)
+    for k in range(lane, sheet.nx * sheet.ny, threads):
+        h = fields.height[f, k]
+        if fields.force[f, k] > 0.0 and is_on(h):
+            gap = h - _height_correction(sheet, fields, f, k) - fields.u[f, 2, k]
+            went = (
+                fields.trend[f, 2, k]
+                - fields.slope_x[f, k] * fields.trend[f, 0, k]
+                - fields.slope_y[f, k] * fields.trend[f, 1, k]
+            )
+            along += gap * went
+            trends += went * went
+            gaps += gap * gap
+    along = wp.tile_extract(wp.tile_sum(wp.tile(along)), 0)
+    trends = wp.tile_extract(wp.tile_sum(wp.tile(trends)), 0)
+    gaps = wp.tile_extract(wp.tile_sum(wp.tile(gaps)), 0)
+    by = float(0.0)
+    if trends > 1.0e-16:
+        share = along / trends
+        if wp.abs(share) < _MAX_TREND and along * share > 0.5 * gaps:
+            by = share
+    if by != 0.0:
+        for k in range(lane, sheet.nx * sheet.ny, threads):
+            for c in range(3):
+                fields.u[f, c, k] += by * fields.trend[f, c, k]
+    synchronize()
+    return by
 
 
 @wp.func
@@ -329,7 +380,7 @@ def move_heights(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) 
     """Add the step of the heights; return its maximum, m."""
     longest = float(0.0)
     for k in range(lane, sheet.nx * sheet.ny, threads):
-        step = fields.gap[f, k]
+        step = fields.change[f, k]
         fields.u[f, 2, k] += step
         longest = wp.max(longest, wp.abs(step))
     longest = wp.tile_extract(wp.tile_max(wp.tile(longest)), 0)
@@ -364,6 +415,51 @@ def gas_pressure(gas: Gas, f: int, bulge: float, present: float, bulge_rate: flo
 
 
 @wp.func
+def settle_heights(
+    sheet: Sheet,
+    scheme: Scheme,
+    gas: Gas,
+    fields: Fields,
+    f: int,
+    lane: int,
+    threads: int,
+    volume: float,
+    p: float,
+) -> float:
+    """Relax the heights together with the gas; return the pressure, Pa.
+
+    Links and forces of the rubber are those of the present outer step.
+    """
+    now = float(p)
+    if gas.sealed[f] == 0:
+        now = gas.amount[f]
+    for _batch in range(scheme.batches):
+        relax_heights(
+            f,
+            lane,
+            sheet.nx,
+            sheet.ny,
+            scheme.relaxation_z,
+            scheme.sweeps_z,
+            now - p,
+            sheet.free,
+            fields.change,
+            fields.gap,
+            fields.swell,
+            fields.link_x,
+            fields.link_y,
+            fields.rz,
+            fields.force,
+        )
+        swelled = float(0.0)
+        for k in range(lane, sheet.nx * sheet.ny, threads):
+            swelled += fields.swell[f, k] * fields.change[f, k]
+        swelled = wp.tile_extract(wp.tile_sum(wp.tile(swelled)), 0)
+        now = gas_pressure(gas, f, volume + swelled, now, scheme.bulge)
+    return now
+
+
+@wp.func
 def solve(
     sheet: Sheet,
     scheme: Scheme,
@@ -387,10 +483,12 @@ def solve(
     volume = fields.volume[f]
     for step in range(scheme.outer):
         if status == _NOT_CONVERGED:
-            p = gas_pressure(gas, f, volume, p, scheme.bulge)
-            sums = evaluate(sheet, geoms, pool, fields, f, lane, threads, p, scale)
-            moved_gas = wp.abs(gas_pressure(gas, f, sums[0], p, scheme.bulge) - p)
+            sums = evaluate(sheet, geoms, pool, fields, f, lane, threads, scale)
+            if step == 0:
+                if scheme.trend != 0 and extrapolate(sheet, fields, f, lane, threads) != 0.0:
+                    sums = evaluate(sheet, geoms, pool, fields, f, lane, threads, scale)
             volume = sums[0]
+            before = p
             if step == 0:
                 misplaced = frame_status(sheet, fields, f, lane, threads)
                 if misplaced > 0:
@@ -398,21 +496,9 @@ def solve(
             if sums[1] < _MIN_TURN:
                 status = _INVERTED
             find_springs(sheet, geoms, pool, fields, f, lane, threads)
-            prepare_heights(sheet, fields, f, lane, threads)
-            relax_heights(
-                f,
-                lane,
-                sheet.nx,
-                sheet.ny,
-                scheme.relaxation_z,
-                scheme.sweeps_z,
-                sheet.free,
-                fields.gap,
-                fields.link_x,
-                fields.link_y,
-                fields.rz,
-                fields.force,
-            )
+            prepare_heights(sheet, fields, f, lane, threads, p)
+            p = settle_heights(sheet, scheme, gas, fields, f, lane, threads, volume, p)
+            moved_gas = wp.abs(p - before)
             last = move_heights(sheet, fields, f, lane, threads)
             if scheme.sweeps_xy > 0:
                 prepare_plane(sheet, fields, f, lane, threads, p, scale)
@@ -432,7 +518,7 @@ def solve(
                 )
                 last = wp.max(last, move_plane(sheet, fields, f, lane, threads))
             used += 1
-            if not (wp.isfinite(last) and wp.isfinite(p)):
+            if not (wp.isfinite(last) and wp.isfinite(p) and wp.abs(volume) < gas.flat):
                 status = _NUMERICAL
             elif status == _NOT_CONVERGED and last < scheme.tolerance:
                 if moved_gas < 1.0e-3 * wp.abs(p) + 0.05:
@@ -441,8 +527,10 @@ def solve(
     for k in range(lane, count, threads):
         for c in range(3):
             if good:
+                fields.trend[f, c, k] = fields.u[f, c, k] - fields.kept[f, c, k]
                 fields.kept[f, c, k] = fields.u[f, c, k]
             else:
+                fields.trend[f, c, k] = 0.0
                 fields.u[f, c, k] = fields.kept[f, c, k]
     if lane == 0:
         fields.iterations[f] = used

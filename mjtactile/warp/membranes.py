@@ -33,6 +33,7 @@ class Iteration:
     """
 
     outer: int = 4
+    batches: int = 3
     sweeps: tuple[int, int] = (10, 4)
     relaxation: tuple[float, float] = (1.6, 1.2)
     tolerance: float = 1e-6
@@ -123,6 +124,7 @@ class Membranes:
         for field in (self.fields.u, self.fields.kept):
             field.assign(whole)
         self.fields.force.zero_()
+        self.fields.trend.zero_()
         self.fields.pressure.fill_(float(self.membrane.gauge_pressure))
         self.fields.volume.fill_(float(rest.volume))
         self.fields.status.zero_()
@@ -171,6 +173,7 @@ def _sheet(membrane: QuasistaticMembrane) -> Sheet:
 def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Scheme:
     scheme = Scheme()
     scheme.outer = iteration.outer
+    scheme.batches = iteration.batches
     scheme.sweeps_z, scheme.sweeps_xy = iteration.sweeps
     scheme.relaxation_z, scheme.relaxation_xy = iteration.relaxation
     scheme.tolerance = iteration.tolerance
@@ -181,11 +184,11 @@ def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Scheme:
 def _fields(count: int, grid: tuple[int, int]) -> Fields:
     nodes = grid[0] * grid[1]
     fields = Fields()
-    for name in ("u", "kept"):
+    for name in ("u", "kept", "trend"):
         setattr(fields, name, wp.zeros((count, 3, nodes), dtype=float))
     for name in (
-        *("force", "height", "slope_x", "slope_y", "gap", "link_x", "link_y"),
-        *("rx", "ry", "rz", "extra"),
+        *("force", "height", "slope_x", "slope_y", "gap", "change", "link_x", "link_y"),
+        *("rx", "ry", "rz", "swell", "extra"),
     ):
         setattr(fields, name, wp.zeros((count, nodes), dtype=float))
     fields.owner = wp.zeros((count, nodes), dtype=int)

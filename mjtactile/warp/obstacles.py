@@ -13,6 +13,8 @@ wp.set_module_options({"enable_backward": False})
 PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, CONVEX = 0, 2, 3, 4, 5, 6, 7
 """Kinds of geoms, with MuJoCo's numbers (`mujoco.mjtGeom`)."""
 
+SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, CONVEX)
+
 MISS = wp.constant(1.0e6)  # height where there is no obstacle, m
 _ON = wp.constant(1.0e5)  # heights below this are on an obstacle, m
 _FLANK = wp.constant(2.0)  # slope beyond which a box or a cylinder counts as ended

@@ -56,8 +56,8 @@ _HEIGHTS = (
     _storage("z", "top", "lx", "ly", "r")
     + """
     for (int k = lane; k < N; k += threads) {
-        z[k] = 0.f, top[k] = gap.data[F + k], lx[k] = link_x.data[F + k], ly[k] = link_y.data[F + k];
-        r[k] = residual.data[F + k];
+        z[k] = change.data[F + k], top[k] = gap.data[F + k], lx[k] = link_x.data[F + k], ly[k] = link_y.data[F + k];
+        r[k] = residual.data[F + k] + dp * swell.data[F + k];
     }
 """
     + _SYNC
@@ -81,7 +81,7 @@ _HEIGHTS = (
                 + r[k] - d * z[k];
             q = q > 0.f ? q : 0.f;
         }
-        force.data[F + k] = q, gap.data[F + k] = z[k];
+        force.data[F + k] = q, change.data[F + k] = z[k];
     }
 """
     + _SYNC
@@ -127,14 +127,20 @@ def relax_heights(
     ny: int,
     relaxation: float,
     sweeps: int,
+    dp: float,
     free: wp.array(dtype=int),
+    change: wp.array2d(dtype=float),
     gap: wp.array2d(dtype=float),
+    swell: wp.array2d(dtype=float),
     link_x: wp.array2d(dtype=float),
     link_y: wp.array2d(dtype=float),
     residual: wp.array2d(dtype=float),
     force: wp.array2d(dtype=float),
 ) -> None:
-    """Replace `gap`, the room below the obstacles, by the change of heights; write `force`."""
+    """Continue the `change` of heights, m, at a further gas pressure `dp`, Pa; write `force`.
+
+    `gap` is the room below the obstacles, `swell` the derivative of the volume by the heights.
+    """
 
 
 @wp.func_native(_PLANE)

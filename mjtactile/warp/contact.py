@@ -1,0 +1,299 @@
+"""Forces, friction and sticking of the bodies on one membrane, as Warp functions.
+
+The rules of kernels/qs_friction.c: a contact patch moves with its body as one rigid set, the
+membrane holds it by its in-plane stiffness, and Coulomb's law limits force and torque (X7 of
+docs/theory/quasistatic_membrane.md). SI units, frame S.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.elasticity import Sheet, node_at
+from mjtactile.warp.equilibrium import Fields
+
+wp.set_module_options({"enable_backward": False})
+
+_MIN_FORCE = wp.constant(1.0e-4)  # force below which nothing sticks, N
+_TILT = wp.constant(0.25)  # tilt stiffness over stiffness times radius^2
+
+
+@wp.struct
+class StickingTable:
+    """In-plane stiffness of disc patches by radius and position in a quadrant of the frame.
+
+    `values` (radii * columns * rows) holds stiffness along x and y, N/m, and about z, N m/rad.
+    Radii grow by a constant factor `ratio` (logarithm) from `first`, m.
+    """
+
+    radii: int
+    columns: int
+    rows: int
+    first: float
+    ratio: float
+    step_x: float
+    step_y: float
+    values: wp.array(dtype=wp.vec3)
+
+
+@wp.struct
+class Patch:
+    """Contact of one body on one membrane, and the memory of its friction.
+
+    `force` and `torque` act on the membrane about the origin of S. `strain` is the shear
+    displacement, m, m, rad. `shift` is the in-plane motion, m, of the contact nodes since the last
+    solution, which is no motion of the body over the membrane. `moved` and `turned` are the motion
+    of the body in the last step, `R` and `p` its pose.
+    """
+
+    touches: int
+    slides: int
+    normal: float
+    area: float
+    radius: float
+    slid: float
+    middle: wp.vec3
+    force: wp.vec3
+    torque: wp.vec3
+    strain: wp.vec3
+    grip: wp.vec3
+    R: wp.mat33
+    p: wp.vec3
+    moved: wp.vec3
+    turned: wp.vec3
+    shift: wp.vec2
+
+
+@wp.func
+def grip_at(table: StickingTable, radius: float, x: float, y: float) -> wp.vec3:
+    """Return the stiffness of a patch by linear interpolation."""
+    r = wp.clamp(
+        wp.log(wp.max(radius, 1.0e-6) / table.first) / table.ratio, 0.0, float(table.radii - 1)
+    )
+    a = wp.clamp(wp.abs(x) / table.step_x, 0.0, float(table.columns - 1))
+    b = wp.clamp(wp.abs(y) / table.step_y, 0.0, float(table.rows - 1))
+    i = wp.min(int(r), table.radii - 2)
+    j = wp.min(int(a), table.columns - 2)
+    k = wp.min(int(b), table.rows - 2)
+    found = wp.vec3(0.0, 0.0, 0.0)
+    for e in range(8):
+        di = e // 4
+        dj = (e // 2) % 2
+        dk = e % 2
+        wi = 1.0 - wp.abs(r - float(i + di))
+        wj = 1.0 - wp.abs(a - float(j + dj))
+        wk = 1.0 - wp.abs(b - float(k + dk))
+        at = ((i + di) * table.columns + j + dj) * table.rows + k + dk
+        found += (wi * wj * wk) * table.values[at]
+    return found
+
+
+@wp.func
+def _sum(value: float) -> float:
+    return wp.tile_extract(wp.tile_sum(wp.tile(value)), 0)
+
+
+@wp.func
+def add_up(
+    sheet: Sheet,
+    fields: Fields,
+    slot_of: wp.array2d(dtype=int),
+    before: wp.array3d(dtype=float),
+    f: int,
+    finger: int,
+    slot: int,
+    lane: int,
+    threads: int,
+) -> Patch:
+    """Sum the nodes in contact with the body of `slot`.
+
+    `before` (F, 3, N): last in-plane displacements of the nodes, and 1 where they touched.
+    """
+    patch = Patch()
+    q_sum = float(0.0)
+    fx = float(0.0)
+    fy = float(0.0)
+    sx = float(0.0)
+    sy = float(0.0)
+    sz = float(0.0)
+    tx = float(0.0)
+    ty = float(0.0)
+    tz = float(0.0)
+    count = float(0.0)
+    kept = float(0.0)
+    shift_x = float(0.0)
+    shift_y = float(0.0)
+    for k in range(lane, sheet.nx * sheet.ny, threads):
+        q = fields.force[f, k]
+        owner = fields.owner[f, k]
+        if q > 0.0 and owner >= 0:
+            if slot_of[finger, owner] == slot:
+                i = k // sheet.ny
+                x = node_at(sheet, fields.u, f, i, k - i * sheet.ny)
+                push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
+                turn = wp.cross(x, push)
+                q_sum += q
+                count += 1.0
+                fx += push[0]
+                fy += push[1]
+                sx += q * x[0]
+                sy += q * x[1]
+                sz += q * x[2]
+                tx += turn[0]
+                ty += turn[1]
+                tz += turn[2]
+                if before[f, 2, k] > 0.0:
+                    kept += q
+                    shift_x += q * (fields.u[f, 0, k] - before[f, 0, k])
+                    shift_y += q * (fields.u[f, 1, k] - before[f, 1, k])
+    total = _sum(q_sum)
+    over = 1.0 / wp.max(total, 1.0e-9)
+    middle = wp.vec3(_sum(sx) * over, _sum(sy) * over, _sum(sz) * over)
+    patch.normal = total
+    patch.middle = middle
+    patch.force = wp.vec3(_sum(fx), _sum(fy), -total)
+    patch.torque = wp.vec3(_sum(tx), _sum(ty), _sum(tz))
+    patch.area = _sum(count) * sheet.dx * sheet.dy
+    over_kept = 1.0 / wp.max(_sum(kept), 1.0e-9)
+    reach = float(0.0)
+    for k in range(lane, sheet.nx * sheet.ny, threads):
+        q = fields.force[f, k]
+        owner = fields.owner[f, k]
+        if q > 0.0 and owner >= 0:
+            if slot_of[finger, owner] == slot:
+                i = k // sheet.ny
+                x = node_at(sheet, fields.u, f, i, k - i * sheet.ny)
+                reach += q * wp.length(wp.vec2(x[0] - middle[0], x[1] - middle[1]))
+    patch.radius = _sum(reach) * over
+    patch.shift = wp.vec2(_sum(shift_x) * over_kept, _sum(shift_y) * over_kept)
+    return patch
+
+
+@wp.func
+def remember_nodes(
+    sheet: Sheet, fields: Fields, before: wp.array3d(dtype=float), f: int, lane: int, threads: int
+) -> None:
+    """Store in-plane displacements and contact of all nodes for the next step."""
+    for k in range(lane, sheet.nx * sheet.ny, threads):
+        before[f, 0, k] = fields.u[f, 0, k]
+        before[f, 1, k] = fields.u[f, 1, k]
+        touched = float(0.0)
+        if fields.force[f, k] > 0.0:
+            touched = 1.0
+        before[f, 2, k] = touched
+
+
+@wp.func
+def stick(
+    sheet: Sheet,
+    table: StickingTable,
+    last: Patch,
+    now: Patch,
+    friction: float,
+    R: wp.mat33,
+    p: wp.vec3,
+) -> Patch:
+    """Return `now` with friction: the strain of `last` plus the body's motion, within Coulomb's law."""
+    found = now
+    found.R = R
+    found.p = p
+    found.touches = int(0)
+    found.slides = int(0)
+    if now.normal > _MIN_FORCE:
+        found.touches = 1
+        found.grip = grip_at(
+            table, wp.sqrt(now.area / wp.static(3.14159265)), now.middle[0], now.middle[1]
+        )
+        strain = wp.vec3(0.0, 0.0, 0.0)
+        slid = float(0.0)
+        if last.touches != 0:
+            turn = R @ wp.transpose(last.R)
+            was = wp.transpose(turn) @ (last.middle - p)
+            step = last.middle - was - last.p
+            found.moved = p - last.p
+            found.turned = 0.5 * wp.vec3(
+                turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+            )
+            strain = last.strain + wp.vec3(
+                step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2]
+            )
+            slid = last.slid
+        load = wp.cw_mul(found.grip, strain)
+        arm = wp.max(now.radius, 0.25 * wp.min(sheet.dx, sheet.dy))
+        carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
+        limit = friction * now.normal
+        left = float(1.0)
+        if carried > limit:
+            left = limit / carried
+            found.slides = 1
+        found.slid = slid + (1.0 - left) * wp.length(wp.vec2(strain[0], strain[1]))
+        found.strain = left * strain
+        shear = left * wp.vec3(load[0], load[1], 0.0)
+        found.force = now.force + shear
+        found.torque = now.torque + wp.cross(now.middle, shear) + wp.vec3(0.0, 0.0, left * load[2])
+    else:
+        found.force = wp.vec3(0.0, 0.0, 0.0)
+        found.torque = wp.vec3(0.0, 0.0, 0.0)
+        found.normal = 0.0
+        found.area = 0.0
+    return found
+
+
+@wp.func
+def normal_stiffness(
+    tension: float, gas_stiffness: float, bulge: float, half: float, spacing: float, area: float
+) -> float:
+    """Return the stiffness against indentation, N/m: tension about a disc, and displaced gas."""
+    radius = wp.sqrt(wp.max(area, spacing * spacing) / wp.static(3.14159265))
+    wide = wp.log(wp.max(half / radius, 1.2))
+    lifted = wp.static(3.14159265) * (half * half - radius * radius) / (2.0 * wide)
+    gas = float(0.0)
+    if gas_stiffness > 0.0:
+        gas = 1.0 / (1.0 / gas_stiffness + bulge)
+    return wp.static(2.0 * 3.14159265) * tension / wide + gas * lifted * lifted
+
+
+@wp.func
+def held_motion(
+    patch: Patch, normal: float, spacing: float, R_WS: wp.mat33, R_SB: wp.mat33, p_SB: wp.vec3
+) -> wp.spatial_matrix:
+    """Return the stiffness (6, 6) of a contact in the degrees of freedom of a body's free joint.
+
+    Translations are in the world's frame, rotations in the body's.
+    """
+    arm = wp.max(patch.radius, 0.25 * spacing)
+    tilt = _TILT * normal * arm * arm
+    along = wp.vec3(0.0, 0.0, normal)
+    about = wp.vec3(tilt, tilt, tilt)
+    if patch.slides == 0:
+        along = wp.vec3(patch.grip[0], patch.grip[1], normal)
+        about = wp.vec3(tilt, tilt, patch.grip[2])
+    r = patch.middle - p_SB
+    K = wp.spatial_matrix()
+    for a in range(6):
+        va = _column(a, R_WS, R_SB, r)
+        wa = _rotation(a, R_SB)
+        for b in range(6):
+            vb = _column(b, R_WS, R_SB, r)
+            wb = _rotation(b, R_SB)
+            K[a, b] = wp.dot(va, wp.cw_mul(along, vb)) + wp.dot(wa, wp.cw_mul(about, wb))
+    return K
+
+
+@wp.func
+def _column(a: int, R_WS: wp.mat33, R_SB: wp.mat33, r: wp.vec3) -> wp.vec3:
+    """Return the velocity in S of the contact's center by degree of freedom `a`."""
+    found = wp.vec3(0.0, 0.0, 0.0)
+    if a < 3:
+        found = wp.vec3(R_WS[a, 0], R_WS[a, 1], R_WS[a, 2])
+    else:
+        found = wp.cross(_rotation(a, R_SB), r)
+    return found
+
+
+@wp.func
+def _rotation(a: int, R_SB: wp.mat33) -> wp.vec3:
+    found = wp.vec3(0.0, 0.0, 0.0)
+    if a >= 3:
+        found = wp.vec3(R_SB[0, a - 3], R_SB[1, a - 3], R_SB[2, a - 3])
+    return found

@@ -1,0 +1,200 @@
+"""Forces of membranes on a scene's degrees of freedom, and damping of the bodies they hold.
+
+The rules of kernels/qs_joint_forces.c, for one world per thread.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.contact import Patch, held_motion, normal_stiffness
+from mjtactile.warp.elasticity import Sheet
+from mjtactile.warp.equilibrium import Fields, Gas
+from mjtactile.warp.update import Places
+
+wp.set_module_options({"enable_backward": False})
+
+_SHARE = wp.constant(0.75)  # fraction of stiffness times step that damps a free body
+_FREE, _BALL, _SLIDE = wp.constant(0), wp.constant(1), wp.constant(2)  # joint types of MuJoCo
+
+
+@wp.struct
+class Joints:
+    """Kinematic tree of a model, and the damping of its degrees of freedom.
+
+    `free` (bodies,) is the MuJoCo body whose free joint carries a body, or -1. `inertia` (1 or
+    worlds, nv) is the diagonal of the mass matrix. `own` is the model's damping, `damping`
+    (worlds, nv) that of the present step.
+    """
+
+    parent: wp.array(dtype=int)
+    count: wp.array(dtype=int)
+    first: wp.array(dtype=int)
+    kind: wp.array(dtype=int)
+    dof: wp.array(dtype=int)
+    free: wp.array(dtype=int)
+    inertia: wp.array2d(dtype=float)
+    own: wp.array(dtype=float)
+    damping: wp.array2d(dtype=float)
+
+
+@wp.struct
+class Stiffness:
+    """Numbers of the stiffness against indentation: tension, N/m, half width, m, dV/dp, m^3/Pa."""
+
+    tension: float
+    half: float
+    bulge: float
+
+
+@wp.func
+def _apply(
+    joints: Joints,
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    xanchor: wp.array2d(dtype=wp.vec3),
+    xaxis: wp.array2d(dtype=wp.vec3),
+    world: int,
+    start: int,
+    force: wp.vec3,
+    torque: wp.vec3,
+    at: wp.vec3,
+    out: wp.array2d(dtype=float),
+) -> None:
+    """Add the generalized force of a force and a torque, world frame, on a body at a point."""
+    body = start
+    while body > 0:
+        for n in range(joints.count[body]):
+            j = joints.first[body] + n
+            dof = joints.dof[j]
+            kind = joints.kind[j]
+            origin = xanchor[world, j]
+            if kind == _FREE:
+                origin = xpos[world, body]
+                for c in range(3):
+                    out[world, dof + c] = out[world, dof + c] + force[c]
+                dof += 3
+            turn = wp.cross(at - origin, force) + torque
+            if kind == _FREE or kind == _BALL:
+                local = wp.transpose(xmat[world, body]) @ turn
+                for c in range(3):
+                    out[world, dof + c] = out[world, dof + c] + local[c]
+            elif kind == _SLIDE:
+                out[world, dof] = out[world, dof] + wp.dot(xaxis[world, j], force)
+            else:
+                out[world, dof] = out[world, dof] + wp.dot(xaxis[world, j], turn)
+        body = joints.parent[body]
+
+
+@wp.func
+def _held_body(joints: Joints, places: Places, patch: Patch, finger: int, slot: int) -> int:
+    """Return the body whose free joint carries the body of a slot in contact, or -1."""
+    found = int(-1)
+    if places.bodies[finger, slot] >= 0:
+        if patch.touches != 0:
+            found = joints.free[places.bodies[finger, slot]]
+    return found
+
+
+@wp.kernel
+def add_forces(
+    sheet: Sheet,
+    gas: Gas,
+    stiffness: Stiffness,
+    fields: Fields,
+    places: Places,
+    joints: Joints,
+    patches: wp.array2d(dtype=Patch),
+    timestep: wp.array(dtype=float),
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    xanchor: wp.array2d(dtype=wp.vec3),
+    xaxis: wp.array2d(dtype=wp.vec3),
+    qvel: wp.array2d(dtype=float),
+    qfrc_passive: wp.array2d(dtype=float),
+):
+    world = wp.tid()
+    fingers = places.frames.shape[0]
+    slots = places.bodies.shape[1]
+    step = timestep[world % timestep.shape[0]]
+    nv = qvel.shape[1]
+    # passive forces have the damping of the last step
+    for dof in range(nv):
+        extra = joints.damping[world, dof] - joints.own[dof]
+        qfrc_passive[world, dof] = qfrc_passive[world, dof] + extra * qvel[world, dof]
+        joints.damping[world, dof] = joints.own[dof]
+    for a in range(fingers * slots):
+        finger = a // slots
+        slot = a - slots * finger
+        f = world * fingers + finger
+        patch = patches[f, slot]
+        body = places.bodies[finger, slot]
+        if body >= 0:
+            if patch.touches != 0:
+                frame = places.frames[finger]
+                R = xmat[world, frame]
+                force = R @ patch.force
+                about = R @ (patch.torque - wp.cross(patch.middle, patch.force))
+                at = xpos[world, frame] + R @ patch.middle
+                _apply(
+                    joints, xpos, xmat, xanchor, xaxis, world, frame, force, about, at, qfrc_passive
+                )
+                _apply(
+                    joints, xpos, xmat, xanchor, xaxis, world, body, -force, -about, at, qfrc_passive
+                )
+    for a in range(fingers * slots):
+        body = _held_body(
+            joints, places, patches[world * fingers + a // slots, a % slots], a // slots, a % slots
+        )
+        is_first = body >= 0
+        for b in range(a):
+            other = _held_body(
+                joints,
+                places,
+                patches[world * fingers + b // slots, b % slots],
+                b // slots,
+                b % slots,
+            )
+            if other == body:
+                is_first = False
+        if is_first:
+            K = wp.spatial_matrix()
+            against = wp.spatial_vector()
+            count = float(0.0)
+            for b in range(a, fingers * slots):
+                finger = b // slots
+                f = world * fingers + finger
+                patch = patches[f, b - slots * finger]
+                if _held_body(joints, places, patch, finger, b - slots * finger) == body:
+                    frame = places.frames[finger]
+                    R = xmat[world, frame]
+                    R_SB = wp.transpose(R) @ xmat[world, body]
+                    p_SB = wp.transpose(R) @ (xpos[world, body] - xpos[world, frame])
+                    gas_stiffness = float(0.0)
+                    if gas.sealed[f] != 0:
+                        absolute = fields.pressure[f] + gas.ambient
+                        gas_stiffness = gas.exponent * absolute / (gas.flat + fields.volume[f])
+                    normal = normal_stiffness(
+                        stiffness.tension,
+                        gas_stiffness,
+                        stiffness.bulge,
+                        stiffness.half,
+                        wp.min(sheet.dx, sheet.dy),
+                        patch.area,
+                    )
+                    K += held_motion(patch, normal, wp.min(sheet.dx, sheet.dy), R, R_SB, p_SB)
+                    # the free joint's body may lie off the body in contact, which turns with it
+                    moved = R @ (patch.moved + wp.cross(patch.turned, p_SB - patch.p))
+                    turned = wp.transpose(R_SB) @ patch.turned
+                    against += wp.spatial_vector(moved, turned)
+                    count += 1.0
+            dof = joints.dof[joints.first[body]]
+            against = against / (count * step)
+            for r in range(6):
+                total = float(0.0)
+                for c in range(6):
+                    total += wp.abs(K[r, c]) / wp.sqrt(joints.inertia[world % joints.inertia.shape[0], dof + c])
+                total *= _SHARE * step * wp.sqrt(joints.inertia[world % joints.inertia.shape[0], dof + r])
+                joints.damping[world, dof + r] = joints.own[dof + r] + total
+                # MuJoCo subtracts damping times velocity in its implicit step only
+                qfrc_passive[world, dof + r] = qfrc_passive[world, dof + r] - total * against[r]

@@ -1,0 +1,167 @@
+"""Step of all membranes in all worlds of a scene: places, equilibrium, friction, results."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.contact import Patch, StickingTable, add_up, remember_nodes, stick
+from mjtactile.warp.elasticity import Sheet
+from mjtactile.warp.equilibrium import Fields, Gas, Scheme, solve
+from mjtactile.warp.obstacles import Geom
+from mjtactile.warp.relaxation import synchronize
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Places:
+    """Fingers of a scene and the geoms that each may touch.
+
+    `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
+    model, -1 if absent, `kinds`, `first` and `count` their kinds and planes, `slots` the numbers of
+    their bodies among `bodies` (fingers, slots). `reach` m is that of a membrane.
+    """
+
+    frames: wp.array(dtype=int)
+    geoms: wp.array2d(dtype=int)
+    kinds: wp.array2d(dtype=int)
+    first: wp.array2d(dtype=int)
+    count: wp.array2d(dtype=int)
+    slots: wp.array2d(dtype=int)
+    bodies: wp.array2d(dtype=int)
+    rbound: wp.array2d(dtype=float)
+    reach: float
+
+
+@wp.struct
+class States:
+    """Contact memory and results of all membranes (worlds * fingers,)."""
+
+    patches: wp.array2d(dtype=Patch)
+    before: wp.array3d(dtype=float)
+    friction: wp.array(dtype=float)
+    wrench: wp.array2d(dtype=float)
+    area: wp.array(dtype=float)
+    slid: wp.array(dtype=float)
+    slides: wp.array(dtype=int)
+    center: wp.array(dtype=wp.vec3)
+
+
+@wp.func
+def _place(
+    places: Places,
+    geoms: wp.array2d(dtype=Geom),
+    size: wp.array2d(dtype=wp.vec3),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    geom_xmat: wp.array2d(dtype=wp.mat33),
+    f: int,
+    world: int,
+    finger: int,
+    k: int,
+    R: wp.mat33,
+    p: wp.vec3,
+) -> None:
+    """Write one geom's pose in the sensor's frame; kind -1 if it is out of reach."""
+    g = places.geoms[finger, k]
+    geom = Geom()
+    geom.kind = -1
+    if g >= 0:
+        at = wp.transpose(R) @ (geom_xpos[world, g] - p)
+        near = places.reach + places.rbound[0, g]
+        if places.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
+            geom.kind = places.kinds[finger, k]
+            geom.size = size[world % size.shape[0], g]
+            geom.p = at
+            geom.R = wp.transpose(R) @ geom_xmat[world, g]
+            geom.first = places.first[finger, k]
+            geom.count = places.count[finger, k]
+    geoms[f, k] = geom
+
+
+@wp.kernel
+def update_all(
+    sheet: Sheet,
+    scheme: Scheme,
+    gas: Gas,
+    table: StickingTable,
+    places: Places,
+    states: States,
+    geoms: wp.array2d(dtype=Geom),
+    pool: wp.array(dtype=wp.vec4),
+    modulus: wp.array(dtype=float),
+    fields: Fields,
+    size: wp.array2d(dtype=wp.vec3),
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    geom_xpos: wp.array2d(dtype=wp.vec3),
+    geom_xmat: wp.array2d(dtype=wp.mat33),
+):
+    f, lane = wp.tid()
+    threads = wp.block_dim()
+    fingers = places.frames.shape[0]
+    world = f // fingers
+    finger = f - fingers * world
+    frame = places.frames[finger]
+    R = xmat[world, frame]
+    p = xpos[world, frame]
+    for k in range(lane, geoms.shape[1], threads):
+        _place(places, geoms, size, geom_xpos, geom_xmat, f, world, finger, k, R, p)
+    synchronize()
+    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
+    force = wp.vec3(0.0, 0.0, 0.0)
+    torque = wp.vec3(0.0, 0.0, 0.0)
+    largest = float(0.0)
+    main = Patch()
+    area = float(0.0)
+    for slot in range(places.bodies.shape[1]):
+        body = places.bodies[finger, slot]
+        if body >= 0:
+            patch = add_up(sheet, fields, places.slots, states.before, f, finger, slot, lane, threads)
+            R_SB = wp.transpose(R) @ xmat[world, body]
+            p_SB = wp.transpose(R) @ (xpos[world, body] - p)
+            last = states.patches[f, slot]
+            now = stick(sheet, table, last, patch, states.friction[f], R_SB, p_SB)
+            force += now.force
+            torque += now.torque
+            area += now.area
+            if now.normal > largest:
+                largest = now.normal
+                main = now
+            synchronize()
+            if lane == 0:
+                states.patches[f, slot] = now
+    remember_nodes(sheet, fields, states.before, f, lane, threads)
+    if lane == 0:
+        for c in range(3):
+            states.wrench[f, c] = force[c]
+            states.wrench[f, 3 + c] = torque[c]
+        states.area[f] = area
+        states.slid[f] = main.slid
+        states.slides[f] = main.slides
+        states.center[f] = main.middle
+
+
+@wp.kernel
+def reset_worlds(
+    fingers: int,
+    mask: wp.array(dtype=bool),
+    rest: wp.array2d(dtype=float),
+    pressure: float,
+    volume: float,
+    fields: Fields,
+    states: States,
+):
+    f, k = wp.tid()
+    if mask[f // fingers]:
+        for c in range(3):
+            fields.u[f, c, k] = rest[c, k]
+            fields.kept[f, c, k] = rest[c, k]
+            fields.trend[f, c, k] = 0.0
+            states.before[f, c, k] = 0.0
+        fields.force[f, k] = 0.0
+        if k == 0:
+            fields.pressure[f] = pressure
+            fields.volume[f] = volume
+            fields.status[f] = 0
+            for slot in range(states.patches.shape[1]):
+                states.patches[f, slot] = Patch()
