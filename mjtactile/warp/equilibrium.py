@@ -28,6 +28,7 @@ _HALVINGS = wp.constant(12)  # of a spacing, to find an edge
 _NEAREST_EDGE = wp.constant(0.95)
 _MIN_TURN = wp.constant(0.05)  # minimum ratio of a cell's projected area
 _MAX_SHIFT = wp.constant(5.0e-4)  # maximum in-plane step, m
+_MAX_LAST = wp.constant(1.0e-3)  # step at the end of a solution above which it diverges, m
 _MAX_TREND = wp.constant(2.0)
 
 
@@ -53,6 +54,7 @@ class Fields:
     u: wp.array3d(dtype=float)
     kept: wp.array3d(dtype=float)
     force: wp.array2d(dtype=float)
+    kept_force: wp.array2d(dtype=float)
     height: wp.array2d(dtype=float)
     slope_x: wp.array2d(dtype=float)
     slope_y: wp.array2d(dtype=float)
@@ -520,11 +522,17 @@ def solve(
             used += 1
             if not (wp.isfinite(last) and wp.isfinite(p) and wp.abs(volume) < gas.flat):
                 status = _NUMERICAL
+            elif step == scheme.outer - 1 and last > _MAX_LAST:
+                status = _NUMERICAL
             elif status == _NOT_CONVERGED and last < scheme.tolerance:
                 if moved_gas < 1.0e-3 * wp.abs(p) + 0.05:
                     status = 0
     good = status <= _NOT_CONVERGED
     for k in range(lane, count, threads):
+        if good:
+            fields.kept_force[f, k] = fields.force[f, k]
+        else:
+            fields.force[f, k] = fields.kept_force[f, k]
         for c in range(3):
             if good:
                 fields.trend[f, c, k] = fields.u[f, c, k] - fields.kept[f, c, k]

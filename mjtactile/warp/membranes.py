@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from mjtactile.core.design import SensorDesign
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.quasistatic.cut_cells import free_nodes
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
 from mjtactile.warp.elasticity import Sheet
@@ -83,15 +82,20 @@ class Membranes:
             planes: Planes (n, 4) of convex geoms: outward normal and distance, m.
 
         Raises:
-            InputError: A grid with too many nodes, or a sensor whose membrane finds no equilibrium.
+            InputError: A grid with too many nodes, a frame that is not rectangular, or a sensor
+                whose membrane finds no equilibrium.
         """
         if grid[0] * grid[1] > MAX_NODES:
             raise InputError(
                 f"{grid} has {grid[0] * grid[1]} nodes; at most {MAX_NODES}", field="grid"
             )
-        from mjtactile.core.design import load_sensor
-
         self.design = load_sensor(sensor)
+        if self.design.frame.outline is not None:
+            raise InputError(
+                f"has a {self.design.frame.shape} frame; only rectangular ones are supported here",
+                source=self.design.name,
+                field="frame.shape",
+            )
         self.membrane = membrane_of(self.design, grid)
         self.count, self.grid = count, grid
         self.device = wp.get_device(device)
@@ -124,6 +128,7 @@ class Membranes:
         for field in (self.fields.u, self.fields.kept):
             field.assign(whole)
         self.fields.force.zero_()
+        self.fields.kept_force.zero_()
         self.fields.trend.zero_()
         self.fields.pressure.fill_(float(self.membrane.gauge_pressure))
         self.fields.volume.fill_(float(rest.volume))
@@ -163,8 +168,6 @@ def _sheet(membrane: QuasistaticMembrane) -> Sheet:
     sheet.law = wp.array(membrane._law.astype(np.float32), dtype=float)
     inner = np.zeros(membrane.grid, np.int32)
     inner[1:-1, 1:-1] = 1
-    if membrane._cut.size:
-        inner *= free_nodes(membrane._cut, membrane.grid).astype(np.int32)
     sheet.free = wp.array(inner.ravel(), dtype=int)
     sheet.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
     return sheet
@@ -187,7 +190,7 @@ def _fields(count: int, grid: tuple[int, int]) -> Fields:
     for name in ("u", "kept", "trend"):
         setattr(fields, name, wp.zeros((count, 3, nodes), dtype=float))
     for name in (
-        *("force", "height", "slope_x", "slope_y", "gap", "change", "link_x", "link_y"),
+        *("force", "kept_force", "height", "slope_x", "slope_y", "gap", "change", "link_x", "link_y"),
         *("rx", "ry", "rz", "swell", "extra"),
     ):
         setattr(fields, name, wp.zeros((count, nodes), dtype=float))

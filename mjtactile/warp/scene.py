@@ -27,7 +27,7 @@ from mjtactile.warp.forces import Joints, Stiffness, add_forces
 from mjtactile.warp.membranes import Iteration, Membranes
 from mjtactile.warp.obstacles import CONVEX, SUPPORTED
 from mjtactile.warp.sticking import sticking_table
-from mjtactile.warp.update import Places, States, reset_worlds, update_all
+from mjtactile.warp.update import Heat, Places, States, reset_worlds, update_all
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
@@ -44,9 +44,8 @@ class Touch:
       solution keeps the last good one, in its own world only.
     - `area` m^2, and of the body with the largest force: `center` m in S, `slides` (1 at the
       friction limit), `slid` m since first touch. All are (worlds, fingers).
-    - `friction`, `modulus`, `gas_amount` (worlds, fingers): parameters that may be written.
-      `modulus` is a factor; `gas_amount` is p V^gamma, or the gauge pressure, Pa, where
-      `gas_sealed` is 0.
+    - `friction`, `modulus` (a factor), `sealed` and `supply` (worlds, fingers) may be written.
+      Where `sealed` is 0, a valve connects the chamber to `supply`, Pa (gauge).
     """
 
     def __init__(self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, places: Places):
@@ -57,6 +56,7 @@ class Touch:
         fields = membranes.fields
         self._states = states = _states(membranes, places)
         self._table = sticking_table(membranes.membrane)
+        self._heat = _heat(membranes, float(model.opt.timestep))
         self._joints = _joints(model, worlds)
         self._stiffness = _stiffness(membranes)
         rest = membranes.membrane.rest.x.reshape(3, -1).astype(np.float32)
@@ -71,9 +71,10 @@ class Touch:
         self.slid = states.slid.reshape(shape)
         self.friction = states.friction.reshape(shape)
         self.modulus = membranes.modulus.reshape(shape)
-        self.gas_amount = membranes.gas.amount.reshape(shape)
-        self.gas_sealed = membranes.gas.sealed.reshape(shape)
+        self.sealed = membranes.gas.sealed.reshape(shape)
+        self.supply = self._heat.supply.reshape(shape)
         m.dof_damping = self._joints.damping
+        self.reset()
 
     def update(self, m: Any, d: Any) -> None:
         """Find the equilibria on the present poses and add the forces; `mujoco_warp.step` calls it."""
@@ -82,7 +83,7 @@ class Touch:
             update_all,
             dim=[part.count],
             inputs=[
-                *(part.sheet, part.scheme, part.gas, self._table, self._places, self._states),
+                *(part.sheet, part.scheme, part.gas, self._heat, self._table, self._places, self._states),
                 *(part.geoms, part.pool, part.modulus, part.fields, m.geom_size),
                 *(d.xpos, d.xmat, d.geom_xpos, d.geom_xmat),
             ],
@@ -112,7 +113,8 @@ class Touch:
             dim=(self.membranes.count, self._rest.shape[1]),
             inputs=[
                 *(self.fingers, mask, self._rest, float(membrane.gauge_pressure)),
-                *(float(membrane.rest.volume), self.membranes.fields, self._states),
+                *(float(membrane.rest.volume), self.membranes.gas, self._heat),
+                *(self.membranes.fields, self._states),
             ],
         )
 
@@ -246,6 +248,19 @@ def _states(membranes: Membranes, places: Places) -> States:
     states.slides = wp.zeros(count, dtype=int)
     states.center = wp.zeros(count, dtype=wp.vec3)
     return states
+
+
+def _heat(membranes: Membranes, step: float) -> Heat:
+    """Return the gas's memory, and set the exponent of its response within a step."""
+    chamber, gas = membranes.design.chamber, membranes.gas
+    heat = Heat()
+    for name in ("amount", "warmth", "volume", "supply"):
+        setattr(heat, name, wp.zeros(membranes.count, dtype=float))
+    heat.exchange = step / chamber.heat_exchange
+    heat.gamma = float(chamber.polytropic_exponent)
+    lost = -math.expm1(-heat.exchange) / heat.exchange if heat.exchange else 1.0
+    gas.exponent = 1 + (chamber.polytropic_exponent - 1) * lost
+    return heat
 
 
 def _joints(model: mujoco.MjModel, worlds: int) -> Joints:

@@ -34,6 +34,59 @@ class Places:
 
 
 @wp.struct
+class Heat:
+    """Gas of all membranes between steps (equation G4 of docs/theory).
+
+    `amount` (F,) is n R T of the walls, J; `warmth` the gas temperature over that of the walls;
+    `volume` m^3 at the last step; `supply` the gauge pressure, Pa, behind an open valve.
+    `exchange` is the time step over the time constant of heat exchange.
+    """
+
+    amount: wp.array(dtype=float)
+    warmth: wp.array(dtype=float)
+    volume: wp.array(dtype=float)
+    supply: wp.array(dtype=float)
+    exchange: float
+    gamma: float
+
+
+@wp.func
+def _ramp(x: float) -> float:
+    """Return (1 - exp(-x)) / x."""
+    found = float(1.0)
+    if wp.abs(x) > 1.0e-4:
+        found = (1.0 - wp.exp(-x)) / x
+    return found
+
+
+@wp.func
+def before_solution(gas: Gas, heat: Heat, f: int) -> None:
+    """Write the gas law of the coming step: p V^gamma with the heat lost within the step."""
+    if gas.sealed[f] != 0:
+        x = heat.exchange
+        warmth = heat.warmth[f] * wp.exp(-x) + x * _ramp(x)
+        # at constant volume; `gas.exponent` has the response to a change of volume
+        absolute = heat.amount[f] * warmth / heat.volume[f]
+        gas.amount[f] = absolute * wp.pow(heat.volume[f], gas.exponent)
+    else:
+        gas.amount[f] = heat.supply[f]
+
+
+@wp.func
+def after_solution(gas: Gas, heat: Heat, f: int, pressure: float, bulge: float) -> None:
+    """Take the gas to its new volume."""
+    volume = gas.flat + bulge
+    if gas.sealed[f] != 0:
+        x = heat.exchange
+        decay = (heat.gamma - 1.0) * wp.log(volume / heat.volume[f]) + x
+        heat.warmth[f] = heat.warmth[f] * wp.exp(-decay) + x * _ramp(decay)
+    else:
+        heat.warmth[f] = 1.0
+        heat.amount[f] = (pressure + gas.ambient) * volume
+    heat.volume[f] = volume
+
+
+@wp.struct
 class States:
     """Contact memory and results of all membranes (worlds * fingers,)."""
 
@@ -83,6 +136,7 @@ def update_all(
     sheet: Sheet,
     scheme: Scheme,
     gas: Gas,
+    heat: Heat,
     table: StickingTable,
     places: Places,
     states: States,
@@ -106,6 +160,8 @@ def update_all(
     p = xpos[world, frame]
     for k in range(lane, geoms.shape[1], threads):
         _place(places, geoms, size, geom_xpos, geom_xmat, f, world, finger, k, R, p)
+    if lane == 0:
+        before_solution(gas, heat, f)
     synchronize()
     solve(sheet, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
     force = wp.vec3(0.0, 0.0, 0.0)
@@ -132,6 +188,7 @@ def update_all(
                 states.patches[f, slot] = now
     remember_nodes(sheet, fields, states.before, f, lane, threads)
     if lane == 0:
+        after_solution(gas, heat, f, fields.pressure[f], fields.volume[f])
         for c in range(3):
             states.wrench[f, c] = force[c]
             states.wrench[f, 3 + c] = torque[c]
@@ -148,6 +205,8 @@ def reset_worlds(
     rest: wp.array2d(dtype=float),
     pressure: float,
     volume: float,
+    gas: Gas,
+    heat: Heat,
     fields: Fields,
     states: States,
 ):
@@ -159,9 +218,15 @@ def reset_worlds(
             fields.trend[f, c, k] = 0.0
             states.before[f, c, k] = 0.0
         fields.force[f, k] = 0.0
+        fields.kept_force[f, k] = 0.0
         if k == 0:
             fields.pressure[f] = pressure
             fields.volume[f] = volume
             fields.status[f] = 0
+            gas.sealed[f] = 1
+            heat.warmth[f] = 1.0
+            heat.volume[f] = gas.flat + volume
+            heat.amount[f] = (pressure + gas.ambient) * (gas.flat + volume)
+            heat.supply[f] = pressure
             for slot in range(states.patches.shape[1]):
                 states.patches[f, slot] = Patch()

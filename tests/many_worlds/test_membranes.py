@@ -1,0 +1,137 @@
+"""Membranes in Warp against the CPU's quasi-static membrane, which has its own code and solver."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mjtactile import InputError
+from mjtactile.quasistatic import QuasistaticMembrane
+
+pytest.importorskip("mujoco_warp")
+
+from mjtactile.warp import Iteration, Membranes  # noqa: E402
+from mjtactile.warp.obstacles import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE  # noqa: E402
+
+KINDS = {
+    "sphere": SPHERE,
+    "capsule": CAPSULE,
+    "ellipsoid": ELLIPSOID,
+    "cylinder": CYLINDER,
+    "box": BOX,
+}
+# single precision, and sums of 300 nodes in it
+EXACT = Iteration(outer=60, tolerance=1e-7)
+
+
+def put(membranes, rows):
+    """Write one geom per membrane: kind, sizes, position, rotation."""
+    geoms = membranes.geoms.numpy().copy()
+    for f, (kind, sizes, p, R) in enumerate(rows):
+        geoms["kind"][f, 0] = KINDS[kind]
+        geoms["size"][f, 0] = [*sizes, *[0.0] * (3 - len(sizes))]
+        geoms["p"][f, 0], geoms["R"][f, 0] = p, R
+    membranes.geoms.assign(geoms)
+
+
+def touching_height(membrane, kind, sizes, xy, R):
+    """Return the height of the obstacle's center at which it begins to touch, m."""
+    grid = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(-1, 2)
+    body = membrane.obstacle(kind, sizes, (*xy, 0.0), R)
+    return float((membrane.rest.x[2].ravel() - membrane.obstacle_heights(body, grid)).max())
+
+
+def pressed(kinds, depth, iteration=EXACT, design="dense"):
+    """Press each body by `depth` m in ten steps; return forces and pressures of both codes."""
+    membranes = Membranes(design, len(kinds), device="cpu", iteration=iteration)
+    membrane = membranes.membrane
+    start = [touching_height(membrane, *row) for row in kinds]
+    states = [None] * len(kinds)
+    for step in np.linspace(0, depth, 11)[1:]:
+        places = [(*row[2], z - step) for row, z in zip(kinds, start, strict=True)]
+        put(membranes, [(k, s, p, R) for (k, s, _, R), p in zip(kinds, places, strict=True)])
+        membranes.solve()
+        states = [
+            membrane.solve(membrane.obstacle(k, s, p, R), state)
+            for (k, s, _, R), p, state in zip(kinds, places, states, strict=True)
+        ]
+    force = membranes.fields.force.numpy().sum(axis=1)
+    exact = np.array([state.force_normal for state in states])
+    gauge = np.array([state.gauge_pressure for state in states])
+    return membranes, force, exact, membranes.fields.pressure.numpy(), gauge
+
+
+UPRIGHT = np.eye(3)
+LYING = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+ASKEW = Rotation.from_euler("xyz", [5, 8, 30], degrees=True).as_matrix()
+
+
+def test_a_ball_and_a_box_press_as_on_the_cpu():
+    rows = [("sphere", (0.01,), (0.001, 0.002), UPRIGHT), ("box", (0.005, 0.004, 0.005), (0, 0), UPRIGHT)]
+    _, force, exact, pressure, gauge = pressed(rows, 1e-3)
+    # 0.3 %: the largest difference of tolerances of the two solvers
+    assert force == pytest.approx(exact, rel=5e-3)
+    assert pressure == pytest.approx(gauge, rel=1e-3)
+
+
+@pytest.mark.slow(40)
+@pytest.mark.parametrize("depth", [0.5e-3, 1.5e-3, 2.5e-3])
+def test_forces_of_all_shapes(depth):
+    rows = [
+        *[("sphere", (r,), (0, 0), UPRIGHT) for r in (0.004, 0.008, 0.016, 0.03)],
+        ("sphere", (0.008,), (0.008, 0.004), UPRIGHT),
+        ("box", (0.005, 0.004, 0.005), (0, 0), UPRIGHT),
+        ("box", (0.0061, 0.0043, 0.005), (0.003, 0.002), ASKEW),
+        ("cylinder", (0.005, 0.005), (0, 0), UPRIGHT),
+        ("cylinder", (0.004, 0.006), (0, 0), LYING),
+        ("capsule", (0.004, 0.006), (0.002, 0), LYING),
+        ("ellipsoid", (0.007, 0.012, 0.019), (0, 0), ASKEW),
+    ]
+    _, force, exact, pressure, gauge = pressed(rows, depth)
+    error = force / exact - 1
+    assert np.sqrt(np.mean(error**2)) < 0.005  # asked: 2 %
+    assert np.abs(error).max() < 0.02
+    assert pressure == pytest.approx(gauge, rel=3e-3)  # asked: 1 %
+
+
+@pytest.mark.slow(10)
+def test_another_sensor():
+    rows = [("sphere", (0.008,), (0.001, 0.001), UPRIGHT)]
+    _, force, exact, *_ = pressed(rows, 1e-3, design="fine")
+    assert force == pytest.approx(exact, rel=5e-3)
+
+
+def test_what_is_not_supported_is_refused():
+    with pytest.raises(InputError, match="round30.*only rectangular"):
+        Membranes("round30", 1, device="cpu")
+    with pytest.raises(InputError, match="nodes; at most 1344"):
+        Membranes("dense", 1, grid=(61, 46), device="cpu")
+
+
+def test_a_world_that_fails_keeps_its_state_and_disturbs_no_other():
+    rows = [("sphere", (0.01,), (0, 0), UPRIGHT)] * 3
+    alone, force, *_ = pressed(rows, 1e-3)
+    kept = alone.fields.u.numpy().copy()
+    geoms = alone.geoms.numpy().copy()
+    geoms["p"][1, 0] = np.nan
+    geoms["p"][2, 0, 2] -= 0.05  # through the glass
+    alone.geoms.assign(geoms)
+    alone.solve()
+    status = alone.fields.status.numpy()
+    assert status[0] == 0 and status[2] > 1
+    after = alone.fields.u.numpy()
+    assert np.isfinite(after).all()
+    assert after[2] == pytest.approx(kept[2], abs=0)
+    assert alone.fields.force.numpy()[0].sum() == pytest.approx(force[0], rel=1e-3)
+
+
+@pytest.mark.slow(10)
+def test_a_reset_is_the_rest_of_the_cpu():
+    membranes, *_ = pressed([("sphere", (0.01,), (0, 0), UPRIGHT)], 2e-3)
+    membranes.reset()
+    empty = membranes.geoms.numpy().copy()
+    empty["kind"] = -1
+    membranes.geoms.assign(empty)
+    membranes.solve()
+    rest = QuasistaticMembrane("dense").rest.x.reshape(3, -1)
+    assert membranes.fields.u.numpy()[0] == pytest.approx(rest, abs=5e-8)
+    assert membranes.fields.pressure.numpy()[0] == pytest.approx(1000.0, abs=0.1)

@@ -1,0 +1,130 @@
+"""Membranes in scenes of MuJoCo Warp: statics, the same scene on the CPU, worlds that differ."""
+
+import warnings
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjtactile
+from mjtactile import InputError
+
+pytest.importorskip("mujoco_warp")
+
+import mujoco_warp as mjw  # noqa: E402
+import warp as wp  # noqa: E402
+
+import mjtactile.warp  # noqa: E402
+
+pytestmark = pytest.mark.slow(60)  # compiling MuJoCo Warp takes half a minute
+
+STEP = 0.00208
+SCENE = """
+<mujoco>
+  <worldbody>
+    <site name="tip"/>
+    <body name="object" pos="{x} 0 {z}">
+      <freejoint/>
+      <geom type="{kind}" size="{size}" mass="{mass}"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+BOX = {"kind": "box", "size": "0.008 0.006 0.01", "x": 0.0, "z": 0.0131, "mass": 0.03}
+
+
+def scene(**values):
+    """Return the model of an object above a sensor that faces up, and the sensor."""
+    spec = mujoco.MjSpec.from_string(SCENE.format(**values))
+    mjtactile.configure_options(spec, STEP)
+    tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/", effects="-mesh")
+    model = spec.compile()
+    model.opt.disableflags = 0  # MuJoCo Warp has no `autoreset`
+    return model, tip
+
+
+def worlds_of(model, tip, count):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    m, d = mjw.put_model(model), mjw.put_data(model, data, nworld=count, nconmax=32, njmax=96)
+    return m, d, mjtactile.warp.bind(model, m, d, [tip])
+
+
+@pytest.fixture(autouse=True)
+def on_the_cpu():
+    with wp.ScopedDevice("cpu"):
+        yield
+
+
+def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
+    model, tip = scene(**BOX)
+    m, d, touch = worlds_of(model, tip, 3)
+    mass = m.body_mass.numpy().repeat(3, axis=0)
+    mass[1, model.body("object").id] *= 2  # without compiling
+    m.body_mass = wp.array(mass.astype(np.float32), dtype=float)
+    for _ in range(1200):
+        mjw.step(m, d)
+    wrench, pressure = touch.wrench.numpy(), touch.pressure.numpy()
+    weight = 0.03 * 9.81 * np.array([1.0, 2.0, 1.0])
+    # the box still swings by a few micrometers
+    assert -wrench[:, 0, 2] == pytest.approx(weight, rel=0.01)
+    assert np.abs(wrench[:, 0, :2]).max() < 2e-3
+    assert (wrench[0] == wrench[2]).all() and (pressure[0] == pressure[2]).all()
+    assert pressure[1, 0] > pressure[0, 0] > 1000
+    assert touch.failures() == 0
+    before = touch.pressure.numpy()[1, 0]
+    touch.reset(wp.array([True, False, False], dtype=bool))
+    assert touch.pressure.numpy()[0, 0] == pytest.approx(1000)
+    assert touch.pressure.numpy()[1, 0] == before
+
+
+def test_the_same_scene_on_the_cpu():
+    model, tip = scene(**BOX)
+    m, d, touch = worlds_of(model, tip, 1)
+    forces = []
+    for _ in range(600):
+        mjw.step(m, d)
+        forces.append(-float(touch.wrench.numpy()[0, 0, 2]))
+    height = float(d.qpos.numpy()[0, 2])
+    model, tip = scene(**BOX)
+    data = mujoco.MjData(model)
+    with warnings.catch_warnings(action="ignore"):
+        finger = tip.bind(model, data)
+    same = []
+    for _ in range(600):
+        mjtactile.step(model, data, [finger])
+        same.append(finger.ground_truth_wrench())
+    same = -np.array(same)[:, 2]
+    # after the landing; the two differ in rounding and in tolerances of their solvers
+    assert np.sqrt(np.mean((np.array(forces) - same)[300:] ** 2)) < 0.02 * 0.03 * 9.81
+    assert height == pytest.approx(float(data.qpos[2]), abs=2e-5)
+
+
+def test_an_object_that_is_held_does_not_creep():
+    """A flat disc under its weight; gravity then gets a component along the membrane."""
+    disc = {"kind": "cylinder", "size": "0.009 0.002", "x": 0.0, "z": 0.0051, "mass": 0.05}
+    m, d, touch = worlds_of(*scene(**disc), 1)
+    for _ in range(400):
+        mjw.step(m, d)
+    m.opt.gravity = wp.array([[0.0, -1.0, -9.81]], dtype=wp.vec3)
+    for _ in range(800):
+        mjw.step(m, d)
+    start = d.qpos.numpy()[0, :3].copy()
+    for _ in range(480):
+        mjw.step(m, d)
+    moved = d.qpos.numpy()[0, :3] - start
+    assert touch.wrench.numpy()[0, 0, 1] == pytest.approx(-0.05, rel=0.02)
+    assert touch.slides.numpy()[0, 0] == 0
+    assert np.abs(moved).max() < 1e-6  # 1 um/s
+
+
+def test_what_cannot_be_bound_is_named():
+    spec = mujoco.MjSpec.from_string(SCENE.format(**BOX))
+    mjtactile.configure_options(spec, STEP)
+    meshed = mjtactile.attach(spec, "dense", site="tip", prefix="tip/")
+    model = spec.compile()
+    model.opt.disableflags = 0
+    with pytest.raises(InputError, match="has a mesh, which runs on the CPU only"):
+        mjtactile.warp.bind(model, None, None, [meshed])
+    with pytest.raises(InputError, match="at least one sensor"):
+        mjtactile.warp.bind(model, None, None, [])
