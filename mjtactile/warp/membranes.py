@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,13 +13,11 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
-from mjtactile.warp.elasticity import Sheet
-from mjtactile.warp.equilibrium import Fields, Gas, Scheme, solve
-from mjtactile.warp.obstacles import Geom
-from mjtactile.warp.relaxation import MAX_NODES
+from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.equilibrium import Fields, Gas, Scheme, solve_all
+from mjtactile.warp.device.obstacles import Geom
+from mjtactile.warp.device.relaxation import MAX_NODES
 from mjtactile.warp.stencil import plane_stencil
-
-wp.set_module_options({"enable_backward": False})
 
 BLOCK = 64  # threads of a membrane on a GPU
 
@@ -27,29 +26,16 @@ BLOCK = 64  # threads of a membrane on a GPU
 class Iteration:
     """Iteration of a solution.
 
-    `outer` limits the outer steps of one solution, each with `sweeps` of relaxation for the heights
-    and the in-plane displacements. A solution ends when a step is below `tolerance`, m.
+    `outer` limits the outer steps of one solution. Each relaxes the heights in `batches`, with the
+    gas pressure updated after each, then the in-plane displacements. `sweeps` are the numbers of
+    sweeps in a batch and in the plane. A solution ends when a step is below `tolerance`, m.
     """
 
     outer: int = 4
-    batches: int = 3
-    sweeps: tuple[int, int] = (10, 4)
+    batches: int = 5
+    sweeps: tuple[int, int] = (5, 4)
     relaxation: tuple[float, float] = (1.6, 1.2)
     tolerance: float = 1e-6
-
-
-@wp.kernel
-def _solve_all(
-    sheet: Sheet,
-    scheme: Scheme,
-    gas: Gas,
-    geoms: wp.array2d(dtype=Geom),
-    pool: wp.array(dtype=wp.vec4),
-    modulus: wp.array(dtype=float),
-    fields: Fields,
-):
-    f, lane = wp.tid()
-    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, wp.block_dim(), modulus[f])
 
 
 class Membranes:
@@ -133,11 +119,12 @@ class Membranes:
         self.fields.pressure.fill_(float(self.membrane.gauge_pressure))
         self.fields.volume.fill_(float(rest.volume))
         self.fields.status.zero_()
+        self.fields.lost.zero_()
 
     def solve(self) -> None:
         """Bring all membranes to equilibrium on their geoms, from their present states."""
         wp.launch_tiled(
-            _solve_all,
+            solve_all,
             dim=[self.count],
             inputs=[
                 self.sheet,
@@ -153,7 +140,7 @@ class Membranes:
         )
 
 
-def _sheet(membrane: QuasistaticMembrane) -> Sheet:
+def _sheet(membrane: QuasistaticMembrane) -> Any:
     numbers = membrane._numbers
     sheet = Sheet()
     sheet.nx, sheet.ny = membrane.grid
@@ -169,11 +156,13 @@ def _sheet(membrane: QuasistaticMembrane) -> Sheet:
     inner = np.zeros(membrane.grid, np.int32)
     inner[1:-1, 1:-1] = 1
     sheet.free = wp.array(inner.ravel(), dtype=int)
+    rest = membrane.rest.x.reshape(3, -1).astype(np.float32)
+    sheet.rest = wp.array(rest, dtype=float)
     sheet.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
     return sheet
 
 
-def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Scheme:
+def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:
     scheme = Scheme()
     scheme.outer = iteration.outer
     scheme.batches = iteration.batches
@@ -184,13 +173,23 @@ def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Scheme:
     return scheme
 
 
-def _fields(count: int, grid: tuple[int, int]) -> Fields:
+def _fields(count: int, grid: tuple[int, int]) -> Any:
     nodes = grid[0] * grid[1]
     fields = Fields()
     for name in ("u", "kept", "trend"):
         setattr(fields, name, wp.zeros((count, 3, nodes), dtype=float))
     for name in (
-        *("force", "kept_force", "height", "slope_x", "slope_y", "gap", "change", "link_x", "link_y"),
+        *(
+            "force",
+            "kept_force",
+            "height",
+            "slope_x",
+            "slope_y",
+            "gap",
+            "change",
+            "link_x",
+            "link_y",
+        ),
         *("rx", "ry", "rz", "swell", "extra"),
     ):
         setattr(fields, name, wp.zeros((count, nodes), dtype=float))
@@ -198,6 +197,6 @@ def _fields(count: int, grid: tuple[int, int]) -> Fields:
     fields.spring = wp.zeros((count, 4, nodes), dtype=float)
     for name in ("pressure", "volume"):
         setattr(fields, name, wp.zeros(count, dtype=float))
-    for name in ("status", "iterations"):
+    for name in ("status", "iterations", "lost"):
         setattr(fields, name, wp.zeros(count, dtype=int))
     return fields

@@ -19,15 +19,15 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.plugin.attach import AttachedSensor
 from mjtactile.quasistatic.solution import TENSION
-from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
-from mjtactile.warp.contact import Patch
-from mjtactile.warp.forces import Joints, Stiffness, add_forces
+from mjtactile.warp.device.contact import Patch
+from mjtactile.warp.device.forces import Joints, Stiffness, add_forces
+from mjtactile.warp.device.obstacles import CONVEX, SUPPORTED
+from mjtactile.warp.device.update import Heat, Places, States, reset_worlds, update_all
 from mjtactile.warp.membranes import Iteration, Membranes
-from mjtactile.warp.obstacles import CONVEX, SUPPORTED
 from mjtactile.warp.sticking import sticking_table
-from mjtactile.warp.update import Heat, Places, States, reset_worlds, update_all
 
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
@@ -48,7 +48,7 @@ class Touch:
       Where `sealed` is 0, a valve connects the chamber to `supply`, Pa (gauge).
     """
 
-    def __init__(self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, places: Places):
+    def __init__(self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, places: Any):
         self.membranes = membranes
         self._m, self._places = m, places
         count, worlds = membranes.count, d.nworld
@@ -59,8 +59,6 @@ class Touch:
         self._heat = _heat(membranes, float(model.opt.timestep))
         self._joints = _joints(model, worlds)
         self._stiffness = _stiffness(membranes)
-        rest = membranes.membrane.rest.x.reshape(3, -1).astype(np.float32)
-        self._rest = wp.array(rest, dtype=float)
         shape = (worlds, self.fingers)
         self.wrench = states.wrench.reshape((*shape, 6))
         self.pressure = fields.pressure.reshape(shape)
@@ -77,13 +75,24 @@ class Touch:
         self.reset()
 
     def update(self, m: Any, d: Any) -> None:
-        """Find the equilibria on the present poses and add the forces; `mujoco_warp.step` calls it."""
+        """Find the equilibria on the present poses, and add the forces.
+
+        `mujoco_warp.step` calls it.
+        """
         part = self.membranes
         wp.launch_tiled(
             update_all,
             dim=[part.count],
             inputs=[
-                *(part.sheet, part.scheme, part.gas, self._heat, self._table, self._places, self._states),
+                *(
+                    part.sheet,
+                    part.scheme,
+                    part.gas,
+                    self._heat,
+                    self._table,
+                    self._places,
+                    self._states,
+                ),
                 *(part.geoms, part.pool, part.modulus, part.fields, m.geom_size),
                 *(d.xpos, d.xmat, d.geom_xpos, d.geom_xmat),
             ],
@@ -110,9 +119,9 @@ class Touch:
         membrane = self.membranes.membrane
         wp.launch(
             reset_worlds,
-            dim=(self.membranes.count, self._rest.shape[1]),
+            dim=(self.membranes.count, self.membranes.sheet.rest.shape[1]),
             inputs=[
-                *(self.fingers, mask, self._rest, float(membrane.gauge_pressure)),
+                *(self.fingers, mask, self.membranes.sheet.rest, float(membrane.gauge_pressure)),
                 *(float(membrane.rest.volume), self.membranes.gas, self._heat),
                 *(self.membranes.fields, self._states),
             ],
@@ -185,7 +194,7 @@ def _common(fingers: Sequence[AttachedSensor]) -> tuple[Any, tuple[int, int]]:
 
 def _places(
     model: mujoco.MjModel, frames: Sequence[int], design: Any, grid: tuple[int, int]
-) -> tuple[Places, Array]:
+) -> tuple[Any, Array]:
     """Return the geoms and bodies that each finger may touch, and the planes of the convex ones."""
     from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
 
@@ -236,7 +245,7 @@ def _planes(model: mujoco.MjModel, geom: int) -> Array:
     return np.column_stack([rows[:, :3], -rows[:, 3]])
 
 
-def _states(membranes: Membranes, places: Places) -> States:
+def _states(membranes: Membranes, places: Any) -> Any:
     count, nodes = membranes.count, membranes.grid[0] * membranes.grid[1]
     states = States()
     states.patches = wp.zeros((count, places.bodies.shape[1]), dtype=Patch)
@@ -250,7 +259,7 @@ def _states(membranes: Membranes, places: Places) -> States:
     return states
 
 
-def _heat(membranes: Membranes, step: float) -> Heat:
+def _heat(membranes: Membranes, step: float) -> Any:
     """Return the gas's memory, and set the exponent of its response within a step."""
     chamber, gas = membranes.design.chamber, membranes.gas
     heat = Heat()
@@ -263,7 +272,7 @@ def _heat(membranes: Membranes, step: float) -> Heat:
     return heat
 
 
-def _joints(model: mujoco.MjModel, worlds: int) -> Joints:
+def _joints(model: mujoco.MjModel, worlds: int) -> Any:
     joints = Joints()
     for name, values in {
         "parent": model.body_parentid,
@@ -291,7 +300,7 @@ def _carried(model: mujoco.MjModel, body: int) -> int:
     return -1
 
 
-def _stiffness(membranes: Membranes) -> Stiffness:
+def _stiffness(membranes: Membranes) -> Any:
     stiffness = Stiffness()
     stiffness.tension = float(membranes.membrane.rest.found[TENSION])
     stiffness.half = math.sqrt(membranes.design.frame.area / math.pi)

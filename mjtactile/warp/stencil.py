@@ -1,4 +1,4 @@
-"""In-plane stiffness of the flat mounted membrane at an inner node, as a nine-point stencil (X3)."""
+"""In-plane stiffness of the flat mounted membrane at an inner node: nine-point stencil (X3)."""
 
 from __future__ import annotations
 

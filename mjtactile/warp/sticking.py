@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -10,18 +11,20 @@ import warp as wp
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import sticking_of
-from mjtactile.warp.contact import StickingTable
+from mjtactile.warp.device.contact import StickingTable
 
 _RADII, _COLUMNS, _ROWS = 10, 5, 4
 _MAX_OFFSET = 0.8  # of half the frame
 _MAX_RADIUS = 0.45  # of the smaller side
 
 
-def sticking_table(membrane: QuasistaticMembrane) -> StickingTable:
+def sticking_table(membrane: QuasistaticMembrane) -> Any:
     """Return the table of a membrane, from the stiffness at rest of discs of nodes."""
     frame = membrane.design.frame
     dx, dy = (float(line[1] - line[0]) for line in (membrane.x, membrane.y))
-    radii = np.geomspace(np.sqrt(dx * dy / np.pi), _MAX_RADIUS * min(frame.length, frame.width), _RADII)
+    radii = np.geomspace(
+        np.sqrt(dx * dy / np.pi), _MAX_RADIUS * min(frame.length, frame.width), _RADII
+    )
     across = np.linspace(0, _MAX_OFFSET * frame.length / 2, _COLUMNS)
     along = np.linspace(0, _MAX_OFFSET * frame.width / 2, _ROWS)
     values = np.empty((_RADII, _COLUMNS, _ROWS, 3))

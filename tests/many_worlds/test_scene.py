@@ -11,10 +11,10 @@ from mjtactile import InputError
 
 pytest.importorskip("mujoco_warp")
 
-import mujoco_warp as mjw  # noqa: E402
-import warp as wp  # noqa: E402
+import mujoco_warp as mjw
+import warp as wp
 
-import mjtactile.warp  # noqa: E402
+import mjtactile.warp
 
 pytestmark = pytest.mark.slow(60)  # compiling MuJoCo Warp takes half a minute
 

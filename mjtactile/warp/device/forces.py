@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.contact import Patch, held_motion, normal_stiffness
-from mjtactile.warp.elasticity import Sheet
-from mjtactile.warp.equilibrium import Fields, Gas
-from mjtactile.warp.update import Places
+from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness
+from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.equilibrium import Fields, Gas
+from mjtactile.warp.device.update import Places
 
 wp.set_module_options({"enable_backward": False})
 
@@ -140,7 +140,17 @@ def add_forces(
                     joints, xpos, xmat, xanchor, xaxis, world, frame, force, about, at, qfrc_passive
                 )
                 _apply(
-                    joints, xpos, xmat, xanchor, xaxis, world, body, -force, -about, at, qfrc_passive
+                    joints,
+                    xpos,
+                    xmat,
+                    xanchor,
+                    xaxis,
+                    world,
+                    body,
+                    -force,
+                    -about,
+                    at,
+                    qfrc_passive,
                 )
     for a in range(fingers * slots):
         body = _held_body(
@@ -189,12 +199,13 @@ def add_forces(
                     against += wp.spatial_vector(moved, turned)
                     count += 1.0
             dof = joints.dof[joints.first[body]]
+            row = world % joints.inertia.shape[0]
             against = against / (count * step)
             for r in range(6):
                 total = float(0.0)
                 for c in range(6):
-                    total += wp.abs(K[r, c]) / wp.sqrt(joints.inertia[world % joints.inertia.shape[0], dof + c])
-                total *= _SHARE * step * wp.sqrt(joints.inertia[world % joints.inertia.shape[0], dof + r])
+                    total += wp.abs(K[r, c]) / wp.sqrt(joints.inertia[row, dof + c])
+                total *= _SHARE * step * wp.sqrt(joints.inertia[row, dof + r])
                 joints.damping[world, dof + r] = joints.own[dof + r] + total
                 # MuJoCo subtracts damping times velocity in its implicit step only
                 qfrc_passive[world, dof + r] = qfrc_passive[world, dof + r] - total * against[r]

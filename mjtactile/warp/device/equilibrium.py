@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.elasticity import Sheet, node_at, node_load
-from mjtactile.warp.obstacles import MISS, Geom, is_on, obstacle_height
-from mjtactile.warp.relaxation import relax_heights, relax_plane, synchronize
+from mjtactile.warp.device.elasticity import Sheet, node_at, node_load
+from mjtactile.warp.device.obstacles import MISS, Geom, is_on, obstacle_height
+from mjtactile.warp.device.relaxation import relax_heights, relax_plane, synchronize
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,7 +49,7 @@ class Scheme:
 
 @wp.struct
 class Fields:
-    """State and workspace of all membranes: (F, 3, N) displacements, (F, N) and (F, 4, N) fields."""
+    """State and workspace of all membranes: (F, 3, N), (F, N) and (F, 4, N) for N nodes."""
 
     u: wp.array3d(dtype=float)
     kept: wp.array3d(dtype=float)
@@ -74,6 +74,7 @@ class Fields:
     volume: wp.array(dtype=float)
     status: wp.array(dtype=int)
     iterations: wp.array(dtype=int)
+    lost: wp.array(dtype=int)
 
 
 @wp.struct
@@ -132,9 +133,8 @@ def _edge_spring(
             high = float(1.0)
             for _half in range(_HALVINGS):
                 middle = 0.5 * (low + high)
-                at = _lowest(
-                    sheet, geoms, pool, f, a[0] + middle * (b[0] - a[0]), a[1] + middle * (b[1] - a[1])
-                )
+                x = a + middle * (b - a)
+                at = _lowest(sheet, geoms, pool, f, x[0], x[1])
                 if is_on(at[0]):
                     low = middle
                 else:
@@ -277,7 +277,9 @@ def prepare_heights(
                 back = side + 1 - 2 * (side % 2)
                 theirs = fields.spring[f, back, other]
                 if theirs > 0.0:
-                    r -= theirs * (z - fields.u[f, 2, other] - _along(sheet, fields, f, other, back))
+                    r -= theirs * (
+                        z - fields.u[f, 2, other] - _along(sheet, fields, f, other, back)
+                    )
             h = fields.height[f, k]
             if is_on(h):
                 gap = h - _height_correction(sheet, fields, f, k) - z
@@ -476,10 +478,17 @@ def solve(
 ) -> int:
     """Bring membrane `f` to equilibrium from its present state; return the status.
 
-    A solution that fails leaves the last good state.
+    A solution that fails leaves the last good state. After two failures in a row, solutions start
+    from rest without contact.
     """
     count = sheet.nx * sheet.ny
     p = fields.pressure[f]
+    if fields.lost[f] > 1:
+        for k in range(lane, count, threads):
+            fields.force[f, k] = 0.0
+            for c in range(3):
+                fields.u[f, c, k] = sheet.rest[c, k]
+        synchronize()
     status = int(_NOT_CONVERGED)
     used = int(0)
     volume = fields.volume[f]
@@ -543,8 +552,23 @@ def solve(
     if lane == 0:
         fields.iterations[f] = used
         fields.status[f] = status
+        fields.lost[f] = wp.where(good, 0, fields.lost[f] + 1)
         if good:
             fields.pressure[f] = p
             fields.volume[f] = volume
     synchronize()
     return status
+
+
+@wp.kernel
+def solve_all(
+    sheet: Sheet,
+    scheme: Scheme,
+    gas: Gas,
+    geoms: wp.array2d(dtype=Geom),
+    pool: wp.array(dtype=wp.vec4),
+    modulus: wp.array(dtype=float),
+    fields: Fields,
+):
+    f, lane = wp.tid()
+    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, wp.block_dim(), modulus[f])

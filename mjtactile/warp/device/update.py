@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.contact import Patch, StickingTable, add_up, remember_nodes, stick
-from mjtactile.warp.elasticity import Sheet
-from mjtactile.warp.equilibrium import Fields, Gas, Scheme, solve
-from mjtactile.warp.obstacles import Geom
-from mjtactile.warp.relaxation import synchronize
+from mjtactile.warp.device.contact import Patch, StickingTable, add_up, remember_nodes, stick
+from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.equilibrium import Fields, Gas, Scheme, solve
+from mjtactile.warp.device.obstacles import Geom
+from mjtactile.warp.device.relaxation import synchronize
 
 wp.set_module_options({"enable_backward": False})
 
@@ -172,7 +172,9 @@ def update_all(
     for slot in range(places.bodies.shape[1]):
         body = places.bodies[finger, slot]
         if body >= 0:
-            patch = add_up(sheet, fields, places.slots, states.before, f, finger, slot, lane, threads)
+            patch = add_up(
+                sheet, fields, places.slots, states.before, f, finger, slot, lane, threads
+            )
             R_SB = wp.transpose(R) @ xmat[world, body]
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
@@ -223,6 +225,7 @@ def reset_worlds(
             fields.pressure[f] = pressure
             fields.volume[f] = volume
             fields.status[f] = 0
+            fields.lost[f] = 0
             gas.sealed[f] = 1
             heat.warmth[f] = 1.0
             heat.volume[f] = gas.flat + volume

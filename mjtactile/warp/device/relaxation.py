@@ -56,7 +56,8 @@ _HEIGHTS = (
     _storage("z", "top", "lx", "ly", "r")
     + """
     for (int k = lane; k < N; k += threads) {
-        z[k] = change.data[F + k], top[k] = gap.data[F + k], lx[k] = link_x.data[F + k], ly[k] = link_y.data[F + k];
+        z[k] = change.data[F + k], top[k] = gap.data[F + k];
+        lx[k] = link_x.data[F + k], ly[k] = link_y.data[F + k];
         r[k] = residual.data[F + k] + dp * swell.data[F + k];
     }
 """
@@ -91,7 +92,8 @@ _PLANE = (
     _storage("u", "v", "a", "b", "e")
     + """
     for (int k = lane; k < N; k += threads) {
-        u[k] = 0.f, v[k] = 0.f, a[k] = rx.data[F + k], b[k] = ry.data[F + k], e[k] = extra.data[F + k];
+        u[k] = 0.f, v[k] = 0.f, e[k] = extra.data[F + k];
+        a[k] = rx.data[F + k], b[k] = ry.data[F + k];
     }
 """
     + _SYNC

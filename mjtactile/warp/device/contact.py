@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.elasticity import Sheet, node_at
-from mjtactile.warp.equilibrium import Fields
+from mjtactile.warp.device.elasticity import Sheet, node_at
+from mjtactile.warp.device.equilibrium import Fields
 
 wp.set_module_options({"enable_backward": False})
 
@@ -193,7 +193,7 @@ def stick(
     R: wp.mat33,
     p: wp.vec3,
 ) -> Patch:
-    """Return `now` with friction: the strain of `last` plus the body's motion, within Coulomb's law."""
+    """Return `now` with friction: the strain of `last` and the body's motion, by Coulomb's law."""
     found = now
     found.R = R
     found.p = p

@@ -19,7 +19,7 @@ class Sheet:
     """Grid and material that all membranes of one sensor share.
 
     `law` holds the coefficients of X2; `free` is 1 at nodes that move; `stencil` is the in-plane
-    stiffness of the membrane at rest (see `stencil.py`).
+    stiffness of the membrane at rest (see `stencil.py`). `rest` (3, N) are its displacements.
     """
 
     nx: int
@@ -37,6 +37,7 @@ class Sheet:
     law: wp.array(dtype=float)
     free: wp.array(dtype=int)
     stencil: wp.array(dtype=float)
+    rest: wp.array2d(dtype=float)
 
 
 @wp.struct

@@ -63,9 +63,7 @@ def _result(geom: Geom, t: float, n: wp.vec3, out: float, steepest: float) -> wp
 
 
 @wp.func
-def _ball(
-    from_: wp.vec3, along: wp.vec3, middle: wp.vec3, radius: float
-) -> float:
+def _ball(from_: wp.vec3, along: wp.vec3, middle: wp.vec3, radius: float) -> float:
     off = from_ - middle
     return _first_root(1.0, wp.dot(off, along), wp.dot(off, off) - radius * radius)
 
