@@ -26,6 +26,7 @@ ROOMS = {
     "experiments": "the paper's figures",
     "evaluate": "many grasps, statistics",
     "gym": "Gymnasium",
+    "warp": "thousands of worlds on one GPU",
     "fabrication": "drawings, CAD",
     "calibrate": "measured once",
     "plugin": "your own scene",
