@@ -38,7 +38,14 @@ from mjtactile.sensing.settings.tunable_parameter import TRIED
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
-RENDER_STAGES = ("locate", "consensus", "smoothness", "preference", "thorough", "gamma")
+RENDER_STAGES = (
+    "locate",
+    "neighbor_smoothing",
+    "smoothness",
+    "pose_disambiguation",
+    "exhaustive_detection",
+    "gamma",
+)
 """Stages used for photographs only; the image stages are tested on both."""
 IMAGE_STAGES = ("candidates", "markers", "edges", "profiles")
 PRESSES = (("dense", "sphere:8", (3e-3, -2e-3), 0.0), ("paper16", "sphere:12", (1e-3, 2e-3), 0.0))

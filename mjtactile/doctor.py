@@ -42,11 +42,11 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     assert known is not None
     seen = 0 if state.fiducials is None else len(state.fiducials)
     text = f"{seen} of {known.count} fiducials detected"
-    if state.fiducials is None or seen < known.fewest:
+    if state.fiducials is None or seen < known.min_visible:
         yield Finding(
             "bad",
             what,
-            f"{text}, {known.fewest} are needed: a shift of the camera by a knock or by heat "
+            f"{text}, {known.min_visible} are needed: a shift of the camera by a bump or by heat "
             "stays unknown",
             "check that the image is upright (`flipped`), centered, sharp and clean at its "
             "edges, and that the sensor file belongs to this sensor",

@@ -62,6 +62,8 @@ SETTINGS: Mapping[str, str] = {
     "body.place_sd": "contact_shape.position_sd",
     "body.place_sd_sharp": "contact_shape.position_sd_sharp",
     "doubt.share": "model_error.sparse",
+    "fiducials.fewest": "fiducials.min_visible",
+    "fiducials.picture": "fiducials.center_sd",
     "gauge.telling": "gas_filter.informative",
     "inverse.knock_min": "inverse.displaced_min",
     "inverse.knock_rotation": "inverse.displaced_rotation",
@@ -71,8 +73,11 @@ SETTINGS: Mapping[str, str] = {
     "slip.body_sure": "slip.shape_sure",
     # sections, with all other settings
     "body": "contact_shape",
+    "consensus": "neighbor_smoothing",
     "doubt": "model_error",
     "gauge": "gas_filter",
+    "preference": "pose_disambiguation",
+    "thorough": "exhaustive_detection",
 }
 """Setting of the sensing pipeline, or section of settings, before 0.2.0 to the one now."""
 

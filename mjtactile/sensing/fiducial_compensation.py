@@ -28,7 +28,7 @@ class FiducialCompensation:
         fiducials = design.fiducials
         assert fiducials is not None
         self.count = fiducials.count
-        self.fewest = settings.fiducials.fewest
+        self.min_visible = settings.fiducials.min_visible
         self._middle = np.array([camera.cx, camera.cy])
         self._circles = FiducialFinder(design, camera, fiducials)
         self._camera = CameraDriftEstimator(

@@ -59,8 +59,8 @@ def observed_modes(
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
     modes[:, 2, _ZOOM] = -s.drift_zoom * depth
-    modes[:, 0, MODES] = own.picture * depth / design.camera.fx
-    modes[:, 1, MODES + 1] = own.picture * depth / design.camera.fy
+    modes[:, 0, MODES] = own.center_sd * depth / design.camera.fx
+    modes[:, 1, MODES + 1] = own.center_sd * depth / design.camera.fy
     return modes
 
 
@@ -103,7 +103,7 @@ class CameraDriftEstimator:
             ids, here, there = np.intersect1d(
                 now.ids, rest.ids, assume_unique=True, return_indices=True
             )
-        if len(ids) < self._own.fewest:
+        if len(ids) < self._own.min_visible:
             return None
         moved = np.empty((len(ids), 3))
         np.subtract(now.center_px[here], rest.center_px[there], out=moved[:, :2])
@@ -160,7 +160,7 @@ class CameraDriftEstimator:
         by_levels = s.drift_levels * float(mean[_LEVELS]) * darker
         return ImageTransform(
             np.array([self.camera.cx, self.camera.cy]),
-            self._own.picture * mean[MODES:],
+            self._own.center_sd * mean[MODES:],
             s.displaced_rotation * float(mean[_TURN]),
             s.drift_zoom * float(mean[_ZOOM]),
             s.drift_size * float(mean[_SIZE]) + by_levels,
@@ -210,7 +210,7 @@ class CameraDriftEstimator:
         sd[2] *= self._own.axial
         sd[3:6] = px / camera.fx / s.displaced_rotation
         sd[_ZOOM] = px / self._far / s.drift_zoom
-        sd[MODES:] = px / self._own.picture
+        sd[MODES:] = px / self._own.center_sd
         return sd
 
     def _responses(self) -> Array:
@@ -231,7 +231,7 @@ class CameraDriftEstimator:
         middle = [self.camera.cx, self.camera.cy, 0.0]
         found[:, :, _ZOOM] = s.drift_zoom * (nothing - middle)
         found[:, 2, _SIZE] = size
-        found[:, 0, MODES] = found[:, 1, MODES + 1] = self._own.picture
+        found[:, 0, MODES] = found[:, 1, MODES + 1] = self._own.center_sd
         return found
 
     def _outlines(self, R: Array, aside: Array) -> Array:
@@ -260,7 +260,7 @@ class CameraDriftEstimator:
         place = s.displaced_shift * mean[:2] / camera.distance
         turn = s.displaced_rotation * mean[3:6]
         shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
-        shift += self._own.picture * mean[MODES:]
+        shift += self._own.center_sd * mean[MODES:]
         nearer = -s.displaced_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
         blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])

@@ -68,7 +68,7 @@ def detect_thoroughly(
     Raises:
         InputError: As `markers.detect`.
     """
-    grey = _with_grey_edges(markers.grey_image(image), settings.thorough)
+    grey = _with_grey_edges(markers.grey_image(image), settings.exhaustive_detection)
     s = settings.markers
     markers.check_polarity(polarity)
     eight = markers.eight_bit(grey)
@@ -127,7 +127,7 @@ def _with_more(
     """Return `found` and the additional candidates of the black hat."""
     scale = 1
     more = found
-    s = settings.thorough
+    s = settings.exhaustive_detection
     while min(dark.shape) // scale >= s.min_side:
         if scale == 1:
             small = dark
@@ -172,7 +172,7 @@ def _new(
 def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
     """Return a binary image of the pixels darker than the closing of the image. The threshold is
     half the maximum difference nearby."""
-    s = settings.thorough
+    s = settings.exhaustive_detection
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.closing_size, s.closing_size))
     hat = cv2.subtract(cv2.morphologyEx(soft, cv2.MORPH_CLOSE, kernel), soft)
@@ -197,7 +197,7 @@ def _second_try(
         return fit
     good = status == "ok"
     blur = ellipse.middle(fit.blur[good]) if good.any() else 0.0
-    s = settings.thorough
+    s = settings.exhaustive_detection
     if blur < s.retry_blur:
         grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.retry_blur)
         blur = float(np.hypot(blur, s.retry_blur))

@@ -209,7 +209,7 @@ def _together(
     poses = estimate_poses(ellipses, camera, radius)
     if neighbours == "never":
         return _preferred(ellipses, camera, poses, settings)
-    alike = smooth_aspect_ratio(ellipses, settings.consensus)
+    alike = smooth_aspect_ratio(ellipses, settings.neighbor_smoothing)
     shared = () if alike is ellipses else ("elongation",)
     good = ellipses.status == "ok"
     small = (
@@ -243,7 +243,11 @@ def _preferred(
         poses, cov_p_alt = depth.along_rays(poses, cov_p_alt)
         depth_sd = depth.relative_sds(len(poses))
     better, cov_p_alt, sure = prefer(
-        poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference, depth_sd=depth_sd
+        poses,
+        cov_p_alt,
+        np.stack([cov_n, cov_n_alt]),
+        settings.pose_disambiguation,
+        depth_sd=depth_sd,
     )
     # NaN for a position that is not visible through the glass
     uv_px = optics.project(camera, better.p_CM)

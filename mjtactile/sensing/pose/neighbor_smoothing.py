@@ -23,7 +23,7 @@ _ROUNDS = 8
 
 
 def smooth_aspect_ratio(
-    ellipses: Ellipses, s: NeighborSmoothingSettings = DEFAULTS.consensus
+    ellipses: Ellipses, s: NeighborSmoothingSettings = DEFAULTS.neighbor_smoothing
 ) -> Ellipses:
     """Return ellipses with their elongation replaced by a smooth common field. The same object is
     returned if the ellipses do not agree with such a field. With S = exp(m I + D), D traceless, m

@@ -44,7 +44,7 @@ def prefer(
     poses: CirclePoses,
     cov_p_alt: Array,
     cov_n: Array,
-    s: PoseDisambiguationSettings = DEFAULTS.preference,
+    s: PoseDisambiguationSettings = DEFAULTS.pose_disambiguation,
     *,
     depth_sd: Array | None = None,
 ) -> tuple[CirclePoses, Array, Array]:

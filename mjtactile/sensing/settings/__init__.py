@@ -85,10 +85,14 @@ class Settings:
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
     locate: LocateSettings = field(default_factory=LocateSettings)
-    consensus: NeighborSmoothingSettings = field(default_factory=NeighborSmoothingSettings)
+    neighbor_smoothing: NeighborSmoothingSettings = field(default_factory=NeighborSmoothingSettings)
     smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)
-    preference: PoseDisambiguationSettings = field(default_factory=PoseDisambiguationSettings)
-    thorough: ExhaustiveDetectionSettings = field(default_factory=ExhaustiveDetectionSettings)
+    pose_disambiguation: PoseDisambiguationSettings = field(
+        default_factory=PoseDisambiguationSettings
+    )
+    exhaustive_detection: ExhaustiveDetectionSettings = field(
+        default_factory=ExhaustiveDetectionSettings
+    )
     gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:

@@ -259,7 +259,7 @@ class InverseSettings:
 class FiducialSettings:
     """The camera by circles that do not move (sensing/force/camera_drift_estimator.py)."""
 
-    fewest: int = number(
+    min_visible: int = number(
         4,
         "minimum number of visible fiducials; with fewer, the camera is unknown again",
         "eleven modes, three values per circle",
@@ -275,7 +275,7 @@ class FiducialSettings:
         "from that of the markers",
         "gamma of 1.3 at 2 px of blur instead of 0.7",
     )
-    picture: float = number(
+    center_sd: float = number(
         3.0, "standard deviation of the image center, px", "a lens displaced sideways"
     )
     gas_lost: float = number(

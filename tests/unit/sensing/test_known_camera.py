@@ -310,4 +310,4 @@ def test_a_calibration_keeps_where_they_were():
 
 
 def test_the_settings_are_its_own():
-    assert DEFAULTS.override({"fiducials.fewest": 6}).fiducials.fewest == 6
+    assert DEFAULTS.override({"fiducials.min_visible": 6}).fiducials.min_visible == 6

@@ -107,7 +107,10 @@ def test_a_chain_works_with_what_it_is_given():
         ({"inverse.spans": (14,)}, "is not a list of 2 numbers"),
         ({"inverse.spans": (14, 2)}, r"inverse\.spans\[1\]: 2 is outside 4 to 40"),
         ({"identity.neighbours": 65}, r"identity\.neighbours: 65 is outside 1 to 64"),
-        ({"thorough.scale_step": 1}, r"thorough\.scale_step: 1 is outside 2 to 300"),
+        (
+            {"exhaustive_detection.scale_step": 1},
+            r"exhaustive_detection\.scale_step: 1 is outside 2 to 300",
+        ),
         ({"zero.touch_min": -0.02}, "-0.02 is outside 0.0002 to 2"),
     ],
 )
