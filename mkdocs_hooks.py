@@ -64,8 +64,9 @@ _DOORS = {
         "recording.writer",
         "recording.observer",
         "export.live_view",
+        "export.effective_camera",
     ),
-    "Policies": ("core.policy",),
+    "Policies": ("core.policy", "core.policy_file", "recording.policy_data"),
     "Errors": ("core.errors",),
 }
 """Headings of the API's page, and the modules whose public names stand below each."""

@@ -62,7 +62,8 @@ class ProgressCallback(BaseCallback):
 def save(model, path):
     layers = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     linear = [layer for layer in layers if hasattr(layer, "weight")]
-    save_policy(path, [(x.weight.detach().numpy(), x.bias.detach().numpy()) for x in linear])
+    numbers = [(x.weight.detach().numpy(), x.bias.detach().numpy()) for x in linear]
+    save_policy(path, numbers, activation=model.policy.activation_fn.__name__.lower())
 
 
 def main(path="policy.npz", seconds="600", seed="0"):

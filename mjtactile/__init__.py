@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from mjtactile.core.policy import command_from_action as command_from_action
     from mjtactile.core.policy import policy_observation as policy_observation
     from mjtactile.core.policy import policy_observation_names as policy_observation_names
+    from mjtactile.core.policy_file import Policy as Policy
+    from mjtactile.core.policy_file import load_policy as load_policy
+    from mjtactile.core.policy_file import save_policy as save_policy
     from mjtactile.core.scaled_clock import monotonic as monotonic
     from mjtactile.core.scenario import Scenario as Scenario
     from mjtactile.core.types.command import Command as Command
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
     from mjtactile.core.types.devices import ValveState as ValveState
     from mjtactile.core.types.touch import Touch as Touch
     from mjtactile.core.types.vision import Image as Image
+    from mjtactile.export.effective_camera import EffectiveCamera as EffectiveCamera
+    from mjtactile.export.effective_camera import effective_camera as effective_camera
     from mjtactile.export.live_view import LiveView as LiveView
     from mjtactile.plugin.attach import AttachedSensor as AttachedSensor
     from mjtactile.plugin.attach import attach as attach
@@ -47,6 +52,8 @@ if TYPE_CHECKING:
     from mjtactile.quasistatic.sensitivities import SolutionSensitivities as SolutionSensitivities
     from mjtactile.quasistatic.solution import MembraneSolution as MembraneSolution
     from mjtactile.recording.observer import Observer as Observer
+    from mjtactile.recording.policy_data import PolicyData as PolicyData
+    from mjtactile.recording.policy_data import policy_data as policy_data
     from mjtactile.recording.reader import Recording as Recording
     from mjtactile.recording.reader import load_recording as load_recording
     from mjtactile.recording.writer import Recorder as Recorder
@@ -93,6 +100,7 @@ _HOMES = {
         "policy_observation_names",
         "policy_observation",
     ),
+    "core.policy_file": ("Policy", "load_policy", "save_policy"),
     "core.scenario": ("Scenario",),
     "core.types.command": ("Command",),
     "core.types.control": ("Observation",),
@@ -100,6 +108,7 @@ _HOMES = {
     "core.types.touch": ("Touch",),
     "core.types.vision": ("Image",),
     "core.types.contact_shape": ("ContactShape",),
+    "export.effective_camera": ("EffectiveCamera", "effective_camera"),
     "export.live_view": ("LiveView",),
     "quasistatic.obstacles": ("Obstacle",),
     "quasistatic.sensitivities": ("SolutionSensitivities",),
@@ -108,6 +117,7 @@ _HOMES = {
     "plugin.attach": ("AttachedSensor", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),
     "recording.observer": ("Observer",),
+    "recording.policy_data": ("PolicyData", "policy_data"),
     "recording.reader": ("Recording", "load_recording"),
     "recording.writer": ("Recorder",),
     "rig.file": ("load_rig_file",),

@@ -3,6 +3,7 @@
 
 from mjtactile.core.flags import Flag, Flags
 from mjtactile.core.policy import command_from_action, policy_observation
+from mjtactile.core.policy_file import Policy, load_policy
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import (
     FINGERS,
@@ -46,6 +47,7 @@ __all__ = [
     "Material",
     "Observation",
     "Phase",
+    "Policy",
     "RelativeMotion",
     "Slip",
     "SlipState",
@@ -57,5 +59,6 @@ __all__ = [
     "Traction",
     "ValveState",
     "command_from_action",
+    "load_policy",
     "policy_observation",
 ]

@@ -26,6 +26,7 @@ examples:
   mjtactile grasp --out runs/egg && mjtactile export runs/egg --format lerobot --out data/egg
   mjtactile export runs/many --format lerobot --images png --out data/many
       each recording in the folder is an episode
+  mjtactile export runs/many --outcome held --format lerobot --out data/held
   mjtactile export runs/egg --format mcap --out data/egg_mcap              one file per episode
   mjtactile export runs/egg --format rerun --out data/egg_rrd && rerun data/egg_rrd/*.rrd
   mjtactile export runs/egg --format rosbag2 --out data/egg_bag
@@ -70,6 +71,7 @@ ARGUMENTS = (
         0,
         type=arg.whole(0, 51),
     ),
+    arg.option("--outcome NAME", "only recordings with this outcome, such as held"),
     arg.option("--task TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
 )
 
@@ -80,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
 
     progress = Progress(quiet=options.json)
     left_out: list[str] = []
-    episodes = find_episodes(options.source, left_out.append)
+    episodes = find_episodes(options.source, left_out.append, outcome=options.outcome)
     problems = {
         str(one.recording.folder): list(one.recording.problems)
         for one in episodes

@@ -182,7 +182,8 @@ def _tuple(items: tuple[Any, ...]) -> _Kind:
     count = None if not items or items[-1] is ... else len(items)
 
     def accept(value: Any) -> bool:
-        if not isinstance(value, (tuple, list, np.ndarray)) or np.ndim(value) == 0:
+        is_array = isinstance(value, np.ndarray) and value.ndim > 0
+        if not (is_array or isinstance(value, (tuple, list))):
             return False
         return (count is None or len(value) == count) and all(map(first.accept, value))
 

@@ -20,9 +20,13 @@ import numpy as np
 from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
+from mjtactile.core.task import load_task
 from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
+from mjtactile.export.effective_camera import effective_camera
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.log_schema import SENSED, TRUE
+from mjtactile.recording.mounting import Mounting
+from mjtactile.recording.policy_data import PolicyData, policy_data
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.report.overlay import followed
@@ -32,6 +36,7 @@ T = TypeVar("T")
 U = TypeVar("U")
 NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several values that are not one set per finger."""
+_PLAIN_TASK = "lift"
 LISTS = ("patches", "shape_outline")
 """Columns with a variable number of entries per finger."""
 _PARTS = {
@@ -53,7 +58,8 @@ _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 class Perceived:
     """One cycle of an episode: the log's `row`, stored images, and re-estimated touches, if any.
 
-    `ellipses` are the tracked ones of each image; `view` is the scene of a live simulated run.
+    `ellipses` are the tracked ones of each image; `view` is the scene of a live simulated run;
+    `cycle` is the index in a recording.
     """
 
     time: float
@@ -63,6 +69,7 @@ class Perceived:
     touch: tuple[Touch, ...]
     ellipses: tuple[Ellipses | None, ...] = ()
     view: Any = None
+    cycle: int = -1
 
 
 class RecordedEpisode:
@@ -107,8 +114,24 @@ class RecordedEpisode:
     @property
     def task(self) -> str:
         """Description of the task in words."""
-        grasped = self.recording.header.get("object")
-        return f"grasp the {Path(grasped).stem}" if grasped else "record"
+        header = self.recording.header
+        if not header.get("object"):
+            return "record"
+        name = Path(header["object"]).stem.replace("_", " ")
+        words = "grasp an unknown object" if name.startswith("random:") else f"grasp the {name}"
+        scenario = header.get("scenario")
+        task = scenario.get("task") if isinstance(scenario, Mapping) else None
+        return words if task in (None, _PLAIN_TASK) else f"{words}: {_about(task)}"
+
+    @property
+    def outcome(self) -> str:
+        """Outcome of the run; "" if it is unknown."""
+        return str(self.recording.notes.get("outcome") or "")
+
+    @cached_property
+    def policy(self) -> PolicyData:
+        """Observations and actions for a policy."""
+        return policy_data(self.recording)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -128,8 +151,20 @@ class RecordedEpisode:
                     name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()}
                     for name, (R, p) in self.camera_poses.items()
                 },
+                "effective_camera": {name: self._effective_camera(name) for name in self.fingers},
+                "mounting": self.mounting.note(),
             }
         )
+
+    def _effective_camera(self, finger: str) -> dict[str, Any]:
+        """Return the camera without a glass that stands for the finger's camera behind it."""
+        found = effective_camera(self.design_of(finger))
+        return {**found.camera.intrinsics, "shift_m": found.shift, "residual_px": found.residual_px}
+
+    @property
+    def mounting(self) -> Mounting:
+        """Poses of gripper and sensors: as recorded, otherwise assumed."""
+        return Mounting.of_note(self.recording.notes.get("mounting"), len(self.fingers))
 
     @property
     def files(self) -> dict[str, str]:
@@ -228,17 +263,17 @@ class RecordedEpisode:
                 self.estimate_difference = float(np.fmax(self.estimate_difference, difference))
             files = tuple(folder / name for name in columns["images"][k])
             ellipses = tuple(followed(image, own.state.tracks) for own, image in pairs)
-            yield Perceived(time, row, images, files, touch, ellipses)
+            yield Perceived(time, row, images, files, touch, ellipses, cycle=k)
 
 
 def find_episodes(
-    path: Path, leave_out: Callable[[str], None] = lambda _: None
+    path: Path, leave_out: Callable[[str], None] = lambda _: None, *, outcome: str | None = None
 ) -> list[RecordedEpisode]:
     """Return the recording in `path`, or all recordings in its subfolders, sorted by name.
 
     For an evaluation, these are its episodes, without those repeated for images. A recording that
-    cannot be read is left out, and `leave_out` receives the reason. Raises InputError if there are
-    none.
+    cannot be read is left out, and `leave_out` receives the reason. An `outcome` selects those
+    with it. Raises InputError if there are none.
     """
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
     if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
@@ -248,7 +283,13 @@ def find_episodes(
     if not folders:
         what = "contains no recording; an evaluation keeps recordings with --record"
         raise InputError(what, source=path, field="RUN")
-    return with_each(folders, RecordedEpisode, leave_out)
+    found = with_each(folders, RecordedEpisode, leave_out)
+    chosen = [episode for episode in found if outcome in (None, episode.outcome)]
+    if not chosen:
+        outcomes = sorted({episode.outcome or "unknown" for episode in found})
+        text = f"no recording has the outcome {outcome!r}"
+        raise InputError(text, source=path, field="--outcome", choices=outcomes)
+    return chosen
 
 
 def with_each(
@@ -320,3 +361,11 @@ def meanings() -> dict[str, dict[str, str]]:
         key: {"unit": unit, "meaning": text}
         for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())
     }
+
+
+def _about(task: str) -> str:
+    """Return the description of a task, or its name if its file is gone."""
+    try:
+        return load_task(task).about
+    except InputError:
+        return Path(task).stem

@@ -20,6 +20,7 @@ from mjtactile.export import messages
 from mjtactile.export.episode import Perceived
 from mjtactile.export.viewer_entities import Drawing
 from mjtactile.recording.log_schema import make_row
+from mjtactile.recording.mounting import Mounting
 from mjtactile.recording.observer import Observer
 from mjtactile.report.overlay import followed
 
@@ -91,7 +92,7 @@ class LiveView(Observer):
         self._session = session
         self._patience = session.disk_wait_time
         source = _Running(session)
-        self._sink = self._open(source.fingers, pictured=session.rig.scene is not None)
+        self._sink = self._open(source.fingers)
         self.where = self._sink.where
         self._say(self.where)
         self._thread = threading.Thread(
@@ -133,7 +134,7 @@ class LiveView(Observer):
             thread.join(_FLUSH_TIME)
             self._attempt(self._sink.close)
 
-    def _open(self, fingers: tuple[str, ...], *, pictured: bool) -> Sink:
+    def _open(self, fingers: tuple[str, ...]) -> Sink:
         if self.viewer == "foxglove":
             from mjtactile.export.foxglove_sink import FoxgloveFile, FoxgloveServer
 
@@ -142,7 +143,7 @@ class LiveView(Observer):
             return FoxgloveServer(int(self._to)) if self._to else FoxgloveServer()
         from mjtactile.export.rerun_sink import RerunSink, to_file, to_viewer
 
-        sink = RerunSink(fingers, pictured=pictured)
+        sink = RerunSink(fingers)
         if isinstance(self._to, Path):
             to_file(sink, self._to)
         else:
@@ -156,6 +157,7 @@ class LiveView(Observer):
         while (seen := self._queue.get()) is not None:
             if self.problem:
                 continue
+            source.place(seen)
             is_first = sent < 0 or (sink.forgets and seen.time - sent >= _AGAIN)
             if is_first:
                 sent = seen.time
@@ -177,7 +179,7 @@ def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None
     """Send all items of one cycle; the `first` time also the camera poses."""
     source = drawing.source
     if first:
-        sink.log(messages.cameras(source, seen.time))
+        sink.log(messages.static(source, seen.time))
     for item in messages.of_cycle(source, seen):
         sink.log(item)
     for item in drawing.of(seen):
@@ -190,6 +192,14 @@ class _Running:
     def __init__(self, session: Any):
         self._session = session
         self._designs = {finger.name: _design(finger) for finger in session.rig.fingers}
+        self._is_placed = False
+        self.mounting = Mounting.assumed(len(self._designs))
+
+    def place(self, seen: Perceived) -> None:
+        """Take the mounting from the scene of the first cycle of a simulated rig."""
+        if seen.view is not None and not self._is_placed:
+            self._is_placed = True
+            self.mounting = Mounting.of_view(seen.view, seen.row)
 
     @property
     def fingers(self) -> tuple[str, ...]:

@@ -10,14 +10,11 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Touch
+from mjtactile.export.effective_camera import effective_camera
 from mjtactile.export.episode import NOT_OF_A_FINGER, Perceived, RecordedEpisode
+from mjtactile.export.frames import moving_frames, static_frames
 from mjtactile.recording import png
-
-FACING = {
-    0: np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
-    1: np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]]),
-}
-"""R_GS of the two sensors of a pair of the shipped grippers: z to the other finger, y up."""
+from mjtactile.recording.mounting import Mounting
 
 
 class Source(Protocol):
@@ -27,6 +24,8 @@ class Source(Protocol):
     def fingers(self) -> tuple[str, ...]: ...
     @property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]: ...
+    @property
+    def mounting(self) -> Mounting: ...
     def design_of(self, finger: str) -> SensorDesign: ...
 
 
@@ -36,16 +35,6 @@ class Cloud:
 
     names: tuple[str, ...]
     values: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Transform:
-    """Pose of `child` in `parent`: position `p` (3,) m and rotation `R` (3, 3)."""
-
-    parent: str
-    child: str
-    R: Array
-    p: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,18 +50,21 @@ class Message:
 
 def items(episode: RecordedEpisode) -> Iterator[Message]:
     """Yield all messages of an episode; `rosbag2` lists the kinds."""
-    yield cameras(episode, float(episode.recording.columns["time"][0]))
+    yield static(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
         yield from of_cycle(episode, seen)
 
 
-def cameras(source: Source, time: float) -> Message:
-    """Return the pose of each finger's camera in its sensor."""
-    placed = [
-        Transform(f"{name}_sensor", f"{name}_camera", R, p)
+def static(source: Source, time: float) -> Message:
+    """Return the start of the gripper, and the pose of each finger's camera in its sensor.
+
+    The cameras are the effective ones of `effective_camera`.
+    """
+    placed = {
+        name: effective_camera(source.design_of(name)).pose(R, p)
         for name, (R, p) in source.camera_poses.items()
-    ]
-    return Message("/tf_static", "static", time, "", placed)
+    }
+    return Message("/tf_static", "static", time, "", static_frames(source.mounting, placed))
 
 
 def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
@@ -87,7 +79,8 @@ def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
         "lift": (float(row["lift_height"]), float("nan"), float("nan")),
     }
     yield Message("/joint_states", "joints", state, "", joints)
-    yield Message("/tf", "frames", state, "", list(_frames(source, seen)))
+    frames = list(moving_frames(source.mounting, source.fingers, row, seen.view))
+    yield Message("/tf", "frames", state, "", frames)
     yield Message("/cycle", "cycle", seen.time, "", row)
 
 
@@ -104,7 +97,7 @@ def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Ite
     if seen.images:
         file = seen.files[number] if seen.files else None
         yield Message(f"/{finger}/image", "image", stamp, camera, (seen.images[number], file))
-        lens = source.design_of(finger).camera
+        lens = effective_camera(source.design_of(finger)).camera
         yield Message(f"/{finger}/camera_info", "camera", stamp, camera, lens)
     mine = {
         key: value[number]
@@ -136,32 +129,6 @@ def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
         sd = np.sqrt(np.maximum(np.diagonal(m.cov_p, axis1=1, axis2=2), 0.0))
         names = ("x", "y", "z", "id", "nx", "ny", "nz", "sd_x", "sd_y", "sd_z")
         yield "markers", Cloud(names, np.column_stack([m.p_SM, m.ids, m.n_S, sd]))
-
-
-def _frames(source: Source, seen: Perceived) -> Iterator[Transform]:
-    """Yield the poses of gripper (relative to its start) and sensors; simulated: of the object."""
-    row = seen.row
-    height = float(row["lift_height"])
-    opening = float(row["opening"])
-    if np.isfinite(height):
-        yield Transform("gripper_start", "gripper", np.eye(3), np.array([0.0, 0.0, height]))
-    if seen.view is not None:
-        for finger, R, p in zip(source.fingers, seen.view.R_WS, seen.view.p_WS, strict=True):
-            yield Transform("world", f"{finger}_sensor", R, p)
-    elif len(source.fingers) == 2 and np.isfinite(opening):
-        for k, side in enumerate((-1, 1)):
-            p = np.array([side * opening / 2, 0.0, 0.0])
-            yield Transform("gripper", f"{source.fingers[k]}_sensor", FACING[k], p)
-    if "object_position_true" in row:
-        w, x, y, z = np.asarray(row["object_quaternion_true"], float)
-        R = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        yield Transform("world", "object_true", R, np.asarray(row["object_position_true"], float))
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:

@@ -19,7 +19,6 @@ from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurv
 PORT = 9876
 _ARROW_RADIUS = 3e-4  # radius of arrows, m
 _POINT_RADIUS = 2e-4  # radius of points, m
-_ROOTS = ("world", "gripper_start")
 
 
 class RerunSink:
@@ -28,12 +27,11 @@ class RerunSink:
     forgets = False
     where = "Rerun"
 
-    def __init__(self, fingers: Sequence[str], *, pictured: bool):
+    def __init__(self, fingers: Sequence[str]):
         self._rr: Any = import_module("rerun")
         self.stream = self._rr.RecordingStream("mjtactile")
-        self._parents: dict[str, str] = dict.fromkeys(_ROOTS, "")
-        for finger in fingers:
-            self._parents[f"{finger}_sensor"] = "world" if pictured else "gripper_start/gripper"
+        gripper = "world/gripper_start/gripper"
+        self._parents = {"world": ""} | {f"{finger}_sensor": gripper for finger in fingers}
         self._fingers = tuple(fingers)
         self._phase = ""
         self._log: dict[str, Callable[[messages.Message], None]] = {

@@ -58,6 +58,19 @@ std_msgs/Header header
     + "".join(f"float64 {name:<20}# {entry.unit}\n" for name, entry in _GOALS.items())
     + "string phase\n",
 }
+GRASP = """\
+# One grasp. Empty: the default.
+string object               # egg
+string controller           # gentle
+---
+bool success                # the controller ended in the phase "done"
+string phase                # last phase
+string message              # reason of an abort
+---
+string phase
+float64[] force_normal      # N, of each finger; NaN: unknown
+"""
+"""Definition of the action of examples/ros2/touch_node.py."""
 _TEXT = ("status", "status_code", "slip_state", "shape_kind", "shape_family")
 _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
@@ -67,7 +80,7 @@ _PACKAGE_XML = f"""\
   <description>Estimates of mjtactile's sensors</description>
   <maintainer email="nobody@example.com">mjtactile</maintainer><license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend><buildtool_depend>rosidl_default_generators</buildtool_depend>
-  <depend>std_msgs</depend><exec_depend>rosidl_default_runtime</exec_depend>
+  <depend>std_msgs</depend><depend>action_msgs</depend><exec_depend>rosidl_default_runtime</exec_depend>
   <member_of_group>rosidl_interface_packages</member_of_group><export><build_type>ament_cmake</build_type></export>
 </package>
 """
@@ -78,7 +91,7 @@ find_package(ament_cmake REQUIRED)
 find_package(std_msgs REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
 rosidl_generate_interfaces(${{PROJECT_NAME}}
-  {" ".join(f'"msg/{name}.msg"' for name in MESSAGES)} DEPENDENCIES std_msgs)
+  {" ".join(f'"msg/{name}.msg"' for name in MESSAGES)} "action/Grasp.action" DEPENDENCIES std_msgs)
 ament_package()
 """
 
@@ -296,5 +309,7 @@ def _write_package(folder: Path) -> None:
     (folder / "msg").mkdir(parents=True)
     for name, text in MESSAGES.items():
         (folder / "msg" / f"{name}.msg").write_text(text, encoding="utf-8")
+    (folder / "action").mkdir()
+    (folder / "action" / "Grasp.action").write_text(GRASP, encoding="utf-8")
     (folder / "package.xml").write_text(_PACKAGE_XML, encoding="utf-8")
     (folder / "CMakeLists.txt").write_text(_CMAKE, encoding="utf-8")

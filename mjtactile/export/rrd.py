@@ -21,7 +21,7 @@ def write(
     """Write `episode_000000.rrd` and so on into `out`; returns the number of frames."""
 
     def write_one(path: Path, episode: RecordedEpisode) -> None:
-        sink = RerunSink(episode.fingers, pictured=False)
+        sink = RerunSink(episode.fingers)
         to_file(sink, path)
         for item in rendered_items(episode):
             sink.log(item)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses, Surface, Traction
 from mjtactile.export.episode import Perceived, RecordedEpisode
-from mjtactile.export.messages import Message, Source, Transform, cameras, of_cycle, stamp_of
+from mjtactile.export.frames import Transform
+from mjtactile.export.messages import Message, Source, of_cycle, stamp_of, static
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 
 FORCE = 0.02  # arrow length per force, m/N
@@ -104,7 +105,7 @@ class Drawing:
 def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
     """Yield all messages of a recording and the graphics of each cycle."""
     drawing = Drawing(episode)
-    yield cameras(episode, float(episode.recording.columns["time"][0]))
+    yield static(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
         yield from of_cycle(episode, seen)
         yield from drawing.of(seen)

@@ -26,6 +26,7 @@ from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
 from mjtactile.gym.observation_space import show, space_of
 from mjtactile.recording.observer import Observer
+from mjtactile.recording.policy_data import REWARDS
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
@@ -39,8 +40,6 @@ from mjtactile.sim.fast_reset import Restart, movable
 
 RANDOM = "random"
 """Object name for a random object, different for each seed."""
-REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
-"""Rewards at the end of an episode, by the outcome that `mjtactile evaluate` counts."""
 PROGRESS = {
     "approach": (0.0, 0.2),
     "close": (0.2, 0.2),

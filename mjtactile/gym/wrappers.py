@@ -5,6 +5,7 @@ that a grasp has about thirty decisions. `save_policy` writes the file format of
 `controllers/policy.py`, in the units of the environment.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mjtactile.core import policy_file
 from mjtactile.core.policy import policy_observation_names
 
 _UNITS = {"N": 1.0, "Nm": 5e-3, "m": 0.04, "s": 1.0}
@@ -61,17 +63,27 @@ class ActionRepeatScaling(gymnasium.Wrapper):
         return (shown / SCALE).astype(np.float32), total, terminated, truncated, info
 
 
-def save_policy(path: str | Path, layers: list[tuple[NDArray, NDArray]]) -> None:
-    """Write a network that learned behind `ActionRepeatScaling` to `path`, .npz.
+def save_policy(
+    path: str | Path,
+    layers: Sequence[tuple[ArrayLike, ArrayLike]],
+    *,
+    activation: str | None = None,
+) -> None:
+    """Write a network that learned behind `ActionRepeatScaling`.
 
-    `layers` are weights (out, in) and biases (out,) of each, first to last, with tanh between.
+    Args:
+        path: File, .npz.
+        layers: Weights (outputs, inputs) and biases (outputs,) of each layer, first to last.
+        activation: Function between the layers: "tanh" or "relu".
+
+    Raises:
+        InputError: Shapes do not match, a value is not finite, or the activation is unknown.
     """
-    arrays = {}
-    for k, (weights, biases) in enumerate(layers):
-        arrays[f"w{k}"] = weights
-        arrays[f"b{k}"] = biases
-    last = len(layers) - 1
-    arrays["w0"] = arrays["w0"] / SCALE
-    arrays[f"w{last}"] = arrays[f"w{last}"] * SPAN[:, None]
-    arrays[f"b{last}"] = MIDDLE + SPAN * arrays[f"b{last}"]
-    np.savez(path, **arrays)
+    policy_file.save_policy(
+        path,
+        layers,
+        activation=activation,
+        input_scale=SCALE,
+        output_center=MIDDLE,
+        output_scale=SPAN,
+    )

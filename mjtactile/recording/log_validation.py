@@ -106,6 +106,8 @@ _HEADER = {
 _NOTES = {
     "start_opening": NUMBER,
     "start_lift_height": NUMBER,
+    "unix_time_offset_s": NUMBER,
+    "mounting": TABLE,
     "calibration": TABLE,
     "sensors": TABLE,
     "simulated": TABLE,

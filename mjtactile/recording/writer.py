@@ -12,6 +12,7 @@ import logging
 import math
 import queue
 import threading
+import time as wall
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -32,6 +33,7 @@ from mjtactile.recording.files import (
     to_json,
 )
 from mjtactile.recording.log_schema import CycleLike, make_row
+from mjtactile.recording.mounting import Mounting
 from mjtactile.recording.observer import Observer
 
 # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
@@ -124,6 +126,8 @@ class Recorder(Observer):
         """
         if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
+        if self.cycles == 0:
+            self.note(unix_time_offset_s=wall.time() - cycle.time)
         kept = (
             self._frames
             and self.cycles % self._frames == 0
@@ -138,6 +142,8 @@ class Recorder(Observer):
             ]
         try:
             row = make_row(cycle, [name for name, _ in images], truth)
+            if self.cycles == 0 and view is not None:
+                self.note(mounting=Mounting.of_view(view, row).note())
         except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
             self._stop_recording(error)
             return

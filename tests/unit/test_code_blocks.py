@@ -45,6 +45,10 @@ TESTED = {
         0,
     ): "studio/test_user_scene.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
     ("docs/how-to/many_worlds.md", 0): "../many_worlds/test_example.py::test_eggs_are_lifted",
+    (
+        "docs/tutorials/policy.md",
+        0,
+    ): "../examples/test_policy_tutorial.py::test_the_tutorial_fits_the_recorded_actions",
     ("docs/how-to/train.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
     (
         "docs/how-to/train.md",

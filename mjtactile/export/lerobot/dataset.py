@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.export.episode import RecordedEpisode, meanings, with_each
 from mjtactile.export.lerobot import statistics
-from mjtactile.export.lerobot.features import INDEX, Feature, features_of
+from mjtactile.export.lerobot.features import INDEX, SUCCESS, Feature, features_of
 from mjtactile.export.lerobot.files import CHUNK, DATA_MB, FILE, VIDEO_MB, DataFiles, VideoFile
 from mjtactile.recording.files import write_json
 
@@ -53,7 +53,8 @@ def write(
             if f.dtype == "video"
         }
         text = task or episode.task
-        block, own = _episode(episode, k, total, fps, tasks.index(text), features, videos)
+        mine = features_of(episode, images)
+        block, own = _episode(episode, k, total, fps, tasks.index(text), mine, videos)
         row = _episode_row(episode, k, total, text, writer.add(block), videos, fps)
         for name, values in own.items():
             row |= {f"stats/{name}/{kind}": value for kind, value in values.items()}
@@ -127,7 +128,7 @@ def _episode(
                     continue
                 value = {"bytes": value.read_bytes(), "path": value.name}
             elif feature.dtype != "string":
-                value = float(value[0]) if len(feature.names) == 1 else value.tolist()
+                value = value[0].item() if len(feature.names) == 1 else value.tolist()
             block[key].append(value)
     for video in videos.values():
         video.close()
@@ -143,7 +144,7 @@ def _episode(
     own = {
         key: statistics.of_numbers(np.array(block[key], float).reshape(count, -1))
         for key in block
-        if key in INDEX or features[key].dtype in ("float32", "float64")
+        if key in INDEX or features[key].dtype in ("float32", "float64", "bool")
     }
     for key, shots in pixels.items():
         own[key] = statistics.of_images(np.array(shots) / 255.0, features[key].shape[2])
@@ -182,7 +183,8 @@ def _episode_row(
     for key in ("object", "sensor", "controller", "rig"):
         row[key] = None if (value := header.get(key)) is None else str(value)
     row["seed"] = header.get("seed")
-    row["outcome"] = episode.recording.notes.get("outcome")
+    row["outcome"] = episode.outcome or None
+    row["success"] = episode.outcome == SUCCESS
     row["flags"] = ", ".join(episode.recording.flags)
     return row
 

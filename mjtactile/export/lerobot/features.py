@@ -1,6 +1,8 @@
 """Columns of a LeRobot data set, and their values for a cycle.
 
-Policies use `observation.state` and `action`. `recorded.*` is the log column by column, in doubles.
+Policies use `observation.state` and `action`. `policy.observation` and `policy.action` are those of
+`mjtactile.policy_data`, for `controllers/policy.py`. `next.*` has reward, end and success of an
+episode. `recorded.*` is the log column by column, in doubles.
 `truth.*` is the ground truth of a simulation; no policy treats this name as an observation.
 """
 
@@ -20,9 +22,11 @@ from mjtactile.core.types import Array, Image
 from mjtactile.export.episode import LISTS, Perceived, RecordedEpisode, part_names
 from mjtactile.recording.files import to_json
 from mjtactile.recording.log_schema import TRUE
+from mjtactile.recording.policy_data import ACTION_NAMES, REWARDS
 
 IMAGES = {"video": ("video", 3), "png": ("image", 1), "none": ("", 0)}
 """Image storage: LeRobot's data type and the number of channels for a reader."""
+SUCCESS = "held"
 INDEX = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 _STATE = {
     **{"opening": "opening_m", "speed": "speed_m_s"},
@@ -60,6 +64,7 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
         "observation.state": Feature("float32", [*_STATE.values(), *wrench], _state),
         "action": Feature("float32", list(_ACTION.values()), _action),
     }
+    found |= _policy_columns(episode) | _result_columns(episode)
     found |= _image_columns(episode, images)
     if episode.re_estimate:
         found |= _marker_columns(episode)
@@ -78,6 +83,35 @@ def _state(seen: Perceived) -> Array:
 def _action(seen: Perceived) -> Array:
     """Return the command."""
     return np.array([float(seen.row[key]) for key in _ACTION])
+
+
+def _policy_columns(episode: RecordedEpisode) -> dict[str, Feature]:
+    """Return the columns of a policy file's inputs and outputs."""
+    data = episode.policy
+    return {
+        "policy.observation": Feature(
+            "float32", list(data.names), lambda seen: data.observations[seen.cycle]
+        ),
+        "policy.action": Feature(
+            "float32", list(ACTION_NAMES), lambda seen: data.actions[seen.cycle]
+        ),
+    }
+
+
+def _result_columns(episode: RecordedEpisode) -> dict[str, Feature]:
+    """Return reward, end and success; they are 0 and False before the last frame."""
+    last = len(episode.recording) - 1
+    reward = REWARDS.get(episode.outcome, 0.0)
+    success = episode.outcome == SUCCESS
+    return {
+        "next.reward": Feature(
+            "float32", ["reward"], lambda seen: np.array([reward * (seen.cycle == last)])
+        ),
+        "next.done": Feature("bool", ["done"], lambda seen: np.array([seen.cycle == last])),
+        "next.success": Feature(
+            "bool", ["success"], lambda seen: np.array([success and seen.cycle == last])
+        ),
+    }
 
 
 def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:

@@ -27,6 +27,7 @@ class DataFiles:
         kinds = {
             "float32": pa.float32(),
             "float64": pa.float64(),
+            "bool": pa.bool_(),
             "string": pa.string(),
             "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
         }

@@ -11,10 +11,9 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from mjtactile.cli import main
-from mjtactile.core import optics
 from mjtactile.core.design import load_sensor
-from mjtactile.core.optics import Camera
 from mjtactile.export import foxglove_sink, mcap, messages, rosbag2
+from mjtactile.export.effective_camera import effective_camera
 from mjtactile.export.episode import RecordedEpisode, find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.lenses import CAMERAS
@@ -110,7 +109,7 @@ def test_an_mcap_file_is_the_recording(pair, tmp_path):
             image.data == (recording.folder / name[1]).read_bytes()
             and image.frame_id == "right_camera"
         )
-    camera = load_sensor("dense").camera
+    camera = effective_camera(load_sensor("dense")).camera
     assert list(found["/left/camera_info"][0][1].K) == camera.K.ravel().tolist()
     assert list(found["/left/camera_info"][0][1].D) == list(camera.distortion)
     joint = found["/joint_states"][3][1].joints[0]
@@ -214,39 +213,3 @@ def test_camera_messages_name_the_lens_model(press, model, foxglove):
     info = rosbag2._Bag(RecordedEpisode(press))._camera(item)
     assert info.distortion_model == model and tuple(info.d) == camera.distortion
     assert repr(foxglove) in repr(foxglove_sink._camera(item)).replace('"', "'")
-
-
-def test_frames_of_a_bag_put_a_point_of_the_membrane_into_the_image(press, tmp_path):
-    """A marker's point through tf_static and camera_info lands on the pixel at which a marker is
-    dark."""
-    rosbag2.write([RecordedEpisode(press)], tmp_path)
-    found, _ = read_bag(tmp_path / "episode_000000")
-    transform = found["/tf_static"][0][1].transforms[0]
-    assert (transform.header.frame_id, transform.child_frame_id) == ("left_sensor", "left_camera")
-    _, image = found["/left/image"][-1]
-    _, cloud = found["/left/markers"][-1]
-    points = cloud.data.view("<f4").reshape(-1, 10)
-    t = transform.transform.translation
-    q = transform.transform.rotation
-    assert q.w == pytest.approx(1.0, abs=1e-6)  # parallel axes, as in the design
-    p_CM = points[:, :3] - [t.x, t.y, t.z]
-    design = load_sensor("dense")
-    uv = optics.project(Camera.from_design(design.camera, design.glass), p_CM).round().astype(int)
-    pixels = image.data.reshape(image.height, image.width)
-    assert len(points) == 81 and pixels[uv[:, 1], uv[:, 0]].max() < 90 < np.median(pixels)
-
-
-def test_in_the_gripper_the_sensors_face_each_other(pair, tmp_path):
-    rosbag2.write(find_episodes(pair / "a"), tmp_path)
-    found, _ = read_bag(tmp_path / "episode_000000")
-    both = [t for t in found["/tf"][0][1].transforms if t.header.frame_id == "gripper"]
-    ends = []
-    for t in both:
-        x, y, z, w = (getattr(t.transform.rotation, name) for name in "xyzw")
-        # R e_z
-        outward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-        ends.append((t.transform.translation.x, outward))
-    (left, out_left), (right, out_right) = ends
-    assert right - left == pytest.approx(0.05)  # opening of the synthetic run, m
-    np.testing.assert_allclose(out_left, [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(out_right, [-1, 0, 0], atol=1e-12)

@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+import mjtactile
 from mjtactile.core.errors import InputError
 from mjtactile.export import mcap, rosbag2
 from mjtactile.export.episode import RecordedEpisode, find_episodes
@@ -190,3 +191,66 @@ def test_episodes_that_do_not_fit_are_named(pair, press, tmp_path):
     log.write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(InputError, match=r"11 of 12 cycles have their images.*valid: none"):
         lerobot.write([RecordedEpisode(tmp_path / "few")], tmp_path / "out")
+
+
+def graded(folder, outcome, **header):
+    """Record a short synthetic grasp with an outcome."""
+    with Recorder(folder, {"object": "egg", "sensor": "dense"} | header) as recorder:
+        for i in range(4):
+            recorder.add(fake_cycle(i, 4))
+        recorder.close(outcome=outcome)
+
+
+def test_reward_end_and_success_are_those_of_the_last_frame(tmp_path):
+    for name in ("held", "crushed", "fault"):
+        graded(tmp_path / "runs" / name, name)
+    episodes = find_episodes(tmp_path / "runs")  # crushed, fault, held
+    lerobot.write(episodes, tmp_path / "out", images="none")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
+    assert (info["next.done"]["dtype"], info["next.success"]["dtype"]) == ("bool", "bool")
+    rows = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pandas()
+    assert list(rows["next.reward"]) == [0, 0, 0, -1, 0, 0, 0, 0, 0, 0, 0, 1]
+    assert list(rows["next.done"]) == [False, False, False, True] * 3
+    assert list(rows["next.success"]) == [False] * 11 + [True]
+    meta = pq.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pandas()
+    assert list(meta["success"]) == [False, False, True]
+
+
+def test_policy_columns_are_the_training_data(pair, tmp_path):
+    lerobot.write(find_episodes(pair), tmp_path, images="none")
+    info = json.loads((tmp_path / "meta/info.json").read_text())["features"]
+    assert info["policy.observation"]["names"] == mjtactile.policy_observation_names()
+    rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pandas()
+    for k, name in enumerate("ab"):
+        data = mjtactile.policy_data(pair / name)
+        mine = rows[rows["episode_index"] == k]
+        np.testing.assert_array_equal(np.stack(mine["policy.observation"]), data.observations)
+        np.testing.assert_array_equal(
+            np.stack(mine["policy.action"]), data.actions.astype(np.float32)
+        )
+
+
+@pytest.mark.parametrize(
+    ("header", "text"),
+    [
+        ({"object": "silicone_ball"}, "grasp the silicone ball"),
+        ({"object": "random:11"}, "grasp an unknown object"),
+        ({"object": "my/cup.xml"}, "grasp the cup"),
+        ({"object": None}, "record"),
+        ({"scenario": {"task": "lift"}}, "grasp the egg"),
+        ({"scenario": {"task": "bump"}}, "grasp the egg: hold it while something bumps against it"),
+        ({"scenario": {"task": "gone/mine.toml"}}, "grasp the egg: mine"),
+    ],
+)
+def test_tasks_are_readable(tmp_path, header, text):
+    graded(tmp_path / "run", "held", **header)
+    assert RecordedEpisode(tmp_path / "run").task == text
+
+
+def test_recordings_are_selected_by_their_outcome(tmp_path):
+    for name in ("held", "dropped"):
+        graded(tmp_path / name, name)
+    (chosen,) = find_episodes(tmp_path, outcome="held")
+    assert chosen.recording.folder.name == "held"
+    with pytest.raises(InputError, match=r"'crushed' .valid: dropped, held"):
+        find_episodes(tmp_path, outcome="crushed")

@@ -91,7 +91,7 @@ def test_rerun_opens_a_recording(felt, tmp_path):
     assert rrd.write([RecordedEpisode(felt)], tmp_path)["episodes"] == 1
     found = read_rrd(tmp_path / "episode_000000.rrd")
     recording = RecordedEpisode(felt).recording
-    sensor = "/gripper_start/gripper/left_sensor"
+    sensor = "/world/gripper_start/gripper/left_sensor"
     touch = list(RecordedEpisode(felt).cycles())[-1].touch[0]
     points = np.array(found[f"{sensor}/membrane"][-1]["Mesh3D:vertex_positions"])
     heights = touch.surface.z.ravel().astype(np.float32)
@@ -197,4 +197,4 @@ def test_without_a_screen_a_file_is_offered(monkeypatch):
     monkeypatch.setattr(rerun_sink, "_has_screen", lambda: False)
     monkeypatch.setattr(rerun_sink, "_is_open", lambda: False)
     with pytest.raises(mjtactile.InputError, match=r"rerun:FILE\.rrd writes a file"):
-        rerun_sink.to_viewer(rerun_sink.RerunSink((), pictured=False))
+        rerun_sink.to_viewer(rerun_sink.RerunSink(()))

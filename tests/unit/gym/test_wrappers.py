@@ -61,7 +61,7 @@ def test_a_file_acts_as_the_network_behind_the_scales(tmp_path, monkeypatch, wid
         for a, b in zip(widths[:-1], widths[1:], strict=True)
     ]
     path = tmp_path / "policy.npz"
-    save_policy(path, layers)
+    save_policy(path, layers, activation="tanh")
     monkeypatch.setenv("MJTACTILE_POLICY", str(path))
     controller = runpy.run_path(str(CHECKOUT / "controllers/policy.py"))
     for shown in rng.normal(size=(5, len(SCALE))) * SCALE:
