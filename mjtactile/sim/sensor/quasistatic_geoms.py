@@ -80,13 +80,14 @@ class ContactGeoms:
     """
 
     def __init__(self, model: mujoco.MjModel, body: int, reach: float):
-        """Collect the movable geoms within `reach` m of the sensor's `body`.
+        """Collect the movable geoms within `reach` m of the sensor's `body`, without its own links.
 
         Raises InputError for soft objects and height fields.
         """
         felt = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
         )
+        felt = felt[~np.isin(model.geom_bodyid[felt], own_links(model, body))]
         self.ids: NDArray[np.int64] = felt.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = obstacles.rows_and_pool(made, (0, 0)) if made else (empty_rows(0), None)
@@ -98,6 +99,26 @@ class ContactGeoms:
         near = (reach + model.geom_rbound[self.ids]) ** 2
         self.bounds = np.column_stack([near, model.geom_aabb[self.ids]])
         _refuse_soft(model)
+
+
+def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
+    """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
+
+    A joint connects their links to the sensor's link, as in MuJoCo's parent-child filter, or an
+    `<exclude>` names both.
+    """
+    welds = feature_size.weld_bodies(model)
+    link = welds[body]
+    above = welds[model.body_parentid]  # link to which the joint of a weld body leads
+    is_link = welds == np.arange(model.nbody)
+    below = np.flatnonzero(is_link & (above == link))
+    # everything is joined to the world, which is no link
+    links = [above[link], *below] if link else []
+    neighbors = np.isin(welds, [one for one in links if one not in (0, link)])
+    signatures = np.asarray(model.exclude_signature, np.int64)
+    pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
+    named = pairs[(welds[pairs] == link).any(axis=1)]
+    return np.union1d(np.flatnonzero(neighbors), named[welds[named] != link])
 
 
 def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
