@@ -171,3 +171,49 @@ def test_the_links_next_to_the_sensor_are_not_felt():
     world.step(600)
     assert world.sensors[0].wrench[2] == pytest.approx(-0.03 * G, abs=1e-3)
     assert "rim_contact" not in world.flags and "quasistatic" not in world.flags
+
+
+def gripped(directions, radius, gap, effects, mesh=None):
+    """Return the normal forces, N, of sensors whose frames are `gap` m from the center of a free
+    ball of `radius` m."""
+    spec = mujoco.MjSpec()
+    configure_options(spec, 4e-3)
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    attached = []
+    for number, angle in enumerate(directions):
+        outward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+        site = spec.worldbody.add_site(name=f"s{number}", pos=-gap * outward, zaxis=outward)
+        prefix = f"{number}/"
+        attached.append(
+            attach_membrane(spec, DENSE, site=site, prefix=prefix, effects=effects, mesh=mesh)
+        )
+    body = spec.worldbody.add_body(name="ball", pos=[0, 0, 0.3])
+    body.add_freejoint()
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=0.05)
+    world = World(spec, attached)
+    for sensor in world.sensors:
+        sensor.open_valve(1000.0)
+    world.step(50)
+    for sensor in world.sensors:
+        sensor.close_valve()
+    for joint in range(world.model.njnt):
+        if world.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            first = world.model.jnt_qposadr[joint]
+            world.data.qpos[first : first + 3] = 0.0
+    world.step(150)
+    return [-ground_truth.contact_force(world, k)[2] for k in range(len(attached))]
+
+
+@pytest.mark.slow(12)
+@pytest.mark.parametrize(
+    ("directions", "radius", "gap"),
+    [((0.0, np.pi), 0.012, 0.0125), ((0.0, 2 * np.pi / 3, 4 * np.pi / 3), 0.025, 0.0265)],
+    ids=["parallel pads", "three fingers"],
+)
+def test_a_gripped_ball_gets_the_forces_of_the_mesh(directions, radius, gap):
+    """The fine mesh is within 1 % or so; by symmetry all fingers press alike."""
+    mesh = gripped(directions, radius, gap, "auto", (25, 21))
+    own = gripped(directions, radius, gap, QUASISTATIC)
+    assert min(mesh) > 0.05
+    np.testing.assert_allclose(own, mesh, rtol=0.05)
+    np.testing.assert_allclose(own, own[0], rtol=1e-3)
