@@ -27,6 +27,7 @@ from mjtactile.grasp_estimation import (
     estimate_weight,
     phases,
     slip_sign,
+    stands,
 )
 from mjtactile.types import Command, Observation
 
@@ -51,8 +52,6 @@ TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to 
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
 SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # times in s; STOP_TIME: jaws stopped
 MAX_BLIND_TIME, LOST_TIME = 0.5, 0.3  # maximum times without a usable image and without touch, s
-# upward force over all fingers, N, in addition to half of the weight: object stands
-TABLE_FORCE = 0.03
 SEARCH = 0.030  # search range for the table below the specified place height, m
 # pull over all fingers, N, and its duration, s; a bump is shorter
 PULL_FORCE, PULL_TIME = 0.20, 0.09
@@ -245,8 +244,8 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
-    stands = carried < 0.5 * np.asarray(command.memory["held"])[0] - TABLE_FORCE
-    if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
+    is_standing = stands(carried, float(np.asarray(command.memory["held"])[0]))
+    if is_standing or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return phases.start_release(
             replace(command, lift_height=max(0.0, observation.gripper.lift_height))
         )

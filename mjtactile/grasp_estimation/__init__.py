@@ -21,6 +21,7 @@ from mjtactile.grasp_estimation.touch_statics import (
     min_grip_force,
     pull_force,
     shear,
+    stands,
     support_force,
 )
 
@@ -44,5 +45,6 @@ __all__ = [
     "pull_force",
     "shear",
     "slip_sign",
+    "stands",
     "support_force",
 ]

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array, Touch
 
+_TABLE_FORCE = 0.03  # noise of the load on all fingers, N
 GRAVITY = 9.81  # acceleration of gravity, m/s^2
 GAIN_SD = 0.015
 """Relative error (sd) of a measured shear force, in addition to noise.
@@ -169,6 +170,19 @@ def min_grip_force(
         Mean force of the fingers, N, for a grip at the center of mass.
     """
     return mass * (GRAVITY + abs(acceleration)) / (fingers * friction)
+
+
+def stands(carried: float, held: float) -> bool:
+    """Decide if an object that is lowered stands: the table carries more than half of its weight.
+
+    Args:
+        carried: Present load on all fingers, along that of the hanging object, N.
+        held: Load on all fingers while the object hung on them, N.
+
+    Returns:
+        True if the load has decreased below half by more than its noise; False if it is unknown.
+    """
+    return carried < 0.5 * held - _TABLE_FORCE
 
 
 def support_force(touch: Sequence[Touch], held: ArrayLike) -> float:

@@ -30,10 +30,11 @@ from mjtactile.recording.policy_data import REWARDS
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
-from mjtactile.runtime.cycle import ENDS, ControlCycle
+from mjtactile.runtime.cycle import ControlCycle
 from mjtactile.runtime.grasp_scoring import GraspScore
 from mjtactile.runtime.perception_threads import Perceivers
 from mjtactile.runtime.session import Session
+from mjtactile.runtime.set_down import ENDS
 from mjtactile.runtime.supervisor import Supervisor
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim.fast_reset import Restart, movable

@@ -19,10 +19,11 @@ from mjtactile.core.types import Command, Observation
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import ControllerThread, LoadedController
-from mjtactile.runtime.cycle import ENDS, WAIT_TIME, ControlCycle, Cycle
+from mjtactile.runtime.cycle import WAIT_TIME, ControlCycle, Cycle
 from mjtactile.runtime.perception_processes import PerceptionPool
 from mjtactile.runtime.perception_threads import Perceiver, Perceivers
-from mjtactile.runtime.retreat import HEIGHT_TOLERANCE, may_hold
+from mjtactile.runtime.retreat import may_hold
+from mjtactile.runtime.set_down import ENDS, HEIGHT_TOLERANCE
 from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never take the loop for dead
@@ -128,8 +129,8 @@ def _rotate_until_over(
 def _has_landed(cycle: ControlCycle) -> bool:
     """Return True if the controller has ended with the gripper down.
 
-    An empty gripper above the commanded placement also counts. If the controller ends with the
-    gripper raised, the retreat starts.
+    An empty gripper above the commanded placement, or above an object that stood when the fingers
+    opened, also counts. If the controller ends with the gripper raised, the retreat starts.
     """
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
@@ -137,7 +138,8 @@ def _has_landed(cycle: ControlCycle) -> bool:
     is_up = cycle.gripper.lift_height > command.lift_height + _IN_THE_AIR
     if command.lift_height < HEIGHT_TOLERANCE and not is_up:
         return True
-    if cycle.rig.goal.place_height > 0 and not any(map(may_hold, cycle.touch)):
+    is_placed = cycle.rig.goal.place_height > 0 or (cycle.set_down.stood and not is_up)
+    if is_placed and not any(map(may_hold, cycle.touch)):
         return True
     why = f"the controller ended ({command.phase}) with the gripper raised"
     cycle.supervisor.make_safe(why, cycle.now)

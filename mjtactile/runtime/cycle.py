@@ -16,6 +16,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.perception_threads import unknown_touch
 from mjtactile.runtime.references import patient_read
+from mjtactile.runtime.set_down import SetDown
 from mjtactile.runtime.supervisor import Supervisor
 
 # Timeout of perception and controller in a world that waits, s; on a real rig it is a fraction of
@@ -23,7 +24,6 @@ from mjtactile.runtime.supervisor import Supervisor
 WAIT_TIME = 10.0
 # 0.1 s of 0.25 s, so that the devices never take the loop for dead
 _PERCEPTION_FRACTION = 0.4
-ENDS = ("done", "abort")  # phases
 _UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 
 
@@ -67,6 +67,7 @@ class ControlCycle:
         failure: The error that caused the retreat, raised after it; None: no error, or a device
             fault.
         left_out: Entries of `Command.memory` that cannot be recorded, as reported once.
+        set_down: Decision about the set-down of the object.
     """
 
     rig: Rig
@@ -83,6 +84,7 @@ class ControlCycle:
     camera_ms: float = 0.0
     perception_ms: float = 0.0
     left_out: tuple[str, ...] = ()
+    set_down: SetDown = field(default_factory=SetDown)
     _blind: str = field(default="", init=False)
     _seen: float = field(default=0.0, init=False)
 
@@ -95,7 +97,8 @@ class ControlCycle:
         last = Command(opening=state.opening, force_limit=None, lift_height=state.lift_height)
         now = rig.clock.now()
         supervisor.arm(now)
-        return cls(rig, perceptions, supervisor, observer, last, now)
+        place = SetDown(rig.goal.place_height)
+        return cls(rig, perceptions, supervisor, observer, last, now, set_down=place)
 
     def look(self) -> None:
         """Read the newest images and the valve states; a simulated world is paused meanwhile."""
@@ -144,6 +147,7 @@ class ControlCycle:
             if not retreats:
                 return self.send(self.last)
             self.supervisor.latch(str(error), self.now, "the last command was not carried out")
+        self.set_down.watch(self.touch, self.last)
         return self.last
 
     def give_up(self, error: Exception) -> None:

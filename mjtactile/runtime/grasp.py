@@ -22,8 +22,9 @@ from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import LoadedController, load_controller
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
-from mjtactile.runtime.retreat import HEIGHT_TOLERANCE
+from mjtactile.runtime.retreat import may_hold
 from mjtactile.runtime.session import open_session
+from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SetDown
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,9 @@ class _Log(Observer):
     """Observer that collects the cycles for the result and forwards them with their ground
     truth."""
 
-    def __init__(self, watching: Observer, score: Any, estimate: Any):
+    def __init__(self, watching: Observer, score: Any, estimate: Any, place_height: float = 0.0):
         self._watching = watching
+        self._set_down = SetDown(place_height)
         self.score = score
         self.estimate = estimate
         self.forces: list[tuple[float, ...]] = []
@@ -139,8 +141,9 @@ class _Log(Observer):
         self._watching.on_images()
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        self._set_down.watch(cycle.touch, cycle.sent)
         if cycle.sent.phase == "done" and self.phases[-1:] != ["done"]:
-            self.left = _left(cycle)
+            self.left = "" if self._is_set_down(cycle) else _left(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
         self.stated_reason = cycle.sent.reason or self.stated_reason
@@ -154,6 +157,9 @@ class _Log(Observer):
         else:
             true = self.score.columns(cycle.touch, cycle.sent.phase)
             self._watching.add(cycle, self.score.view, **true)
+
+    def _is_set_down(self, cycle: Cycle) -> bool:
+        return self._set_down.stood and not any(map(may_hold, cycle.touch))
 
     def hold_force(self) -> float:
         pairs = zip(self.forces, self.phases, strict=True)
@@ -202,7 +208,8 @@ def run_grasp(
         if weak is not None:
             watching.message(f"{scenario.rig}: {weak}")
         session.take_references(watching)
-        log = _Log(watching, score, _estimate(rig) if error_estimate else None)
+        estimate = _estimate(rig) if error_estimate else None
+        log = _Log(watching, score, estimate, rig.goal.place_height)
         begin = wall.perf_counter()
         start = rig.clock.now()
         completed = False
@@ -273,8 +280,7 @@ def _left(cycle: Cycle) -> str:
     """Return the outcome if the controller ended with the gripper raised, or ""."""
     if cycle.sent.lift_height < HEIGHT_TOLERANCE:
         return ""
-    may_hold = any(t.touching or not math.isfinite(t.force_normal) for t in cycle.touch)
-    return "not set down" if may_hold else "dropped"
+    return "not set down" if any(map(may_hold, cycle.touch)) else "dropped"
 
 
 def _result(

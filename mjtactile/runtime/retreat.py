@@ -11,8 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from mjtactile.core.types import Array, Command, Touch
-from mjtactile.grasp_estimation import shear, support_force
+from mjtactile.core.types import Command, Touch
+from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SuspendedLoad
 
 RETREAT_SPEED = 0.030  # speed of opening and lowering, m/s
 RETREAT_OPENING = 0.015  # additional opening, m: it releases an object without throwing it
@@ -28,49 +28,12 @@ _DOWN = 1e-3
 _DOWN_TIME_MAX = 1.0
 _OPEN_SLACK = 2e-3  # tolerance of the measured opening, m: backlash and a compliant servo
 # tolerance, m: a servo's goal is rounded to 0.02 to 0.1 mm
-OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4
-_TABLE_FORCE = 0.3  # minimum support per finger, N; a nudge on the way down is less
-_FOLLOWS = 0.2  # weight of a new shear sample in the low-pass filter of the load
-_UP = 2e-3  # minimum gripper height for a suspended load, m
+OPENING_TOLERANCE = 2e-4
 
 
 def may_hold(touch: Touch) -> bool:
     """Return True if the finger is in contact, or its contact is unknown."""
     return touch.touching or not math.isfinite(touch.force_normal)
-
-
-class SuspendedLoad:
-    """Load on the fingers while the gripper is up and does not move down.
-
-    A gripper that moves down must stop when the held object stands: the load shows support by the
-    table, or the remaining height is at most the distance that the object had slipped in the grip.
-    """
-
-    def __init__(self) -> None:
-        self._shear: Array | None = None
-        self._slid = 0.0
-        self._height = 0.0
-
-    def note(self, touch: Sequence[Touch], height: float) -> None:
-        """Store the load of a cycle with the gripper at `height`, m."""
-        goes_down = height < self._height
-        self._height = height
-        if height < _UP or goes_down:
-            return
-        slid = [one.slip.distance for one in touch if one.slip is not None]
-        if slid and math.isfinite(min(slid)):
-            self._slid = min(slid)
-        now = shear(touch)
-        if math.isfinite(now.sum()):
-            before = now if self._shear is None else self._shear
-            self._shear = before + _FOLLOWS * (now - before)
-
-    def stands(self, touch: Sequence[Touch], height: float) -> bool:
-        """Return True if the held object stands, with the gripper at `height`, m, on its way
-        down."""
-        if height <= self._slid:
-            return True
-        return self._shear is not None and support_force(touch, self._shear) > _TABLE_FORCE
 
 
 class Retreat:

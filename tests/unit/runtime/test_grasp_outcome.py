@@ -5,6 +5,7 @@ import math
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mjtactile.core.scenario import Scenario
@@ -13,6 +14,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime.failure_causes import failure_causes
 from mjtactile.runtime.grasp import _Log, _result, run_grasp
+from mjtactile.runtime.set_down import SetDown
 
 HELD = Touch(0.0, 0.0, 0.6, 0.01, True)
 EMPTY = Touch(0.0, 0.0, 0.0, 0.01, False)
@@ -43,6 +45,46 @@ def test_who_ends_with_the_hand_up_has_not_set_down(touch, height, phase, outcom
     found = _result(Scenario(), log, 1.0, completed=phase == "done", period=1 / 30)
     assert found.outcome == outcome
     assert bool(found.reason) == (outcome != "held")
+
+
+def loaded(*down: float) -> tuple[Touch, ...]:
+    """Fingers that carry so many newtons along their -y axes with 1 N of grip."""
+    wrenches = [np.array([0.0, -force, -1.0, 0.0, 0.0, 0.0]) for force in down]
+    tractions = [SimpleNamespace(wrench=wrench, wrench_cov=np.eye(6)) for wrench in wrenches]
+    return tuple(Touch(0.0, 0.0, 1.0, 0.01, True, traction=one) for one in tractions)  # type: ignore
+
+
+@pytest.mark.parametrize(
+    ("held", "released", "height", "outcome"),
+    [
+        (0.3, 0.10, 0.003, "held"),  # the table carries two thirds
+        (0.3, -0.1, 0.003, "held"),  # it pushes up
+        (0.3, 0.28, 0.003, "dropped"),  # released in the air
+        (0.3, 0.28, 0.0, "held"),  # the gripper is down
+        (0.3, math.nan, 0.003, "dropped"),
+        (0.02, 0.0, 0.003, "dropped"),  # the load is within the noise
+    ],
+)
+def test_an_object_that_stands_when_the_fingers_open_is_set_down(held, released, height, outcome):
+    """The gripper may end above its start: the object had slipped, or the table came earlier. The
+    decision of the scoring without ground truth is the same as that of the control loop."""
+    log = _Log(Observer(), None, None)
+    rule = SetDown()
+    steps = [
+        (loaded(held, held), "hold", 0.04),
+        (loaded(held, held), "lower", 0.02),
+        (loaded(released, released), "release", height),
+        ((EMPTY, EMPTY), "done", height),
+    ]
+    for touch, phase, at in steps:
+        command = Command(0.05, 4.0, at, phase)
+        one = cycle(HELD, command)
+        one.touch = touch
+        log.add(one)
+        rule.watch(touch, command)
+    found = _result(Scenario(), log, 1.0, completed=True, period=1 / 30)
+    assert found.outcome == outcome and rule.stood == (outcome == "held")
+    assert found.outcome_from == "estimates"
 
 
 @pytest.mark.parametrize(

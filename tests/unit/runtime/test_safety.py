@@ -148,23 +148,31 @@ def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supe
 
 
 @pytest.mark.parametrize(
-    ("place", "touch", "lands"),
+    ("place", "touch", "stood", "lands"),
     [
-        (0.02, replace(OK, force_normal=0.0, touching=False), True),
-        (0.02, OK, False),  # it still holds something
-        (0.02, BLIND, False),  # or may
-        (0.0, replace(OK, force_normal=0.0, touching=False), False),
+        (0.02, replace(OK, force_normal=0.0, touching=False), False, True),
+        (0.02, OK, False, False),  # it still holds something
+        (0.02, BLIND, False, False),  # or may
+        (0.0, replace(OK, force_normal=0.0, touching=False), False, False),
+        (0.0, replace(OK, force_normal=0.0, touching=False), True, True),
+        (0.0, OK, True, False),
     ],
-    ids=["empty", "holds", "blind", "no other place"],
+    ids=["empty", "holds", "blind", "no other place", "it stood", "stood and is held again"],
 )
 def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
-    supervisor, place, touch, lands
+    supervisor, place, touch, stood, lands
 ):
     rig = SimpleNamespace(goal=TaskGoal(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
     gripper = GripperState(0.06, 0.0, 0.0, 0.025)
     cycle = SimpleNamespace(
-        rig=rig, last=last, touch=(touch,), supervisor=supervisor, now=1.0, gripper=gripper
+        rig=rig,
+        last=last,
+        touch=(touch,),
+        supervisor=supervisor,
+        now=1.0,
+        gripper=gripper,
+        set_down=SimpleNamespace(stood=stood),
     )
     assert control_loop._has_landed(cycle) == lands and (supervisor.state == "safe") != lands  # type: ignore[arg-type]
 
@@ -321,6 +329,7 @@ def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
         supervisor=supervisor,
         now=1.0,
         gripper=up,
+        set_down=SimpleNamespace(stood=False),
     )
     assert not control_loop._has_landed(cycle) and supervisor.state == "safe"  # type: ignore[arg-type]
 
