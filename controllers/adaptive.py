@@ -245,10 +245,13 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
     is_standing = stands(carried, float(np.asarray(command.memory["held"])[0]))
-    if is_standing or (height == goal and observation.gripper.lift_height < goal + 0.001):
-        return phases.start_release(
-            replace(command, lift_height=max(0.0, observation.gripper.lift_height))
-        )
+    if is_standing:  # the gripper stops here
+        height = max(0.0, observation.gripper.lift_height)
+        return phases.start_release(replace(command, lift_height=height))
+    settled_time = command.memory["settled_time"] + observation.period if height == goal else 0.0
+    command = phases.remember(command, settled_time=settled_time)
+    if settled_time > SETTLE_TIME:  # the lift has followed
+        return phases.start_release(replace(command, lift_height=height))
     return replace(command, lift_height=height)
 
 
