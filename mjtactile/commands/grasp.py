@@ -62,10 +62,10 @@ The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed
 a rig without ground truth "not set down": the run ended with a loaded, raised gripper),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), real_time_factor, frames, perception_ms_median, object, sensor,
-controller, seed, the whole "scenario"; "outcome_from" ("ground truth", "estimates", or
-"recording" for a replay, with the recorded names in "recorded"); "flags", the conditions that
-reduce the accuracy of the simulation, by kind (docs/reference/status_and_flags.md); a "reason"
-if known.
+controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
+"estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
+conditions that reduce the accuracy of the simulation, by kind
+(docs/reference/status_and_flags.md); a "reason" if known.
 exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
 simulation failed, or Ctrl-C.
 """

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ import numpy as np
 
 from mjtactile.core.config_fields import KPA, MM, entry, given, number, part, text
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import NumberArray, Table
 from mjtactile.core.lens import PLUMB_BOB
 from mjtactile.core.renamed import old_keys
@@ -85,6 +87,21 @@ class LensCalibration(Pinhole):
     of_sensor: ClassVar[bool] = False
 
     stamp: CalibrationMetadata = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Raise InputError for intrinsics that are not finite, or focal lengths below 0."""
+        super().__post_init__()
+        values = {name: getattr(self, name) for name in ("fx", "fy", "cx", "cy")}
+        values |= {f"distortion[{k}]": value for k, value in enumerate(self.distortion)}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise InputError(
+                    f"{value!r} is not a finite number", source="LensCalibration", field=name
+                )
+            if name in ("fx", "fy") and value <= 0:
+                raise InputError(
+                    f"{value!r} px must be above 0", source="LensCalibration", field=name
+                )
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,6 +153,18 @@ class SuccessCriteria:
         "impact_max_N_s", 0, 10, default=math.inf, about="maximum impact at set-down"
     )
 
+    @property
+    def text(self) -> str:
+        """Return all criteria as a sentence, for reports."""
+        texts = ["held and intact", f"it falls by at most {1e3 * self.max_drop:g} mm at release"]
+        if math.isfinite(self.max_tilt):
+            texts.append(f"tilted by at most {math.degrees(self.max_tilt):g} deg at the end")
+        if math.isfinite(self.release_within):
+            texts.append(f"released within {self.release_within:g} s of the pull, not before")
+        if math.isfinite(self.max_impact):
+            texts.append(f"set down with an impact of at most {self.max_impact:g} N s")
+        return "; ".join(texts)
+
 
 @dataclass(frozen=True)
 class SampledDisturbance:

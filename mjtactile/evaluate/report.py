@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -10,8 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.errors import InputError
 from mjtactile.core.fidelity_levels import fidelity_notes
 from mjtactile.core.flags import merge_flags, read_flags
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.evaluate import svg
 from mjtactile.evaluate.episodes import OUTCOMES
 from mjtactile.evaluate.parameter_sensitivity import measures
@@ -65,9 +69,17 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     notes = fidelity_notes(summary).items()
     return (
         f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
-        f"<p>{escape(settings)}<br>{escape(versions)}</p>"
+        f"<p>{escape(settings)}<br>{escape(versions)}</p>{_criterion(values)}"
         + "".join(f"<p>{name.capitalize()}: {escape(text)}.</p>" for name, text in notes)
     )
+
+
+def _criterion(options: Mapping[str, Any]) -> str:
+    """Return the success criterion of the task; empty if the file of the task is gone."""
+    with contextlib.suppress(InputError):
+        task = load_task(str(options.get("task", Scenario().task)))
+        return f"<p>Success: {escape(task.success.text)}.</p>"
+    return ""
 
 
 def _words(value: Any) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.signature_checks import validated
+from mjtactile.core.signature_checks import above, validated
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import argument_checks
@@ -249,6 +249,7 @@ class QuasistaticMembrane:
         """
         return relative_force_error(obstacle_rows.as_list(obstacles, "obstacles"), self.spacing)
 
+    @validated(within=above(0))
     def refined_for(
         self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03
     ) -> QuasistaticMembrane:
@@ -393,6 +394,8 @@ class QuasistaticMembrane:
         where = np.asarray(places, dtype=float)
         if where.ndim == 0 or where.shape[-1] != 2:
             raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
+        if not np.isfinite(where).all():
+            raise InputError("is not finite", field="places")
         where = where.reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)

@@ -15,6 +15,7 @@ from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import DEFAULT_GOAL, PressureReading, TaskGoal, ValveState
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
+from mjtactile.rig.workload import Workload
 
 
 @validated()
@@ -100,6 +101,8 @@ class Rig:
         goal: Goal of the task.
         grip_force_available: Function of the opening, m, that returns the maximum closing force on
             each finger at rest, N; None: unknown.
+        workload: Function that returns the wall times and contacts of a simulation; None: a real
+            rig.
         touch_is_synthetic: True if its cameras return touch in place of images (`FingerSnapshot`).
         scene: The simulated world, for scoring only; None on a real rig. Sensing and controllers
             have no access to a `Rig`.
@@ -122,6 +125,7 @@ class Rig:
     truth: Callable[[], Mapping[str, Any]] | None = None
     goal: TaskGoal = DEFAULT_GOAL
     grip_force_available: Callable[[float], float] | None = None
+    workload: Callable[[], Workload] | None = None
     touch_is_synthetic: bool = False
 
     @cached_property

@@ -78,6 +78,7 @@ class GraspResult:
             "frames": self.frames,
             "perception_ms_median": self.milliseconds["perception_median"],
             "flags": self.flags,
+            "success_criterion": load_task(self.scenario.task).success.text,
             **self.scenario.names(),
         }
         if not math.isnan(self.peak_stress_true):

@@ -31,6 +31,7 @@ from mjtactile.runtime.flag_observer import FlagObserver
 from mjtactile.runtime.perception_processes import PerceptionPool, default_count
 from mjtactile.runtime.perception_threads import Perceiver, SyntheticPerception
 from mjtactile.runtime.references import ReferenceImages, inflate, take_references
+from mjtactile.runtime.slowness_monitor import SlownessMonitor
 from mjtactile.runtime.stepwise_control import StepwiseControl
 from mjtactile.runtime.supervisor import Supervisor
 from mjtactile.runtime.unsensed_force_monitor import UnsensedForceMonitor
@@ -204,7 +205,11 @@ class Session:
         notes = FlagObserver(lambda: self.flags, Observers(watching))
         # simulation provides the forces outside the sensors, so only a real rig is monitored
         is_real = math.isfinite(self.rig.host_timeout)
-        watched = [notes, self._push] if is_real else [notes]
+        watched: list[Observer] = [notes, self._push] if is_real else [notes]
+        if self.rig.workload is not None:
+            say = Observers(watching).message
+            shapes = self._shapes or reads
+            watched.append(SlownessMonitor(self.rig.workload, say, contact_shapes=shapes))
         with signals.deferred() as stop, notes:
             return run_loop(
                 self.rig,

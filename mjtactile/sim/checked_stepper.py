@@ -81,6 +81,11 @@ class Stepper:
         return self._monitor.speeds
 
     @property
+    def contact_counts(self) -> tuple[int, int]:
+        """See `SceneMonitor.contact_counts`."""
+        return self._monitor.contact_counts
+
+    @property
     def steps_to_check(self) -> int:
         """Return the number of steps until the next check."""
         return self._check_every - self.step_count % self._check_every

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time as wall
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -41,6 +42,7 @@ class SimClock:
         self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")
         self._running: Future[None] | _Later | None = None
         self._pending: list[Callable[[], None]] = []
+        self.physics_time = self.rendering_time = 0.0  # wall times so far, s
         self.on_arrival: list[Callable[[], None]] = []
         """Actions run in parallel when the time given to `start` is reached: rendering of the
         camera images."""
@@ -84,16 +86,20 @@ class SimClock:
 
     def _go(self, time: float) -> None:
         self._advance(time)
+        begin = wall.perf_counter()
         first, *others = self.on_arrival or [lambda: None]
         beside = [self._begin(action) for action in others]
         first()
         for action in beside:
             action.result()
+        self.rendering_time += wall.perf_counter() - begin
 
     def _advance(self, time: float) -> None:
         missing = round((time - self._world.time) / self._world.timestep)
         if missing > 0:
+            begin = wall.perf_counter()
             self._world.step(missing)
+            self.physics_time += wall.perf_counter() - begin
 
 
 class SimValve:

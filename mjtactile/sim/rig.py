@@ -17,6 +17,7 @@ from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.rig.workload import Workload
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.devices import SimClock, SimGripper, SimValve
 from mjtactile.sim.effects.catalog import Chosen, choose, quasistatic_is_valid
@@ -180,6 +181,7 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         touch_is_synthetic=Effect.CHAIN not in plan.on,
         scene=world,
         grip_force_available=world.grip_force_available,
+        workload=lambda: _workload(world, clock),
         simulated={
             "mesh": (sheet.nx, sheet.ny),
             "timestep_ms": 1e3 / plan.steps_per_second,
@@ -208,6 +210,25 @@ def _cameras(
         )
         for sensor, own, seed in zip(sensors, designs, seeds, strict=True)
     )
+
+
+def _workload(world: GraspWorld, clock: SimClock) -> Workload:
+    """Return the wall times and contacts of a world so far."""
+    geoms, contacts = world.contact_counts
+    is_mesh = Effect.SHEET in world.effects
+    return Workload(
+        clock.physics_time,
+        clock.rendering_time,
+        contacts,
+        geoms,
+        0 if world.solid is None else int(world.model.nflexelem) - _membrane_elements(world),
+        sum(one.mesh.nx * one.mesh.ny for one in world.sensors) if is_mesh else 0,
+    )
+
+
+def _membrane_elements(world: GraspWorld) -> int:
+    flexes = [sensor.flex_id for sensor in world.sensors if sensor.flex_id >= 0]
+    return int(world.model.flex_elemnum[flexes].sum())
 
 
 def _limits(file: SimRigFile) -> CommandLimits:

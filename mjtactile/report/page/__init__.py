@@ -27,6 +27,7 @@ img.camera{width:100%;display:block}#readout{font-size:13px;min-height:2.9em}#sl
 _FACTS: tuple[tuple[str, str, str], ...] = (
     ("outcome", "outcome", ""),
     ("task", "task", ""),
+    ("success_criterion", "success", ""),
     ("controller", "controller", ""),
     ("seed", "seed", ""),
     ("reason", "because", ""),

@@ -90,6 +90,11 @@ class World:
         self._stepper.update_flags(reasons, checked)
 
     @property
+    def contact_counts(self) -> tuple[int, int]:
+        """Numbers of geoms near the membranes and of contact points on them."""
+        return self._stepper.contact_counts
+
+    @property
     def step_count(self) -> int:
         return self._stepper.step_count
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,8 @@ from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
+
+_NEAR = 0.01  # distance from the rim that counts as near, m
 
 
 def on_membrane(
@@ -23,6 +27,20 @@ def on_membrane(
     sides = ((geom >= first) & (geom <= last)) | (data.contact.flex == sensor.flex_id)
     rows = (sides[:, 0] | sides[:, 1]).nonzero()[0]
     return rows, sides[rows]
+
+
+def contact_points(data: mujoco.MjData, sensors: Sequence[AnySensor]) -> int:
+    """Return the number of contact points on the sensors' membranes."""
+    return sum(len(on_membrane(data, sensor)[0]) for sensor in sensors) if data.ncon else 0
+
+
+def near_geoms(
+    model: mujoco.MjModel, data: mujoco.MjData, sensor: AnySensor, geoms: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return those of `geoms` (n,) whose bounding balls are near the sensor's membrane."""
+    offset = data.geom_xpos[geoms] - data.xpos[sensor.body_id]
+    reach = _NEAR + np.hypot(sensor.design.frame.length, sensor.design.frame.width) / 2
+    return geoms[np.linalg.norm(offset, axis=1) < model.geom_rbound[geoms] + reach]
 
 
 def forces(

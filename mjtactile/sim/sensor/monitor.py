@@ -103,6 +103,16 @@ class SceneMonitor:
         """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,)."""
         return self._movers, self._max_speeds
 
+    @property
+    def contact_counts(self) -> tuple[int, int]:
+        """Numbers of geoms near the membranes and of contact points on them."""
+        near = [
+            contact_loads.near_geoms(self._model, self._data, sensor, geoms)
+            for sensor, geoms in zip(self._sensors, self._geoms_of, strict=True)
+        ]
+        points = contact_loads.contact_points(self._data, self._sensors)
+        return len(np.unique(np.concatenate(near))), points
+
     def initial_flags(self) -> Reasons:
         """Flags of the scene as it was built."""
         flags: Reasons = {}
