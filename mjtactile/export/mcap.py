@@ -9,8 +9,10 @@ from typing import Any
 
 from mjtactile.export import messages
 from mjtactile.export.episode import RecordedEpisode, write_each
+from mjtactile.export.foxglove_layout import layout
 from mjtactile.export.foxglove_sink import FoxgloveFile
 from mjtactile.export.viewer_entities import rendered_items
+from mjtactile.recording.files import write_json
 
 
 def write(
@@ -21,6 +23,7 @@ def write(
     leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write `episode_000000.mcap` and so on into `out`; returns the number of frames."""
+    write_json(out / "layout.json", layout(episodes[0].fingers))
     return write_each(episodes, out, ".mcap", _write_one, say=say, leave_out=leave_out)
 
 

@@ -17,6 +17,7 @@ from mjtactile.export import messages
 from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurves, RenderedMesh
 
 PORT = 9876
+_WRENCH = ("fx, N", "fy, N", "fz, N", "tx, N m", "ty, N m", "tz, N m")
 _ARROW_RADIUS = 3e-4  # radius of arrows, m
 _POINT_RADIUS = 2e-4  # radius of points, m
 
@@ -34,6 +35,8 @@ class RerunSink:
         self._parents = {"world": ""} | {f"{finger}_sensor": gripper for finger in fingers}
         self._fingers = tuple(fingers)
         self._phase = ""
+        self._frame = 0
+        self._named: set[str] = set()
         self._log: dict[str, Callable[[messages.Message], None]] = {
             "image": self._image,
             "curves": self._curves,
@@ -52,7 +55,11 @@ class RerunSink:
     def log(self, item: messages.Message) -> None:
         """Send one item."""
         self.stream.set_time("rig", duration=item.time)
+        self.stream.set_time("frame", sequence=self._frame)
+        if item.kind == "static":
+            self._send("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log[item.kind](item)
+        self._frame += item.kind == "cycle"  # the last message of a cycle's measurements
 
     def close(self) -> None:
         """See that all has arrived."""
@@ -119,7 +126,9 @@ class RerunSink:
     def _camera(self, item: messages.Message) -> None:
         lens = item.value
         size = {"resolution": [lens.width, lens.height], "image_plane_distance": 0.01}
-        pinhole = self._rr.Pinhole(image_from_camera=lens.K, **size)
+        pinhole = self._rr.Pinhole(
+            image_from_camera=lens.K, camera_xyz=self._rr.ViewCoordinates.RDF, **size
+        )
         self._send(self._place(item.frame), pinhole, static=True)
 
     def _cloud(self, item: messages.Message) -> None:
@@ -131,8 +140,8 @@ class RerunSink:
 
     def _joints(self, item: messages.Message) -> None:
         for name, (position, _, effort) in item.value.items():
-            self._number(f"gripper/{name}", position)
-            self._number(f"gripper/{name}_effort", effort)
+            self._number(f"gripper/{name}", position, f"{name}, m")
+            self._number(f"gripper/{name}_effort", effort, f"{name} effort, N")
 
     def _frames(self, item: messages.Message) -> None:
         for t in item.value:
@@ -143,13 +152,14 @@ class RerunSink:
     def _wrench(self, item: messages.Message) -> None:
         if np.isfinite(item.value).all():
             finger = item.topic.split("/")[1]
-            self._send(f"wrench/{finger}", self._rr.Scalars(item.value))
+            for name, value in zip(_WRENCH, item.value, strict=True):
+                self._number(f"wrench/{finger}/{name.partition(',')[0]}", value, name)
 
     def _touch(self, item: messages.Message) -> None:
         finger = item.topic.split("/")[1]
-        self._number(f"force/{finger}", item.value["force_normal"])
+        self._number(f"force/{finger}", item.value["force_normal"], f"{finger}, N")
         if "gauge_pressure" in item.value:
-            self._number(f"pressure/{finger}", item.value["gauge_pressure"])
+            self._number(f"pressure/{finger}", item.value["gauge_pressure"], f"{finger}, Pa")
         if item.value["status_code"] != "ok":
             self._send(f"log/{finger}", self._rr.TextLog(str(item.value["status"]), level="WARN"))
 
@@ -160,10 +170,13 @@ class RerunSink:
             self._phase = phase
             self._send("log/phase", self._rr.TextLog(phase))
         for finger, true in zip(self._fingers, row.get("force_normal_true", ()), strict=False):
-            self._number(f"force/{finger}_true", true)
+            self._number(f"force/{finger}_true", true, f"{finger}, ground truth, N")
 
-    def _number(self, path: str, value: Any) -> None:
-        """Send a value; an unknown one is skipped and leaves a gap in its curve."""
+    def _number(self, path: str, value: Any, name: str) -> None:
+        """Send a value of a curve with its name and unit; an unknown one leaves a gap."""
+        if path not in self._named:
+            self._named.add(path)
+            self._send(path, self._rr.SeriesLines(names=name), static=True)
         if value is not None and np.isfinite(value):
             self._send(path, self._rr.Scalars(float(value)))
 

@@ -2,6 +2,7 @@
 recording's."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -119,6 +120,20 @@ def test_an_mcap_file_is_the_recording(pair, tmp_path):
         and metadata["mjtactile"]["fingers"] == '["left", "right"]'
     )
     assert attachments["sensor.toml"].startswith(b"# The paper's sensor")
+
+
+def test_the_layout_shows_topics_of_the_file(press, tmp_path):
+    mcap.write([RecordedEpisode(press)], tmp_path)
+    found, _, _ = read_mcap(tmp_path / "episode_000000.mcap")
+    layout = json.loads((tmp_path / "layout.json").read_text())
+    named = set(re.findall(r"/left/[a-z_]+(?:/drawn)?", json.dumps(layout)))
+    assert named <= set(found) and "/left/force/drawn" in named
+
+    def leaves(node):
+        is_panel = isinstance(node, str)
+        return {node} if is_panel else leaves(node["first"]) | leaves(node["second"])
+
+    assert leaves(layout["layout"]) == set(layout["configById"])
 
 
 def test_the_membrane_is_a_cloud_in_the_sensors_frame(press, tmp_path):

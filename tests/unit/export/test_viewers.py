@@ -96,8 +96,15 @@ def test_rerun_opens_a_recording(felt, tmp_path):
     points = np.array(found[f"{sensor}/membrane"][-1]["Mesh3D:vertex_positions"])
     heights = touch.surface.z.ravel().astype(np.float32)
     np.testing.assert_array_equal(points[..., 2].ravel(), heights)
-    forces = [row["Scalars:scalars"][0] for row in found["/force/left"]]
+    curve = found["/force/left"]
+    forces = [row["Scalars:scalars"][0] for row in curve if "Scalars:scalars" in row]
     np.testing.assert_array_equal(forces, recording.column("force_normal")[:, 0])
+    assert [row["frame"] for row in curve if "frame" in row] == list(range(len(recording)))
+    names = [
+        row["SeriesLines:names"] for row in found["/wrench/left/tz"] if "SeriesLines:names" in row
+    ]
+    assert names == [["tz, N m"]]
+    assert any("ViewCoordinates:xyz" in row for row in found["/world"])
     (blob,) = found[f"{sensor}/left_camera/image"][-1]["EncodedImage:blob"]
     assert bytes(blob) == (recording.folder / recording.columns["images"][-1][0]).read_bytes()
 
@@ -108,7 +115,9 @@ def test_rerun_is_shown_a_run(tmp_path):
     cycles = grasping(view)
     assert not view.problem and not view.left_out and "run.rrd" in view.where
     found = read_rrd(tmp_path / "run.rrd")
-    forces = [row["Scalars:scalars"][0] for row in found["/force/right"]]
+    forces = [
+        row["Scalars:scalars"][0] for row in found["/force/right"] if "Scalars:scalars" in row
+    ]
     np.testing.assert_array_equal(forces, [cycle.touch[1].force_normal for cycle in cycles])
 
 
