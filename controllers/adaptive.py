@@ -40,7 +40,7 @@ SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
 RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
 # friction is known if its 5 % quantile is this fraction of the median; maximum time of the test, s
 KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
-SLIP_LOAD = 1.25  # assumed load over the shear after a slip: a sliding contact carries only a part
+SLIP_LOAD = 1.5  # load factor after a slip: the shear is a part of the load, and motion must stop
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
@@ -114,7 +114,7 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     worst, minimum = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
         worst, minimum = load.maximum, MIN_TEST_FORCE
-    elif slip_time < SLIP_WAIT:  # the shear of a sliding contact is below its load
+    elif slip_time < SLIP_WAIT:
         worst *= SLIP_LOAD
     grip = friction.grip(worst, memory["risk"])
     target = max(minimum, min(grip, MAX_FORCE, frames.maximum))

@@ -25,25 +25,25 @@ GRID = np.linspace(0.10, 1.30, 49)
 _SPACING = float(GRID[1] - GRID[0])
 # diffusion of mu, 1/sqrt(s), steady and changing; rates of the mode, 1/s, to changing and back
 _DRIFT = (0.02, 0.25)
-_RATES = (0.01, 1.0)
+_RATES = (0.02, 1.0)
 _PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
 # probability in one image, by the utilization over mu, that some fingers report slip, that all do,
 # and that all do with a growing distance (`mjtactile bench friction`)
 _RATIO = (0.4, 0.55, 0.65, 0.75, 0.85, 0.95, 1.05)
 _SIGNS = (
     (0.002, 0.006, 0.013, 0.015, 0.045, 0.110, 0.130),
-    (0.0002, 0.0015, 0.004, 0.004, 0.007, 0.055, 0.065),
+    (0.0002, 0.001, 0.003, 0.004, 0.008, 0.080, 0.100),
     (0.00001, 0.0001, 0.0007, 0.0035, 0.024, 0.110, 0.370),
 )
 _GROWTH = 5e-5  # minimum growth of the distance from image to image, m
-_USED_SD = (0.03, 0.012)  # sd of the utilization: constant part, and times 1 N over the force
+_USED_SD = (0.025, 0.006)  # sd of the utilization: constant part, and times 1 N over the force
 _WRONG = 0.01  # probability of an image in which that model does not hold
 # fraction of an image that is independent of the previous one: in a steady hold its errors last
 _INDEPENDENT = 0.5
-# of a sign: a report lasts for five images, and one finger slips at its own utilization; no report
-# is more evidence while the grip is loosened on purpose
-_WEIGHTS = (0.03, 0.06, 0.2, 1.0)
-_TEST_WEIGHT = 0.25
+# of a sign in its first image and in further ones: a report lasts for five images, and one finger
+# slips at its own utilization; no report is more evidence while the grip is loosened on purpose
+_WEIGHTS = ((0.03, 0.03), (0.6, 0.0), (1.0, 0.05), (1.0, 1.0))
+_TEST_WEIGHT = 0.5
 # change of the shear over that of the grip, sticking and sliding; sd of it, and per change
 _ANSWERS = (0.15, 0.65)
 _ANSWER_SD = (0.08, 0.2)
@@ -61,13 +61,15 @@ NONE, SOME, ALL, CONFIRMED = range(4)
 
 class Signs(NamedTuple):
     """Evidence of one image: mean `press` and `drag`, N, utilizations of the last `_REPORT_TIME`,
-    slip distances, m, sign of slip, and relative changes of grip and shear (NaN: unknown)."""
+    slip distances, m, sign of slip, ages of the reports, s, and relative changes of grip and shear
+    (NaN: unknown)."""
 
     press: float
     drag: float
     recent: list[float]
     distances: list[float]
     slip: int
+    ages: list[float]
     harder: float
     more: float
 
@@ -84,6 +86,8 @@ class FrictionFilter:
         recent: Utilizations, shear over normal force, of the last `_REPORT_TIME`: slip is reported
             late.
         distances: Slip distance of each finger, m.
+        slip: Sign of slip in the last image.
+        ages: Time since each finger's last slip report, s.
     """
 
     weights: Sequence[float] = ()
@@ -91,6 +95,8 @@ class FrictionFilter:
     drag: float = 0.0
     recent: Sequence[float] = ()
     distances: Sequence[float] = ()
+    slip: int = NONE
+    ages: Sequence[float] = ()
 
     def after(
         self, touch: Sequence[Touch], period: float, *, is_test: bool = False
@@ -109,7 +115,7 @@ class FrictionFilter:
         signs = self.signs(touch, period)
         if signs is None:
             return replace(self, weights=predicted.tolist())
-        weights = predicted * np.tile(_likelihood(signs, is_test), 2)
+        weights = predicted * np.tile(_likelihood(signs, self.slip, is_test), 2)
         follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
         return FrictionFilter(
             (weights / weights.sum()).tolist(),
@@ -117,6 +123,8 @@ class FrictionFilter:
             self.drag + follow * (signs.drag - self.drag),
             signs.recent,
             signs.distances,
+            signs.slip,
+            signs.ages,
         )
 
     def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
@@ -128,7 +136,15 @@ class FrictionFilter:
         count = max(1, round(_REPORT_TIME / period))
         recent = [*self.recent, drag / press][-count:]
         distances = [0.0 if one.slip is None else one.slip.distance for one in touch]
+        states = [None if one.slip is None else one.slip.state for one in touch]
+        before = self.ages or [1.0] * len(touch)
+        ages = [
+            0.0 if state == "slipping" else age + period
+            for state, age in zip(states, before, strict=True)
+        ]
         slip = slip_sign(touch)
+        if slip == SOME and max(ages) < _REPORT_TIME:
+            slip = ALL  # one after the other
         pairs = zip(distances, self.distances, strict=False)
         if slip == ALL and self.distances and all(new - old > _GROWTH for new, old in pairs):
             slip = CONFIRMED
@@ -136,7 +152,7 @@ class FrictionFilter:
             changes = press / self.press - 1, drag / self.drag - 1
         else:
             changes = math.nan, math.nan
-        return Signs(press, drag, recent, distances, slip, *changes)
+        return Signs(press, drag, recent, distances, slip, ages, *changes)
 
     def density(self) -> Array:
         """Return the probability (n,) of each value of `GRID`."""
@@ -216,8 +232,9 @@ def slip_sign(touch: Sequence[Touch]) -> int:
     return NONE if not any(slips) else ALL if all(slips) else SOME
 
 
-def _likelihood(signs: Signs, is_test: bool = False) -> Array:
-    """Return the likelihood (n,) of the evidence of one image (Eq. R2 to R5)."""
+def _likelihood(signs: Signs, before: int = NONE, is_test: bool = False) -> Array:
+    """Return the likelihood (n,) of the evidence of one image after a sign of slip `before` (Eq. R2
+    to R5)."""
     sd = _USED_SD[0] + _USED_SD[1] / signs.press
     beyond = (signs.recent[-1] - GRID) / sd
     possible = _WRONG + (1 - _WRONG) * _normal_cdf(2.0 - beyond)
@@ -225,7 +242,9 @@ def _likelihood(signs: Signs, is_test: bool = False) -> Array:
     answer = _answer(signs.harder, signs.more, _normal_cdf((used - GRID) / sd))
     chances = [np.interp(used / GRID, _RATIO, chance) for chance in _SIGNS]
     sign = 1 - sum(chances) if signs.slip == NONE else chances[signs.slip - 1]
-    weight = _TEST_WEIGHT if is_test and signs.slip == NONE else _WEIGHTS[signs.slip]
+    weight = _WEIGHTS[signs.slip][before >= signs.slip]
+    if is_test and signs.slip == NONE:
+        weight = _TEST_WEIGHT
     return (possible * answer) ** _INDEPENDENT * sign**weight
 
 
