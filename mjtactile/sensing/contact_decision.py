@@ -11,9 +11,9 @@ import numpy as np
 from mjtactile.core.calibration_parts import ForceScale
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Contact, Touch, Traction
+from mjtactile.sensing.estimate import Estimate
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
-from mjtactile.sensing.membrane_estimator import Estimate
 from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.touch import slip
@@ -73,7 +73,10 @@ class ContactDecision:
         )
         if estimate.other is not None:
             other = self._inverse.traction(estimate.other).wrench - traction.wrench
-            traction = replace(traction, wrench_cov=traction.wrench_cov + np.outer(other, other))
+            traction = replace(
+                traction,
+                wrench_cov=traction.wrench_cov + estimate.other_weight * np.outer(other, other),
+            )
         cov = traction.wrench_cov.copy()
         cov[2, 2] += self._unbalanced(estimate, traction) ** 2
         traction = replace(traction, wrench_cov=cov)
@@ -83,9 +86,12 @@ class ContactDecision:
     def _unbalanced(self, estimate: Estimate, traction: Traction) -> float:
         """Return the force, N, by which the pressure sensor contradicts the estimated shape. A flat
         contact carries the gauge pressure times its area. The area follows from force and estimated
-        pressure, and is at most that of the frame."""
+        pressure, and is at most that of the frame. The part of the frame that the contact may cover
+        besides is as uncertain as the pressure."""
         pressure = max(estimate.shape.gauge_pressure, 1.0)
-        area = min(abs(float(traction.wrench[2])) / pressure, self._area)
+        flat = abs(float(traction.wrench[2])) / pressure
+        unseen = self._area * abs(estimate.pressure_gap) / pressure
+        area = min(flat + unseen, self._area)
         return abs(estimate.pressure_gap) * area
 
     def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
@@ -125,6 +131,13 @@ class ContactDecision:
             text = f"the chamber pressure has changed by {moved:+.0f} Pa since the last image"
             status = Status(StatusCode.PRESSURE_CHANGING, text)
             lost = slip.unknown(status.code, "the pressure is changing")
+            return replace(touch, slip=lost, status=status), state
+        if estimate.on_frame:
+            status = Status(
+                StatusCode.INCONSISTENT,
+                "a face wider than the frame rests on it; the frame carries a part of the load",
+            )
+            lost = slip.unknown(status.code, "a face rests on the frame")
             return replace(touch, slip=lost, status=status), state
         gap = self._unbalanced(estimate, traction)
         if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:

@@ -12,7 +12,7 @@ from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate
 from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter
 from mjtactile.sensing.force.gas_filter import GasState
-from mjtactile.sensing.force.linearization import Shape
+from mjtactile.sensing.force.linearization import PlaneContact, Shape
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.force.stress_relaxation import RelaxationState
 from mjtactile.sensing.force.temporal_blending import Blend
@@ -47,7 +47,7 @@ class PipelineState:
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
     - `displaced`: number of successive images in which the camera seemed displaced. With fiducials,
       it counts images in which gas seemed lost. From `DISPLACED_IMAGES` on this is accepted.
-    - `face`: True if a face wider than the frame was in contact in the last image.
+    - `face`: contact with a face wider than the frame in the last image, if any.
     - `unexplained`: number of images since the markers could not be explained.
     - `lost_at` (3,): force in the last explained image, N.
     - `fiducials`: those of the last image; `camera`: camera drift from them.
@@ -69,7 +69,7 @@ class PipelineState:
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
     displaced: int = 0
-    face: bool = False
+    face: PlaneContact | None = None
     unexplained: int = 0
     lost_at: Array | None = None
     fiducials: FiducialDetections | None = None
@@ -97,7 +97,7 @@ class PipelineState:
             tracks=None,
             apart=None,
             set_aside=(),
-            face=False,
+            face=None,
             unexplained=0,
             lost_at=None,
             press=None,

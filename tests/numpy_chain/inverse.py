@@ -14,7 +14,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter, camera_modes, drift_of
 from mjtactile.sensing.force.inverse_fem import STEP_LIMIT, InverseMembrane
-from mjtactile.sensing.force.linearization import NEAR, Shape
+from mjtactile.sensing.force.linearization import NEAR, PlaneContact, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from tests.numpy_chain.sheet import SplineMembrane, State
@@ -41,6 +41,7 @@ class _Gain:
     innovation: Array
     reweighted: int
     modes: Array
+    mean: PlaneContact | None = None
 
     def serves(
         self,
@@ -50,6 +51,7 @@ class _Gain:
         camera: CameraDriftFilter,
         lost: bool,
         correlation: float,
+        mean: PlaneContact | None = None,
     ) -> bool:
         """Return True if the gain is valid near `c` for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
@@ -146,6 +148,7 @@ class DenseInverse(InverseMembrane):
         camera: CameraDriftFilter,
         lost: bool,
         correlation: float,
+        mean: PlaneContact | None = None,
     ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)

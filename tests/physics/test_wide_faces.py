@@ -9,40 +9,60 @@ from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-DEPTHS = np.arange(0.5e-3, 2.8e-3, 0.25e-3)
+MESH = {"round30": (25, 25)}  # others: 25 x 21; its plate force is within 1 % of 33 x 28 up to 4 N
 
 
-def presses(sensor, *, gauge):
-    """Ground truth force, N, and touch of a plate of 60 mm pressed in steps."""
+def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True):
+    """Ground truth force, N, and touch of a box of edge `size` m pressed in steps."""
     design = load_sensor(sensor)
-    world = PressWorld(design, Indenter("box", 0.06))
+    mesh = MESH.get(sensor, (25, 21))
+    world = PressWorld(design, Indenter("box", size), at=at, tilt=tilt, mesh=mesh)
     view = View(world, design, gauge=gauge)
     take_references(world, [view], design.chamber.supply_gauge)
-    for depth in DEPTHS:
+    for depth in depths:
         world.press(depth)
         view.touch()
         yield -float(ground_truth.contact_force(world, 0)[2]), view.touch()
 
 
-# The simulated mesh has 3 mm between vertices: its plate force is up to 7 % below that of a mesh of
-# 25 x 21. Without a pressure sensor the markers alone determine the gas: 12 % for a plate over 16
-# markers.
+# Gauge pressure times flattened area bounds the force; the area follows from statics. The required
+# errors are those of `bench wide-faces`, and 20 mN of noise below 0.5 N.
 @pytest.mark.parametrize(
     ("sensor", "gauge", "error"),
     [
-        ("paper16", True, 0.09),
-        pytest.param("fine", True, 0.12, marks=pytest.mark.slow),
-        pytest.param("dense", False, 0.16, marks=pytest.mark.slow),
-        pytest.param("paper16", False, 0.14, marks=pytest.mark.slow),
+        ("paper16", True, 0.03),
+        ("dense", True, 0.03),
+        pytest.param("fine", True, 0.03, marks=pytest.mark.slow),
+        pytest.param("round30", True, 0.04, marks=pytest.mark.slow),
+        pytest.param("dense", False, 0.05, marks=pytest.mark.slow),
+        pytest.param("paper16", False, 0.05, marks=pytest.mark.slow),
     ],
 )
 def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):
-    unknown = []
-    for force, touch in presses(sensor, gauge=gauge):
-        if touch.status != "ok":
-            unknown.append(touch.status.code)
-        else:
-            assert touch.force_normal == pytest.approx(force, rel=error, abs=0.03)
-            assert abs(touch.force_normal - force) < 4 * touch.force_normal_sd + 0.03 * force
-    # 266 markers show the facets of the coarse mesh: the pressure sensor contradicts the estimate
-    assert ("inconsistent" in unknown) is (sensor == "fine") and len(unknown) <= 5
+    depths = np.arange(0.5e-3, 2.1e-3, 0.25e-3)
+    for force, touch in presses(sensor, depths, gauge=gauge):
+        assert touch.status == "ok"
+        assert touch.force_normal == pytest.approx(force, rel=error, abs=0.02)
+        assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("size", "at", "tilt"), [(0.035, (-2e-3, 1.5e-3), 0.5), (0.045, (0.0, 2e-3), 1.0)]
+)
+def test_cubes_off_center_and_tilted(size, at, tilt):
+    depths = np.arange(0.5e-3, 1.8e-3, 0.25e-3)
+    for force, touch in presses("dense", depths, size=size, at=at, tilt=np.radians(tilt)):
+        assert touch.status == "ok"
+        assert touch.force_normal == pytest.approx(force, rel=0.04, abs=0.02)
+        assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
+
+
+# Below the frame the plate rests on it, so that no marker shows how much the membrane carries.
+def test_a_plate_on_the_frame_is_not_ok():
+    depths = (0.5e-3, 1.25e-3, 1.75e-3, 2.25e-3)
+    *_, (force, touch) = presses("round30", depths)
+    assert force > 4
+    assert touch.status.code == "inconsistent"
+    assert "frame" in touch.status
+    assert np.isnan(touch.force_normal)

@@ -29,8 +29,9 @@ from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
 from mjtactile.sensing.force.camera_drift_estimator import CameraDriftEstimate, observed_modes
 from mjtactile.sensing.force.camera_drift_model import CameraDriftFilter, camera_modes, drift_of
-from mjtactile.sensing.force.linearization import Linearization, Shape
+from mjtactile.sensing.force.linearization import Linearization, PlaneContact, Shape
 from mjtactile.sensing.force.model_error import AXES, FitDiagnostics, ModelErrorVariance
+from mjtactile.sensing.force.plane_contact import PlaneContactSolver
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, darker
 from mjtactile.sensing.force.slopes import MarkerSlopes
@@ -73,6 +74,7 @@ class InverseMembrane(LoadedMembrane):
         self._roots: dict[float, tuple[Array, ...]] = {}
         self._model_error = ModelErrorVariance(design, self.nodes, model_error)
         self._posterior_fraction = np.array(settings.posterior_fraction)[AXES]
+        self.planes = PlaneContactSolver(self)
         self._slopes: MarkerSlopes | None = None
         if design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell:
             distance = design.camera.distance
@@ -87,6 +89,7 @@ class InverseMembrane(LoadedMembrane):
         camera: CameraDriftFilter | CameraDriftEstimate | None = None,
         lost: bool = False,
         correlation: float | None = None,
+        mean: PlaneContact | None = None,
     ) -> Shape:
         """Estimate tractions and deformation from the markers, starting from the last frame if
         given.
@@ -104,9 +107,9 @@ class InverseMembrane(LoadedMembrane):
             if (
                 gain is None
                 or gain.reweighted < REWEIGHTED
-                or not gain.serves(c, markers, rest, camera, lost, correlation)
+                or not gain.serves(c, markers, rest, camera, lost, correlation, mean)
             ):
-                gain = self._gain(c, markers, rest, before, camera, lost, correlation)
+                gain = self._gain(c, markers, rest, before, camera, lost, correlation, mean)
             seen = markers.p_SM - rest.offset[markers.ids]
             if isinstance(camera, CameraDriftFilter):
                 seen -= gain.modes @ camera.mean
@@ -118,21 +121,25 @@ class InverseMembrane(LoadedMembrane):
                 return shape
         return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
-    def evidence(
+    def plane_contact(
         self,
-        shape: Shape,
         markers: Markers,
         rest: InverseRest,
         camera: CameraDriftFilter | CameraDriftEstimate,
-        correlation: float,
-    ) -> float:
-        """Approximate the log evidence of fresh tractions with this correlation length, m. The
-        membrane is linearized at the given shape, which costs a fraction of a fit."""
-        gain = self._gain(shape.c, markers, rest, None, camera, False, correlation)
-        seen = markers.p_SM - rest.offset[markers.ids]
+        start: PlaneContact,
+        measured: tuple[float, float] | None = None,
+    ) -> PlaneContact | None:
+        """Fit a plane that the membrane touches to the markers, from `start`; None if that does not
+        converge. `measured` are gauge pressure, Pa, and standard deviation of a pressure sensor.
+        For the other arguments see `estimate`."""
+        ids = markers.ids
+        noise = markers.cov_p + np.diag(np.square(self.settings.face_floor))
+        weights = np.linalg.inv(np.linalg.cholesky(noise))
+        seen = markers.p_SM - rest.offset[ids]
+        modes = self._camera_modes(self.positions(start.c)[ids], darker(markers, rest), camera)
         if isinstance(camera, CameraDriftFilter):
-            seen -= gain.modes @ camera.mean
-        return self._step(shape.c, markers, seen, rest, gain, 1).log_evidence
+            seen -= modes @ camera.mean
+        return self.planes.fit(markers, seen, weights, modes @ camera.root, rest, start, measured)
 
     def _step(
         self,
@@ -150,7 +157,7 @@ class InverseMembrane(LoadedMembrane):
         m = len(markers)
         slopes_off = None
         data = seen - self._material[ids]
-        state = self._state(c, rest)
+        state = self.state(c, rest)
         pressure, _ = self.membrane.gas_pressure(state, rest.gas)
         if self._slopes is not None:
             weighted = self._slopes.off(markers, c).T * gain.slope_weights
@@ -162,12 +169,17 @@ class InverseMembrane(LoadedMembrane):
         drift = np.empty(unknowns)
         observed = self._observation(gain.stiffness, ids, gain.weights, gain.tilts)
         model = (gain.prior, gain.innovation, unknowns, gain.drift, gain.drift_gas[1])
-        point = (c, self.membrane.residual(state, pressure), data, slopes_off)
+        residual = self.membrane.residual(state, pressure)
+        if gain.mean is not None:
+            residual -= gain.mean.load
+        point = (c, residual, data, slopes_off)
         results = (change, traction, misfit, noise, drift)
         kernel("inverse_step")(*observed, *self._nodes(gain.correlation), *model, *point, *results)
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         traction /= self._density
+        if gain.mean is not None:
+            traction += gain.mean.traction
         excess = np.zeros((2, len(self._material)))
         excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
         if self._slopes is not None:
@@ -222,14 +234,20 @@ class InverseMembrane(LoadedMembrane):
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
         correlation: float,
+        mean: PlaneContact | None = None,
     ) -> Linearization:
         """Linearize at `c` for these markers; `before` is the last estimate."""
-        state = self._state(c, rest)
+        state = self.state(c, rest)
         ids = markers.ids
         _, stiffness = self.membrane.linearise(state, rest.gas)
         distrust = self._distrust(ids, before)
         weights, slope_weights, tilts = self._weights(c, markers, distrust)
-        prior = self.prior.first() if before is None else self.prior.after(before.traction)
+        if mean is not None:
+            prior = self.prior.around(mean.traction, self.settings.face_fraction)
+        elif before is not None:
+            prior = self.prior.after(before.traction)
+        else:
+            prior = self.prior.first()
         prior *= np.tile(self._density, 3)
         pressure, load = self._gas_drift(state, rest, self._known.gas_lost if lost else None)
         changed = darker(markers, rest)
@@ -268,6 +286,7 @@ class InverseMembrane(LoadedMembrane):
             modes=modes,
             left=np.eye(len(known) - 1) - known[1:, 1:],
             correlation=correlation,
+            mean=mean,
         )
 
     def _weights(

@@ -21,6 +21,24 @@ _DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
 
 
 @dataclass(frozen=True, eq=False)
+class PlaneContact:
+    """Membrane in contact with a rigid plane.
+
+    `plane` (3,) are its height over the origin of S, m, and its slopes along x and y. `c` (3, n),
+    m, are the coefficients of the membrane, and `load` (3, n), N, the generalized contact forces.
+    `traction` (3, J), Pa, are the contact tractions at the nodes; their sum is the force.
+    `log_volume` is the logarithm of the fraction of the prior volume that the plane's posterior
+    has.
+    """
+
+    plane: Array
+    c: Array
+    load: Array
+    traction: Array
+    log_volume: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Linearization:
     """Linearization at `c` (3, n) for markers `ids`.
 
@@ -44,6 +62,7 @@ class Linearization:
     - `modes` (m, 3, modes): marker motion per camera mode, m.
     - `left` (modes, modes): fraction of the camera covariance that is left.
     - `correlation`: correlation length of the prior of the tractions, m.
+    - `mean`: contact with a plane around which the tractions are expected; None: around zero.
     """
 
     c: Array
@@ -67,6 +86,7 @@ class Linearization:
     modes: Array
     left: Array
     correlation: float
+    mean: PlaneContact | None = None
 
     def serves(
         self,
@@ -76,10 +96,11 @@ class Linearization:
         camera: CameraDriftFilter | CameraDriftEstimate,
         lost: bool,
         correlation: float,
+        mean: PlaneContact | None = None,
     ) -> bool:
-        """Return True if it is valid near `c` for these markers. The gas and camera priors and the
-        correlation length of the tractions, m, must also match."""
-        if correlation != self.correlation:
+        """Return True if it is valid near `c` for these markers. The gas and camera priors, and
+        correlation length, m, and mean of the tractions must also match."""
+        if correlation != self.correlation or mean is not self.mean:
             return False
         if lost != self.lost or not _equally_certain(camera, self.camera):
             return False

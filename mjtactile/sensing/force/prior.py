@@ -45,12 +45,23 @@ class LoadPrior:
     def after(self, traction: Array) -> Array:
         """Return the standard deviations (3 J,), Pa, after the estimate `traction` (3, J); tension
         counts as zero."""
+        return self._scaled(self._pressing(traction), 1.0)
+
+    def around(self, traction: Array, fraction: float) -> Array:
+        """Return the standard deviations (3 J,), Pa, of the deviation from a predicted `traction`
+        (3, J). `fraction` is that of the normal part relative to the prediction."""
+        return self._scaled(self._pressing(traction), fraction)
+
+    def _pressing(self, traction: Array) -> Array:
+        """Return the smoothed and limited contact pressure (J,), Pa, of `traction` (3, J)."""
         by_x, by_y = self._soften
         pressing = (by_x @ np.maximum(-traction[2], 0.0).reshape(self._shape) @ by_y.T).ravel()
-        pressing /= np.hypot(1.0, pressing / self.settings.pressure_limit)
+        return pressing / np.hypot(1.0, pressing / self.settings.pressure_limit)
+
+    def _scaled(self, pressing: Array, fraction: float) -> Array:
         background = self.settings.background * self.settings.pressure_sd
         shear = np.hypot(self.settings.friction * pressing, background / 2)
-        return np.concatenate([shear, shear, np.hypot(pressing, background)])
+        return np.concatenate([shear, shear, np.hypot(fraction * pressing, background)])
 
 
 def _kernel(x: Array, length: float) -> Array:

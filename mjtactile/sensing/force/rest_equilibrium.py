@@ -133,7 +133,7 @@ class MarkedMembrane:
     def at_rest(self, rest: InverseRest) -> InverseRest:
         """Return the rest state with shape and pressure updated to its gas and relaxed stress."""
         c = rest.c
-        state = self._state(c, rest)
+        state = self.state(c, rest)
         # pressure that best balances the elastic forces of this bulge
         held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
         if abs(self.membrane.gas_pressure(state, rest.gas)[0] - held) > _GAS_NEAR:
@@ -144,7 +144,7 @@ class MarkedMembrane:
             held = self.membrane.gas_pressure(self.membrane.state(c), rest.gas)[0]
         return replace(rest, c=c, gauge_pressure=held)
 
-    def _state(self, c: Array, rest: InverseRest) -> State:
+    def state(self, c: Array, rest: InverseRest) -> State:
         """Return the state of this sensor's membrane at coefficients `c` (3, n), m."""
         return self.membrane.state(c, rest.young * self._quick, rest.faded, rest.stretch)
 

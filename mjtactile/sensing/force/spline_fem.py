@@ -307,7 +307,12 @@ class SplineMembrane:
         can make the membrane's own tangent indefinite. Then it is shifted toward the identity until
         it is positive definite. Raises MjtactileError if a value of the state is not finite."""
         pressure, gas_stiffness = self.gas_pressure(state, gas)
-        band = self.tangent(state, pressure)
+        stiffness = self.factorized(self.tangent(state, pressure), state, gas_stiffness)
+        return self.residual(state, pressure), stiffness
+
+    def factorized(self, band: Array, state: State, gas_stiffness: float) -> Stiffness:
+        """Factorize the tangent `band` in place; the gas with `gas_stiffness`, Pa/m^3, is added.
+        Raises MjtactileError if a value is not finite."""
         softened = np.empty(3 * self.count)
         try:
             kernel("factor_definite")(len(band), self.width, band)
@@ -317,7 +322,7 @@ class SplineMembrane:
                 "the sensor file, the pressure and the markers"
             ) from None
         share = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
-        return self.residual(state, pressure), Stiffness(self, band, softened, share)
+        return Stiffness(self, band, softened, share)
 
     def equilibrium(
         self,

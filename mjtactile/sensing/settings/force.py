@@ -193,28 +193,30 @@ class InverseSettings:
         "almost without load, all markers should fit",
     )
     face_load: float = number(
-        0.2, "minimum force for the test for a wide face, N", "below, all fit", low=0.0
+        0.5,
+        "minimum force for the test for a wide face, N",
+        "below, the contact does not reach the outermost markers",
+        low=0.0,
     )
-    face_drift: float = number(
-        2.0, "mean square drift relative to its expected value that starts the test", FACE
-    )
-    face_excess: float = number(
-        5.0, "mean `excess` of all markers that starts the test", FACE, low=0.0
-    )
-    face_correlations: tuple[float, float] = number(
-        (4e-3, 8e-3),
-        "correlation length of the tractions under a wide face, m: in the estimate, and in the "
-        "test",
+    face_flat: float = number(
+        3.0,
+        "root mean square deviation of the markers under a wide face from a plane, relative to "
+        "their standard deviation: more is another shape",
         FACE,
     )
-    face_margin: float = number(
-        5.0, "minimum difference of log evidence in favor of a wide face", FACE, low=0.0
+    face_correlation: float = number(
+        4e-3, "correlation length of the deviation from the tractions of a plane, m", FACE
     )
-    face_rough: float = number(
-        200.0,
-        "error of the log evidence from one linearization, which saves the fit",
-        "plates: up to 160; balls, edges and cylinders of bench touch: 500 and more",
-        low=0.0,
+    face_fraction: float = number(
+        0.1,
+        "standard deviation of the contact pressure under a wide face, relative to that of a plane",
+        FACE,
+    )
+    face_floor: tuple[float, float, float] = number(
+        (1e-4, 1e-4, 2e-5), "error of a marker's position under a plane without friction, m", FACE
+    )
+    face_sunk: float = number(
+        5e-5, "depth below the frame, m, at which a wide face rests on it", FACE, low=0.0
     )
     face_change: float = number(
         10.0,

@@ -1,0 +1,146 @@
+"""Test for a face wider than the frame.
+
+Such a face moves nearly all markers alike, as a changed camera does. The prior of compact contacts
+would discount the markers, or attribute the load to such a change. A plane in equilibrium with
+membrane and gas competes with it (docs/theory/membrane_inverse.md, Eq. F11). The hypotheses are
+compared by their evidence, which includes the pressure sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import PressureReading
+from mjtactile.sensing.estimate import Estimate, ImageContext
+from mjtactile.sensing.force.camera_drift_model import MODES
+from mjtactile.sensing.force.inverse_fem import InverseMembrane
+from mjtactile.sensing.force.linearization import PlaneContact, Shape
+from mjtactile.sensing.pipeline_state import DISPLACED_IMAGES, PipelineState
+from mjtactile.sensing.settings import InverseSettings, Settings
+
+_CERTAIN = 30.0  # log ratio of probabilities beyond which the less likely one is zero
+
+
+class WideFaceTest:
+    """Test for a wide face under one sensor. Stateless."""
+
+    def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
+        self._chamber = design.chamber
+        self._inverse = inverse
+        self._settings = settings.inverse
+
+    def estimate(
+        self,
+        state: PipelineState,
+        image: ImageContext,
+        found: Estimate,
+        fit: Callable[..., Estimate],
+    ) -> Estimate | None:
+        """Return the estimate for a wide face in contact, if the image favors it, else None.
+
+        Args:
+            state: State before the image.
+            image: Context of the image.
+            found: Estimate for a compact contact.
+            fit: Function that estimates from a state, around a `plane` if given.
+
+        Returns:
+            The estimate. Its covariance includes the probability of the compact contact.
+        """
+        s = self._settings
+        start = self._start(state, found)
+        if start is None:
+            return None
+        if self._inverse.planes.lowest(start.plane) < -self._settings.face_sunk:
+            return replace(found, on_frame=True)
+        # tractions around a plane start from those around the last plane
+        before = state.shape if state.face is not None else None
+        face = fit(replace(state, shape=before), plane=start, correlation=s.face_correlation)
+        plane = face.shape.gain.mean
+        if plane is None:
+            return None
+        evidence = face.shape.log_evidence + plane.log_volume
+        # while a face is in contact, its load is not interpreted as a camera change
+        for other in () if state.face is not None else self._changed(state, found):
+            rival = fit(other)
+            likelier = rival.shape.log_evidence - s.face_change > evidence
+            if likelier and not self._gained_gas(state, rival, image.reading):
+                return None
+        ahead = evidence - found.shape.log_evidence
+        if self._gained_gas(state, found, image.reading):
+            ahead = math.inf
+        if ahead < 0:
+            return None
+        kept = replace(
+            face.state, shape=state.shape, camera_drift=state.camera_drift, displaced=0, face=plane
+        )
+        face = replace(face, state=kept)
+        if ahead > _CERTAIN:
+            return face
+        likely = 1 / (1 + math.exp(-ahead))
+        return replace(face, other=found.shape, other_weight=likely * (1 - likely))
+
+    def with_alternative(
+        self, state: PipelineState, found: Estimate, fit: Callable[..., Estimate]
+    ) -> Estimate:
+        """Return `found` with the estimate for wider tractions as an alternative, if
+        the contact reaches the outermost markers. No marker then measures the load between them and
+        the frame: it depends on the prior."""
+        shape = found.shape
+        if found.other is not None or not self._inverse.planes.loads_outermost(
+            found.markers, shape.traction, shape.gauge_pressure
+        ):
+            return found
+        wide = fit(replace(state, shape=None), correlation=self._settings.face_correlation)
+        return replace(found, other=wide.shape)
+
+    def _start(self, state: PipelineState, found: Estimate) -> PlaneContact | None:
+        """Return the plane from which the fit starts; None: the markers show no wide face."""
+        shape = found.shape
+        load = float(np.linalg.norm(self._inverse.force(shape)))
+        if load < self._settings.face_load:
+            return None
+        plane = self._inverse.planes.plane_through(
+            found.markers, shape.traction, shape.gauge_pressure, self._settings.face_flat
+        )
+        if plane is None:
+            return None
+        if state.face is not None:
+            return replace(state.face, plane=plane)
+        return PlaneContact(plane, shape.c, np.zeros_like(shape.c), shape.traction)
+
+    def _gained_gas(
+        self, state: PipelineState, found: Estimate, reading: PressureReading | None
+    ) -> bool:
+        """Return True if the sealed chamber would contain more gas than before the image. A sealed
+        chamber gains no gas. A pressure that rises more than the estimated volume falls is a
+        contact that the shape does not show."""
+        gas = state.gas
+        if reading is None or gas is None or gas.is_open or reading.is_open:
+            return False
+        volume = self._inverse.volume(found.shape.c)
+        pressure = self._chamber.ambient + reading.gauge_pressure
+        amount = pressure * volume**self._chamber.polytropic_exponent
+        before = gas.amount * math.exp(gas.value + gas.zero)
+        return amount > before * (1 + self._settings.gained_max)
+
+    def _changed(self, state: PipelineState, found: Estimate) -> list[PipelineState]:
+        """Return the states that compete with a wide face: displaced camera or lost gas, and
+        another drift."""
+        rivals = []
+        if state.camera is None or found.state.gas is None:
+            rivals.append(replace(state, camera_drift=None, displaced=DISPLACED_IMAGES))
+        if state.camera_drift is not None:
+            rivals.append(replace(state, camera_drift=None))
+        return rivals
+
+
+def has_changed(shape: Shape, settings: InverseSettings) -> bool:
+    """Return True if the camera differs from the drift estimated in earlier images."""
+    share = shape.camera**2 / shape.gain.observed_drift[1:]
+    return bool(share[:MODES].max() > settings.changed_min**2)
