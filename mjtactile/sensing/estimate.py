@@ -12,12 +12,15 @@ from mjtactile.sensing.pipeline_state import PipelineState, Reference
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`. `state`
-    contains the gas state, from pressure sensor and shape. If two shapes explain the markers,
-    `other` is the less likely one, and `other_weight` the fraction of the squared difference that
-    is added to the covariance. It is p (1 - p) with the probability p of `other`, and 1 if that is
-    unknown. `pressure_gap` is the measured minus the estimated gauge pressure beyond the sensor's
-    noise, Pa; 0 without a pressure sensor. `on_frame` is True if a face rests on the frame."""
+    """Membrane `shape` estimated from the `markers`, relative to the sensor at `rest`.
+
+    `state` contains the gas state. It follows from pressure sensor and shape. If two shapes explain
+    the markers, `other` is the less likely one. Its squared difference, times `other_weight`, is
+    added to the covariance. The weight is p (1 - p) for a probability p, else 1.
+
+    `pressure_gap`, Pa, is the measured minus the estimated gauge pressure, beyond sensor noise.
+    It is 0 without a pressure sensor. `on_frame` is True if a face rests on the frame.
+    """
 
     markers: Markers
     shape: Shape

@@ -1,9 +1,9 @@
 """Test for a face wider than the frame.
 
 Such a face moves nearly all markers alike, as a changed camera does. The prior of compact contacts
-would discount the markers, or attribute the load to such a change. A plane in equilibrium with
-membrane and gas competes with it (docs/theory/membrane_inverse.md, Eq. F11). The hypotheses are
-compared by their evidence, which includes the pressure sensor.
+would discount the markers. Or it would attribute the load to such a change. A plane in equilibrium
+with membrane and gas competes with it. The hypotheses are compared by their evidence. See
+docs/theory/membrane_inverse.md, Eq. F11.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class WideFaceTest:
         found: Estimate,
         fit: Callable[..., Estimate],
     ) -> Estimate | None:
-        """Return the estimate for a wide face in contact, if the image favors it, else None.
+        """Estimate a wide face in contact.
 
         Args:
             state: State before the image.
@@ -50,7 +50,8 @@ class WideFaceTest:
             fit: Function that estimates from a state, around a `plane` if given.
 
         Returns:
-            The estimate. Its covariance includes the probability of the compact contact.
+            The estimate; None if the image favors another hypothesis. Its covariance includes the
+            compact contact.
         """
         s = self._settings
         start = self._start(state, found)
@@ -88,9 +89,8 @@ class WideFaceTest:
     def with_alternative(
         self, state: PipelineState, found: Estimate, fit: Callable[..., Estimate]
     ) -> Estimate:
-        """Return `found` with the estimate for wider tractions as an alternative, if
-        the contact reaches the outermost markers. No marker then measures the load between them and
-        the frame: it depends on the prior."""
+        """Add the estimate for wider tractions to `found` as an alternative, if the contact
+        reaches the outermost markers. The load beyond them depends on the prior."""
         shape = found.shape
         if found.other is not None or not self._inverse.planes.loads_outermost(
             found.markers, shape.traction, shape.gauge_pressure
@@ -118,8 +118,7 @@ class WideFaceTest:
         self, state: PipelineState, found: Estimate, reading: PressureReading | None
     ) -> bool:
         """Return True if the sealed chamber would contain more gas than before the image. A sealed
-        chamber gains no gas. A pressure that rises more than the estimated volume falls is a
-        contact that the shape does not show."""
+        chamber gains no gas. The pressure shows a contact that the shape does not show."""
         gas = state.gas
         if reading is None or gas is None or gas.is_open or reading.is_open:
             return False

@@ -1,10 +1,9 @@
 """Membrane in equilibrium under a rigid plane that is wider than the frame.
 
 See docs/theory/membrane_inverse.md, Eq. F11. The membrane of
-`mjtactile.sensing.force.spline_fem` may not pass the plane, which carries it without friction. The
-plane is fitted to the markers, with the camera drift as further unknowns. Where the membrane leaves
-the plane follows from equilibrium. So the load between the outermost markers and the frame is known
-although no marker measures it.
+`mjtactile.sensing.force.spline_fem` may not pass the plane. There is no friction. The plane is
+fitted to the markers. The camera drift is unknown, too. The edge of the contact follows from
+equilibrium. So does the load beyond the outermost markers.
 """
 
 from __future__ import annotations
