@@ -17,7 +17,7 @@ from mjtactile.types import (
 )
 
 POLICY = Path(os.environ.get("MJTACTILE_POLICY", Path(__file__).with_name("policy.npz")))
-load = cache(load_policy)
+load = cache(load_policy)  # one file is read once
 
 
 def step(observation: Observation) -> Command:

@@ -17,6 +17,7 @@ from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.sensor_parts import Pinhole
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 
 _NODES = 15  # points along x and y
@@ -53,6 +54,7 @@ class EffectiveCamera:
         return R_SC, p_SC + self.shift * R_SC[:, 2]
 
 
+@validated()
 @cache
 def effective_camera(design: SensorDesign) -> EffectiveCamera:
     """Fit the effective camera of a sensor: lens coefficients and shift by Gauss-Newton steps.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.signature_checks import above, validated
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import argument_checks
@@ -249,7 +249,7 @@ class QuasistaticMembrane:
         """
         return relative_force_error(obstacle_rows.as_list(obstacles, "obstacles"), self.spacing)
 
-    @validated(within=above(0))
+    @validated(within=not_below(0))
     def refined_for(
         self, obstacles: Obstacle | Sequence[Obstacle], within: float = 0.03
     ) -> QuasistaticMembrane:

@@ -104,17 +104,17 @@ class ContactGeoms:
 def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
     """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
 
-    A joint connects their links to the sensor's link, as in MuJoCo's parent-child filter, or an
-    `<exclude>` names both.
+    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or an
+    `<exclude>` names both. Links that the sensor's link carries do count: a press moves its
+    indenter relative to the sensor.
     """
     welds = feature_size.weld_bodies(model)
     link = welds[body]
-    above = welds[model.body_parentid]  # link to which the joint of a weld body leads
-    is_link = welds == np.arange(model.nbody)
-    below = np.flatnonzero(is_link & (above == link))
-    # everything is joined to the world, which is no link
-    links = [above[link], *below] if link else []
-    neighbors = np.isin(welds, [one for one in links if one not in (0, link)])
+    # as MuJoCo's filter: mocap bodies are fixed to the world, which is no link
+    fixed = np.asarray(model.body_weldid)
+    own = fixed[body]
+    above = fixed[model.body_parentid[own]] if own else 0
+    neighbors = (fixed == above) & (above != 0)
     signatures = np.asarray(model.exclude_signature, np.int64)
     pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
     named = pairs[(welds[pairs] == link).any(axis=1)]
