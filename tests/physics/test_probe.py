@@ -57,6 +57,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor, bris
         path.name for path in (tmp_path / "live").iterdir()
     }
     again, replayed = probe(capsys, "--source", tmp_path / "live", "--sensor", sensor)
+    assert replayed.pop("recorded")["complete"]
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
 
