@@ -63,6 +63,8 @@ class GraspResult:
     """Names and outcome of the replayed run; empty: no replay."""
     has_truth: bool = True
     """False on a rig without ground truth: the outcome is then the controller's, or recorded."""
+    success_criterion: str = ""
+    """Criterion of the task."""
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON object of `mjtactile grasp --json`; unknown values are NaN, and null in
@@ -78,7 +80,7 @@ class GraspResult:
             "frames": self.frames,
             "perception_ms_median": self.milliseconds["perception_median"],
             "flags": self.flags,
-            "success_criterion": load_task(self.scenario.task).success.text,
+            "success_criterion": self.success_criterion,
             **self.scenario.names(),
         }
         if not math.isnan(self.peak_stress_true):
@@ -204,6 +206,8 @@ def run_grasp(
         rig = session.rig
         watching.begin(session)
         score = _score(scenario, rig, watching)
+        # before the gripper moves: files cannot be read on a computer that fails meanwhile
+        criterion = load_task(scenario.task).success.text
         width = None if rig.scene is None else rig.scene.object.width
         weak = None if width is None else actuator_limit(rig, width)
         if weak is not None:
@@ -229,7 +233,7 @@ def run_grasp(
         factor = duration / (wall.perf_counter() - begin)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
-        result = replace(result, flags=flags, recorded=rig.recorded)
+        result = replace(result, flags=flags, recorded=rig.recorded, success_criterion=criterion)
         if result.outcome_from == "recording":
             reason = str(rig.recorded["error"] or "")
             result = replace(result, outcome=rig.recorded["outcome"], reason=reason)
