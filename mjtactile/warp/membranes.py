@@ -14,7 +14,8 @@ from mjtactile.core.types import Array
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
 from mjtactile.warp.device.elasticity import Sheet
-from mjtactile.warp.device.equilibrium import Fields, Gas, Scheme, solve_all
+from mjtactile.warp.device.equilibrium import solve_all
+from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.obstacles import Geom
 from mjtactile.warp.device.relaxation import MAX_NODES
 from mjtactile.warp.stencil import plane_stencil
@@ -115,7 +116,6 @@ class Membranes:
             field.assign(whole)
         self.fields.force.zero_()
         self.fields.kept_force.zero_()
-        self.fields.trend.zero_()
         self.fields.pressure.fill_(float(self.membrane.gauge_pressure))
         self.fields.volume.fill_(float(rest.volume))
         self.fields.status.zero_()
@@ -176,7 +176,7 @@ def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:
 def _fields(count: int, grid: tuple[int, int]) -> Any:
     nodes = grid[0] * grid[1]
     fields = Fields()
-    for name in ("u", "kept", "trend"):
+    for name in ("u", "kept"):
         setattr(fields, name, wp.zeros((count, 3, nodes), dtype=float))
     for name in (
         *(

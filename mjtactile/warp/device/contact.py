@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.warp.device.elasticity import Sheet, node_at
-from mjtactile.warp.device.equilibrium import Fields
+from mjtactile.warp.device.fields import Fields
 
 wp.set_module_options({"enable_backward": False})
 

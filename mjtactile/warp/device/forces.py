@@ -9,7 +9,7 @@ import warp as wp
 
 from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness
 from mjtactile.warp.device.elasticity import Sheet
-from mjtactile.warp.device.equilibrium import Fields, Gas
+from mjtactile.warp.device.fields import Fields, Gas
 from mjtactile.warp.device.update import Places
 
 wp.set_module_options({"enable_backward": False})

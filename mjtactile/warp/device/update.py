@@ -6,7 +6,8 @@ import warp as wp
 
 from mjtactile.warp.device.contact import Patch, StickingTable, add_up, remember_nodes, stick
 from mjtactile.warp.device.elasticity import Sheet
-from mjtactile.warp.device.equilibrium import Fields, Gas, Scheme, solve
+from mjtactile.warp.device.equilibrium import solve
+from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.obstacles import Geom
 from mjtactile.warp.device.relaxation import synchronize
 
@@ -217,7 +218,6 @@ def reset_worlds(
         for c in range(3):
             fields.u[f, c, k] = rest[c, k]
             fields.kept[f, c, k] = rest[c, k]
-            fields.trend[f, c, k] = 0.0
             states.before[f, c, k] = 0.0
         fields.force[f, k] = 0.0
         fields.kept_force[f, k] = 0.0
