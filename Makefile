@@ -27,7 +27,6 @@ bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in b
 	$(BIN)/mjtactile bench grasp --out bench-results --readme $(ARGS)
 	$(BIN)/mjtactile bench perception --out bench-results --readme $(ARGS)
 	$(BIN)/mjtactile bench benchmark-index --out bench-results --readme
-	$(BIN)/mjtactile bench summary-page --out bench-results --readme
 	$(BIN)/mjtactile bench readme-table --out bench-results --readme
 
 film: $(VENV)/.test-ready  ## the video of the README (docs/images/grasp.webp) and the summary in the gallery

@@ -1,7 +1,7 @@
 """`mjtactile bench benchmark-index`: table of docs/validation/benchmarks.md.
 
-The title of each benchmark comes from its page in docs/validation/benchmarks, and the
-headline result from a cell of its tables. Nothing is measured here.
+The title of each benchmark comes from its page, and the headline result from a cell of its tables.
+Nothing is measured here.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.results_tables import cell
+from benchmarks.readme_table import cell
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
@@ -22,41 +22,75 @@ class Entry:
     """Row of the index."""
 
     page: str
-    """Name of the page in docs/validation/benchmarks."""
+    """Path of the page from docs/validation."""
     headline: str
     """Description of the result; "{}" stands for the value."""
     row: str
-    """Row of the value, as in `benchmarks.results_tables.cell`."""
+    """Row of the value, as in `benchmarks.readme_table.cell`."""
     column: str
 
 
 ENTRIES = (
-    Entry("grasp", "eggs held: {}", "egg", "held"),
-    Entry("touch", "normal force error, mean (worst): {} N", "normal force, mean", "dense"),
-    Entry("uncertainty", "chi-square of the normal force: {}", "contacts |", "Fz"),
+    Entry("../how-to/evaluate", "held, domain randomization: {}", "gentle | all", "held"),
     Entry(
-        "shape",
+        "controller_comparison",
+        "six tasks, held with / without touch: {}",
+        "all 6 |",
+        "adaptive | touchless",
+    ),
+    Entry(
+        "accuracy",
+        "complete grasp, speed relative to real time: {}",
+        "30 Hz loop",
+        "complete grasp",
+    ),
+    Entry("paper", "force error (paper: 0.04): {} N", "`dense`, valve closed", "ours"),
+    Entry("benchmarks/grasp", "eggs held: {}", "egg", "held"),
+    Entry(
+        "benchmarks/touch", "normal force error, mean (worst): {} N", "normal force, mean", "dense"
+    ),
+    Entry("benchmarks/uncertainty", "chi-square of the normal force: {}", "contacts |", "Fz"),
+    Entry(
+        "benchmarks/shape",
         "area error, median / 90 % within (count): {}",
         "area from 0.2 N, smooth",
         "load, tracked",
     ),
-    Entry("slip", "detected in time: {}", "slips detected before", "measured"),
-    Entry("material", "correct class: {}", "correct material class", "measured"),
-    Entry("explore", "surface error, median: {} mm", "**shipped", "surface error, rms (95 %), mm"),
-    Entry("wide-faces", "plates within 3 %: {}", "with", "plates within"),
-    Entry("outline", "worst error: {} mN", "round30 | 21", "error of any component, worst, mN"),
+    Entry("benchmarks/slip", "detected in time: {}", "slips detected before", "measured"),
+    Entry("benchmarks/material", "correct class: {}", "correct material class", "measured"),
     Entry(
-        "relaxation", "latex, 600 s: {} mN", "latex", "worst force error with `[relaxation]`, mN"
+        "benchmarks/explore",
+        "surface error, median: {} mm",
+        "**shipped",
+        "surface error, rms (95 %), mm",
     ),
-    Entry("perception", "mean center error: {} mm", "mean center error, returned", "measured"),
-    Entry("tracking", "wrong markers: {}", "all", "wrong"),
-    Entry("rig", "safe states: {}", "safe state after a fault", "measured"),
-    Entry("studio", "speed ratio: {}", "speed with Studio", "measured"),
-    Entry("references", "requirement met: {} values", "all", "met"),
-    Entry("quasistatic", "force, rms (worst): {} %", "balls of 4-30 mm", "41 x 31"),
-    Entry("thin-objects", "blade, force ratio: {}", "blade 0.4", "90 % within"),
+    Entry("benchmarks/wide-faces", "plates within 3 %: {}", "with", "plates within"),
     Entry(
-        "learning",
+        "benchmarks/outline",
+        "worst error: {} mN",
+        "round30 | 21",
+        "error of any component, worst, mN",
+    ),
+    Entry(
+        "benchmarks/relaxation",
+        "latex, 600 s: {} mN",
+        "latex",
+        "worst force error with `[relaxation]`, mN",
+    ),
+    Entry(
+        "benchmarks/perception",
+        "mean center error: {} mm",
+        "mean center error, returned",
+        "measured",
+    ),
+    Entry("benchmarks/tracking", "wrong markers: {}", "all", "wrong"),
+    Entry("benchmarks/rig", "safe states: {}", "safe state after a fault", "measured"),
+    Entry("benchmarks/studio", "speed ratio: {}", "speed with Studio", "measured"),
+    Entry("benchmarks/references", "requirement met: {} values", "all", "met"),
+    Entry("benchmarks/quasistatic", "force, rms (worst): {} %", "balls of 4-30 mm", "41 x 31"),
+    Entry("benchmarks/thin-objects", "blade, force ratio: {}", "blade 0.4", "90 % within"),
+    Entry(
+        "benchmarks/learning",
         "sampled touch: {} steps per second",
         "without mesh, sampled",
         "steps per second of one core",
@@ -77,11 +111,11 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     Raises:
         InputError: A page has no title or value.
     """
-    folder = resources.folder("docs") / "validation" / "benchmarks"
+    folder = resources.folder("docs") / "validation"
     rows = []
     for entry in ENTRIES:
         text = (folder / f"{entry.page}.md").read_text(encoding="utf-8")
-        source = f"validation/benchmarks/{entry.page}"
+        source = f"validation/{entry.page}"
         value = cell(text, entry.row, entry.column, source=source)
         rows.append(
             {
@@ -96,7 +130,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """Return the index as a table in Markdown."""
     rows = [
-        f"| [{row['title']}](benchmarks/{row['page']}.md) | {row['headline']} |"
+        f"| [{row['title']}]({row['page']}.md) | {row['headline']} |"
         for row in result["benchmarks"]
     ]
     return "\n".join(["| benchmark | headline result |", "|---|---|", *rows]) + "\n"

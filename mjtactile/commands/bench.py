@@ -68,7 +68,6 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
     "benchmark-index": ("benchmark_index", "no measurement: headline results"),
-    "summary-page": ("results_tables", "no measurement: all results from the other pages"),
     "flags-page": ("flags_page", "no measurement: print the table of all flags"),
     "command-page": ("command_page", "no measurement: print the table of a command's fields"),
     "readme-table": ("readme_table", "no measurement: print the rows of the README"),
@@ -91,7 +90,7 @@ examples:
   mjtactile bench perception --out results
   mjtactile bench grasp --readme           insert the table into the benchmark's page
   mjtactile bench references --cases my_cases   one TOML file each; shipped: models/reference_cases
-  mjtactile bench summary-page --readme    collect all results
+  mjtactile bench benchmark-index --readme collect headline results
 """
 OPTIONS = {
     "resume": (

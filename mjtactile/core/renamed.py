@@ -118,7 +118,8 @@ OPTIONS: Mapping[str, str] = {
     "seen": "detection-sensitivity",
     "bodies": "shape-sensitivity",
     "first_day": "commissioning",
-    "numbers": "summary-page",
+    "numbers": "benchmark-index",
+    "summary-page": "benchmark-index",
     "headline": "readme-table",
     "film": "quasistatic",
 }

@@ -11,7 +11,7 @@ import pytest
 
 import mjtactile
 import mkdocs_hooks
-from benchmarks import benchmark_index, results_tables
+from benchmarks import benchmark_index, readme_table
 from mjtactile.commands import COMMANDS
 from mjtactile.commands.bench import BENCHMARKS
 from mjtactile.commands.output import page_of_table
@@ -295,8 +295,7 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
 @pytest.mark.parametrize(
     ("page", "block", "benchmark", "table"),
     [
-        ("docs/validation/results.md", "summary-page", results_tables, results_tables.table),
-        ("README.md", "readme-table", results_tables, results_tables.headline_table),
+        ("README.md", "readme-table", readme_table, readme_table.table),
         (
             "docs/validation/benchmarks.md",
             "benchmark-index",
@@ -315,7 +314,9 @@ def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, b
 
 def test_the_index_of_benchmarks_has_every_page_and_each_page_its_sections():
     pages = {page.stem: page for page in (CHECKOUT / "docs/validation/benchmarks").glob("*.md")}
-    assert {entry.page for entry in benchmark_index.ENTRIES} == set(pages) <= set(BENCHMARKS)
+    indexed = {entry.page for entry in benchmark_index.ENTRIES}
+    assert {f"benchmarks/{name}" for name in pages} <= indexed
+    assert set(pages) <= set(BENCHMARKS)
     for name, page in pages.items():
         text = page.read_text()
         assert page_of_table(name) == page
@@ -327,7 +328,7 @@ def test_the_index_of_benchmarks_has_every_page_and_each_page_its_sections():
 
 def test_the_readme_shows_five_numbers_and_fits_150_lines():
     readme = (CHECKOUT / "README.md").read_text()
-    assert sum(number.headline for number in results_tables.NUMBERS) == 5
+    assert sum(number.headline for number in readme_table.NUMBERS) == 5
     assert len(readme.splitlines()) <= 150
     # three commands and the numbers come before any section
     assert readme.index("bench:readme-table") < readme.index("\n## ")
@@ -348,7 +349,7 @@ REPORTED_ONCE = {
 def test_no_page_says_another_number(said, what):
     """No sentence states a number other than the measured one; tables come from benchmarks and name
     their measurement."""
-    rows = results_tables.run(Path())["numbers"]
+    rows = readme_table.run(Path())["numbers"]
     (value,) = [row["value"] for row in rows if row["what"].startswith(what)]
     others = [
         (page.name, found)
@@ -379,7 +380,7 @@ def test_only_the_page_of_speed_has_tables_of_real_time_factors():
         for line in page.read_text().splitlines()
         if line.startswith("|") and "x real time" in line
     }
-    assert having == {"README.md", "docs/validation/results.md", "docs/validation/accuracy.md"}
+    assert having == {"README.md", "docs/validation/accuracy.md"}
 
 
 def test_a_number_that_a_page_lacks_is_named():
@@ -388,13 +389,13 @@ def test_a_number_that_a_page_lacks_is_named():
         "| 2 |\n"
     )
     # of the table that has the column
-    assert results_tables.cell(page, "for", "paper16", source="x") == "2"
+    assert readme_table.cell(page, "for", "paper16", source="x") == "2"
     page += "\n| what | dense |\n|---|---|\n| force | 3 |\n| shear | 4 |\n"
-    assert results_tables.cell(page, "force", "dense", source="x") == "1"
+    assert readme_table.cell(page, "force", "dense", source="x") == "1"
     # both of one table
-    assert results_tables.cell(page, "force | / shear", "dense", source="x") == "3 / 4"
+    assert readme_table.cell(page, "force | / shear", "dense", source="x") == "3 / 4"
     with pytest.raises(InputError, match=r"x\.md.*'torque'"):
-        results_tables.cell(page, "torque", "dense", source="x")
+        readme_table.cell(page, "torque", "dense", source="x")
 
 
 SECTIONS = [
