@@ -34,16 +34,15 @@ def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
     """
     text = str(name_or_path)
     what = kind.rsplit("/", 1)[-1].rstrip("s")
+    choices = [*names(kind, suffix), f"FILE{suffix}"]
     if text.endswith(suffix) or "/" in text:
         path = Path(text).expanduser()
+        if not text.endswith(suffix):
+            raise InputError(f"does not end in {suffix}", source=text, field=what, choices=choices)
         if path.is_file():
             return path
-        raise InputError(
-            "no such file", source=text, field=what, choices=[*names(kind, suffix), f"FILE{suffix}"]
-        )
+        raise InputError("no such file", source=text, field=what, choices=choices)
     path = folder(kind) / f"{text}{suffix}"
     if path.is_file():
         return path
-    raise InputError(
-        f"unknown {what}", source=text, choices=[*names(kind, suffix), f"FILE{suffix}"]
-    )
+    raise InputError(f"unknown {what}", source=text, choices=choices)

@@ -47,6 +47,8 @@ class FileName(Entry):
         shipped = [*resources.names(self.folder, self.suffix), *self.others]
         choices = [*shipped, f"FILE{self.suffix}"]
         if value.endswith(self.suffix) or ("/" in value and ":" not in value):
+            if not value.endswith(self.suffix):
+                raise section.fail(key, f"{value!r} does not end in {self.suffix}", choices)
             written = Path(value).expanduser()
             relative = section.folder / written
             if relative.is_file():

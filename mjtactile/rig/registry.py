@@ -15,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from mjtactile.core import resources
-from mjtactile.core.design import SensorDesign
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.signature_checks import validated
@@ -23,7 +23,7 @@ from mjtactile.core.task import load_task
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.finger import Rig
-from mjtactile.rig.scenario import with_sensors
+from mjtactile.rig.scenario import require_fingers, with_sensors
 from mjtactile.rig.simulated import SimRigFile
 
 _FIELDS = [name for name in Scenario.__dataclass_fields__ if name != "rig"]
@@ -82,7 +82,26 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
         raise InputError(message, field="--randomization", choices=[NONE])
     goal = load_task(wanted.task).goal.task_goal()
     rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
+    try:
+        _require_built(rig, wanted)
+    except InputError:
+        rig.close()
+        raise
     return replace(rig, goal=goal)
+
+
+def _require_built(rig: Rig, wanted: Scenario) -> None:
+    """Raise InputError if a finger has another sensor than the scenario names for it.
+
+    A backend of another package may ignore them; the results would then state a wrong sensor.
+    """
+    built = {finger.name: finger.design.name for finger in rig.fingers}
+    require_fingers(wanted.rig, list(built), wanted.sensors)
+    for finger, sensor in wanted.sensors.items():
+        asked = load_sensor(sensor).name
+        if built[finger] != asked:
+            message = f"the rig {wanted.rig!r} has the sensor {built[finger]!r}, not {asked!r}"
+            raise InputError(message, field=f"sensors.{finger}", choices=[built[finger]])
 
 
 def as_scenario(

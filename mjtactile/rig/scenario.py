@@ -6,10 +6,10 @@ For the format see docs/reference/scenario_files.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from mjtactile.core import resources
 from mjtactile.core.config_fields import read
@@ -112,20 +112,25 @@ def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
     }
 
 
-def with_sensors(
-    file: RigFile | SimRigFile, sensors: Mapping[str, str | SensorDesign]
-) -> RigFile | SimRigFile:
+_File = TypeVar("_File", RigFile, SimRigFile)
+
+
+def with_sensors(file: _File, sensors: Mapping[str, str | SensorDesign]) -> _File:
     """Return the rig file with these sensors on these fingers. Raises InputError for a finger that
     the rig does not have."""
-    names = list(_fitted(file))
-    for name in sensors:
-        if name not in names:
-            raise InputError(f"{file.name} has no finger {name!r}", field="sensors", choices=names)
+    require_fingers(file.name, list(_fitted(file)), sensors)
     if isinstance(file, RigFile):
         cameras = (replace(c, sensor=sensors.get(c.finger, c.sensor)) for c in file.cameras)
         return replace(file, cameras=tuple(cameras))
     fingers = (replace(f, sensor=sensors.get(f.name, f.sensor)) for f in file.fingers)
     return replace(file, fingers=tuple(fingers))
+
+
+def require_fingers(rig: str, fingers: Sequence[str], named: Iterable[str]) -> None:
+    """Raise InputError if a named finger is not among the `fingers` of the `rig`."""
+    for name in named:
+        if name not in fingers:
+            raise InputError(f"{rig} has no finger {name!r}", field="sensors", choices=fingers)
 
 
 def _is_file(rig: str) -> bool:

@@ -16,6 +16,7 @@ from mjtactile.rig.domain_randomization import ObjectChange, SampledWorld, sampl
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.registry import RigRequest
+from mjtactile.rig.scenario import with_sensors
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.workload import Workload
 from mjtactile.sim.camera import SimCamera
@@ -77,6 +78,7 @@ def build_sim_rig(
     Raises InputError for bad names or files.
     """
     file = load_sim_rig(scenario.rig) if file is None else file
+    file = with_sensors(file, scenario.sensors)
     if sampled is None:
         sampled = sample_world(scenario.randomization, scenario.seed, scenario.design(), file)
     plan = _plan(scenario, file, sampled)

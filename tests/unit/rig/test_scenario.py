@@ -13,6 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.recording.writer import Recorder
+from mjtactile.rig import registry
 from mjtactile.rig.scenario import load_scenario, resolve_scenario
 from tests.fake_run import fake_cycle
 
@@ -117,6 +118,46 @@ def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
     assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]
     with pytest.raises(InputError, match=r"sim has no finger 'thumb' .*left, right"):
         resolve_scenario(replace(one, sensors={"thumb": "dense"}))
+
+
+@pytest.mark.parametrize(("rig", "finger"), [("sim", "left"), ("sim_three_finger", "first")])
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        ("/etc/passwd", "/etc/passwd: sensor: does not end in .toml"),
+        ("dens", "dens: unknown sensor"),
+    ],
+)
+def test_a_sensor_that_is_not_built_is_refused(rig, finger, sensor, message):
+    """An unknown name is never reported as a result: with each rig the sensor is read."""
+    with pytest.raises(InputError, match=message):
+        mjtactile.build_rig(Scenario(rig=rig, sensors={finger: sensor}))
+
+
+def test_the_rig_sim_has_the_sensors_of_the_scenario(tmp_path):
+    (tmp_path / "a.toml").write_text('[sensors]\nleft = "paper16"\n')
+    rig = mjtactile.build_rig(load_scenario(tmp_path / "a.toml"))
+    rig.close()
+    assert [finger.design.name for finger in rig.fingers] == ["paper16", "dense"]
+    with pytest.raises(InputError, match=r"sim has no finger 'thumb' .*left, right"):
+        mjtactile.build_rig(Scenario(sensors={"thumb": "dense"}))
+    (tmp_path / "a.toml").write_text('[sensors]\nleft = "/etc/passwd"\n')
+    with pytest.raises(InputError, match=r"sensors.left: '/etc/passwd' does not end in .toml"):
+        load_scenario(tmp_path / "a.toml")
+
+
+def test_a_backend_that_ignores_a_fingers_sensor_is_refused(monkeypatch):
+    """A rig of another package that builds its own sensor would otherwise be reported wrongly."""
+    own = mjtactile.build_rig("sim")
+    closed = []
+    rig = replace(own, close=lambda: closed.append(True))
+    monkeypatch.setattr(registry, "_found", lambda group: {"theirs": None})
+    monkeypatch.setattr(registry, "load_backend", lambda group, name: lambda request: rig)
+    assert mjtactile.build_rig(Scenario(rig="theirs", sensors={"left": "dense"})).name == rig.name
+    with pytest.raises(InputError, match=r"sensors.left: the rig 'theirs' has the sensor 'dense'"):
+        mjtactile.build_rig(Scenario(rig="theirs", sensors={"left": "paper16"}))
+    assert closed == [True]
+    own.close()
 
 
 def recorded(folder, sensor, **fields):
