@@ -112,7 +112,7 @@ def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
     }
 
 
-_File = TypeVar("_File", RigFile, SimRigFile)
+_File = TypeVar("_File", bound=RigFile | SimRigFile)
 
 
 def with_sensors(file: _File, sensors: Mapping[str, str | SensorDesign]) -> _File:
