@@ -417,7 +417,7 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
     known = entries(kind)
     assert {row[0].strip("`") for row in rows} == {entry.key for entry in known.values()}
     by_key = {row[0].strip("`"): row[1:] for row in rows}
-    special = {...: "must be given", float("inf"): "infinite", (): "of polygons"}
+    special = {...: "required", float("inf"): "infinite", (): "of polygons"}
     for attribute, entry in known.items():
         allowed, if_left_out, meaning = by_key[entry.key]
         default = default_of(kind, attribute)
