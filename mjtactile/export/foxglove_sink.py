@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core import loopback
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.export import messages
@@ -19,6 +20,8 @@ from mjtactile.export.viewer_entities import FLAGGED, TRUSTED, Arrows, ImageCurv
 from mjtactile.recording.files import to_json
 
 PORT = 8765
+VIEWERS = ("https://app.foxglove.dev", "https://studio.foxglove.dev")
+"""Origins of Foxglove in the browser."""
 _ARROW_WIDTH = 8e-4  # width of arrows, m
 _WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m"}
 
@@ -60,7 +63,11 @@ class FoxgloveFile(FoxgloveSink):
 
 
 class FoxgloveServer(FoxgloveSink):
-    """A server to which Foxglove connects. Raises InputError for a port that is taken."""
+    """A server to which Foxglove connects.
+
+    foxglove-sdk accepts connections of any page; a gate in front of it refuses other pages than
+    Foxglove's. Raises InputError for a port that is taken.
+    """
 
     forgets = True
 
@@ -68,16 +75,25 @@ class FoxgloveServer(FoxgloveSink):
         super().__init__()
         import foxglove
 
+        host = loopback.hidden_address()
         try:
-            self._server = foxglove.start_server(name="mjtactile", port=port, context=self.context)
+            self._server = foxglove.start_server(
+                name="mjtactile", host=host, port=0, context=self.context
+            )
         except Exception as error:  # the SDK's own kinds of error change from version to version
             text = " ".join(str(error).split())
-            raise InputError(f"port {port}: {text}", field="--live") from error
-        self.port = self._server.port
+            raise InputError(f"the server does not start: {text}", field="--live") from error
+        try:
+            self._gate = loopback.LoopbackGate(port, (host, self._server.port), VIEWERS)
+        except OSError as error:
+            self._server.stop()
+            raise InputError(f"port {port}: {error.strerror}", field="--live") from error
+        self.port = self._gate.port
         self.where = f"Foxglove: open connection ws://localhost:{self.port}"
 
     def close(self) -> None:
         """End the server."""
+        self._gate.close()
         self._server.stop()
 
 

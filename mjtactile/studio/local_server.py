@@ -7,11 +7,9 @@ send messages. There is no option against that either.
 
 from __future__ import annotations
 
-import re
 import threading
 from collections.abc import Sequence
 from typing import Any
-from urllib.parse import urlsplit
 
 from mujoco.studio import (
     endpoints,
@@ -26,34 +24,12 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-LOOPBACK = "127.0.0.1"
-# any port, because a tunnel has its own; another name may be a foreign name that points to this
-# computer
-_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+from mjtactile.core.loopback import LOOPBACK, refusal
+
 _SHOWS = "/state"
-_OURS = ("same-origin", "none")
-"""Accepted values of Sec-Fetch-Site: requests by the server's own page or directly by its user."""
 _serve_unguarded = web_server.serve
 checked_at = threading.Event()
 """Event that is set when a page has requested the state."""
-
-
-def refusal(headers: Headers) -> str:
-    """Return the reason to reject a request with these headers; "" to accept it.
-
-    The request must use a name of this computer, because a site could let its own name point here.
-    It must also come from a page of the same origin.
-    """
-    host = headers.get("Host", "")
-    if not _HOST.fullmatch(host.lower()):
-        return f"not available for {host!r}: the server accepts requests from its own computer only"
-    origin = headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-        return f"not available for pages of {origin!r}"
-    opens_page = headers.get("Sec-Fetch-Mode") == "navigate"
-    if not opens_page and headers.get("Sec-Fetch-Site", "none") not in _OURS:
-        return "not available for other pages"
-    return ""
 
 
 def serve(*args: Any, process_request: Any, process_response: Any, **options: Any) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+import socket
 import sys
 import threading
 import time
@@ -17,7 +18,8 @@ from typing import Any
 from mujoco.studio import app, viewer_handle, viewer_protocol
 
 from mjtactile.core import signals
-from mjtactile.core.errors import Interrupted, MjtactileError
+from mjtactile.core.errors import InputError, Interrupted, MjtactileError
+from mjtactile.core.loopback import LOOPBACK
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.studio.control_window import ControlWindow
@@ -68,7 +70,7 @@ def watch(
     `runs` is the maximum number of runs. With `wait` the first run starts when a page is open.
 
     Raises the exceptions of `run_grasp` in the first run. Later ones are shown in the panel, which
-    continues.
+    continues. Raises InputError if the port is in use, and MjtactileError if the viewer fails.
     """
     config = viewer_protocol.ViewerConfig(
         title=f"mjtactile: {bridge.scenario.object}",
@@ -76,13 +78,16 @@ def watch(
         open_browser=browser,
         gfx="" if native else "web",
     )
+    if not native:
+        require_free_port(port)
     mirror = StateSync(bridge)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
     desk = PlaybackWindow(bridge) if isinstance(bridge, RecordingPlayer) else ControlWindow(bridge)
     plugins = [studio_app, desk, Panel(bridge), mirror]
     handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
+    errors: list[str] = []
     studio = threading.Thread(
-        target=_sync, args=(handle, mirror, bridge), name="studio", daemon=True
+        target=_sync, args=(handle, mirror, bridge, errors), name="studio", daemon=True
     )
     studio.start()
     before = sys.getswitchinterval()
@@ -101,6 +106,18 @@ def watch(
         bridge.closed.set()
         studio.join(5.0)
         sys.setswitchinterval(before)
+    if errors:
+        raise MjtactileError(f"Studio ended: {errors[0]}")
+
+
+def require_free_port(port: int) -> None:
+    """Raise InputError if the port of the page is in use; 0, any port, is free."""
+    try:
+        socket.create_server((LOOPBACK, port)).close()
+    except OSError as error:
+        message = f"port {port} is not available: {error.strerror}"
+        choices = ["another port", "no --port: the first free one"]
+        raise InputError(message, field="--port", choices=choices) from error
 
 
 def _wait_for_page(bridge: SessionBridge) -> None:
@@ -130,8 +147,13 @@ def _run(bridge: SessionBridge) -> None:
         bridge.outcome = str(error)
 
 
-def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, bridge: SessionBridge) -> None:
-    """Run Studio's simulation loop; new states, and some repeated ones, are sent."""
+def _sync(
+    handle: viewer_handle.ViewerHandle, mirror: StateSync, bridge: SessionBridge, errors: list[str]
+) -> None:
+    """Run Studio's simulation loop; new states, and some repeated ones, are sent.
+
+    An error of the viewer is added to `errors`.
+    """
     try:
         sent = 0.0
         with handle:
@@ -140,7 +162,7 @@ def _sync(handle: viewer_handle.ViewerHandle, mirror: StateSync, bridge: Session
                     handle.sync()
                     sent = time.monotonic()
                 time.sleep(_PERIOD)
-    except Exception as error:  # noqa: BLE001  # the viewer ended; the session is told
-        bridge.message(f"{type(error).__name__}: {error}")
+    except Exception as error:  # noqa: BLE001  # the viewer ended; the session ends, too
+        errors.append(" ".join(f"{type(error).__name__}: {error}".split()))
     finally:
         bridge.closed.set()

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import mjtactile
@@ -145,6 +146,11 @@ def test_who_connects_later_sees_the_scene():
     with connect(url, subprotocols=["foxglove.sdk.v1"]) as client:
         said = json.loads(client.recv(timeout=5))
         assert said["op"] == "serverInfo" and said["name"] == "mjtactile"
+    for origin in ("https://evil.example", "null", "http://localhost:1"):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(url, subprotocols=["foxglove.sdk.v1"], origin=origin)
+    with connect(url, subprotocols=["foxglove.sdk.v1"], origin="https://app.foxglove.dev"):
+        pass
     view.close()
     solid = SimpleNamespace(
         name="egg",

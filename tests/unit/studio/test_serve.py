@@ -1,10 +1,11 @@
 """Tests of the start of Studio's page."""
 
+import socket
 import threading
 
 import pytest
 
-from mjtactile.core.errors import DeviceError, Interrupted, MjtactileError
+from mjtactile.core.errors import DeviceError, InputError, Interrupted, MjtactileError
 from mjtactile.studio import serve
 from mjtactile.studio.session_bridge import SessionBridge
 from tests.fake_run import fake_cycle
@@ -65,3 +66,30 @@ def test_a_grasp_waits_for_its_page(monkeypatch):
     threading.Timer(0.05, bridge.closed.set).start()
     serve._wait_for_page(bridge)
     assert not looked.is_set()
+
+
+def test_a_used_port_is_refused_before_the_viewer_starts():
+    """The port is checked in the main thread: exit code 2 and one line that names the option."""
+    with socket.create_server(("127.0.0.1", 0)) as used:
+        port = used.getsockname()[1]
+        with pytest.raises(InputError, match=rf"--port: port {port} is not available") as error:
+            serve.watch(SessionBridge(), port=port, browser=False)
+    assert error.value.exit_code == 2
+    serve.require_free_port(port)
+    serve.require_free_port(0)
+
+
+def test_a_viewer_that_fails_ends_the_session_with_an_error(monkeypatch):
+    """Its error is raised with exit code 3, not printed with exit code 0."""
+
+    class Failing:
+        def __enter__(self):
+            raise RuntimeError("no free\nport")
+
+        def __exit__(self, *_):
+            pass
+
+    monkeypatch.setattr(serve, "launch", lambda config, plugins: Failing())
+    with pytest.raises(MjtactileError, match="Studio ended: RuntimeError: no free port") as error:
+        serve.watch(SessionBridge(), browser=False, wait=True)
+    assert error.value.exit_code == 3
