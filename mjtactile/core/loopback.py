@@ -16,6 +16,7 @@ import socket
 import sys
 import threading
 from collections.abc import Collection, Mapping
+from email.message import Message
 from urllib.parse import urlsplit
 
 LOOPBACK = "127.0.0.1"
@@ -31,7 +32,7 @@ _HEAD_TIME = 5.0  # time limit for a request's head, s
 _BLOCK = 1 << 16  # bytes
 
 
-def refusal(headers: Mapping[str, str], viewers: Collection[str] | None = None) -> str:
+def refusal(headers: Mapping[str, str] | Message, viewers: Collection[str] | None = None) -> str:
     """Return the reason to reject a request with these headers; "" to accept it.
 
     The request must use a name of this computer, because a site could let its own name point here.
