@@ -20,14 +20,12 @@ the recorded ones. Each value has an interval; parameters that the recordings do
 keep the value of the file, with the recording that would determine them."""
 EPILOG = """\
 examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice):
-  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --protocol press --indenter sphere:8 \\
-      --seconds 11 --out runs/press_05
-  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --protocol press --indenter sphere:8 \\
-      --seconds 11 --out runs/press_3
-  mjtactile record --rig my_gripper.toml --protocol drag --indenter sphere:8 --seconds 11 --out \\
-      runs/drag
-  mjtactile record --rig my_gripper.toml --protocol tap --indenter sphere:15 --seconds 17 --out \\
-      runs/tap
+  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --protocol press --seconds 11 \\
+      --out runs/press_05
+  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --protocol press --seconds 11 \\
+      --out runs/press_3
+  mjtactile record --rig my_gripper.toml --protocol drag --seconds 11 --out runs/drag
+  mjtactile record --rig my_gripper.toml --protocol tap --seconds 17 --out runs/tap
   mjtactile record --rig my_gripper.toml --pressure-kPa 2 --seconds 60 --out runs/still
   mjtactile fit --recording runs/press_05 --recording runs/press_3 --recording runs/drag \\
       --recording runs/tap \\

@@ -84,7 +84,8 @@ ARGUMENTS = (
     ),
     arg.option(
         "--indenter SHAPE",
-        "indenter of the protocol, as in `mjtactile press`: sphere:8, part.stl, …",
+        "indenter of the protocol, as in `mjtactile press`: sphere:8, part.stl, … (default: a "
+        "sphere for the frame's size)",
     ),
     arg.option("--position-mm X_mm,Y_mm", "where", "0,0", type=arg.pair),
     arg.option("--finger NAME", "finger under the indenter", "left"),
@@ -125,8 +126,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile import load_sensor
 
     scenario.apply_time_scale(options.time_scale, options.rig)
-    stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor or _SENSOR), options.pressure)
+    stage = _stage(options, design)
     progress = Progress()
     with (
         output_folder(options.out, "recording") as folder,
@@ -158,9 +159,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _stage(options: argparse.Namespace) -> Stage | None:
+def _stage(options: argparse.Namespace, design: SensorDesign) -> Stage | None:
     """Return the stage with its checked protocol; None without one."""
-    from mjtactile.recording.stage_protocol import Stage, read_moves
+    from mjtactile.recording.stage_protocol import Stage, protocol_indenter, read_moves
 
     if (options.as_built or options.load_cell) and options.rig != "stage":
         message = "applies to the simulated stage only"
@@ -171,12 +172,14 @@ def _stage(options: argparse.Namespace) -> Stage | None:
             "estimates the shape of the indenter",
             field="--contact-shapes",
         )
-    if (options.protocol is None) != (options.indenter is None):
-        raise InputError("both options must be given together", field="--protocol, --indenter")
     if options.protocol is None:
+        if options.indenter is not None:
+            raise InputError("needs a protocol", field="--indenter", choices=["--protocol NAME"])
         return None
     x, y = options.position_mm
-    return Stage(options.indenter, (1e-3 * x, 1e-3 * y), read_moves(options.protocol))
+    side = min(design.frame.length, design.frame.width)
+    indenter = options.indenter or protocol_indenter(options.protocol, side)
+    return Stage(indenter, (1e-3 * x, 1e-3 * y), read_moves(options.protocol))
 
 
 def _at_pressure(design: SensorDesign, pressure_kPa: float | None) -> SensorDesign:

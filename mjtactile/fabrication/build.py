@@ -15,10 +15,18 @@ from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.fabrication import manual, mesh, part_renderings, print_templates
 from mjtactile.fabrication.camera_check import Optics, plan_camera
 from mjtactile.fabrication.drawing_pages import write_pdf, write_png, write_svg
+from mjtactile.fabrication.dxf_file import write_dxf
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, Part, circle, crossing, plate
-from mjtactile.fabrication.marker_positions import MembraneState, press_depth, simulate
+from mjtactile.fabrication.manufacturability import glass_limit
+from mjtactile.fabrication.marker_positions import (
+    MembraneState,
+    press_depth,
+    simulate,
+    simulate_fit_protocol,
+)
 from mjtactile.fabrication.parts import PEG, RUBBER, make_parts, pegs
+from mjtactile.fabrication.pressure_loads import PressureLoads
 from mjtactile.fabrication.purchased_parts import Hardware
 from mjtactile.fabrication.step_file import write_step
 from mjtactile.report.figures import new_figure
@@ -43,6 +51,7 @@ def build(
     text: str,
     say: Callable[[str], None] = lambda _: None,
     states_of: Callable[..., list[MembraneState]] = simulate,
+    fit_states_of: Callable[..., list[MembraneState]] = simulate_fit_protocol,
 ) -> Build:
     """Make the files for `design`, read from `source` with `text`. Raises InputError."""
     mesh.require_libraries()
@@ -52,14 +61,16 @@ def build(
     _check_parts(parts, solids)
     states = states_of(design, hardware, source, say)
     optics = plan_camera(design, hardware, states, source)
+    loads = PressureLoads.of(design, states, fit_states_of(design, say))
+    glass_limit(design, loads.highest.gauge_pressure, loads.highest.name).check(source)
     say("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
-    checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap)
+    checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap, loads)
     drawn = _pictures(layout, optics, parts)
     files = {
         "README.md": manual.readme(layout, parts, checked, source).encode(),
         "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
-        "bill.md": manual.bill(layout, optics).encode(),
+        "bill.md": manual.bill(layout, optics, loads).encode(),
         "sensor.toml": text.encode(),
     }
     files |= _papers(layout) | {f"pictures/{name}.png": png for name, png in drawn.items()}
@@ -116,6 +127,7 @@ def _papers(layout: Layout) -> dict[str, bytes]:
         svgs["fiducials"] = fiducials
         pdfs["fiducials"] = [fiducials]
     drawn = {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()}
+    drawn |= {f"{name}.dxf": write_dxf(svgs[name]).encode() for name in svgs if name != "board"}
     return drawn | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
 

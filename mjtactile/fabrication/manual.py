@@ -16,9 +16,15 @@ from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.camera_check import Optics, mirrored_in_image
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Part
-from mjtactile.fabrication.manufacturability import MM, glass_stress, opening_margins
+from mjtactile.fabrication.manufacturability import (
+    MM,
+    glass_stress,
+    mount_tolerance,
+    opening_margins,
+)
 from mjtactile.fabrication.marker_positions import MembraneState, growth
 from mjtactile.fabrication.part_renderings import FRONT, SIDE
+from mjtactile.fabrication.pressure_loads import PressureLoads
 from mjtactile.fabrication.print_templates import board_of, page_size
 from mjtactile.sim.sensor.validity_checks import STRETCHED
 
@@ -85,6 +91,8 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     seen = mirrored_in_image(design, optics.mirrors)
     first = optics.mirrors[0]
     ink = _ASSEMBLY["markers"][layout.hardware.markers]
+    stretch = design.membrane.pre_stretch
+    tolerance, stretch_error = mount_tolerance(design)
     mirrors = _ASSEMBLY["mirrors"]["some" if seen else "none"].format(
         seen=seen, count=len(optics.mirrors), u=first[0], v=first[1]
     )
@@ -104,6 +112,9 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
         "supply": 1e-3 * design.chamber.supply_gauge,
         "hose": hose_volume(layout),
         "mirrors": mirrors,
+        "tolerance": tolerance,
+        "stretch_low": stretch - stretch_error,
+        "stretch_high": stretch + stretch_error,
     }
 
 
@@ -122,7 +133,7 @@ def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def bill(layout: Layout, optics: Optics) -> str:
+def bill(layout: Layout, optics: Optics, loads: PressureLoads) -> str:
     """Return the text of `bill.md`: the parts of one finger, and those needed once per gripper."""
     design = layout.design
     membrane = design.membrane
@@ -172,11 +183,13 @@ def bill(layout: Layout, optics: Optics) -> str:
         hose_percent=100 * hose_volume(layout) / volume,
         volume=volume,
         pump="pump" if supply >= 0 else "vacuum pump",
-        pump_pressure=abs(supply),
+        pump_pressure=1e-3 * abs(loads.pump),
         pump_flow=max(volume / 1e3, 0.05),
         supply=supply,
         valve_flow=flow,
-        sensor_range=max(2 * abs(supply), 2),
+        sensor_range=loads.sensor_range,
+        highest=1e-3 * loads.highest.gauge_pressure,
+        load=loads.highest.name,
         sensor_resolution=_FORCE_STEP / design.frame.area,
         force_step=1e3 * _FORCE_STEP,
     )
@@ -197,19 +210,28 @@ def readme(
         checks="\n".join(f"| {what} | {value} |" for what, value in checks.items()),
         fiducials=""
         if layout.design.fiducials is None
-        else "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg) | fixed reference "
+        else "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg), "
+        "[fiducials.dxf](fiducials.dxf) | fixed reference "
         "circles at 1:1 |\n",
     )
 
 
 def checks(
-    layout: Layout, optics: Optics, press: float, states: Sequence[MembraneState], gap: float
+    layout: Layout,
+    optics: Optics,
+    press: float,
+    states: Sequence[MembraneState],
+    gap: float,
+    loads: PressureLoads,
 ) -> dict[str, str]:
     """Return the checked values as readable text."""
     design = layout.design
     hardware = layout.hardware
     grown = growth(layout.design, states)
     seems = MM * grown * design.camera.distance
+    highest = max(abs(loads.highest.gauge_pressure), abs(design.chamber.supply_gauge))
+    stretch = design.membrane.pre_stretch
+    tolerance, stretch_error = mount_tolerance(design)
     if hardware.markers == "ink":
         size = (
             f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then "
@@ -237,8 +259,13 @@ def checks(
             f"{optics.flux:.2g} W from each of {design.leds.count} LEDs during the exposure; "
             f"photon noise {optics.noise:.1f} DN (sensor file: {design.camera.noise_dn:g})"
         ),
-        "pane": f"bending stress {glass_stress(design):.2g} MPa of {hw.GLASS_STRESS:g} allowed",
-        "bolts": f"{abs(design.chamber.supply_gauge) * design.frame.area / len(layout.bolts):.2g} "
-        f"N each of {hw.BOLT_LOAD:g}",
+        "pressure": f"up to {1e-3 * highest:.2g} kPa ({loads.highest.name}): pressure sensor to "
+        f"{loads.sensor_range:g} kPa, pump {1e-3 * abs(loads.pump):g} kPa",
+        "mounted pre-stretch": f"{stretch - stretch_error:.3f} to {stretch + stretch_error:.3f} "
+        f"with markers within {tolerance:.2f} mm of the mounted pattern",
+        "pane": f"bending stress {glass_stress(design, highest):.2g} MPa of {hw.GLASS_STRESS:g} "
+        "allowed",
+        "bolts": f"{highest * design.frame.area / len(layout.bolts):.2g} N each of "
+        f"{hw.BOLT_LOAD:g}",
         "parts": f"closed, without intersections, {gap:.2g} mm between parts that must not touch",
     }

@@ -6,14 +6,19 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.fabrication import purchased_parts as hw
 from mjtactile.fabrication.purchased_parts import Hardware
+from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 MM = 1e3  # mm in a m
 _WEB = 0.3  # minimum web of a cut stencil, mm
 _MARGIN = 0.3  # accuracy of manual placement, mm
+_STRETCH_ERROR = 0.2  # allowed error of the pre-stretch, relative to the pre-stretch less 1
+_SMALLEST_STRETCH = 0.02  # the pre-stretch less 1 below which the tolerance is constant
 _DIGITS = 4  # of a limit, rounded so that it holds
 
 
@@ -75,20 +80,28 @@ def _housing(design: SensorDesign) -> Iterator[Limit]:
         yield Limit("fiducials.wall_setback_mm", setback, why, high=rim - hw.PRINT_WALL)
     why = "cannot be mounted by stretching"
     yield Limit("membrane.pre_stretch", design.membrane.pre_stretch, why, 1.0)
+    why = "is beyond the stretch up to which the simulated material law holds"
+    yield Limit("membrane.pre_stretch", design.membrane.pre_stretch, why, high=STRETCHED)
+
+
+def glass_limit(design: SensorDesign, pressure: float, load: str) -> Limit:
+    """Return the limit of the glass thickness under a gauge pressure, Pa, of a `load`."""
+    thickness = MM * design.glass.thickness
+    stress = glass_stress(design, pressure)
+    why = (
+        f"has a bending stress of {stress:.3g} MPa under {load}, "
+        f"above the {hw.GLASS_STRESS:g} MPa allowed for glass"
+    )
+    minimum = thickness * math.sqrt(stress / hw.GLASS_STRESS)
+    return Limit("glass.thickness_mm", thickness, why, minimum)
 
 
 def _glass(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
     glass = design.glass
-    stress = glass_stress(design)
     distance = MM * glass.distance
     thickness = MM * glass.thickness
     yield Limit("glass.thickness_mm", thickness, "does not close the chamber", 0.5)
-    why = (
-        f"has a bending stress of {stress:.3g} MPa under the supply pressure, "
-        f"above the {hw.GLASS_STRESS:g} MPa allowed for glass"
-    )
-    minimum = thickness * math.sqrt(stress / hw.GLASS_STRESS)
-    yield Limit("glass.thickness_mm", thickness, why, minimum)
+    yield glass_limit(design, design.chamber.supply_gauge, "the supply pressure")
     end = MM * (design.camera.distance - design.chamber.depth - glass.thickness)
     why = f"leaves a gap between glass and chamber, which ends at {end:g}"
     yield Limit("glass.distance_mm", distance, why, end - 0.05, end + 0.05)
@@ -152,8 +165,8 @@ def marker_shrink(design: SensorDesign, hardware: Hardware) -> float:
     return 1 / design.membrane.pre_stretch if hardware.markers == "ink" else 1.0
 
 
-def glass_stress(design: SensorDesign) -> float:
-    """Return the largest bending stress of the glass under the supply pressure, N/mm^2.
+def glass_stress(design: SensorDesign, pressure: float) -> float:
+    """Return the largest bending stress of the glass under a gauge pressure, Pa, N/mm^2.
 
     The stress of a simply supported plate is beta p b^2 / t^2, beta = 0.75 / (1 + 1.61 (b/a)^3)
     (Roark's formulas for stress and strain, flat rectangular plates).
@@ -161,7 +174,21 @@ def glass_stress(design: SensorDesign) -> float:
     b, a = sorted((design.frame.length, design.frame.width))
     beta = 0.75 / (1 + 1.61 * (b / a) ** 3)
     slenderness = b / max(design.glass.thickness, 1e-9)
-    return 1e-6 * beta * abs(design.chamber.supply_gauge) * slenderness**2
+    return 1e-6 * beta * abs(pressure) * slenderness**2
+
+
+def mount_tolerance(design: SensorDesign) -> tuple[float, float]:
+    """Return the allowed deviation of the outermost markers from the mounted pattern, mm, and the
+    error of the pre-stretch at that deviation.
+
+    The pattern is centered. The tension is proportional to the pre-stretch less 1, of which the
+    error may be a fraction.
+    """
+    stretch = design.membrane.pre_stretch
+    half = MM * float(np.ptp(design.markers.p_SM[:, :2], axis=0).min()) / 2
+    error = _STRETCH_ERROR * max(stretch - 1, _SMALLEST_STRETCH)
+    tolerance = min(half * error / stretch, _MARGIN)
+    return tolerance, tolerance * stretch / half
 
 
 def _rounded(value: float, *, up: bool = False) -> str:

@@ -13,24 +13,32 @@ from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
 from mjtactile.fabrication.manufacturability import Limit
 from mjtactile.fabrication.purchased_parts import Hardware
+from mjtactile.fit.parameter_info import FIT_PRESSURES
+from mjtactile.recording.stage_protocol import protocol_indenter, read_moves
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter side
 # indentation depth, m, and its limit as a fraction of the chamber's depth and of the shorter side
 _DEPTH = 0.004
 _DEPTH_FRACTION = 0.25
+_STEPS = 4  # of an indentation
+_PARTS = 101  # of the way from a position to the center
+_DEEPEST_FRACTION = 0.9  # of the chamber's depth, for the indentations of a protocol
 _REACH = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneState:
-    """Marker centers (N, 3), m, and outward normals (N, 3) in S; the membrane's largest stretch."""
+    """Marker centers (N, 3), m, and outward normals (N, 3) in S; the membrane's largest stretch,
+    its height at the center, m, and the gauge pressure behind it, Pa."""
 
     name: str
     p_SM: Array
     n_S: Array
     stretch: float
     height: float
+    gauge_pressure: float = 0.0
 
 
 def growth(design: SensorDesign, states: Sequence[MembraneState]) -> float:
@@ -70,7 +78,8 @@ def simulate(
     say: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
 ) -> list[MembraneState]:
-    """Compute all states. Raises InputError if the membrane fails or touches the glass."""
+    """Compute all states. Raises InputError if the membrane fails, touches the glass, or stretches
+    beyond the range of its material law."""
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
     sides = np.array([design.frame.length, design.frame.width])
@@ -84,16 +93,16 @@ def simulate(
     far = np.maximum(_REACH * sides - ball, 0.0)
     try:
         for name, direction in places.items():
-            x, y = (far * direction).tolist()
+            x, y = (_inward(design, far * direction, ball)).tolist()
             world = PressWorld(design, Indenter("sphere", ball), at=(x, y))
             for pressure in dict.fromkeys((0.0, supply)):
                 kpa = f"{1e-3 * pressure:g} kPa"
                 world.inflate(pressure, seal=True)
                 if name == "the middle" and pressure:
                     states.append(_state(world, f"inflated to {kpa}"))
-                world.press(depth)
+                    _check_inflated(design, states[-1], source)
                 load = f"indented by {1e3 * depth:.2g} mm at {name}, filled at {kpa}"
-                states.append(_state(world, load))
+                states.append(_indented(world, depth, load))
             say(f"pressed at {name}")
     except SimulationError as error:
         raise InputError(
@@ -105,10 +114,90 @@ def simulate(
     return states
 
 
+def simulate_fit_protocol(
+    design: SensorDesign, say: Callable[[str], None] = lambda _: None
+) -> list[MembraneState]:
+    """Simulate the loads of the protocols that `mjtactile fit` requires, with the valve closed.
+
+    Args:
+        design: The sensor.
+        say: Called with progress messages.
+
+    Returns:
+        The states at the largest depth of each protocol. A load that the membrane does not carry is
+        left out.
+    """
+    side = min(design.frame.length, design.frame.width)
+    supply = design.chamber.supply_gauge
+    loads = (("press", max(FIT_PRESSURES)), ("tap", supply))
+    states = []
+    for protocol, pressure in loads:
+        indenter = protocol_indenter(protocol, side)
+        moves = [move for move in read_moves(protocol) if move.touches]
+        depth = min(max(move.depth for move in moves), _DEEPEST_FRACTION * design.chamber.depth)
+        what = f"protocol {protocol} with {indenter}, filled at {1e-3 * pressure:g} kPa"
+        say(what)
+        try:
+            world = PressWorld(design, Indenter.parse(indenter))
+            world.inflate(pressure, seal=True)
+            states.append(_state(world, f"{what}, inflated"))
+            world.press(depth)
+            states.append(_state(world, what))
+        except SimulationError:
+            continue
+    return states
+
+
+def _inward(design: SensorDesign, place: Array, ball: float) -> Array:
+    """Move a position (2,), m, towards the center until the ball lies within the outline."""
+    frame = design.frame
+    clear = ball + (0.5 - _REACH) * min(frame.length, frame.width)
+    parts = np.linspace(1.0, 0.0, _PARTS)
+    allowed = frame.inside(parts[:, None] * place) >= clear - 1e-9
+    return place if frame.outline is None else place * parts[np.argmax(allowed)]
+
+
+def _indented(world: PressWorld, depth: float, name: str) -> MembraneState:
+    """Press to a depth, m, in steps. Raises InputError at a stretch beyond the material law."""
+    before = 0.0
+    stretch_before = world.sensors[0].stretch_and_area()[0]
+    for step in depth * np.arange(1, _STEPS + 1) / _STEPS:
+        world.press(float(step))
+        stretch = world.sensors[0].stretch_and_area()[0]
+        if stretch > STRETCHED:  # a stretch is convex in the depth: the chord is on the safe side
+            part = max(STRETCHED - stretch_before, 0.0) / (stretch - stretch_before)
+            why = (
+                f"stretches the membrane to {stretch:.3g} of its free length or more ({name}), "
+                f"beyond {STRETCHED:g}, up to which the simulated material law holds"
+            )
+            Limit(
+                "--press-mm", 1e3 * depth, why, high=1e3 * (before + part * (step - before))
+            ).check("")
+        before = float(step)
+        stretch_before = stretch
+    return _state(world, name)
+
+
+def _check_inflated(design: SensorDesign, state: MembraneState, source: str) -> None:
+    """Raise InputError if the free membrane is stretched beyond the range of its material law."""
+    if state.stretch > STRETCHED:
+        raise InputError(
+            f"{1e-3 * design.chamber.supply_gauge:g} stretches the free membrane to "
+            f"{state.stretch:.3g} of its free length; the simulated material law holds to "
+            f"{STRETCHED:g}: use a lower pressure or a stiffer membrane",
+            source=source,
+            field=_SUPPLY,
+        )
+
+
 def _state(world: PressWorld, name: str) -> MembraneState:
     sensor = world.sensors[0]
     return MembraneState(
-        name, *world.marker_poses(0), sensor.stretch_and_area()[0], sensor.height_at(0.0, 0.0)
+        name,
+        *world.marker_poses(0),
+        sensor.stretch_and_area()[0],
+        sensor.height_at(0.0, 0.0),
+        sensor.gauge_pressure,
     )
 
 

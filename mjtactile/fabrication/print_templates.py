@@ -17,7 +17,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.fabrication.drawing_pages import DrawingShape, PrintedPage, cross, label, line, page
 from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.layered_solid import Contour, circle
-from mjtactile.fabrication.manufacturability import MM, marker_shrink
+from mjtactile.fabrication.manufacturability import MM, marker_shrink, mount_tolerance
 from mjtactile.fabrication.parts import (
     PEG,
     bolt_holes,
@@ -85,7 +85,8 @@ def marker_pages(layout: Layout) -> list[PrintedPage]:
     cutting = "cut along red lines; punch the peg holes"
     checking = (
         "print on transparent film, lay on the mounted membrane:",
-        "markers and opening must coincide within 0.3 mm",
+        f"markers must coincide within {mount_tolerance(design)[0]:.2f} mm, the opening within "
+        "0.3 mm",
     )
     black = [*_outlines("black", "markers", markers(layout)), *around]
     cut = [*_outlines("cut", "markers", markers(layout)), *around]

@@ -19,7 +19,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image, Markers
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.recording.stage_protocol import Move, Stage, stage_from_note
+from mjtactile.recording.stage_protocol import Move, Stage, protocol_indenter, stage_from_note
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 
@@ -31,6 +31,7 @@ _LENS_FRACTION = 0.003
 _LENS_FRACTION_PER_PX = 0.1
 # limit of the mean marker motion between the two halves of a hold, m; a larger motion rejects it
 _MOVES_MAX = 5e-5
+_WIDTHS = {"sphere": 2.0, "cylinder": 2.0, "box": 1.0}  # of an indenter, by its size
 
 Say = Callable[[str], None]
 
@@ -123,6 +124,8 @@ def read_evidence(
     note = recording.notes.get("stage")
     is_own = note is not None and note.get("finger", finger) == finger
     stage = stage_from_note(note, path) if note is not None and is_own else None
+    if stage is not None:
+        _check_indenter(stage, design, path)
     say(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
     times, shots = _follow(recording, number, pipeline, expected)
@@ -141,6 +144,27 @@ def read_evidence(
         flat_images,
         max(_LENS_FRACTION, _LENS_FRACTION_PER_PX * state.flat.residual_px),
     )
+
+
+def _check_indenter(stage: Stage, design: SensorDesign, path: Path) -> None:
+    """Raise InputError for an indenter wider than the frame's opening.
+
+    It touches the frame, and its depth is then not the membrane's.
+    """
+    kind, _, size = stage.indenter.partition(":")
+    if kind not in _WIDTHS:
+        return  # a file: its width depends on the depth
+    width = _WIDTHS[kind] * 1e-3 * float(size)
+    side = min(design.frame.length, design.frame.width)
+    if width > side + 1e-9 and any(move.touches for move in stage.moves):
+        protocol = protocol_indenter("press", side)
+        raise InputError(
+            f"the indenter {stage.indenter} is {1e3 * width:g} mm wide, more than the frame's "
+            f"opening of {1e3 * side:g} mm, and touches the frame; record it again with "
+            f"{protocol} or another smaller one",
+            source=path,
+            field="--recording",
+        )
 
 
 def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> Calibration:

@@ -34,6 +34,8 @@ class ParameterInfo:
         return sd <= max(self.share * abs(value), self.minimum)
 
 
+FIT_PRESSURES = (500.0, 3000.0)
+"""Gauge pressures of the recordings that separate pre-stretch and modulus, Pa."""
 _BULGE = (
     "inflate it to 0.5 kPa, where its tension dominates, and to 3 kPa, where its modulus dominates"
 )

@@ -36,6 +36,24 @@ COLUMNS: dict[str, tuple[str, float, float, float]] = {
 """Column to field, SI units in one unit of the file, lowest and highest value."""
 
 
+INDENTER_FRACTIONS = {"press": 0.27, "drag": 0.27, "tap": 0.45, "still": 0.27}
+"""Radius of the sphere of each shipped protocol, as a fraction of the frame's shorter side."""
+
+
+def protocol_indenter(protocol: str | Path, side: float) -> str:
+    """Return the indenter of a protocol for a frame.
+
+    Args:
+        protocol: Name of a shipped protocol, or a file, which gets the indenter of "press".
+        side: Shorter side of the frame's opening, m.
+
+    Returns:
+        A sphere, such as "sphere:8", in steps of half a millimeter.
+    """
+    fraction = INDENTER_FRACTIONS.get(str(protocol), INDENTER_FRACTIONS["press"])
+    return f"sphere:{max(math.floor(2e3 * fraction * side) / 2, 0.5):g}"
+
+
 @dataclass(frozen=True)
 class Move:
     """Move of the indenter, and the hold that follows.

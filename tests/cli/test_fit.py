@@ -2,12 +2,14 @@
 parameters that could not be identified."""
 
 import json
+import shutil
 
 import pytest
 
 from mjtactile.cli import main
 from mjtactile.core.design import load_sensor
 from mjtactile.recording.reader import load_recording
+from mjtactile.recording.stage_protocol import protocol_indenter
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +100,28 @@ def test_bad_input_is_one_line(recording, tmp_path, capsys):
             == 2
         )
         assert says in capsys.readouterr().err
+
+
+def test_an_indenter_wider_than_the_frame_is_refused(recording, tmp_path, capsys):
+    # 36 mm over an opening of 40 x 30 mm: it presses on the frame
+    wide = tmp_path / "wide"
+    shutil.copytree(recording, wide)
+    log = wide / "recording" / "log.jsonl"
+    moves = [{"time_s": 0.1, "depth_mm": 2}]
+    stage = {"indenter": "sphere:18", "at_mm": [0, 0], "finger": "left", "moves": moves}
+    lines = log.read_text().splitlines()
+    lines.insert(-1, json.dumps({"kind": "note", "stage": stage}))
+    log.write_text("\n".join(lines) + "\n")
+    assert main(["fit", "--recording", str(wide), "--out", str(tmp_path / "x.toml")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "sphere:18 is 36 mm wide" in said and "30 mm" in said
+    assert "sphere:8" in said  # what to record with
+
+
+def test_the_indenter_of_a_protocol_follows_the_frame():
+    assert protocol_indenter("press", 30e-3) == "sphere:8"
+    assert protocol_indenter("tap", 30e-3) == "sphere:13.5"
+    for side in (8e-3, 12e-3, 24e-3, 60e-3):
+        for protocol in ("press", "drag", "tap", "still", "my.csv"):
+            radius = float(protocol_indenter(protocol, side).removeprefix("sphere:"))
+            assert 2e-3 * radius < side

@@ -20,9 +20,17 @@ from mjtactile.fabrication import (
     purchased_parts,
 )
 from mjtactile.fabrication.build import write
+from mjtactile.fabrication.dxf_file import write_dxf
 from mjtactile.fabrication.housing_layout import Layout
-from mjtactile.fabrication.marker_positions import MembraneState, growth, simulate
+from mjtactile.fabrication.marker_positions import (
+    MembraneState,
+    growth,
+    simulate,
+    simulate_fit_protocol,
+)
+from mjtactile.fabrication.pressure_loads import PressureLoads
 from mjtactile.fabrication.purchased_parts import Hardware
+from mjtactile.sim.sensor.validity_checks import STRETCHED
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 DENSE = load_sensor("dense")
@@ -102,6 +110,72 @@ def test_an_svg_is_at_one_to_one(layout):
         longest = sorted((np.ptp(bar, axis=0) for bar in bars), key=max)[-2:]
         assert sorted(map(tuple, longest)) == [(0.0, 100.0), (100.0, 0.0)]
         assert (np.abs(np.concatenate(bars)).max(axis=0) < (width / 2, height / 2)).all()
+
+
+def dxf_entities(text):
+    """Entities of a DXF as (name, {code: value}), and the header's version."""
+    lines = text.splitlines()
+    pairs = list(zip(map(int, lines[::2]), lines[1::2], strict=True))
+    assert pairs[-1] == (0, "EOF")
+    start = pairs.index((2, "ENTITIES"))
+    found = []
+    for code, value in pairs[start + 1 :]:
+        if code == 0:
+            found.append((value, {}))
+        else:
+            found[-1][1][code] = value
+    return dict(pairs)[1] if (1, "AC1009") in pairs else None, found
+
+
+def test_a_dxf_has_the_circles_of_the_svg_with_y_up(layout):
+    for page in print_templates.marker_pages(layout)[:2]:
+        centers, radii = circles(drawing_pages.write_svg(page))
+        _, entities = dxf_entities(write_dxf(page))
+        drawn = np.array(
+            [[float(e[c]) for c in (10, 20, 40)] for name, e in entities if name == "CIRCLE"]
+        )
+        assert len(drawn) >= len(radii)
+        for center, radius in zip(centers, radii, strict=True):
+            off = np.abs(drawn - [center[0], -center[1], radius]).max(axis=1)
+            assert off.min() < 2e-5  # the SVG has 5 decimals
+
+
+@pytest.mark.parametrize("name", ["dense", "ellipse"])
+def test_the_outlines_of_a_dxf_are_closed_and_have_their_area(name):
+    """Lines and arcs of the gasket, chained, enclose flange, opening and holes."""
+    made = Layout.of(load_sensor(name), Hardware(), name)
+    page = print_templates.cut_page(made)
+    _, entities = dxf_entities(write_dxf(page))
+    cut = [(kind, e) for kind, e in entities if e.get(8) == "CUT"]
+    found = [math.pi * float(e[40]) ** 2 for kind, e in cut if kind == "CIRCLE"]
+    pieces, corners = [], []
+    for kind, e in cut:
+        if kind == "LINE":
+            pieces.append(np.array([[e[10], e[20]], [e[11], e[21]]], float))
+        elif kind == "ARC":
+            first, last = (math.radians(float(e[c])) for c in (50, 51))
+            turn = np.linspace(first, last + 2 * math.pi * (last < first), 200)[:, None]
+            center = np.array([e[10], e[20]], float)
+            pieces.append(center + float(e[40]) * np.hstack([np.cos(turn), np.sin(turn)]))
+        elif kind == "POLYLINE":
+            assert e[70] == "1"
+            corners.append([])
+        elif kind == "VERTEX":
+            corners[-1].append([float(e[10]), float(e[20])])
+    while pieces:
+        loop = pieces.pop()
+        while np.linalg.norm(loop[0] - loop[-1]) > 1e-5:
+            ends = [(k, flip) for k, p in enumerate(pieces) for flip in (0, -1)
+                    if np.linalg.norm(p[flip] - loop[-1]) < 1e-5]  # fmt: skip
+            ((k, flip),) = ends
+            piece = pieces.pop(k)
+            loop = np.concatenate([loop, piece if flip == 0 else piece[::-1]])
+        corners.append(loop.tolist())
+    for points in corners:
+        x, y = np.array(points).T
+        found.append(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
+    expected = [shape.contour.area for shape in page.shapes if shape.style == "cut"]
+    np.testing.assert_allclose(sorted(found), sorted(expected), rtol=1e-4)
 
 
 def test_a_pdf_is_at_one_to_one(layout):
@@ -293,12 +367,8 @@ def test_what_the_optics_cannot_do_is_refused():
 def test_the_pane_holds_what_roark_says():
     """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has
     within 0.1 %."""
-    square = replace(
-        DENSE,
-        frame=replace(DENSE.frame, length=0.03, width=0.03),
-        chamber=replace(DENSE.chamber, supply_gauge=1e5),
-    )
-    assert manufacturability.glass_stress(square) == pytest.approx(
+    square = replace(DENSE, frame=replace(DENSE.frame, length=0.03, width=0.03))
+    assert manufacturability.glass_stress(square, 1e5) == pytest.approx(
         0.2874 * 0.1 * (30 / 2) ** 2, rel=1e-3
     )
 
@@ -318,6 +388,58 @@ def test_the_simulated_states_bulge_and_are_pressed():
     assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(
         inflated.height - 0.004, abs=1e-4
     )
+
+
+def test_an_indentation_beyond_the_material_law_is_refused_with_a_depth_that_is_not():
+    middle = {"the middle": (0, 0)}
+    with pytest.raises(InputError, match=r"^--press-mm: 9 stretches .* 1\.4, .*at most") as error:
+        simulate(DENSE, Hardware(press=9.0), "mine.toml", lambda _: None, middle)
+    limit = float(str(error.value).split()[-1])
+    assert 5 < limit < 9
+    states = simulate(DENSE, Hardware(press=limit), "mine.toml", lambda _: None, middle)
+    assert 1.3 < max(state.stretch for state in states) <= STRETCHED
+    soft = replace(DENSE, membrane=replace(DENSE.membrane, young=0.12e6))
+    with pytest.raises(InputError, match=r"supply_pressure_kPa: 1.4 stretches .* to 1\.4"):
+        simulate(
+            with_field(soft, "chamber.supply_pressure_kPa", 1.4), Hardware(), "x", lambda _: None
+        )
+    stretched = replace(DENSE, membrane=replace(DENSE.membrane, pre_stretch=1.5))
+    with pytest.raises(InputError, match=r"membrane.pre_stretch: 1.5 .* at most 1\.4"):
+        Layout.of(stretched, Hardware(), "mine.toml")
+
+
+def test_indentations_at_the_edge_of_a_round_opening_stay_inside():
+    # a ball of 7.5 mm over a corner of the box around 30 mm would press on the frame: stretch 1.7
+    states = simulate(
+        load_sensor("round30"), Hardware(), "round30", lambda _: None, {"a corner": (1, 1)}
+    )
+    assert max(state.stretch for state in states) < 1.3
+
+
+def test_pump_and_pressure_sensor_cover_sealed_indentations_and_the_fit_protocol():
+    """Filling a sealed chamber at 3 kPa and displacing V of gas compresses it by Boyle's law."""
+    states = simulate(DENSE, Hardware(), "dense", lambda _: None, {"the middle": (0, 0)})
+    fit_states = simulate_fit_protocol(DENSE)
+    loads = PressureLoads.of(DENSE, states, fit_states)
+    pressed = next(s for s in fit_states if "press" in s.name and "inflated" not in s.name)
+    assert loads.highest is pressed and pressed.gauge_pressure > 4000
+    assert loads.pump == 3000.0
+    assert loads.sensor_range == 6.0  # kPa, the preferred value above 1.1 times 4.3
+    alone = PressureLoads.of(DENSE, states, [])
+    assert alone.pump == 1000.0 and alone.sensor_range == 2.5  # 1.8 kPa at 4 mm
+
+
+def test_the_mount_tolerance_keeps_a_fifth_of_the_tension():
+    tolerance, error = manufacturability.mount_tolerance(DENSE)
+    assert error == pytest.approx(0.2 * 0.05)
+    # the outermost markers of the shorter direction are 12 mm from the center
+    assert tolerance == pytest.approx(12 * error / 1.05)
+    more = replace(DENSE, membrane=replace(DENSE.membrane, pre_stretch=1.15))
+    assert manufacturability.mount_tolerance(more)[0] > 2 * tolerance
+    text = drawing_pages.write_svg(
+        print_templates.marker_pages(Layout.of(DENSE, Hardware(), "x"))[2]
+    )
+    assert f"within {tolerance:.2f} mm" in text
 
 
 def test_elastic_markers_grow_with_the_sheet():
