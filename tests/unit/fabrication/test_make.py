@@ -398,7 +398,7 @@ def test_an_indentation_beyond_the_material_law_is_refused_with_a_depth_that_is_
     assert 5 < limit < 9
     states = simulate(DENSE, Hardware(press=limit), "mine.toml", lambda _: None, middle)
     assert 1.3 < max(state.stretch for state in states) <= STRETCHED
-    soft = replace(DENSE, membrane=replace(DENSE.membrane, young=0.12e6))
+    soft = replace(DENSE, membrane=replace(DENSE.membrane, young=0.16e6))
     with pytest.raises(InputError, match=r"supply_pressure_kPa: 1.4 stretches .* to 1\.4"):
         simulate(
             with_field(soft, "chamber.supply_pressure_kPa", 1.4), Hardware(), "x", lambda _: None
