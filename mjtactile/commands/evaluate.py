@@ -11,6 +11,7 @@ from mjtactile import InputError, Scenario
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
 from mjtactile.commands.output import insert_table, new_run_folder, print_result, stdout_to_stderr
+from mjtactile.core import resources
 from mjtactile.recording.files import write_json
 
 if TYPE_CHECKING:
@@ -159,8 +160,9 @@ def run(options: argparse.Namespace) -> int:
     (out / "summary.md").write_text(table(summary), encoding="utf-8")
     if options.readme is not None:
         insert_table(options.readme, "evaluate", table(summary))
+    only = options.controller or resources.names("controllers", ".py") if options.merge else None
     with stdout_to_stderr():
-        write_report(out, options.worst, Progress().message)
+        write_report(out, options.worst, Progress().message, only=only)
     print_result(
         options, summary, f"{table(summary)}\nwritten to {out}; open {out / 'report.html'}"
     )
@@ -183,16 +185,14 @@ def _screen(options: argparse.Namespace) -> int:
             field="--screening-sample",
             choices=["--screening-sample N --out DIR"],
         )
-    controllers = options.controller
-    options.controller = None
     with stdout_to_stderr():
-        common = scenario.scenario_of(options, _DEFAULT)
+        common, controllers = _scenario_of(options)
         objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
         result = screens.screen(
             options.out,
             common,
             sample=options.screening_sample,
-            controllers=controllers or [common.controller],
+            controllers=controllers,
             count=options.episodes,
             objects=objects,
             running=_running(options),
@@ -261,15 +261,13 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
     with stdout_to_stderr():
         if options.merge:
             return merge(options.merge, out, partial=options.partial)
-        controllers = options.controller
-        options.controller = None
-        common = scenario.scenario_of(options, _DEFAULT)
+        common, controllers = _scenario_of(options)
         objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
         return evaluate(
             out,
             common,
             count=options.episodes,
-            controllers=controllers or [common.controller],
+            controllers=controllers,
             objects=objects,
             shard=options.shard,
             record=options.record,
@@ -277,6 +275,14 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
                 _running(options), backend=options.backend, scheduler=options.scheduler
             ),
         )
+
+
+def _scenario_of(options: argparse.Namespace) -> tuple[Scenario, list[str]]:
+    """Return the scenario of all episodes, and the controllers."""
+    named = options.controller or []
+    single = argparse.Namespace(**{**vars(options), "controller": named[0] if named else None})
+    common = scenario.scenario_of(single, _DEFAULT)
+    return common, named or [common.controller]
 
 
 def _running(options: argparse.Namespace) -> Running:

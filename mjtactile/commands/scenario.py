@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -87,7 +88,8 @@ def arguments(
 def scenario_of(options: argparse.Namespace, default: Scenario | None = None) -> Scenario:
     """Return the scenario given by a command's options, with the resolved sensor of each finger.
 
-    The values of `default` apply if neither an option nor --scenario sets them.
+    The values of `default` apply if neither an option nor --scenario sets them. Raises InputError
+    for a controller file that no option names.
     """
     base = default or Scenario()
     if getattr(options, "scenario", None):
@@ -98,7 +100,25 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     if "sensor" in given:
         base = replace(base, sensors={})
         chosen.discard("sensors")
-    return resolve_scenario(replace(base, **given), tuple(chosen))
+    wanted = resolve_scenario(replace(base, **given), tuple(chosen))
+    if hasattr(options, "controller") and "controller" not in given:
+        _require_named(wanted)
+    return wanted
+
+
+def _require_named(wanted: Scenario) -> None:
+    """Raise InputError for a controller file that only a scenario file or a recording names.
+
+    Such a file is code, and its name may come from another person.
+    """
+    name = wanted.controller
+    if name in resources.names("controllers", ".py"):
+        return
+    raise InputError(
+        f"the controller {name!r} is a program and is run only if it is given as an option",
+        field="--controller",
+        choices=[f"--controller {shlex.quote(name)}", *resources.names("controllers", ".py")],
+    )
 
 
 def stem(scenario: Scenario) -> str:

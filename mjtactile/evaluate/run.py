@@ -93,8 +93,18 @@ def _recorded(episode: Episode, folder: Path) -> Episode:
     return replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
 
 
-def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
-    """Write `report.html` of an evaluation; its worst episodes are run again for their images."""
+def write_report(
+    folder: Path,
+    worst_count: int,
+    say: Say = lambda _: None,
+    *,
+    only: Collection[str] | None = None,
+) -> Path:
+    """Write `report.html` of an evaluation; its worst episodes are run again for their images.
+
+    Controllers that are not in `only` are not run (None: all are). Merged results may be from
+    another person, and name a program.
+    """
     known = store.read_manifest(folder)
     lines = store.read_lines(folder)
     pictures = {}
@@ -104,6 +114,9 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
         say(f"image {k} of {len(chosen)}: {what}")
         name = name_of(line["controller"], line["episode"])
         episode = _episode(known, line, folder / store.MANIFEST)
+        if only is not None and episode.scenario.controller not in only:
+            say(f"no image: the controller {episode.scenario.controller!r} is not run here")
+            continue
         pictures[name] = worst_episodes.draw(episode, folder / "worst" / name)
     path = folder / "report.html"
     with store.writing(path):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -228,6 +229,7 @@ def test_a_recording_without_its_sensors_text_uses_the_file_with_a_warning(tmp_p
 
 QUICK = """
 from dataclasses import replace
+from pathlib import Path
 
 def step(observation):
     command = observation.command
@@ -256,7 +258,8 @@ def test_a_run_says_its_fingers_own_sensors_and_is_felt_again_with_them(
     recording = mjtactile.load_recording("run")
     assert recording.header["scenario"] == summary["scenario"]
     # and the same run again, from its result
-    assert main(["grasp", "--scenario", "run/summary.json", "--out", "again", "--json"]) == 1
+    words = ["--controller", "quick.py", "--out", "again", "--json"]
+    assert main(["grasp", "--scenario", "run/summary.json", *words]) == 1
     again = json.loads(capsys.readouterr().out)
     assert again["scenario"] == summary["scenario"]
     first = recording.column("force_normal")
@@ -268,6 +271,62 @@ def test_options_are_stronger_than_the_file(tmp_path, monkeypatch, capsys):
     (tmp_path / "quick.py").write_text(QUICK)
     (tmp_path / "mine.toml").write_text('object = "vial"\ncontroller = "quick.py"\nseed = 3\n')
     words = ["--sensor", "paper16", "--seed", "4", "--out", "run", "--json"]
+    words += ["--controller", "quick.py"]
     assert main(["grasp", "--scenario", "mine.toml", *words]) == 1
     said = json.loads(capsys.readouterr().out)["scenario"]
     assert (said["object"], said["seed"], said["sensor"]) == ("vial", 4, "paper16")
+
+
+PROGRAM = (
+    "from pathlib import Path\nPath('it_ran').touch()\ndef step(observation):\n    raise OSError\n"
+)
+
+
+def name_a_program(how):
+    """Write data that name the controller file "theirs.py"; return the options that read them."""
+    scenario = Scenario(controller="theirs.py")
+    if how == "result":
+        write_json(Path("summary.json"), {"scenario": scenario.to_dict()})
+        return ["--scenario", "summary.json"]
+    if how == "recording":
+        with Recorder(Path("theirs"), scenario.header()) as recorder:
+            recorder.add(fake_cycle(0, 1))
+        return ["--rig", "replay:theirs"]
+    place = "theirs.py" if how == "scenario" else str(Path("theirs.py").absolute())
+    Path("theirs.toml").write_text(f'controller = "{place}"\n')
+    return ["--scenario", "theirs.toml"]
+
+
+@pytest.mark.parametrize("how", ["result", "scenario", "absolute", "recording"])
+@pytest.mark.parametrize("command", ["grasp", "studio", "probe", "evaluate"])
+def test_a_program_that_only_data_name_is_not_run(tmp_path, monkeypatch, capsys, how, command):
+    """A scenario of another person may name any file: without --controller it is refused."""
+    if command == "evaluate" and how == "recording":
+        pytest.skip("evaluate does not take recordings")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "theirs.py").write_text(PROGRAM)
+    assert main([command, *name_a_program(how)]) == 2
+    error = capsys.readouterr().err
+    assert (
+        "--controller: the controller" in error
+        and "--controller theirs.py" in error
+        or (how == "absolute" and f"--controller {tmp_path}/theirs.py" in error)
+    )
+    assert not (tmp_path / "it_ran").exists()
+
+
+def test_the_worst_episodes_of_merged_results_are_not_run_by_a_program_of_theirs(
+    tmp_path, monkeypatch, capsys
+):
+    """Results of another person name a program: their report is written, without its images."""
+    monkeypatch.chdir(tmp_path)
+    Path("theirs.py").write_text("from pathlib import Path\n" + QUICK)
+    words = ["--episodes", "1", "--objects", "egg", "--effects=-images,-mesh,-pipeline"]
+    names = ["--controller", "theirs.py", "--workers", "1", "--worst", "0"]
+    assert main(["evaluate", *words, *names, "--out", "first"]) == 0
+    Path("theirs.py").write_text("from pathlib import Path\nPath('it_ran').touch()\n" + QUICK)
+    assert main(["evaluate", "--merge", "first", "--out", "second"]) == 0
+    assert "'theirs.py' is not run" in capsys.readouterr().err
+    assert not Path("it_ran").exists() and Path("second/report.html").is_file()
+    assert main(["evaluate", "--merge", "first", "--out", "third", *names[:2]]) == 0
+    assert Path("it_ran").exists()
