@@ -1,7 +1,7 @@
 """Adaptive grasp: grip as lightly as the load permits; estimate load and friction during the grasp.
 
 - **Load.** The shear force on a finger is the load that it carries. The grip follows the largest
-  shear of the last second, plus a specified push from any direction.
+  shear of the last second, plus an announced push or acceleration from any side.
 - **Friction.** A Bayesian filter estimates the friction coefficient, which may change while the
   object is held (docs/theory/friction.md). The grip is the minimum force at which the probability
   of slip is below RISK. Close over the table a larger risk is taken, until friction is known.
@@ -45,6 +45,7 @@ LOADED = 0.25  # minimum load over grip force of an object that may slip out, a 
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.12, 0.3
+GRAVITY = 9.81  # m/s^2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
@@ -111,7 +112,9 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
         touch, observation.gripper.effort, observation.period
     )
     slip_time = 0.0 if slip_sign(touch) == 2 else memory["slip_time"] + observation.period
-    worst, minimum = hypot(load.worst, observation.goal.push / len(touch)), MIN_FORCE
+    goal = observation.goal
+    inertia = load.worst * goal.acceleration / GRAVITY
+    worst, minimum = hypot(load.worst, goal.push / len(touch), inertia), MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
         worst, minimum = load.maximum, MIN_TEST_FORCE
     elif slip_time < SLIP_WAIT:

@@ -12,7 +12,7 @@ from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.flags import Flags
 from mjtactile.core.signature_checks import validated
-from mjtactile.core.types import DEFAULT_GOAL, PressureReading, TaskGoal, ValveState
+from mjtactile.core.types import PressureReading, TaskGoal, ValveState
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
 from mjtactile.rig.workload import Workload
@@ -123,7 +123,7 @@ class Rig:
     flags: Callable[[], Flags] = dict
     scene: Any = None
     truth: Callable[[], Mapping[str, Any]] | None = None
-    goal: TaskGoal = DEFAULT_GOAL
+    goal: TaskGoal = field(default_factory=TaskGoal)
     grip_force_available: Callable[[float], float] | None = None
     workload: Callable[[], Workload] | None = None
     touch_is_synthetic: bool = False

@@ -80,7 +80,11 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     if kind not in SIMULATES and wanted.randomization != NONE:
         message = f"the rig {name!r} is not a simulated rig: its world cannot be randomized"
         raise InputError(message, field="--randomization", choices=[NONE])
-    goal = load_task(wanted.task).goal.task_goal()
+    task = load_task(wanted.task)
+    if task.waypoints and kind not in MOVES_SIDEWAYS:
+        text = f"the rig {name!r} does not move sideways, and the task {task.name!r} has waypoints"
+        raise InputError(text, field="--rig", choices=["sim", "sim_arm", "sim_three_finger"])
+    goal = task.goal.task_goal()
     rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
     try:
         _require_built(rig, wanted)
@@ -138,6 +142,8 @@ def require_file(request: RigRequest) -> RigFile:
 
 SIMULATES = ("sim",)
 """Rigs whose physics this process computes."""
+MOVES_SIDEWAYS = (*SIMULATES, "replay")
+"""Rigs that follow the waypoints of a task, or whose gripper has followed them."""
 
 
 def rig_names() -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.task import SuccessCriteria
+from mjtactile.core.task_sections import SuccessCriteria
 from mjtactile.core.types import Array, Markers, Touch
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
@@ -62,6 +62,7 @@ class GraspScore:
 
     def __post_init__(self) -> None:
         self._bodies = ground_truth.object_bodies(self.world)
+        self._solid = ground_truth.solid_bodies(self.world)
         self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
         self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
@@ -124,7 +125,7 @@ class GraspScore:
             return
         p_WO = self._object_position()
         p_WH = ground_truth.gripper_position(self.world)
-        self._track_slip(p_WO - p_WH)
+        self._track_slip((p_WO - p_WH) @ ground_truth.gripper_rotation(self.world))
         self._carried = max(self._carried, float((each @ self._friction).max()))
         lifted = float(p_WH[2] - self._gripper_start)
         risen = bool(p_WO[2] - self._rest_height > _HELD_FRACTION * lifted - _HELD_SLACK)
@@ -172,12 +173,12 @@ class GraspScore:
         return (-ground_truth.contact_loads(self.world, self.world.sensors)[:, 2]).tolist()
 
     def _object_position(self) -> Array:
-        return ground_truth.object_position(self.world, self._bodies)
+        return ground_truth.object_position(self.world, self._solid)
 
     def _track_slip(self, relative: Array) -> None:
         """Update the largest motion of the object relative to the gripper since it was lifted, m.
 
-        `relative` (3,), m, is its current position.
+        `relative` (3,), m, is its current position in the gripper's frame.
         """
         if self._grip_start is None:
             self._grip_start = relative

@@ -15,12 +15,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mjtactile.core.geometry import cross
+from mjtactile.core.gripper_path import GripperPath
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import Task, load_task
 from mjtactile.core.types import Array
 from mjtactile.rig.finger import Rig
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.initial_state import path_axes
 
 VERSION = "3"
 """Version, incremented with every change of the criteria or their measurement."""
@@ -37,12 +39,13 @@ class TaskScorer:
     """Scorer of a task in a simulated world.
 
     `pulls` is the time after the lift, s, at which a person pulls with more than 0.3 N (NaN:
-    never).
+    never). `path` is that of the gripper.
     """
 
     world: GraspWorld
     task: Task
     pulls: float = math.nan
+    path: GripperPath | None = None
     margins: list[float] = field(default_factory=list)
     ready: list[float] = field(default_factory=list)
     """Ratio of grip force to the minimum that also withstands the announced push."""
@@ -52,6 +55,8 @@ class TaskScorer:
     """Time of release after the lift, s; a single finger in contact does not hold an object."""
     torn: bool = False
     """It slid out of a grip that was not opened."""
+    second_fell: bool = False
+    """The second object fell off while the first was held."""
     _next_check: float = -math.inf
     _up_since: float = math.nan
 
@@ -61,12 +66,14 @@ class TaskScorer:
         self._gripper_start = float(ground_truth.gripper_position(self.world)[2])
         self._places = model.body_weldid == 0
         self._start = self._standing()
+        self._start_position = ground_truth.object_position(self.world, self._bodies)
 
     @classmethod
     def of(cls, scenario: Scenario, rig: Rig) -> TaskScorer:
         """Create the scorer of a scenario with the events sampled for its seed."""
         task = load_task(scenario.task)
-        return cls(rig.scene, task, task.sample(scenario.seed, len(rig.fingers)).pulls())
+        sampled = task.sample(scenario.seed, len(rig.fingers))
+        return cls(rig.scene, task, sampled.pulls(), sampled.path)
 
     def after_step_batch(self, forces: Sequence[float], phase: str, steps: int = 1) -> None:
         """Evaluate the ground truth after `steps` physics steps, with normal `forces`, N, per
@@ -90,6 +97,8 @@ class TaskScorer:
         is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_check:
             self._next_check = time + _EVERY
+            stacked = self.world.second_object
+            self.second_fell |= stacked is not None and stacked.has_fallen
             need = self.need()
             if need > 0 and second > _LET_GO and not is_pulled:
                 grip = float(np.mean(forces))
@@ -114,7 +123,9 @@ class TaskScorer:
         data = self.world.data
         mass = self.world.model.body_mass[self._bodies]
         total = mass.sum()
-        force = total * self.world.model.opt.gravity
+        second = self.world.second_object
+        carried = total if second is None else total + second.load
+        force = carried * (self.world.model.opt.gravity - self._acceleration())
         force = force + data.xfrc_applied[self._bodies, :3].sum(axis=0)
         patches = [self._patch(number) for number in range(len(self.world.sensors))]
         middles = [middle for middle, radius in patches if radius > 0]
@@ -144,6 +155,11 @@ class TaskScorer:
                 )
         if self.set_down_impact > counts.max_impact:
             return f"it was set down with an impact of {self.set_down_impact:.2g} N s"
+        if counts.stacked and self.second_fell:
+            return "the second object fell off it"
+        missed = self._distance_to_place()
+        if missed > counts.place_within:
+            return f"it was set down {1e3 * missed:.0f} mm from its place"
         return ""
 
     def measures(self) -> dict[str, float]:
@@ -157,6 +173,8 @@ class TaskScorer:
             found["margin_ready_true"] = float(np.median(self.ready))
         if math.isfinite(self.task.success.max_tilt):
             found["tilt_deg_true"] = math.degrees(self._standing()[0])
+        if math.isfinite(self.task.success.place_within):
+            found["place_error_mm_true"] = 1e3 * self._distance_to_place()
         if math.isfinite(self.pulls):
             found["release_delay_s_true"] = self.released_at - self.pulls
         return {name: value for name, value in found.items() if math.isfinite(value)}
@@ -198,6 +216,21 @@ class TaskScorer:
             data.xmat[sensor.body_id].reshape(3, 3)[:, 2] for sensor in self.world.sensors
         )
         return (first - second) / np.linalg.norm(first - second)
+
+    def _acceleration(self) -> Array:
+        """Return the present acceleration (3,) of the gripper on its path, m/s^2, in W."""
+        if self.path is None or math.isnan(self._up_since):
+            return np.zeros(3)
+        axes = path_axes(self.world.start)
+        return self.path.acceleration(self.world.time - self._up_since) @ axes
+
+    def _distance_to_place(self) -> float:
+        """Return the horizontal distance of the object from the end of the path, m."""
+        if self.path is None:
+            return 0.0
+        moved = self.path.at(self.path.end)[:3] @ path_axes(self.world.start)
+        position = ground_truth.object_position(self.world, self._bodies)
+        return math.hypot(*(position - self._start_position - moved)[:2])
 
     def _height(self) -> float:
         """Return the height of the gripper above its start, m."""

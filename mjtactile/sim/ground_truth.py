@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mjtactile.core.design import Frame
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
+from mjtactile.sim.scenes.liquid import NAME as LIQUID
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 from mjtactile.sim.sensor import contact_loads as loads
 from mjtactile.sim.sensor.contact_list import listed
@@ -259,6 +260,13 @@ def object_bodies(world: World) -> NDArray[np.int64]:
     return moving_bodies(world.model, PREFIX)
 
 
+def solid_bodies(world: World) -> NDArray[np.int64]:
+    """Return the grasped object's MuJoCo bodies without those of a liquid in it."""
+    model = world.model
+    bodies = object_bodies(world)
+    return bodies[[not model.body(int(one)).name.startswith(PREFIX + LIQUID) for one in bodies]]
+
+
 def support_force(world: World, bodies: NDArray[np.int64]) -> float:
     """Return the upward force of static bodies (table, stand) on the object's `bodies`, N."""
     data = world.data
@@ -307,6 +315,11 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
 def gripper_position(world: GripperWorld) -> Array:
     """Return the position (3,), m, of the gripper that carries the fingers, frame W."""
     return world.data.xpos[world.start.gripper].copy()
+
+
+def gripper_rotation(world: GripperWorld) -> Array:
+    """Return the rotation (3, 3) of the gripper that carries the fingers, from its frame to W."""
+    return world.data.xmat[world.start.gripper].reshape(3, 3).copy()
 
 
 def _pose(world: World, device: AnySensor) -> tuple[Array, Array]:

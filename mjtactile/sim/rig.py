@@ -25,7 +25,7 @@ from mjtactile.sim.effects.catalog import Chosen, choose, quasistatic_is_valid
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
-from mjtactile.sim.scenes.objects import ObjectModel, load_object
+from mjtactile.sim.scenes.objects import ObjectModel, load_object, with_liquid
 from mjtactile.sim.sensing_error_model import load_errors
 from mjtactile.sim.sensor.effect_switches import Effect, set_design
 from mjtactile.sim.sensor.sensor_types import AnySensor
@@ -98,7 +98,10 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
         fidelity = Fidelity.parse(scenario.accuracy, films=films)
         overrides = fidelity.with_effects(overrides)
     sampled = replace(sampled, object=_with_task(sampled.object, sample_task, grasped, design))
-    grasped = _breaking(grasped.changed(sampled.object), task, sample_task, fingers)
+    grasped = grasped.changed(sampled.object)
+    if sample_task.liquid is not None:
+        grasped = with_liquid(grasped, sample_task.liquid)
+    grasped = _breaking(grasped, task, sample_task, fingers)
     force_error = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
     as_built = tuple(sampled.as_built_sensor(finger.name) for finger in file.fingers)
@@ -139,11 +142,15 @@ def _world(plan: _Plan) -> GraspWorld:
         mesh=fidelity.mesh if fidelity is not None and Effect.SHEET in plan.on else None,
         object_pose=place(plan.object, pose),
         as_built_designs=true,
+        path=plan.sample_task.path,
+        stacked=plan.sample_task.stacked(),
     )
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
-    if plan.sample_task.events:
-        schedule = DisturbanceSchedule(world, plan.sample_task.events, plan.task.goal.lift_height)
+    if plan.sample_task.events or plan.sample_task.path:
+        schedule = DisturbanceSchedule(
+            world, plan.sample_task.events, plan.task.goal.lift_height, plan.sample_task.path
+        )
         world.after_each_step_batch(schedule.step, schedule.due)
     for sensor, own in zip(world.sensors, plan.as_built, strict=True):
         if own.leak or own.warming:

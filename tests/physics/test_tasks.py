@@ -2,6 +2,7 @@
 Coulomb's."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -9,11 +10,19 @@ import numpy as np
 import pytest
 
 from mjtactile import Scenario, build_rig
-from mjtactile.core.task import KINDS, SampledDisturbance, load_task
+from mjtactile.core.errors import InputError
+from mjtactile.core.gripper_path import GripperPath, Segment
+from mjtactile.core.task import SampledDisturbance, load_task
+from mjtactile.core.task_sections import KINDS
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.simulated import SimLift
+from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.task_scoring import TaskScorer
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.initial_state import path_axes
+from mjtactile.sim.scenes.objects import load_object, with_liquid
 
 MESH = (11, 9)  # disturbances do not depend on the mesh: use a cheap one
 MASS = 0.02  # kg of the vial
@@ -109,6 +118,128 @@ def test_friction_that_falls_raises_the_required_grip(effects):
     assert scorer.friction_sum() == pytest.approx(0.4)
 
 
+def test_one_side_that_gets_wet_leaves_the_other_dry():
+    """Only the named contact side has the new coefficient. The object's own coefficient is at most
+    that of the wet side, since MuJoCo uses the larger one of a pair."""
+    world = build_rig(Scenario(object="vial", effects="-mesh")).scene
+    before = world.sensors[0].friction
+    wet = replace(event("friction", 0.0, 0.1, friction=0.2), finger=2)
+    schedule = DisturbanceSchedule(world, [wet], 0.0)
+    schedule.step()
+    world.data.time += 0.2
+    schedule.step()
+    assert [sensor.friction for sensor in world.sensors] == pytest.approx([before, 0.2])
+    surfaces = np.isin(world.model.geom_bodyid, ground_truth.object_bodies(world))
+    assert world.model.geom_friction[surfaces, 0].max() <= 0.2 + 1e-9
+
+
+def test_a_second_object_presses_with_its_weight_and_can_fall():
+    """The table carries both weights; m g of 20 g and 30 g. Pushed aside, the second has fallen."""
+    put = event("stack", 0.0, 0.1, added_mass=0.03, size=0.014)
+    world = GraspWorld("paper16", "vial", mesh=MESH, stacked=put)
+    second = world.second_object
+    assert second is not None and second.load == 0.0
+    world.after_each_step(DisturbanceSchedule(world, [put], 0.0).step)
+    advance(world, 0.5)
+    bodies = ground_truth.object_bodies(world)
+    weight = (MASS + 0.03) * 9.81
+    assert ground_truth.support_force(world, bodies) == pytest.approx(weight, rel=0.01)
+    assert second.load == pytest.approx(0.03) and not second.has_fallen
+    world.data.joint(world.model.body("second object").jntadr[0]).qvel[1] = 0.8
+    advance(world, 0.5)
+    assert second.has_fallen and second.load == 0.0
+
+
+def test_a_liquid_sloshes_with_the_frequency_of_its_container():
+    """The first mode of water 30 mm deep in a cylinder of 11 mm radius: sqrt(1.841 g / R), since
+    tanh(1.841 h / R) is 1. A free oscillation has it, less an error of the time step below 1 %. The
+    table carries the water too: rho pi R^2 h."""
+    grasped = with_liquid(load_object("vial"), 0.6)
+    world = GraspWorld("paper16", grasped, mesh=MESH, timestep=1e-3)
+    liquid = grasped.liquid
+    assert liquid is not None
+    assert liquid.mass == pytest.approx(1000 * math.pi * 0.011**2 * 0.03, rel=1e-6)
+    assert grasped.mass == pytest.approx(MASS + liquid.mass)
+    bodies = ground_truth.object_bodies(world)
+    advance(world, 0.2)
+    weight = grasped.mass * 9.81
+    assert ground_truth.support_force(world, bodies) == pytest.approx(weight, rel=0.01)
+    joint = world.data.joint("object/liquid x")
+    joint.qvel[0] = 0.01
+    seen = []
+    for _ in range(round(1.0 / world.timestep)):
+        world.step()
+        seen.append(float(joint.qpos[0]))
+    crossings = np.flatnonzero(np.diff(np.sign(seen)) > 0)
+    period = float(np.diff(crossings).mean()) * world.timestep
+    expected = math.sqrt(9.81 * 1.841 / 0.011)
+    assert 2 * math.pi / period == pytest.approx(expected, rel=0.015)
+    # scoring takes the position of the container, not of the water
+    assert len(ground_truth.solid_bodies(world)) == len(bodies) - 2
+
+
+@pytest.mark.parametrize("rig", ["sim", "sim_arm", "sim_three_finger"])
+def test_the_gripper_follows_the_path_of_the_task(rig):
+    """The fingertips move by the waypoint in the frame of the first finger's closing direction.
+
+    They stay where they are while the gripper tilts. The reported height does not contain the path.
+    The tolerance is the servos' lag and the arm's deflection.
+    """
+    segment = Segment(0.02, 0.03, 0.01, math.radians(20), 0.2, 2.0, 0.0)
+    path = GripperPath.of([segment])
+    world = GraspWorld("paper16", "vial", rig=rig, mesh=MESH, path=path)
+    world.set_lift_target(0.05)
+    advance(world, 1.2)
+    before = fingertips(world)
+    height = world.lift_height
+    schedule = DisturbanceSchedule(world, [], 0.0, path)
+    world.after_each_step(schedule.step)
+    advance(world, path.end + 0.2)
+    moved = (fingertips(world) - before) @ path_axes(world.start).T
+    np.testing.assert_allclose(moved, [0.02, 0.03, 0.01], atol=1e-3)
+    assert world.lift_height == pytest.approx(height, abs=1e-3)
+    up = world.data.xmat[world.start.gripper].reshape(3, 3) @ [0, 0, 1]
+    tilt = math.acos(float(up[2]))
+    assert math.degrees(tilt) == pytest.approx(20, abs=0.5)
+    assert schedule.due() == math.inf
+
+
+def fingertips(world):
+    return np.mean([world.data.xpos[sensor.body_id] for sensor in world.sensors], axis=0)
+
+
+@pytest.mark.parametrize(
+    ("rig", "text"), [("none", "does not move sideways"), ("arm", "does not reach a waypoint")]
+)
+def test_a_rig_that_cannot_follow_the_path_is_refused(rig, text):
+    file = load_sim_rig("sim_arm" if rig == "arm" else "sim")
+    if rig == "none":
+        file = replace(file, lift=SimLift("none"))
+    path = GripperPath.of([Segment(1.0, None, None, None, 0.2, 0.5, 0.0)])
+    with pytest.raises(InputError) as caught:
+        GraspWorld("paper16", "vial", rig=file, mesh=MESH, path=path)
+    assert text in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_rig_without_a_gantry_refuses_a_task_with_waypoints():
+    with pytest.raises(InputError, match="does not move sideways, and the task 'carry'"):
+        build_rig(Scenario(rig="two_xm430", task="carry"))
+
+
+@pytest.mark.slow(3)
+@pytest.mark.parametrize("task", ["carry", "stack", "slosh"])
+def test_adaptive_holds_a_vial_in_the_tasks_with_motion(task):
+    """The grip is above the required one, and the vial of `carry` stands at the end of the path."""
+    scenario = Scenario(
+        task=task, object="vial", controller="adaptive", effects="-mesh,-pipeline", seed=6
+    )
+    result = run_grasp(scenario)
+    assert result.outcome == "held", result.reason
+    assert 1.0 < result.measures["margin_true"] < 6.0
+    if task == "carry":
+        assert result.measures["place_error_mm_true"] < 5.0
+
+
 def test_every_kind_of_disturbance_acts():
     """Each kind of a task file changes the world; a renamed kind had none once."""
     values = {
@@ -118,11 +249,14 @@ def test_every_kind_of_disturbance_acts():
         "push": {"impulse": 0.02},
         "move_support": {"height": 0.02},
         "pull": {"force": 1.0},
+        "stack": {"added_mass": 0.01, "size": 0.01},
     }
     assert set(values) == set(KINDS)
     for kind, own in values.items():
-        world = GraspWorld("paper16", "vial", mesh=MESH)
-        schedule = DisturbanceSchedule(world, [event(kind, 0.0, 0.4, **own)], 0.0)
+        sampled = event(kind, 0.0, 0.4, **own)
+        stacked = sampled if kind == "stack" else None
+        world = GraspWorld("paper16", "vial", mesh=MESH, stacked=stacked)
+        schedule = DisturbanceSchedule(world, [sampled], 0.0)
         schedule.step()
         before = _inputs(world)
         world.data.time += 0.1
@@ -133,7 +267,9 @@ def test_every_kind_of_disturbance_acts():
 def _inputs(world):
     model, data = world.model, world.data
     parts = (model.body_mass, model.geom_friction, model.opt.gravity, data.xfrc_applied)
-    return np.concatenate([np.ravel(part) for part in (*parts, model.body_pos)])
+    return np.concatenate(
+        [np.ravel(part) for part in (*parts, model.body_pos, model.body_gravcomp)]
+    )
 
 
 def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():

@@ -20,7 +20,7 @@ from mjtactile.core.types.contact_shape import (
     Material,
     RelativeMotion,
 )
-from mjtactile.core.types.control import DEFAULT_GOAL, Observation, TaskGoal
+from mjtactile.core.types.control import Observation, TaskGoal
 from mjtactile.core.types.devices import FINGERS, GripperState, PressureReading, ValveState
 from mjtactile.core.types.touch import (
     SLIP_STATES,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mjtactile.core.signature_checks import validated
 from mjtactile.core.types.command import Command
@@ -21,6 +21,7 @@ class TaskGoal:
             down, m; it may be negative.
         handover: True if a person will take the object out of the gripper.
         push: Maximum force of pushes by a person, from any side, N.
+        acceleration: Maximum acceleration of the gripper during the hold, m/s^2.
     """
 
     lift_height: float = 0.040
@@ -28,9 +29,7 @@ class TaskGoal:
     place_height: float = 0.0
     handover: bool = False
     push: float = 0.0
-
-
-DEFAULT_GOAL = TaskGoal()
+    acceleration: float = 0.0
 
 
 @validated()
@@ -54,4 +53,4 @@ class Observation:
     gripper: GripperState
     valves: tuple[ValveState, ...]
     command: Command
-    goal: TaskGoal = DEFAULT_GOAL
+    goal: TaskGoal = field(default_factory=TaskGoal)

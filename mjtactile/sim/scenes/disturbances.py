@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.gripper_path import GripperPath
 from mjtactile.core.task import SampledDisturbance
 from mjtactile.core.types import Array
+from mjtactile.sim.scenes.initial_state import path_axes
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.gripper_world import GripperWorld
+    from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 _UP = 0.9
 """Fraction of the commanded lift height at which the gripper counts as lifted."""
@@ -41,11 +44,16 @@ class DisturbanceSchedule:
     """
 
     def __init__(
-        self, world: GripperWorld, events: Sequence[SampledDisturbance], lift_height: float
+        self,
+        world: GraspWorld,
+        events: Sequence[SampledDisturbance],
+        lift_height: float,
+        path: GripperPath | None = None,
     ):
         model = world.model
         self._world = world
-        self._events = events
+        self._events = [_in_world(event, path_axes(world.start)) for event in events]
+        self._path = path
         self._up = _UP * lift_height
         self._bodies = moving_bodies(model, PREFIX)
         self._share = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
@@ -61,6 +69,7 @@ class DisturbanceSchedule:
         self._places = _static_bodies(model)
         self._place_height = model.body_pos[self._places, 2].copy()
         self._first_mass = float(self._mass.sum())
+        self._second = world.second_object
         self.up_since = math.nan
         """Time when the lift was completed, s; NaN: not yet lifted."""
         self.is_taken = False
@@ -74,25 +83,35 @@ class DisturbanceSchedule:
                 return
             self.up_since = world.time
         time = world.time - self.up_since
+        self._wet(time)
+        if self._path is not None and time > 0:
+            world.displace(self._path.at(time))
+        done = [min(max((time - one.start) / one.duration, 0.0), 1.0) for one in self._events]
+        started = [pair for pair in zip(self._events, done, strict=True) if pair[1] > 0]
+        self._change(started)
         force = np.zeros(3)
         gravity = self._gravity.copy()
-        self._wet(time)
-        for event in self._events:
-            done = min(max((time - event.start) / event.duration, 0.0), 1.0)
-            is_on = 0.0 < done < 1.0
-            if event.kind == "fill" and done > 0:
-                self._fill(event.values["mass"], done)
-            elif event.kind == "move_support" and done > 0:
-                height = event.values["height"] * done
-                world.model.body_pos[self._places, 2] = self._place_height + height
-            elif event.kind == "shake" and is_on:
-                gravity = _shaken(gravity, event, time - event.start, done)
+        for event, fraction in started:
+            is_on = fraction < 1.0
+            if event.kind == "shake" and is_on:
+                gravity = _shaken(gravity, event, time - event.start, fraction)
             elif event.kind == "push" and is_on:
                 force += np.array(event.direction) * event.values["impulse"] / event.duration
-            elif event.kind == "pull" and done > 0:
-                force += self._pull(event, done)
+            elif event.kind == "pull":
+                force += self._pull(event, fraction)
         world.model.opt.gravity[:] = gravity
         world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
+
+    def _change(self, started: Sequence[tuple[SampledDisturbance, float]]) -> None:
+        """Set masses and positions by the fractions of the events that have passed."""
+        for event, done in started:
+            if event.kind == "fill":
+                self._fill(event.values["mass"], done)
+            elif event.kind == "move_support":
+                height = event.values["height"] * done
+                self._world.model.body_pos[self._places, 2] = self._place_height + height
+            elif event.kind == "stack" and self._second is not None:
+                self._second.put(done)
 
     def due(self) -> float:
         """Return the latest world time of the next call of `step`, s."""
@@ -107,6 +126,8 @@ class DisturbanceSchedule:
             if goes_on:
                 waits = _RAMP_PERIOD if event.kind in _RAMPS else 0.0
                 due = min(due, max(event.start, time + waits))
+        if self._path is not None:
+            due = min(due, max(self._path.next_start(time - world.timestep), time))
         return self.up_since + due
 
     def _risen(self) -> float:
@@ -134,12 +155,15 @@ class DisturbanceSchedule:
             done = min(max((time - event.start) / event.duration, 0.0), 1.0)
             if event.kind == "friction" and done > 0:
                 final = event.values["friction"]
-                frictions = [now + (final - now) * done if now else 0.0 for now in frictions]
+                frictions = [
+                    now + (final - now) * done if now and event.finger in (None, side) else now
+                    for side, now in enumerate(frictions, 1)
+                ]
         if frictions is self._frictions:
             return
         for sensor, friction in zip(self._world.sensors, frictions, strict=True):
             sensor.set_friction(friction)
-        surface = np.minimum(self._surface_friction, max(frictions))
+        surface = np.minimum(self._surface_friction, min(frictions))
         self._world.model.geom_friction[self._surfaces, 0] = surface
 
     def _pull(self, event: SampledDisturbance, done: float) -> Array:
@@ -150,8 +174,7 @@ class DisturbanceSchedule:
         data = self._world.data
         self.is_taken |= not self._is_held()
         if not self.is_taken:
-            way = np.array([event.direction[0], event.direction[1], abs(event.direction[2])])
-            return way * event.values["force"] * done
+            return np.array(event.direction) * event.values["force"] * done
         mass = float(self._world.model.body_mass[self._bodies].sum())
         velocity = self._share @ data.cvel[self._bodies, 3:]
         return -mass * (self._world.model.opt.gravity + velocity / _TAKEN_TIME)
@@ -160,6 +183,12 @@ class DisturbanceSchedule:
         """Return True if as many membranes are in contact as a grip requires."""
         sensors = self._world.sensors
         return sum(sensor.is_touched for sensor in sensors) >= min(_HOLDS, len(sensors))
+
+
+def _in_world(event: SampledDisturbance, axes: Array) -> SampledDisturbance:
+    """Return the disturbance with its direction in W; `axes` are the path's."""
+    x, y, z = (np.array(event.direction) @ axes).tolist()
+    return replace(event, direction=(x, y, z))
 
 
 def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float) -> Array:

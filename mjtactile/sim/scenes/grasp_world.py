@@ -11,11 +11,14 @@ import mujoco
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Reasons
+from mjtactile.core.gripper_path import GripperPath
+from mjtactile.core.task import SampledDisturbance
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, GripperWorld
 from mjtactile.sim.scenes.initial_state import Start
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
+from mjtactile.sim.scenes.second_object import add_second_object, second_object
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 from mjtactile.sim.scenes.world import require_clear
 from mjtactile.sim.sensor.effect_switches import PHYSICS
@@ -43,12 +46,15 @@ class GraspWorld(GripperWorld):
         opening: float | None = None,
         effects: frozenset[str] = PHYSICS,
         as_built_designs: Sequence[SensorDesign] = (),
+        path: GripperPath | None = None,
+        stacked: SampledDisturbance | None = None,
     ):
         """Create the scene.
 
         `object_pose` is x, y (m) and yaw (rad) of the object's file on the table, relative to the
         gripper. `opening` m is the initial jaw opening (default: the rig file's).
-        `as_built_designs` are the designs of the fingers, if they differ from `sensor`.
+        `as_built_designs` are the designs of the fingers, if they differ from `sensor`. `path` is
+        that of the task, `stacked` its second object.
         """
         self.design = load_sensor(sensor)
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
@@ -67,6 +73,8 @@ class GraspWorld(GripperWorld):
                 start.yaw + yaw,
             )
             add_object(spec, self.object, pose, height=rig.table_height)
+            if stacked is not None:
+                add_second_object(spec, self.object, stacked, centre)
 
         super().__init__(
             rig,
@@ -78,6 +86,7 @@ class GraspWorld(GripperWorld):
             grip=self.object.width,
             effects=effects,
             furnish=furnish,
+            path=path,
         )
         flesh = self.object.flesh
         if flesh is None:
@@ -87,6 +96,8 @@ class GraspWorld(GripperWorld):
                 self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson
             )
         """Elements of a soft object for its strain distribution; used for scoring and for flags."""
+        self.second_object = second_object(self.model, self.data)
+        """Second object of the task; None without one."""
         self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)
 

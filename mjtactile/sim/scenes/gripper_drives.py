@@ -1,6 +1,7 @@
 """Drives of a simulated rig: jaws, and lift by an actuator, a mocap body, an arm, or none.
 
-Heights are in m above the start position.
+Heights are in m above the start position. A displacement (4,) is that of a path: x, y, z, m, and
+tilt, rad; the height of the lift does not contain it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from mjtactile.rig.jaw_transmission import LINEAR, JawLaw
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.batched_quasistatic_step import Drive
 from mjtactile.sim.scenes.actuators import PositionActuator
-from mjtactile.sim.scenes.initial_state import ArmPath, Start
+from mjtactile.sim.scenes.gantry import Gantry, has_gantry
+from mjtactile.sim.scenes.initial_state import ArmPath, Start, path_axes, path_rise, path_turn
 
 
 class Lift(Protocol):
@@ -31,6 +33,10 @@ class Lift(Protocol):
 
     def place(self, height: float, data: mujoco.MjData) -> None:
         """Set the lift to this height in `data`, which may differ from the world's state."""
+        ...
+
+    def displace(self, displacement: Array) -> None:
+        """Set the goal of the path; it acts from the next `drive` on."""
         ...
 
 
@@ -60,11 +66,16 @@ class NoLift:
     def place(self, height: float, data: mujoco.MjData) -> None:
         self._height = height
 
+    def displace(self, displacement: Array) -> None:
+        """Do nothing: such a rig is refused for tasks with a path."""
+
 
 class ActuatorLift:
-    """One position actuator; its length at the start counts as height 0."""
+    """One position actuator; its length at the start counts as height 0. A gantry moves its
+    base."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
+        self._gantry = Gantry(model, data) if has_gantry(model) else None
         self._actuator = PositionActuator(model, data, rig.lift.name, str(rig.path))
         self._ratio = rig.lift.ratio
         self._start = self._actuator.length
@@ -83,20 +94,31 @@ class ActuatorLift:
     def place(self, height: float, data: mujoco.MjData) -> None:
         self._actuator.place(self._start + height / self._ratio, data)
 
+    def displace(self, displacement: Array) -> None:
+        if self._gantry is not None:
+            self._gantry.drive(displacement)
+
 
 class GripperHeight:
     """Height of the gripper from forward kinematics of the current joints, as reported by an
-    arm."""
+    arm, less that of the path."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hand: int):
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, start: Start):
         self._model = model
         self._data = data
-        self._gripper = hand
+        self._gripper = start.gripper
+        self._path_start = start
         self._kinematics = mujoco.MjData(model)
         self._start = self._now()
+        self._displacement: Array | None = None
+        self._raised = 0.0
 
     def height(self) -> float:
-        return self._now() - self._start
+        return self._now() - self._start - self._raised
+
+    def displace(self, displacement: Array) -> None:
+        self._displacement = displacement
+        self._raised = path_rise(self._path_start, displacement)
 
     def _now(self) -> float:
         self._kinematics.qpos[:] = self._data.qpos
@@ -109,15 +131,29 @@ class MocapLift(GripperHeight):
     """Mocap body to which the gripper, or its arm, is welded."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start: Start):
-        super().__init__(model, data, start.gripper)
+        super().__init__(model, data, start)
         self._mocap = int(model.body(rig.lift.name).mocapid[0])
-        self._from = float(start.mocap_pos[self._mocap, 2])
+        self._from = start.mocap_pos[self._mocap].copy()
+        self._turned = data.mocap_quat[self._mocap].copy()
 
     def drive(self, height: float) -> None:
         self.place(height, self._data)
+        if self._displacement is not None:
+            self._place_on_path(height, self._displacement)
+
+    def _place_on_path(self, height: float, displacement: Array) -> None:
+        """Move and tilt the mocap body about the center of the fingertips."""
+        start = self._path_start
+        turn = path_turn(start, displacement[3])
+        tips = start.centre + [0.0, 0.0, start.raised]
+        offset = displacement[:3] @ path_axes(start) + [0.0, 0.0, height]
+        rotated = np.zeros(3)
+        mujoco.mju_rotVecQuat(rotated, self._from - tips, turn)
+        self._data.mocap_pos[self._mocap] = tips + rotated + offset
+        mujoco.mju_mulQuat(self._data.mocap_quat[self._mocap], turn, self._turned)
 
     def place(self, height: float, data: mujoco.MjData) -> None:
-        data.mocap_pos[self._mocap, 2] = self._from + height
+        data.mocap_pos[self._mocap, 2] = self._from[2] + height
 
 
 class ArmLift(GripperHeight):
@@ -131,7 +167,7 @@ class ArmLift(GripperHeight):
         start: Start,
         path: ArmPath,
     ):
-        super().__init__(model, data, start.gripper)
+        super().__init__(model, data, start)
         self._path = path
         self._actuators = [
             PositionActuator(model, data, name, str(rig.path)) for name in path.actuators
@@ -140,7 +176,10 @@ class ArmLift(GripperHeight):
         self._qpos = model.jnt_qposadr[joints]
 
     def drive(self, height: float) -> None:
-        for actuator, goal in zip(self._actuators, self._path.at(height), strict=True):
+        goals = self._path.at(height)
+        if self._displacement is not None:
+            goals = self._path.reach(height, self._displacement)
+        for actuator, goal in zip(self._actuators, goals, strict=True):
             actuator.set_goal(float(goal))
 
     def place(self, height: float, data: mujoco.MjData) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.gripper_path import GripperPath
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_available
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.gantry import add_gantry, require_path
 from mjtactile.sim.scenes.gripper_drives import Jaws, make_lift
 from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.inverse_kinematics import solve
@@ -23,6 +25,7 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS, set_servo
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 DEFAULT_TIMESTEP = 4e-3
+_TABLE = 0.2  # half-extent of the table, m
 _CLOSING = 1e-4  # difference of openings for a derivative, m
 
 
@@ -44,13 +47,15 @@ class GripperWorld(World):
         grip: float | None = None,
         effects: frozenset[str] = PHYSICS,
         furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None,
+        path: GripperPath | None = None,
     ):
         """Create the scene.
 
         `designs` are the fingers' sensors, `tip_height` m is the height of the fingertips above the
         table. `opening` m is the initial jaw opening (default: the rig file's), `grip` m the
         opening at contact with the object (default: `opening`). `furnish` adds objects to the
-        table.
+        table. `path` is the task's; the scene then has a gantry, unless an arm or a mocap body
+        moves the gripper. Raises InputError for a rig that cannot follow it.
         """
         self.rig = rig
         self.effects = effects
@@ -78,12 +83,19 @@ class GripperWorld(World):
             return rig.table_height + tip_height
 
         self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap, grip)
+        if path is not None:
+            require_path(rig, self.start, path)
+        if path is not None and rig.lift.kind == "actuator":
+            add_gantry(spec, robot, self.start)
+            robot = spec.compile()
+            self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap, grip)
         self._robot_dofs = _dofs_without(robot, [f"{finger.name}/" for finger in rig.fingers])
         # no other mechanism brings the gripper to its height
         if rig.lift.kind in ("actuator", "none"):
             _raise(spec, robot, int(robot.body_rootid[self.start.gripper]), self.start.raised)
         if rig.table:
-            _add_table(spec, [*self.start.centre[:2], rig.table_height])
+            reach = 0.0 if path is None else path.reach
+            _add_table(spec, [*self.start.centre[:2], rig.table_height], _TABLE + reach)
         furnish(spec, self.start)
         super().__init__(spec, attachments, self._place)
         self._jaws = Jaws(self.model, self.data, rig)
@@ -127,6 +139,10 @@ class GripperWorld(World):
             )
         self._lift_target = float(height)
         self._lift_speed = self.rig.lift.speed if speed is None else speed
+
+    def displace(self, displacement: Array) -> None:
+        """Set the goal of the task's path (4,): x, y, z, m, and tilt, rad, from its start."""
+        self._lift.displace(displacement)
 
     # -- state reported by a real gripper
 
@@ -285,7 +301,7 @@ def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> 
     body.pos = model.body_pos[root] + [0.0, 0.0, by]
 
 
-def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
+def _add_table(spec: mujoco.MjSpec, top: Sequence[float], half: float) -> None:
     """Add a table from a separate model, so that defaults of the user's MJCF do not apply."""
     x, y, z = (float(value) for value in top)
     child = mujoco.MjSpec()
@@ -294,7 +310,7 @@ def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
         name="table",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[x, y, z - 0.01],
-        size=[0.2, 0.2, 0.01],
+        size=[half, half, 0.01],
         # an object that is pushed slides rather than tips
         friction=[0.3, 0.005, 0.0001],
         rgba=[0.75, 0.7, 0.65, 1.0],

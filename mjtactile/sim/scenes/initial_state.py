@@ -30,14 +30,15 @@ class Start:
     """Initial state of the robot, in the model passed to `plan_start`.
 
     `gripper` is the MuJoCo body that carries all fingers. `centre` (3,) m is the fingertips' mean
-    position before the gripper was `raised` by that many m. `yaw` rad is the closing direction of
-    finger 0; `path` is that of an arm.
+    position before the gripper was `raised` by that many m, and `origin` (3,) m that of `gripper`.
+    `yaw` rad is the closing direction of finger 0; `path` is that of an arm.
     """
 
     qpos: Array
     mocap_pos: Array
     gripper: int
     centre: Array
+    origin: Array
     yaw: float
     raised: float
     path: ArmPath | None = None
@@ -54,6 +55,9 @@ class ArmPath:
     heights: Array
     goals: Array
     joints: Array
+    reach: Callable[[float, Array], Array]
+    """Goals (a,) for a height and a displacement; it raises InputError if the arm cannot reach
+    them."""
 
     def at(self, height: float) -> Array:
         """Goals (a,) for a height."""
@@ -154,6 +158,7 @@ def plan_start(
     centre = data.xpos[bodies].mean(axis=0)
     if grip is not None:
         centre = _centre_at(model, data, rig, bodies, grip, centre)
+    origin = data.xpos[gripper].copy()
     yaw = math.atan2(rotations[0, 1, 2], rotations[0, 0, 2])
     raised = height(rotations) - centre[2]
     path = None
@@ -162,8 +167,9 @@ def plan_start(
         wrong = "the gripper does not follow the mocap body to the grasp height"
         _settle(model, data, jaws, rig, "lift.body", wrong)
     elif rig.lift.kind == "arm":
-        path = _plan_path(model, data, rig, gripper, centre, raised, jaws)
-    return Start(data.qpos.copy(), data.mocap_pos.copy(), gripper, centre.copy(), yaw, raised, path)
+        path = _plan_path(model, data, rig, gripper, centre, raised, jaws, yaw)
+    place = data.qpos.copy(), data.mocap_pos.copy()
+    return Start(*place, gripper, centre.copy(), origin, yaw, raised, path)
 
 
 def _centre_at(
@@ -240,6 +246,7 @@ def _plan_path(
     centre: Array,
     raised: float,
     jaws: Sequence[Condition],
+    yaw: float,
 ) -> ArmPath:
     """Move the arm to the start (in `data`), and find its postures over the whole travel."""
     actuators = [
@@ -250,33 +257,79 @@ def _plan_path(
     R_WH = data.xmat[gripper].reshape(3, 3).copy()
     point_H = R_WH.T @ (centre - data.xpos[gripper])
     heights = np.linspace(0.0, rig.lift.travel, max(2, math.ceil(rig.lift.travel / _PATH_STEP) + 1))
-    goals = []
-    joints = []
     moving = mujoco.MjData(model)
     moving.qpos[:] = data.qpos
     moving.mocap_pos[:] = data.mocap_pos
+
+    def reach(target: Array, R_WH: Array) -> tuple[Array, float]:
+        """Return the goals and the remaining error of a posture, which `moving` then has."""
+        pose = gripper_pose_at(model, gripper, point_H, target, R_WH, dofs)
+        rest = solve(model, moving, [*jaws, pose])
+        mujoco.mj_fwdVelocity(model, moving)
+        return np.array([_goal_under_gravity(moving, actuator) for actuator in actuators]), rest
+
+    def refusal(target: Array, rest: float, place: str, field: str) -> InputError:
+        text = (
+            f"the arm does not reach {place}: the fingertips would be at {_mm(target)} mm, and "
+            f"{1e3 * rest:.1f} mm or mrad remain"
+        )
+        return InputError(text, source=rig.path, field=field)
+
+    goals = []
+    joints = []
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
-        rest = solve(
-            model, moving, [*jaws, gripper_pose_at(model, gripper, point_H, target, R_WH, dofs)]
-        )
+        goal, rest = reach(target, R_WH)
         if rest > _TOLERANCE:
-            where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
-            field = "lift.kind" if height == 0 else "lift.travel_mm"
-            raise InputError(
-                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} "
-                f"mm, and {1e3 * rest:.1f} mm or mrad remain",
-                source=rig.path,
-                field=field,
-            )
+            if height == 0:
+                raise refusal(target, rest, "the table", "lift.kind")
+            place = f"{1e3 * height:.0f} mm above its start"
+            raise refusal(target, rest, place, "lift.travel_mm")
         if height == 0:
             data.qpos[:] = moving.qpos
-        mujoco.mj_fwdVelocity(model, moving)
         joints.append(moving.qpos.copy())
-        goals.append([_goal_under_gravity(moving, actuator) for actuator in actuators])
-    return ArmPath(
-        tuple(actuator.name for actuator in actuators), heights, np.array(goals), np.array(joints)
-    )
+        goals.append(goal)
+
+    def displaced(height: float, displacement: Array) -> Array:
+        offset = displacement[:3] @ _axes(yaw) + [0.0, 0.0, raised + height]
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, _turn(yaw, displacement[3]))
+        goal, rest = reach(centre + offset, turn.reshape(3, 3) @ R_WH)
+        if rest > _TOLERANCE:
+            raise refusal(centre + offset, rest, "a waypoint of the task", "lift.kind")
+        return goal
+
+    names = tuple(actuator.name for actuator in actuators)
+    return ArmPath(names, heights, np.array(goals), np.array(joints), displaced)
+
+
+def path_axes(start: Start) -> Array:
+    """Return the axes (3, 3) of a path in W, as rows: closing direction, across it, up."""
+    return _axes(start.yaw)
+
+
+def path_turn(start: Start, tilt: float) -> Array:
+    """Return the quaternion (4,) of a tilt about the closing direction."""
+    return _turn(start.yaw, tilt)
+
+
+def path_rise(start: Start, displacement: Array) -> float:
+    """Return the height that a displacement adds to the gripper's origin, m."""
+    turned = np.zeros(3)
+    arm = start.origin - start.centre
+    mujoco.mju_rotVecQuat(turned, arm, path_turn(start, displacement[3]))
+    return float(displacement[2] + turned[2] - arm[2])
+
+
+def _axes(yaw: float) -> Array:
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _turn(yaw: float, tilt: float) -> Array:
+    turn = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(turn, _axes(yaw)[0], tilt)
+    return turn
 
 
 def arm_actuators(model: mujoco.MjModel, gripper: int, rig: SimRigFile) -> tuple[str, ...]:

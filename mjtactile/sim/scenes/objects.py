@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
 from mjtactile.rig.domain_randomization import UNCHANGED, ObjectChange
+from mjtactile.sim.scenes.liquid import Liquid, add_liquid, liquid_in
 from mjtactile.sim.scenes.mjcf import change, read_mjcf
 from mjtactile.sim.scenes.random_objects import object_text
 
@@ -56,6 +58,7 @@ class ObjectModel:
     `break_force` is N per finger, `grasp_height` m above the table, `turn` rad the maximum random
     rotation about z. `changes` are those of the simulated object relative to its file (`changed`).
     `text` is the MJCF of an object without a file. `width` along x, the closing direction, is in m.
+    `liquid` is in addition to the mass of its file.
     """
 
     name: str
@@ -69,6 +72,7 @@ class ObjectModel:
     changes: ObjectChange = UNCHANGED
     text: str = ""
     width: float | None = None
+    liquid: Liquid | None = None
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """Return this object with `changes` to its size, mass, stiffness and strength."""
@@ -141,9 +145,32 @@ def add_object(
     )
     spec = read_spec(model)
     change(spec, model.changes)
+    if model.liquid is not None:
+        fill(spec, model.liquid)
     scene.attach(spec, frame=frame, prefix=PREFIX)
     if model.flesh is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
+
+
+def with_liquid(model: ObjectModel, level: float) -> ObjectModel:
+    """Return the object with water up to `level` of its height. Raises InputError for a soft
+    object."""
+    if model.flesh is not None:
+        text = "is soft; the task fills it with a liquid, which requires a rigid object"
+        raise InputError(text, source=model.path, field="object")
+    spec = read_spec(model)
+    change(spec, model.changes)
+    compiled, data = _compiled(spec)
+    low, high = _corners(compiled, data, moving_bodies(compiled))
+    liquid = liquid_in(low, high, level)
+    return replace(model, liquid=liquid, mass=model.mass + liquid.mass)
+
+
+def fill(spec: mujoco.MjSpec, liquid: Liquid) -> None:
+    """Add a liquid to the object of a file."""
+    model, data = _compiled(spec)
+    body = model.body("object").id
+    add_liquid(spec.body("object"), data.xpos[body], data.xmat[body].reshape(3, 3), liquid)
 
 
 def read_spec(model: ObjectModel) -> mujoco.MjSpec:
@@ -226,12 +253,8 @@ def _material(spec: mujoco.MjSpec, path: Path) -> str:
 
 def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
     """Compile the object alone; return its mass, kg, and its width along x, m."""
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-    spec.option.solver = mujoco.mjtSolver.mjSOL_CG
     try:
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
+        model, data = _compiled(spec)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"does not compile: {_one_line(error)}", source=path) from error
     moving = moving_bodies(model)
@@ -243,14 +266,32 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
     return float(model.body_mass[moving].sum()), _width(model, data, moving)
 
 
+def _compiled(spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return an object's model alone, and its initial state."""
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.solver = mujoco.mjtSolver.mjSOL_CG
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
 def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]) -> float:
     """Return the extent along x of the contact geometry of these MuJoCo bodies, m."""
+    low, high = _corners(model, data, bodies)
+    return float(high[0] - low[0])
+
+
+def _corners(
+    model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return the lower and upper corner (3,), m, of the contact geometry of these MuJoCo bodies."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & ((model.geom_contype & 1) > 0))
-    along = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 0]
-    middle = data.geom_xpos[geoms, 0] + (along * model.geom_aabb[geoms, :3]).sum(axis=1)
-    half = (np.abs(along) * model.geom_aabb[geoms, 3:]).sum(axis=1)
-    points = np.concatenate([middle - half, middle + half, data.flexvert_xpos[:, 0]])
-    return float(np.ptp(points))
+    axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    middle = data.geom_xpos[geoms] + (axes * model.geom_aabb[geoms, None, :3]).sum(axis=2)
+    half = (np.abs(axes) * model.geom_aabb[geoms, None, 3:]).sum(axis=2)
+    points = np.concatenate([middle - half, middle + half, data.flexvert_xpos])
+    return points.min(axis=0), points.max(axis=0)
 
 
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ import pytest
 import mjtactile
 from mjtactile.core.calibration_parts import CalibrationMetadata, LensCalibration
 from mjtactile.core.errors import InputError
-from mjtactile.core.task import SuccessCriteria
+from mjtactile.core.task_sections import SuccessCriteria
 
 LENS = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
 

@@ -9,13 +9,12 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.config_fields import entries
 from mjtactile.core.errors import InputError
-from mjtactile.core.task import (
+from mjtactile.core.task import Task, load_task
+from mjtactile.core.task_sections import (
     Disturbance,
     GoalSettings,
     ObjectRandomization,
     SuccessCriteria,
-    Task,
-    load_task,
 )
 from mjtactile.core.types import TaskGoal
 
@@ -94,6 +93,26 @@ def test_the_need_is_coulombs_at_the_worst_moment():
     assert sampled.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
 
 
+def test_the_need_contains_the_second_object_and_the_path():
+    sampled = load_task("stack").sample(5, 2)
+    added = sampled.events[0].values["added_mass"]
+    assert sampled.need(0.04, 0.5, 2) == pytest.approx((0.04 + added) * 9.81)
+    carried = load_task("carry").sample(5, 2)
+    load = carried.path.max_load(9.81)
+    assert load > 10 and carried.need(0.04, 0.5, 2) == pytest.approx(0.04 * load)
+
+
+def test_a_direction_of_the_file_is_that_of_every_seed(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[[disturbance]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
+        "direction = [0, 0.6, -0.8]\n"
+    )
+    task = load_task(path)
+    for seed in (1, 2):
+        assert task.sample(seed, 2).events[0].direction == pytest.approx((0, 0.6, -0.8))
+
+
 def test_the_need_is_that_of_the_lowest_friction():
     sampled = load_task("wet").sample(5, 2)
     assert sampled.need(0.04, 0.8, 2) == pytest.approx(0.04 * 9.81 / (2 * 0.35))
@@ -129,6 +148,33 @@ def test_when_somebody_pulls_with_three_tenths_of_a_newton():
         (
             '[[disturbance]]\nkind = "friction"\nstart_s = [0, 1]\nduration_s = [1, 1]',
             ["final_friction", "is missing"],
+        ),
+        (
+            '[[disturbance]]\nkind = "push"\nstart_s = [0, 1]\nduration_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
+            "direction = [0, 0, 0]",
+            ["disturbance[0].direction", "[0, 0, 0] is not a direction"],
+        ),
+        (
+            '[[disturbance]]\nkind = "fill"\nstart_s = [0, 1]\nduration_s = [1, 1]\nfinal_mass_g = [5, 9]\n'
+            "direction = [0, 0, 1]",
+            ["disturbance[0].direction", "unknown field"],
+        ),
+        (
+            '[[disturbance]]\nkind = "stack"\nstart_s = [0, 1]\nduration_s = [1, 1]\nobject_size_mm = [9, 9]',
+            ["object_mass_g", "is missing"],
+        ),
+        ("[[waypoint]]\nspeed_mm_s = [5, 5]", ["waypoint[0].x_mm", "no motion"]),
+        ("[[waypoint]]\nx_mm = [5, 5]\nroll_deg = [5, 5]", ["waypoint[0].roll_deg", "unknown"]),
+        (
+            "[goal]\nhold_time_s = 1\n[[waypoint]]\nx_mm = [200, 200]",
+            ["goal.hold_time_s", "1 s is less than the duration of the path, up to 2.0 s"],
+        ),
+        ("[success]\nplace_within_mm = 5", ["success.place_within_mm", "requires a waypoint"]),
+        ("[success]\nstacked = true", ["success.stacked", "requires a disturbance of kind stack"]),
+        (
+            '[object]\nliquid_fill_percent = [30, 50]\n[[disturbance]]\nkind = "fill"\nstart_s = [0, 1]\n'
+            "duration_s = [1, 1]\nfinal_mass_g = [5, 9]",
+            ["object.liquid_fill_percent", "not possible with a disturbance of kind fill"],
         ),
         ("[object]\nmass_g = [50, 20]", ["object.mass_g", "lower limit above its upper limit"]),
     ],

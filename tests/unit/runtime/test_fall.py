@@ -6,7 +6,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from mjtactile.core.task import SuccessCriteria, Task
+from mjtactile.core.task import Task
+from mjtactile.core.task_sections import SuccessCriteria
 from mjtactile.runtime.grasp_scoring import GraspScore
 
 
