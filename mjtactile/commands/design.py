@@ -6,10 +6,11 @@ The prediction needs no built sensor. The search returns files that meet require
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
-from mjtactile import SensorDesign, load_sensor
+from mjtactile import Camera, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, save_plot, stdout_to_stderr
 from mjtactile.recording.files import write_json
@@ -28,23 +29,28 @@ EPILOG = """\
 examples:
   mjtactile design --sensor dense                      performance of this file
   mjtactile design --sensor my_sensor.toml --force-N 0.2 --out runs/mine
-  mjtactile design --detect-force-mN 10 --edge-mm 0.15 --range-N 3 --out runs/wanted
-      find designs that detect 10 mN and locate an edge to 0.15 mm
-  mjtactile design --sensor paper16 --detect-force-mN 10 --frame-mm 24,20 --camera-px 320,240
-  mjtactile design --detect-force-mN 10 --check 3 --out runs/wanted    also simulate the best three
+  mjtactile design --detect-force-mN 20 --edge-mm 0.15 --range-N 3 --out runs/wanted
+      find designs that detect 20 mN and locate an edge to 0.15 mm
+  mjtactile design --sensor paper16 --edge-mm 0.2 --frame-mm 24,20 --camera-px 320,240
+  mjtactile design --edge-mm 0.2 --fov-deg 60 --focus-mm 30 --camera-px 640,480
+      for a camera that exists: its lens and focus stay, and the markers follow
+  mjtactile design --edge-mm 0.15 --check 3 --out runs/wanted    also simulate the best three
 
 An sd is the standard deviation that the pipeline would report; it covers 68 % of contacts.
-"touch_by_noise" is the limit of the pixel noise alone. The pipeline reports no contact below
-20 mN, because weather and a warming camera have effects of this size. The edge has a radius of
-2.5 mm, spans the membrane and presses with --force-N, as does a ball of 4 mm. "-": the
-quasi-static membrane has no solution for this force.
+"by noise" is the limit of the pixel noise alone. The pipeline reports no contact below 20 mN,
+because weather and a warming camera have effects of this size; --detect-force-mN includes this
+limit. All proposals pass the checks of `mjtactile fabricate` with its default options. The edge
+has a radius of 2.5 mm, spans the membrane and presses with --force-N, as does a ball of 4 mm. "-":
+the quasi-static membrane has no solution for this force.
 
 JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
 "force_noise_mN", "position_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_max_N"}, "picture":
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
 [{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
 "initial", "candidates": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}],
-"best": [{"file", ...}], "checked": [...]}. More: `mjtactile docs how-to/design`."""
+"best": [{"file", ...}], "requirement_table": [{"requirement", "required", "limit", "met", "of"}],
+"checked": [{..., "range": {"claimed", "confirmed", "is_confirmed", ...}}]}.
+More: `mjtactile docs how-to/design`."""
 _REQUIREMENTS = ("detect_force_mN", "range_N", "edge_mm", "radius_mm")
 
 ARGUMENTS = (
@@ -60,7 +66,7 @@ ARGUMENTS = (
         (
             arg.option(
                 "--detect-force-mN F",
-                "maximum force threshold of a contact, limited by pixel noise",
+                "maximum detection threshold of a contact; the pipeline's own limit is 20 mN",
                 type=arg.number(0.1, 1e4),
             ),
             arg.option("--range-N F", "largest force", type=arg.number(0.01, 1e3)),
@@ -72,11 +78,31 @@ ARGUMENTS = (
                 "smallest ball whose radius is estimated to 25 %%",
                 type=arg.number(0.5, 50),
             ),
+        ),
+    ),
+    arg.Group(
+        "given hardware (each is held)",
+        (
             arg.option("--frame-mm X,Y", "frame opening (default: the sensor's)", type=arg.pair),
             arg.option(
                 "--camera-px W,H",
                 "image size (default: the sensor's); the field of view stays the same",
                 type=arg.pair,
+            ),
+            arg.option(
+                "--fov-deg A",
+                "horizontal field of view of the lens, without distortion (default: sampled)",
+                type=arg.number(5, 150),
+            ),
+            arg.option(
+                "--lens FILE",
+                "camera file with the lens and image size, as of `mjtactile calibrate camera`",
+                type=Path,
+            ),
+            arg.option(
+                "--focus-mm Z",
+                "distance from the lens to its sharp plane, where the flat membrane is placed",
+                type=arg.number(2, 2000),
             ),
         ),
     ),
@@ -118,6 +144,7 @@ def run(options: argparse.Namespace) -> int:
                     design,
                     options.force_N,
                     requirements,
+                    given=_given(options),
                     count=options.count,
                     seed=options.seed,
                     check=options.check,
@@ -141,18 +168,35 @@ def run(options: argparse.Namespace) -> int:
 
 def _base_sensor(options: argparse.Namespace) -> SensorDesign:
     """Return the sensor with the requested frame and camera."""
-    from mjtactile.design_study import sensor_file_edit
+    from mjtactile.design_study import given_hardware, sensor_file_edit
 
     design = load_sensor(options.sensor)
-    if options.frame_mm is not None or any(
-        getattr(options, name) is not None for name in _REQUIREMENTS
-    ):
+    is_search = any(getattr(options, name) is not None for name in _REQUIREMENTS)
+    if options.frame_mm is not None or is_search:
         design.require_rectangle("the design search")
     if options.frame_mm is not None:
         design = sensor_file_edit.with_frame(design, *(1e-3 * side for side in options.frame_mm))
     if options.camera_px is not None:
         design = sensor_file_edit.with_picture(design, *(round(side) for side in options.camera_px))
-    return sensor_file_edit.rebuilt(design)
+    if options.lens is not None:
+        for name in ("fov_deg", "camera_px"):
+            if getattr(options, name) is not None:
+                message = "has the field of view and the image size: use one of the two options"
+                raise InputError(message, field=f"--lens, --{name.replace('_', '-')}")
+        design = given_hardware.with_camera_file(design, Camera.from_file(options.lens))
+    if options.fov_deg is not None:
+        design = given_hardware.with_field_of_view(design, math.radians(options.fov_deg))
+    if options.focus_mm is not None:
+        design = given_hardware.with_focus(design, 1e-3 * options.focus_mm)
+    # a search places the markers in the view of a given camera
+    return design if is_search else sensor_file_edit.rebuilt(design)
+
+
+def _given(options: argparse.Namespace) -> Any:
+    from mjtactile.design_study.given_hardware import GivenHardware
+
+    lens = options.lens is not None or options.fov_deg is not None
+    return GivenHardware(lens=lens, focus=options.focus_mm is not None)
 
 
 def _requirements(options: argparse.Namespace) -> Any:
@@ -205,37 +249,57 @@ def _print_file(result: dict[str, Any]) -> None:
 
 
 def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
-    from mjtactile.design_study import plots
 
-    rows = [{"file": result["sensor"], "meets": not result["initial"]["missed"]}]
-    rows[0] |= result["initial"]
-    meeting = sum(one["meets"] for one in result["candidates"])
-    count = len(result["candidates"])
+    _print_requirement_table(result)
+    print(f"Predicted for contacts of {result['force_N']:g} N:")
     print(
-        f"{meeting} of {count} designs meet the requirements. Predicted for contacts of "
-        f"{result['force_N']:g} N:"
+        "file          markers  radius mm  fx px  camera mm  depth mm  thick mm  stretch    kPa  "
+        "touch mN  by noise  force mN   edge mm   range N  missed"
     )
-    print(
-        "file          markers  radius mm  fx px  thick mm  stretch    kPa   touch mN  force "
-        "mN  edge mm  range N  missed"
-    )
-    for one in rows + result["best"]:
-        reached = one["reaches"]
-        made = (
-            " " * 51
-            if "rows" not in one
-            else f"{one['columns']:3d} x {one['rows']:2d} {one['marker_radius_mm']:10.2f} "
-            f"{one['fx_px']:6.0f} {one['thickness_mm']:9.2f} {one['pre_stretch']:8.2f} "
-            f"{one['supply_pressure_kPa']:6.2f}"
-        )
-        values = (
-            f"{plots.number(reached[key]):>9s}"
-            for key in ("touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
-        )
-        print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
+    initial = result["initial"]
+    if initial["reaches"] is None:
+        print(f"{result['sensor']:13s} cannot be used with this hardware: {initial['why_not']}")
+    else:
+        _print_design({"file": result["sensor"]} | initial)
+    for one in result["best"]:
+        _print_design(one)
     _print_checked(result["checked"])
     if out is not None:
         print(f"design.json, front.png and the sensor files were written to {out}")
+
+
+def _print_requirement_table(result: dict[str, Any]) -> None:
+    """Print the requirements, the limits of the pipeline, and the designs that meet them."""
+    from mjtactile.design_study import plots
+
+    count = len(result["candidates"])
+    meeting = sum(one["meets"] for one in result["candidates"])
+    refused = result["refused_by_fabricate"]
+    for row in result["requirement_table"]:
+        limit = "" if row["limit"] is None else f", limit of the pipeline {row['limit']:g}"
+        noise = f" ({row['met_by_noise']} by pixel noise alone)" if "met_by_noise" in row else ""
+        print(
+            f"{row['requirement']:16s} {plots.number(row['required']):>6s}{limit}: met by "
+            f"{row['met']} of {row['of']} designs{noise}"
+        )
+    more = f"; {refused} more cannot be fabricated" if refused else ""
+    print(f"{meeting} of {count} designs meet all requirements{more}.")
+
+
+def _print_design(one: dict[str, Any]) -> None:
+    from mjtactile.design_study import plots
+
+    made = " " * 72
+    if "rows" in one:
+        made = (
+            f"{one['columns']:3d} x {one['rows']:2d} {one['marker_radius_mm']:10.2f} "
+            f"{one['fx_px']:6.0f} {one['camera_distance_mm']:10.1f} {one['chamber_depth_mm']:9.1f} "
+            f"{one['thickness_mm']:9.2f} "
+            f"{one['pre_stretch']:8.3f} {one['supply_pressure_kPa']:6.2f}"
+        )
+    keys = ("touch_mN", "touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
+    values = (f"{plots.number(one['reaches'][key]):>9s}" for key in keys)
+    print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
 
 
 def _print_checked(checked: list[dict[str, Any]]) -> None:
@@ -248,4 +312,13 @@ def _print_checked(checked: list[dict[str, Any]]) -> None:
         print(
             f"full simulation of {one['sensor']}: {one['presses']} contacts, force error "
             f"{error} mN rms, {times} times the predicted sd; position {placed} times"
+        )
+        reach = one["range"]
+        if reach is None:
+            continue
+        claimed, confirmed = (number(reach[key]) for key in ("claimed", "confirmed"))
+        verdict = "confirmed" if reach["is_confirmed"] else f"NOT confirmed beyond {confirmed} N"
+        print(
+            f"  predicted range {claimed} N: {verdict} (force error within 10 % in indentations "
+            f"to {number(max(reach['forces'], default=None))} N)"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,13 +13,16 @@ from scipy.stats import qmc
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
+from mjtactile.design_study.buildability import check_camera, check_parts
+from mjtactile.design_study.given_hardware import ALL_FREE, GivenHardware, with_distance
 from mjtactile.design_study.score import Score, score
 from mjtactile.design_study.sensor_file_edit import rebuilt, scaled_lens, with_markers
 from mjtactile.design_study.virtual_bench import VirtualBench
 
+_PITCHES = ("pitch_x", "pitch_y")
 # Sampled parameters with their ranges: markers per millimetre along the longer side, their radius
-# over their pitch, the lens as a fraction of the longest, factors on the file's thickness and
-# pressure (uniform in their logarithm), and the pre-stretch.
+# over their pitch, the lens as a fraction of the longest (`made_of`), factors on the file's
+# thickness and pressure (uniform in their logarithm), and the pre-stretch.
 _RANGES = np.array(
     [
         (0.1, 0.5),
@@ -43,7 +47,7 @@ class Requirements:
     """Requirements for a design; None: no requirement.
 
     Attributes:
-        touch: Smallest detectable force with pixel noise alone, N.
+        touch: Smallest force that the sensing pipeline detects, N.
         maximum: Largest force, N.
         edge: Standard deviation of an edge's position, m.
         radius: Smallest ball with a measurable radius, m.
@@ -58,7 +62,7 @@ class Requirements:
         """Return the names of the requirements that a sensor does not meet."""
         missed = []
         for wanted, have, words in (
-            (self.touch, reached.seen, "touch"),
+            (self.touch, reached.touch, "touch"),
             (self.edge, reached.edge_sd, "edge"),
             (self.radius, reached.radius, "radius"),
         ):
@@ -88,6 +92,7 @@ def sweep(
     force: float,
     requirements: Requirements,
     *,
+    given: GivenHardware = ALL_FREE,
     count: int = 48,
     seed: int = 0,
     say: Say = lambda _: None,
@@ -98,6 +103,7 @@ def sweep(
         design: Initial design, which defines frame, camera, chamber and glass.
         force: Indenting force, N.
         requirements: Requirements.
+        given: Parts of the camera that stay as they are.
         count: Number of designs.
         seed: Seed of the samples, which fill their ranges evenly (Sobol).
         say: Called with progress messages.
@@ -111,20 +117,26 @@ def sweep(
     # as scipy 1.14 calls it; newer ones take it, too
     drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
     candidates: list[DesignCandidate] = []
+    refused: Counter[str] = Counter()
     for _ in range(_TRIES * count):
         if len(candidates) == count:
             break
         unit = drawn.random(1)[0]
-        one = _evaluate_candidate(
-            design, _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1), force, requirements
-        )
-        if one is not None:
-            candidates.append(one)
-            if len(candidates) % 8 == 0:
-                say(f"{len(candidates)} of {count} designs")
+        numbers = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
+        try:
+            candidates.append(_evaluate_candidate(design, numbers, force, requirements, given))
+        except (InputError, MjtactileError) as error:  # infeasible to build or to use for sensing
+            refused[str(getattr(error, "field", None) or error)] += 1
+            continue
+        if len(candidates) % 8 == 0:
+            say(f"{len(candidates)} of {count} designs")
+    if refused:
+        causes = ", ".join(f"{name} ({many})" for name, many in refused.most_common(3))
+        say(f"{refused.total()} samples were refused: {causes}")
     if not candidates:
         raise InputError(
-            f"none of {_TRIES * count} sampled designs could be built and used for sensing",
+            f"none of {_TRIES * count} sampled designs could be built and used for sensing; most "
+            f"often refused: {', '.join(name for name, _ in refused.most_common(3))}",
             source=design.name,
             field="--sensor",
         )
@@ -132,64 +144,100 @@ def sweep(
 
 
 def _evaluate_candidate(
-    design: SensorDesign, numbers: Array, force: float, requirements: Requirements
-) -> DesignCandidate | None:
-    try:
-        made = rebuilt(made_of(design, numbers))
-        if made.markers.count > _MAX_MARKERS or radius_px(made) < _FEWEST_PX:
-            return None
-        reached = score(made, force, stand=VirtualBench(made))
-    except (InputError, MjtactileError):  # infeasible to build or to use for sensing
-        return None
+    design: SensorDesign,
+    numbers: Array,
+    force: float,
+    requirements: Requirements,
+    given: GivenHardware,
+) -> DesignCandidate:
+    """Predict one design. Raises InputError or MjtactileError if it is infeasible."""
+    made = rebuilt(made_of(design, numbers, given))
+    if made.markers.count > _MAX_MARKERS or radius_px(made) < _FEWEST_PX:
+        raise InputError("too many or too small", source=made.name, field="markers")
+    check_parts(made)
+    stand = VirtualBench(made)
+    check_camera(stand)
+    reached = score(made, force, stand=stand)
     if not math.isfinite(reached.force_sd):
-        return None
+        raise InputError("is not carried or not estimated", source=made.name, field="--force-N")
     return DesignCandidate(made, reached, tuple(requirements.missed(reached)))
 
 
-def made_of(design: SensorDesign, numbers: Array) -> SensorDesign:
-    """Return the design for sampled parameters.
+def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FREE) -> SensorDesign:
+    """Return the design for sampled parameters, rounded to what can be made.
+
+    The third parameter is the part of the image that the markers cover. It determines the lens. A
+    given lens stays, and the camera's distance follows. Lens and focus given: the markers' extent
+    follows.
 
     Args:
         design: Initial design.
         numbers: Parameters (6,) in the order of `_RANGES`.
+        given: Parts of the camera that stay as they are.
 
     Returns:
         The design, without a check that it can be built.
     """
-    density, share, lens, thicker, higher, stretch = numbers.tolist()
+    density, share, covered, thicker, higher, stretch = numbers.tolist()
     frame = design.frame
     membrane = design.membrane
     chamber = design.chamber
-    sides = np.array([frame.length, frame.width])
-    columns, rows = (max(3, round(1e3 * density * side)) for side in sides)
     # the outermost circle edges keep _EDGE from the frame: extent + 2 share pitch = side - 2 edge
+    spans = np.array([frame.length, frame.width]) - 2 * _EDGE
+    if given.lens and given.focus:
+        spans = np.minimum(spans, 2 * covered * _seen(design))
+    columns, rows = (max(3, round(1e3 * density * (span + 2 * _EDGE))) for span in spans)
     extent = tuple(
-        (side - 2 * _EDGE) * (many - 1) / (many - 1 + 2 * share)
-        for side, many in zip(sides, (columns, rows), strict=True)
+        span * (many - 1) / (many - 1 + 2 * share)
+        for span, many in zip(spans, (columns, rows), strict=True)
     )
     membrane = replace(
-        membrane, thickness=math.exp(thicker) * membrane.thickness, pre_stretch=stretch
+        membrane,
+        thickness=_rounded(math.exp(thicker) * membrane.thickness, 1e-5),
+        pre_stretch=_rounded(stretch, 5e-3),
     )
-    chamber = replace(chamber, supply_gauge=math.exp(higher) * chamber.supply_gauge)
+    supply = _rounded(math.exp(higher) * chamber.supply_gauge, 10.0)
+    chamber = replace(chamber, supply_gauge=supply)
     made = with_markers(
         replace(design, membrane=membrane, chamber=chamber), rows, columns, extent, share
     )
-    return scaled_lens(made, lens * longest_lens(made))
+    markers = made.markers
+    pitches = {name: _rounded(getattr(markers, name), 1e-5, down=True) for name in _PITCHES}
+    markers = replace(markers, radius=_rounded(markers.radius, 1e-5, down=True), **pitches)
+    made = replace(made, markers=markers)
+    if given.lens and given.focus:
+        return made
+    longest = longest_lens(made)
+    if given.lens:
+        depth = made.camera.distance - made.apparent_glass_thickness
+        distance = depth / (covered * longest) + made.apparent_glass_thickness
+        return with_distance(made, _rounded(distance, 1e-4), "camera.distance_mm")
+    factor = _rounded(covered * longest * made.camera.fx, 1.0, down=True) / made.camera.fx
+    return scaled_lens(made, factor)
 
 
 def longest_lens(design: SensorDesign) -> float:
-    """Return the pinhole model's maximum lens factor, with all flat markers in the image."""
+    """Return the maximum lens factor, with all flat markers in the image."""
     markers = design.markers
-    camera = design.camera
     reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
+    return float((_seen(design) / reach).min())
+
+
+def _seen(design: SensorDesign) -> Array:
+    """Return the half sizes (2,), m, of the flat membrane's part in the image, centered on the
+    axis."""
+    camera = design.camera
     depth = camera.distance - design.apparent_glass_thickness
-    room = np.array(
-        [
-            min(camera.cx, camera.width - 1 - camera.cx) / camera.fx,
-            min(camera.cy, camera.height - 1 - camera.cy) / camera.fy,
-        ]
-    )
-    return float((room * depth / reach).min())
+    middle = np.array([camera.width, camera.height]) / 2
+    principal = np.array([camera.cx, camera.cy]) + 0.5
+    centered = 1 - np.abs(principal - middle) / middle
+    return camera.half_view * centered * depth
+
+
+def _rounded(value: float, step: float, *, down: bool = False) -> float:
+    """Round a value to a multiple of a step."""
+    count = value / step
+    return round(step * (math.floor(count) if down else round(count)), 10)
 
 
 def radius_px(design: SensorDesign) -> float:
@@ -223,19 +271,47 @@ def with_front(candidates: Sequence[DesignCandidate]) -> list[DesignCandidate]:
     return marked
 
 
-def best(candidates: Sequence[DesignCandidate], count: int) -> list[DesignCandidate]:
+def best(
+    candidates: Sequence[DesignCandidate],
+    count: int,
+    check: Callable[[SensorDesign], None] = lambda _: None,
+    say: Say = lambda _: None,
+) -> tuple[list[DesignCandidate], list[DesignCandidate]]:
     """Select designs of the front, from the best force to the best edge.
+
+    A selected design that a check refuses is removed, and the selection is repeated.
 
     Args:
         candidates: Result of `sweep`.
         count: Maximum number of designs.
+        check: Check of a design; it raises InputError.
+        say: Called with progress messages.
 
     Returns:
-        Designs, the best force first.
+        Selected designs, the best force first; and the remaining candidates, with the front marked.
     """
-    front = sorted((one for one in candidates if one.on_front), key=lambda one: one.score.force_sd)
-    picked = np.unique(np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int))
-    return [front[number] for number in picked]
+    left = list(candidates)
+    passed: set[int] = set()
+    while left:
+        left = with_front(left)
+        front = sorted((c for c in left if c.on_front), key=lambda c: c.score.force_sd)
+        picks = np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int)
+        picked = [front[number] for number in np.unique(picks)]
+        refused = None
+        for one in picked:
+            if id(one.design) in passed:
+                continue
+            try:
+                check(one.design)
+            except (InputError, MjtactileError) as error:
+                say(f"a design is refused: {error}")
+                refused = one.design
+                break
+            passed.add(id(one.design))
+        if refused is None:
+            return picked, left
+        left = [c for c in left if c.design is not refused]
+    return [], []
 
 
 def _last(value: float) -> float:

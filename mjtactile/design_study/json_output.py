@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.design_study import predict_file, sensor_file_edit
+from mjtactile.design_study.buildability import check_by_simulation
 from mjtactile.design_study.design_sweep import DesignCandidate, Requirements, best, sweep
-from mjtactile.design_study.prediction_check import check, verdict
-from mjtactile.design_study.score import score
+from mjtactile.design_study.given_hardware import ALL_FREE, GivenHardware
+from mjtactile.design_study.plots import number
+from mjtactile.design_study.prediction_check import check, check_range, verdict
+from mjtactile.design_study.score import MIN_TOUCH, largest_force, score
+from mjtactile.design_study.virtual_bench import VirtualBench
 
 _WRITTEN = 3
 
@@ -32,6 +38,7 @@ def from_requirements(
     force: float,
     requirements: Requirements,
     *,
+    given: GivenHardware = ALL_FREE,
     count: int,
     check: int = 0,
     seed: int = 0,
@@ -43,6 +50,7 @@ def from_requirements(
         design: Initial design.
         force: Indenting force, N.
         requirements: Requirements.
+        given: Parts of the camera that stay as they are.
         count: Number of sampled designs.
         check: Number of the best designs that are checked in full simulation.
         seed: Seed of samples and indentations.
@@ -52,9 +60,10 @@ def from_requirements(
         The JSON's object, and the best sensors' files by name.
     """
     say(f"what {design.name} reaches")
-    initial = score(design, force)
-    candidates = sweep(design, force, requirements, count=count, seed=seed, say=say)
-    picked = best(candidates, max(_WRITTEN, check))
+    initial = _initial(design, force, requirements)
+    sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, say=say)
+    say("checking the best designs as `mjtactile fabricate` does")
+    picked, candidates = best(sampled, max(_WRITTEN, check), check_by_simulation, say)
     named = {f"best_{number}": one for number, one in enumerate(picked, 1)}
     texts = {f"{name}.toml": _text(name, one, force) for name, one in named.items()}
     result = {
@@ -66,7 +75,9 @@ def from_requirements(
             "edge_mm": None if requirements.edge is None else 1e3 * requirements.edge,
             "radius_mm": None if requirements.radius is None else 1e3 * requirements.radius,
         },
-        "initial": {"reaches": initial.table(), "missed": requirements.missed(initial)},
+        "requirement_table": requirement_rows(requirements, candidates),
+        "refused_by_fabricate": len(sampled) - len(candidates),
+        "initial": initial,
         "candidates": [_row(one) for one in candidates],
         "best": [{"file": f"{name}.toml"} | _row(one) for name, one in named.items()],
         "checked": [
@@ -75,6 +86,46 @@ def from_requirements(
         ],
     }
     return result, texts
+
+
+def _initial(design: SensorDesign, force: float, requirements: Requirements) -> dict[str, Any]:
+    """Return the performance of the initial file, and the reason if it cannot be used."""
+    try:
+        reached = score(sensor_file_edit.rebuilt(design), force)
+    except (InputError, MjtactileError) as error:
+        return {"reaches": None, "missed": None, "why_not": str(error)}
+    return {"reaches": reached.table(), "missed": requirements.missed(reached), "why_not": ""}
+
+
+def requirement_rows(
+    requirements: Requirements, candidates: Sequence[DesignCandidate]
+) -> list[dict[str, Any]]:
+    """Return each requirement with the limit of the sensing pipeline and the designs that meet it.
+
+    Args:
+        requirements: Requirements.
+        candidates: Sampled designs.
+
+    Returns:
+        Rows: requirement, required value, limit (null: none), number of designs that meet it; for
+        the detection threshold also those that would by pixel noise alone.
+    """
+    rows = []
+    for name, key, value, scale, limit in (
+        ("touch", "detect_force_mN", requirements.touch, 1e3, 1e3 * MIN_TOUCH),
+        ("range", "range_N", requirements.maximum, 1.0, None),
+        ("edge", "edge_mm", requirements.edge, 1e3, None),
+        ("radius", "radius_mm", requirements.radius, 1e3, None),
+    ):
+        if value is None:
+            continue
+        row: dict[str, Any] = {"requirement": key, "required": scale * value, "limit": limit}
+        row["met"] = sum(name not in one.missed for one in candidates)
+        row["of"] = len(candidates)
+        if name == "touch":
+            row["met_by_noise"] = sum(one.score.seen <= value for one in candidates)
+        rows.append(row)
+    return rows
 
 
 def _row(one: DesignCandidate) -> dict[str, Any]:
@@ -88,6 +139,8 @@ def _row(one: DesignCandidate) -> dict[str, Any]:
         "columns": design.markers.columns,
         "marker_radius_mm": 1e3 * design.markers.radius,
         "fx_px": design.camera.fx,
+        "camera_distance_mm": 1e3 * design.camera.distance,
+        "chamber_depth_mm": 1e3 * design.chamber.depth,
         "thickness_mm": 1e3 * design.membrane.thickness,
         "pre_stretch": design.membrane.pre_stretch,
         "supply_pressure_kPa": 1e-3 * design.chamber.supply_gauge,
@@ -98,10 +151,9 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
     reached = one.score.table()
     head = (
         f"Written by `mjtactile design`. Predicted at {force:g} N: force sd "
-        f"{reached['force_sd_mN']:.1f} mN,\n"
-        f"edge position sd {reached['edge_sd_mm']:.3f} mm; touch threshold from noise "
-        f"{reached['touch_by_noise_mN']:.1f} mN, largest force {reached['force_max_N']:.1f} "
-        "N."
+        f"{number(reached['force_sd_mN'])} mN,\n"
+        f"edge position sd {number(reached['edge_sd_mm'])} mm; detection threshold "
+        f"{number(reached['touch_mN'])} mN, largest force {number(reached['force_max_N'])} N."
     )
     return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
 
@@ -109,6 +161,8 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
 def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:
     """Compare the predicted sd with the scatter of indentations in full simulation."""
     say(f"indenting {design.name} in full simulation")
+    claimed = largest_force(VirtualBench(design))
+    reach = check_range(design, claimed, seed=seed) if math.isfinite(claimed) else None
     presses = check(design, places=places, seed=seed, say=say)
     found = {} if not presses else asdict(verdict(presses))
     return {
@@ -118,4 +172,5 @@ def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str
         "place_ratio": found.get("place_ratio"),
         "force_error_rms_mN": 1e3 * found["force_rms"] if found else None,
         "place_error_rms_mm": 1e3 * found["place_rms"] if found else None,
+        "range": None if reach is None else asdict(reach) | {"is_confirmed": reach.is_confirmed},
     }

@@ -16,8 +16,8 @@ MAPS = (
     ("edge_sd_mm", "sd of an edge position", "mm"),
 )
 WORDS = {
-    "touch_mN": ("smallest touch that the pipeline detects", "mN"),
-    "touch_by_noise_mN": ("smallest touch that the pixel noise allows", "mN"),
+    "touch_mN": ("detection threshold of the pipeline", "mN"),
+    "touch_by_noise_mN": ("detection threshold by pixel noise alone", "mN"),
     "force_sd_mN": ("sd of the force, all error sources included", "mN"),
     "force_noise_mN": ("sd of the force from image to image", "mN"),
     "position_sd_mm": ("sd of the force position", "mm"),
@@ -28,8 +28,13 @@ WORDS = {
 
 
 def number(value: float | None) -> str:
-    """Format a number with three digits; "-" if it is unknown."""
-    return "-" if value is None or not np.isfinite(value) else f"{value:.3g}"
+    """Format a predicted number with two digits; "-" if it is unknown.
+
+    Measured errors are 0.8 to 1.7 times the predicted sd: further digits have no meaning.
+    """
+    if value is None or not np.isfinite(value):
+        return "-"
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
@@ -149,7 +154,8 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     front = sorted(zip(x[on_front], y[on_front], strict=True))
     axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")
     initial = swept["initial"]["reaches"]
-    axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
+    if initial is not None:
+        axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
     required = swept["requirements"]["edge_mm"]
     if required is not None:
         axes.axhline(required, color="0.6", ls=":", label="required sd of an edge")

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.design_study.resolution import BALL_RADIUS, ResolutionPredictor
+from mjtactile.design_study.resolution import BALL_RADIUS, ResolutionPredictor, ball
+from mjtactile.design_study.score import MAX_FORCE_ERROR, RANGE_RADIUS
 from mjtactile.design_study.virtual_bench import VirtualBench
 from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
@@ -17,6 +18,8 @@ from mjtactile.sim.scenes.indentation import Indenter
 _SPACING = 1.7e-3  # spacing of the membrane's vertices, m; a coarser mesh is stiffer than rubber
 _SAME = 1e-9  # length tolerance, m
 _MARGIN = 6e-3  # minimum distance of the ball from the frame, m
+_RANGE_STEPS = (0.4, 0.7, 0.9, 1.0, 1.05)  # of the depth at the predicted maximum force
+_REACHED = 0.9  # of the predicted maximum force, which counts as reached
 _DEPTHS = (0.8e-3, 3.2e-3)  # range of the indentation depth, m
 
 
@@ -94,6 +97,59 @@ def check(
     return found
 
 
+@dataclass(frozen=True)
+class RangeCheck:
+    """Check of a predicted maximum force by indentations.
+
+    `confirmed` is the largest simulated force, N, up to which all estimates are within the error
+    limit of the maximum force. `forces` and `estimates` are the indentations', N.
+    """
+
+    claimed: float
+    confirmed: float
+    forces: tuple[float, ...]
+    estimates: tuple[float, ...]
+
+    @property
+    def is_confirmed(self) -> bool:
+        """True if the indentations reach the predicted maximum."""
+        return self.confirmed >= _REACHED * self.claimed
+
+
+def check_range(design: SensorDesign, claimed: float, *, seed: int = 0) -> RangeCheck:
+    """Indent the simulated sensor with the ball of the maximum force, up to the predicted maximum.
+
+    Args:
+        design: The sensor.
+        claimed: Predicted maximum force, N.
+        seed: Seed of camera noise.
+
+    Returns:
+        The forces, and the range that they confirm.
+    """
+    stand = VirtualBench(design)
+    shape = ball(np.zeros(2), RANGE_RADIUS)
+    pressed = stand.press(shape, claimed)
+    if pressed is None:
+        return RangeCheck(claimed, 0.0, (), ())
+    depth = stand.first_touch(shape) - pressed.height
+    plan = IndentationPlan(
+        Indenter("sphere", RANGE_RADIUS), [depth * part for part in _RANGE_STEPS]
+    )
+    steps = press(design, plan, mesh=mesh_of(design), seed=seed)["steps"]
+    forces = [-float(step["force_true_N"][2]) for step in steps]
+    estimates = [
+        -float(step["wrench_estimated"][2]) if str(step["status"]) == "ok" else math.nan
+        for step in steps
+    ]
+    confirmed = 0.0
+    for force, estimate in zip(forces, estimates, strict=True):
+        if not abs(estimate - force) <= MAX_FORCE_ERROR * force:
+            break
+        confirmed = force
+    return RangeCheck(claimed, confirmed, tuple(forces), tuple(estimates))
+
+
 def mesh_of(design: SensorDesign) -> tuple[int, int]:
     """Return the numbers of vertices along x and y that are sufficient for the check."""
     sides = (design.frame.length, design.frame.width)
@@ -134,7 +190,7 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     off = np.array([one.off for one in presses])
     force_sd, position_sd, said = (
         np.array([getattr(one, name) for one in presses])
-        for name in ("force_sd", "place_sd", "reported_sd")
+        for name in ("force_sd", "position_sd", "reported_sd")
     )
     return PredictionCheck(
         len(presses),

@@ -12,17 +12,21 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.design_study.resolution import ResolutionPredictor, ball
 from mjtactile.design_study.virtual_bench import VirtualBench
+from mjtactile.sensing.settings import DEFAULTS
 
 RADII = (2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 12e-3, 16e-3)  # tested radii, m
 MAX_RADIUS_SD = 0.25
 """Maximum relative standard deviation of a radius that counts as measured."""
 RANGE_RADIUS = 10e-3
 """Radius of the ball used for the maximum force, m."""
-# search range of the force: start, N, factor per step, number of steps
+# search range of the force, N, and number of halvings in its logarithm: to 2 %
 _MIN_FORCE = 0.25
-_FACTOR = 1.25
-_STEPS = 20
-_FELT_RIGHT = 0.1  # relative error limit at the largest force
+_MAX_FORCE = 20.0
+_HALVINGS = 8
+MIN_TOUCH = DEFAULTS.zero.touch_min
+"""Smallest force that the sensing pipeline reports as a contact, however small the noise, N."""
+MAX_FORCE_ERROR = 0.1
+"""Relative error limit at the largest force."""
 # fractions of half the opening: three positions, unaligned with markers and membrane nodes
 _PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
 
@@ -107,17 +111,19 @@ def smallest_radius(reacher: ResolutionPredictor, places: list[Array], force: fl
 def largest_force(stand: VirtualBench) -> float:
     """Find the largest force of a ball at the center, N, with a relative error below a tenth.
 
-    The membrane must carry it, and the steps are 25 %. NaN if 0.25 N fails already.
+    The membrane must carry it. NaN if 0.25 N fails already.
     """
-    held = -1
-    lost = _STEPS
-    while lost - held > 1:
-        middle = (held + lost) // 2
-        if _within_tolerance(stand, _MIN_FORCE * _FACTOR**middle):
+    held = _MIN_FORCE
+    if not _within_tolerance(stand, held):
+        return math.nan
+    lost = _MAX_FORCE
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(held * lost)
+        if _within_tolerance(stand, middle):
             held = middle
         else:
             lost = middle
-    return math.nan if held < 0 else _MIN_FORCE * _FACTOR**held
+    return held
 
 
 def _within_tolerance(stand: VirtualBench, force: float) -> bool:
@@ -127,7 +133,7 @@ def _within_tolerance(stand: VirtualBench, force: float) -> bool:
     felt = stand.estimate_touch(pressed.state)
     if not felt.ok or felt.touch.traction is None:
         return False
-    return bool(abs(-felt.touch.traction.wrench[2] - force) < _FELT_RIGHT * force)
+    return bool(abs(-felt.touch.traction.wrench[2] - force) < MAX_FORCE_ERROR * force)
 
 
 def _rms(values: list[float]) -> float:

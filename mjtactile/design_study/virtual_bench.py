@@ -119,7 +119,7 @@ class VirtualBench:
         Returns:
             The indented membrane; None: it does not carry the force.
         """
-        low = high = self._first_touch(body)
+        low = high = self.first_touch(body)
         state = None
         step = _STEP
         while state is None or state.force_normal < force:
@@ -149,6 +149,24 @@ class VirtualBench:
         off = abs(state.force_normal - force)
         return IndentedMembrane(state, low) if off < _OFF * force else None
 
+    def indent(self, body: Coming, depth: float) -> IndentedMembrane | None:
+        """Lower an obstacle to a depth below first contact.
+
+        Args:
+            body: Obstacle as a function of its height, m in S.
+            depth: Depth, m.
+
+        Returns:
+            The indented membrane; None: it has no solution there.
+        """
+        start = self.first_touch(body)
+        state = None
+        for part in np.linspace(0.0, depth, math.ceil(depth / _STEP) + 1)[1:].tolist():
+            state = self._solve(body(start - part), state)
+            if state is None:
+                return None
+        return None if state is None else IndentedMembrane(state, start - depth)
+
     def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve on an obstacle from `start`, without its trend, or from rest; None: no state."""
         starts = [start] if start is None else [start, replace(start, trend=None), None]
@@ -161,7 +179,7 @@ class VirtualBench:
                 return state
         return None
 
-    def _first_touch(self, body: Coming) -> float:
+    def first_touch(self, body: Coming) -> float:
         """Return the obstacle's height at first contact with the membrane at rest, m."""
         x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
         places = np.column_stack([x.ravel(), y.ravel()])

@@ -71,6 +71,21 @@ PLACES = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a
 """Indentation positions, as fractions of the distance from the center to close to the frame."""
 
 
+def indenter_radius(design: SensorDesign) -> float:
+    """Return the radius of the indenting ball, m."""
+    return min(_BALL, 0.25 * min(design.frame.length, design.frame.width))
+
+
+def indentation_places(
+    design: SensorDesign, places: Mapping[str, tuple[int, int]] = PLACES
+) -> dict[str, Array]:
+    """Return the positions (2,), m in S, of the indentations by their names."""
+    sides = np.array([design.frame.length, design.frame.width])
+    ball = indenter_radius(design)
+    far = np.maximum(_REACH * sides - ball, 0.0)
+    return {name: _inward(design, far * np.array(to), ball) for name, to in places.items()}
+
+
 def simulate(
     design: SensorDesign,
     hardware: Hardware,
@@ -82,18 +97,16 @@ def simulate(
     beyond the range of its material law."""
     supply = design.chamber.supply_gauge
     depth = press_depth(design, hardware)
-    sides = np.array([design.frame.length, design.frame.width])
     markers = design.markers
     normals = np.tile([0.0, 0, 1], (markers.count, 1))
     states = [MembraneState("flat", markers.p_SM, normals, design.membrane.pre_stretch, 0.0)]
     if supply > 0 and _is_unstable(design, supply) and not _is_unstable(design, 1.0):
         why = "exceeds the stability limit of this membrane"
         Limit(_SUPPLY, 1e-3 * supply, why, high=1e-3 * _pressure_limit(design)).check(source)
-    ball = float(min(_BALL, 0.25 * sides.min()))
-    far = np.maximum(_REACH * sides - ball, 0.0)
+    ball = indenter_radius(design)
     try:
-        for name, direction in places.items():
-            x, y = (_inward(design, far * direction, ball)).tolist()
+        for name, place in indentation_places(design, places).items():
+            x, y = place.tolist()
             world = PressWorld(design, Indenter("sphere", ball), at=(x, y))
             for pressure in dict.fromkeys((0.0, supply)):
                 kpa = f"{1e-3 * pressure:g} kPa"
