@@ -27,14 +27,14 @@ FORCE_LIMIT = 8.0
 LIFT_SPEED = 0.05
 PHASES = ("approach", "close", "regulate", "lift", "hold", "lower", "release")
 # height thresholds, m: lift detected; deviation from the lift goal; distance above the table
-_RISEN = 0.002
-_NEAR = 0.001
-_DOWN = 0.001
-_CLEAR = 0.008  # opening beyond the grip at which the object is released, m
-_LEAD = 0.004  # maximum lead of the opening's goal over the jaws, m
-_TIME_MAX = 3.0  # maximum time in a phase in the observation, s
+RISEN = 0.002
+NEAR = 0.001
+DOWN = 0.001
+CLEAR = 0.008  # opening beyond the grip at which the object is released, m
+LEAD = 0.004  # maximum lead of the opening's goal over the jaws, m
+TIME_MAX = 3.0  # maximum time in a phase in the observation, s
 _NOTHING = [0.0] * 6
-_LOST_TIME = 0.5  # time without contact after which the gripper is lowered again, s
+LOST_TIME = 0.5  # time without contact after which the gripper is lowered again, s
 _FINGER = (
     ("known", 1.0),
     ("touching", 1.0),
@@ -52,7 +52,7 @@ _RIG = (
     ("lift_height_m", 1.0),
     ("goal_ahead_m", 1.0),
     ("force_limit_N", 100.0),
-    ("phase_time_s", _TIME_MAX),
+    ("phase_time_s", TIME_MAX),
     *((phase, 1.0) for phase in PHASES),
 )
 
@@ -106,7 +106,7 @@ def policy_observation(observation: Observation) -> Array:
         gripper.lift_height,
         command.opening - gripper.opening,
         0.0 if command.force_limit is None else command.force_limit,
-        min(command.memory.get("phase_time", 0.0), _TIME_MAX),
+        min(command.memory.get("phase_time", 0.0), TIME_MAX),
         *(float(phase == name) for name in PHASES),
     ]
     values = np.array(
@@ -142,7 +142,7 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
     gripper = observation.gripper
     opening = last.opening + OPENING_SPEED * rate * period
     if math.isfinite(gripper.opening):
-        opening = min(max(opening, gripper.opening - _LEAD), gripper.opening + _LEAD)
+        opening = min(max(opening, gripper.opening - LEAD), gripper.opening + LEAD)
     height = min(
         max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.goal.lift_height
     )
@@ -159,7 +159,7 @@ def fraction_released(sent: Command) -> float:
     `sent` is a command of `command_from_action`.
     """
     grip = sent.memory.get("grip_opening", sent.opening)
-    return (sent.opening - grip + _LEAD) / (_CLEAR + _LEAD)
+    return (sent.opening - grip + LEAD) / (CLEAR + LEAD)
 
 
 @validated(period=above(0))
@@ -215,7 +215,7 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
         lost = 0.0
     else:
         lost = last.memory.get("lost_time", 0.0) + observation.period
-    if before in ("lift", "hold") and lost > _LOST_TIME:
+    if before in ("lift", "hold") and lost > LOST_TIME:
         phase = "lower"
     else:
         phase = _next(before, observation, time, grip)
@@ -223,7 +223,7 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
         time = 0.0
     if phase not in ("release", "done", "abort"):
         grip = gripper.opening
-    gone = last.memory.get("gone", 0.0) or float(phase == "lower" and lost > _LOST_TIME)
+    gone = last.memory.get("gone", 0.0) or float(phase == "lower" and lost > LOST_TIME)
     phase = "abort" if phase == "done" and gone else phase
     return phase, {
         "phase_time": time,
@@ -238,16 +238,16 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
     gripper = observation.gripper
     height = gripper.lift_height
     if phase in ("approach", "close", "regulate"):
-        if height > _RISEN:
+        if height > RISEN:
             return "lift"
         if all(touching):
             return "regulate"
         return "close" if any(touching) else "approach"
     ends = {
-        "lift": height > observation.goal.lift_height - _NEAR,
+        "lift": height > observation.goal.lift_height - NEAR,
         "hold": time >= observation.goal.hold_time,
-        "lower": height < observation.goal.place_height + _DOWN,
-        "release": not any(touching) and gripper.opening > grip + _CLEAR,
+        "lower": height < observation.goal.place_height + DOWN,
+        "release": not any(touching) and gripper.opening > grip + CLEAR,
     }
     after = {"lift": "hold", "hold": "lower", "lower": "release", "release": "done"}
     return after[phase] if ends.get(phase, False) else phase

@@ -19,5 +19,5 @@ if ID not in gymnasium.registry:
     gymnasium.register(
         ID,
         entry_point="mjtactile.gym.env:GraspEnv",
-        vector_entry_point="mjtactile.gym.vector:ThreadedVectorEnv",
+        vector_entry_point="mjtactile.gym.vector:make_vector",
     )

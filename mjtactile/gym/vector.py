@@ -21,6 +21,15 @@ from mjtactile.core.types import Array
 from mjtactile.gym.env import GraspEnv
 
 
+def make_vector(num_envs: int, device: str | None = None, **how: Any) -> gymnasium.vector.VectorEnv:
+    """Create the vector environment: in threads, or with a `device` in MuJoCo Warp."""
+    if device is None:
+        return ThreadedVectorEnv(num_envs, **how)
+    from mjtactile.gym.device_vector import DeviceVectorEnv  # of the extra `warp`
+
+    return DeviceVectorEnv(num_envs, device, **how)
+
+
 @validated(num_envs=not_below(1), threads=not_below(1))
 class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
     """`num_envs` of `GraspEnv` with the other arguments `how`; seeds are s, s + 1, ….

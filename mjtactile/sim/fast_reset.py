@@ -132,12 +132,12 @@ class Restart:
         data = world.data
         yaw = world.start.yaw
         centre = np.array([*world.start.centre[:2], 0.0])
-        R_old, p_old = _planar(self._pose, yaw, centre)
-        R_new, p_new = _planar(pose, yaw, centre)
+        R_old, p_old = planar_pose(self._pose, yaw, centre)
+        R_new, p_new = planar_pose(pose, yaw, centre)
         R = R_new @ R_old.T
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, R.ravel())
-        for body in _own_bodies(model):
+        for body in object_roots(model):
             joint = int(model.body_jntadr[body])
             if joint >= 0:  # free
                 at = int(model.jnt_qposadr[joint])
@@ -161,14 +161,14 @@ def movable(world: GraspWorld) -> bool:
     if not isinstance(world, GraspWorld) or world.solid is not None or model.nmocap:
         return False
     in_world = [model.geom(g).name for g in range(model.ngeom) if model.geom_bodyid[g] == 0]
-    joints = [int(model.body_jntadr[body]) for body in _own_bodies(model)]
+    joints = [int(model.body_jntadr[body]) for body in object_roots(model)]
     free = int(mujoco.mjtJoint.mjJNT_FREE)
     return not any(name.startswith(PREFIX) for name in in_world) and all(
         joint < 0 or model.jnt_type[joint] == free for joint in joints
     )
 
 
-def _own_bodies(model: mujoco.MjModel) -> list[int]:
+def object_roots(model: mujoco.MjModel) -> list[int]:
     """Return the MuJoCo bodies of the object's file that are direct children of the world."""
     return [
         body
@@ -177,7 +177,7 @@ def _own_bodies(model: mujoco.MjModel) -> list[int]:
     ]
 
 
-def _planar(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
+def planar_pose(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
     """Return rotation (3, 3) and position (3,), m, in W, of the object file's world at `pose`."""
     x, y, turn = pose
     cos = math.cos(yaw)

@@ -60,6 +60,9 @@ class Touch:
         self._joints = _joints(model, worlds)
         self._stiffness = _stiffness(membranes)
         shape = (worlds, self.fingers)
+        # the same, of all membranes in one row: (worlds * fingers, ...)
+        self.membrane_wrench, self.membrane_status = states.wrench, fields.status
+        self.membrane_friction = states.friction
         self.wrench = states.wrench.reshape((*shape, 6))
         self.pressure = fields.pressure.reshape(shape)
         self.status = fields.status.reshape(shape)
@@ -158,13 +161,27 @@ def bind(
             set, or geoms that the membrane does not support.
     """
     design, grid = _common(fingers)
+    bodies = [model.body(finger.membrane.prefix + BODY).id for finger in fingers]
+    return bind_bodies(model, m, d, bodies, design, grid, iteration=iteration)
+
+
+def bind_bodies(
+    model: mujoco.MjModel,
+    m: Any,
+    d: Any,
+    bodies: Sequence[int],
+    design: Any,
+    grid: tuple[int, int],
+    *,
+    iteration: Iteration | None = None,
+) -> Touch:
+    """Do the work of `bind` for sensors of one `design` on the MuJoCo `bodies`."""
     if m.callback.passive is not None:
         raise InputError("has a passive callback already", source="bind", field="m")
-    bodies = [model.body(finger.membrane.prefix + BODY).id for finger in fingers]
-    places, planes = _places(model, bodies, design, grid)
+    places, planes = _places(model, m, bodies, design, grid)
     membranes = Membranes(
         design,
-        d.nworld * len(fingers),
+        d.nworld * len(bodies),
         slots=int(places.geoms.shape[1]),
         grid=grid,
         device=str(d.xpos.device),
@@ -193,7 +210,7 @@ def _common(fingers: Sequence[AttachedSensor]) -> tuple[Any, tuple[int, int]]:
 
 
 def _places(
-    model: mujoco.MjModel, frames: Sequence[int], design: Any, grid: tuple[int, int]
+    model: mujoco.MjModel, m: Any, frames: Sequence[int], design: Any, grid: tuple[int, int]
 ) -> tuple[Any, Array]:
     """Return the geoms and bodies that each finger may touch, and the planes of the convex ones."""
     from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
@@ -229,7 +246,7 @@ def _places(
     for name, table in tables.items():
         setattr(places, name, wp.array(table, dtype=int))
     places.bodies = wp.array(listed, dtype=int)
-    places.rbound = wp.array(model.geom_rbound[None].astype(np.float32), dtype=float)
+    places.rbound = m.geom_rbound
     places.reach = reach
     return places, np.concatenate(planes) if planes else np.zeros((1, 4))
 

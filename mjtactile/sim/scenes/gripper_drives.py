@@ -83,6 +83,13 @@ class ActuatorLift:
     def height(self) -> float:
         return (self._actuator.length - self._start) * self._ratio
 
+    def joint(self) -> tuple[int, float] | None:
+        """Return the qpos entry of its joint, 0 at the start, and m of height per unit of it."""
+        if len(self._actuator.reads) != 1 or self._start:
+            return None
+        ((address, gear),) = self._actuator.reads
+        return address, gear * self._ratio
+
     def affine(self) -> tuple[int, float, float]:
         """The actuator, its control at height 0, and by m of height."""
         zero, per_length = self._actuator.control
@@ -194,7 +201,7 @@ class Jaws:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
-        self._jaws: list[tuple[PositionActuator, JawLaw]] = [
+        self.actuators: list[tuple[PositionActuator, JawLaw]] = [
             (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.transmission)
             for jaw in rig.gripper.actuators
         ]
@@ -205,23 +212,23 @@ class Jaws:
 
     def opening(self) -> float:
         """Return the opening computed from the actuators' lengths, m."""
-        return float(sum(law.part(actuator.length) for actuator, law in self._jaws))
+        return float(sum(law.part(actuator.length) for actuator, law in self.actuators))
 
     def speed(self) -> float:
         """Rate of change of the opening, m/s; negative while closing."""
         return float(
-            sum(law.slope(actuator.length) * actuator.speed for actuator, law in self._jaws)
+            sum(law.slope(actuator.length) * actuator.speed for actuator, law in self.actuators)
         )
 
     def force(self) -> float:
         """Return the closing force on each finger, as indicated by the servo currents, N."""
-        forces = [actuator.force / law.slope(actuator.length) for actuator, law in self._jaws]
+        forces = [actuator.force / law.slope(actuator.length) for actuator, law in self.actuators]
         return -self._share * sum(forces) / len(forces)
 
     def limit_force(self, force: float) -> None:
         """Limit the force on each finger to `force` N and to the actuators' maximum."""
         self._force_limit = force
-        for actuator, law in self._jaws:
+        for actuator, law in self.actuators:
             actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
 
     def force_available(self, opening: float) -> float:
@@ -230,8 +237,10 @@ class Jaws:
         The goal of the jaws is then the minimum opening of the rig file.
         """
         forces = []
-        for actuator, law in self._jaws:
-            length, goal = (law.coordinate(x / len(self._jaws)) for x in (opening, self._closed))
+        for actuator, law in self.actuators:
+            length, goal = (
+                law.coordinate(x / len(self.actuators)) for x in (opening, self._closed)
+            )
             forces.append(-actuator.force_towards(goal, length) / law.slope(length))
         return self._share * sum(forces) / len(forces)
 
@@ -241,9 +250,9 @@ class Jaws:
 
     def reach(self, speed: float) -> float:
         """Return the lead of a goal over the opening for the full force at `speed` m/s, m."""
-        count = len(self._jaws)
+        count = len(self.actuators)
         reaches = []
-        for actuator, law in self._jaws:
+        for actuator, law in self.actuators:
             slope = abs(law.slope(actuator.length))
             force = 1.2 * actuator.force_limit + actuator.damping * (speed / (count * slope))
             reaches.append(force / actuator.stiffness * slope * count)
@@ -251,26 +260,26 @@ class Jaws:
 
     def drive(self, opening: float) -> None:
         """Set the goal of every actuator, shared equally."""
-        for actuator, law in self._jaws:
-            actuator.set_goal(law.coordinate(opening / len(self._jaws)))
+        for actuator, law in self.actuators:
+            actuator.set_goal(law.coordinate(opening / len(self.actuators)))
 
     def drive_with(self, lift: Lift) -> Drive | None:
         """Return jaws and lift as linear coefficients; None if one of them is not linear."""
         known = isinstance(lift, (ActuatorLift, NoLift))
-        if not known or not all(law.kind == LINEAR and a.is_linear for a, law in self._jaws):
+        if not known or not all(law.kind == LINEAR and a.is_linear for a, law in self.actuators):
             return None
-        reads = [(q, law.ratio * gear) for a, law in self._jaws for q, gear in a.reads]
+        reads = [(q, law.ratio * gear) for a, law in self.actuators for q, gear in a.reads]
         drives = []
-        for actuator, law in self._jaws:
+        for actuator, law in self.actuators:
             zero, per_length = actuator.control
             per = per_length / law.ratio
-            drives.append((actuator.id, zero - per * law.offset, per / len(self._jaws), 0.0))
+            drives.append((actuator.id, zero - per * law.offset, per / len(self.actuators), 0.0))
         if isinstance(lift, ActuatorLift):
             number, zero, per = lift.affine()
             drives.append((number, zero, 0.0, per))
         table = np.array(drives)
         return Drive(
-            sum(law.offset for _, law in self._jaws),
+            sum(law.offset for _, law in self.actuators),
             np.array([q for q, _ in reads]),
             np.array([per for _, per in reads]),
             table[:, 0],
@@ -279,5 +288,5 @@ class Jaws:
 
     def refresh_force(self) -> None:
         """Keep the force on the fingers at its limit where the lever changes with the opening."""
-        if any(law.kind != "linear" for _, law in self._jaws):
+        if any(law.kind != "linear" for _, law in self.actuators):
             self.limit_force(self._force_limit)

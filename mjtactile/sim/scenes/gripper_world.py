@@ -12,12 +12,13 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.gripper_path import GripperPath
 from mjtactile.core.types import Array
+from mjtactile.rig.jaw_transmission import JawLaw
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import attach_membrane, configure_options
-from mjtactile.sim.batched_quasistatic_step import QuasistaticStepper, is_available
+from mjtactile.sim.batched_quasistatic_step import Drive, QuasistaticStepper, is_available
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.gantry import add_gantry, require_path
-from mjtactile.sim.scenes.gripper_drives import Jaws, make_lift
+from mjtactile.sim.scenes.gripper_drives import ActuatorLift, Jaws, make_lift
 from mjtactile.sim.scenes.initial_state import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.inverse_kinematics import solve
 from mjtactile.sim.scenes.world import World
@@ -205,6 +206,21 @@ class GripperWorld(World):
         self.data.qvel[self._robot_dofs] = 0.0
         self._opening_target = self._opening_goal = opening
         self._lift_target = self._lift_goal = lift
+
+    @property
+    def linear_drive(self) -> Drive | None:
+        """Jaws and lift as linear coefficients; None if one of them is not linear."""
+        return self._jaws.drive_with(self._lift)
+
+    @property
+    def jaw_actuators(self) -> list[tuple[PositionActuator, JawLaw]]:
+        """Actuators of the jaws with their transmissions."""
+        return self._jaws.actuators
+
+    @property
+    def lift_joint(self) -> tuple[int, float] | None:
+        """Address in qpos that determines the height, and m per unit; None without such a lift."""
+        return self._lift.joint() if isinstance(self._lift, ActuatorLift) else None
 
     # -- inside
     # --------------------------------------------------------------------------------

@@ -121,7 +121,7 @@ def _place(
     geom.kind = -1
     if g >= 0:
         at = wp.transpose(R) @ (geom_xpos[world, g] - p)
-        near = places.reach + places.rbound[0, g]
+        near = places.reach + places.rbound[world % places.rbound.shape[0], g]
         if places.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
             geom.kind = places.kinds[finger, k]
             geom.size = size[world % size.shape[0], g]

@@ -1,0 +1,210 @@
+"""Vector environment on one device: thousands of grasps in MuJoCo Warp.
+
+Observations, actions, rewards and seeds are those of `GraspEnv` with quasi-static membranes and
+sampled sensing errors (`effects="-mesh,-pipeline"`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+try:
+    import warp as wp
+except ModuleNotFoundError as missing:
+    if missing.name != "warp":
+        raise
+    raise ModuleNotFoundError(
+        "MuJoCo Warp is not installed: pip install 'mjtactile[warp]'", name="warp"
+    ) from None
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.not_copyable import NotCopyable
+from mjtactile.core.policy import policy_bounds
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.signature_checks import above, not_below, validated
+from mjtactile.core.types import Array
+from mjtactile.gym.env import PROGRESS, RANDOM
+from mjtactile.recording.policy_data import REWARDS
+from mjtactile.rig.domain_randomization import NONE
+from mjtactile.warp.device.grasp_phase import NAMES
+from mjtactile.warp.device.grasp_score import OUTCOMES
+from mjtactile.warp.device.restart import clear_results, find_over
+from mjtactile.warp.grasps import Grasps
+from mjtactile.warp.starts import ignored_parameters
+
+_SOURCE = "Grasp-v0 with a device"
+_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
+
+
+@validated(num_envs=not_below(1), time_limit=above(0, math.inf))
+class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
+    """`num_envs` grasps on one device; world k of `reset(seed=s)` has the seed s + k.
+
+    Arrays are tensors of PyTorch that share memory with the device where PyTorch is installed, else
+    NumPy arrays. Tensors are overwritten by the next step.
+
+    Args:
+        num_envs: Number of grasps.
+        device: Warp device, such as "cuda" or "cpu".
+        autoreset_mode: Mode of Gymnasium, next step or same step.
+        object: Argument of `GraspEnv`; so are `sensor`, `rig`, `randomization`, `time_limit`,
+            `task`, `reward`.
+
+    Raises:
+        InputError: A name does not exist, or the worlds do not support it.
+    """
+
+    REMEDY = "create another environment and reset it with the same seed"
+
+    def __init__(
+        self,
+        num_envs: int,
+        device: str,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        object: str = "egg",
+        sensor: str = "dense",
+        rig: str = "sim",
+        randomization: str = NONE,
+        time_limit: float = 20.0,
+        task: str = "lift",
+        reward: str = "outcome",
+    ):
+        if reward not in ("outcome", "progress"):
+            choices = ["outcome", "progress"]
+            raise InputError(f"{reward!r}", source=_SOURCE, field="reward", choices=choices)
+        self._mode = AutoresetMode(autoreset_mode)
+        if self._mode not in _MODES:
+            choices = [mode.value for mode in _MODES]
+            text = f"{self._mode.value!r}"
+            raise InputError(text, source=_SOURCE, field="autoreset_mode", choices=choices)
+        if object == RANDOM:
+            text = "'random' differs between worlds; use random:SEED, one object for all worlds"
+            raise InputError(text, source=_SOURCE, field="object")
+        names: Any = {"object": object, "sensor": sensor, "rig": rig, "task": task}
+        self.scenario = Scenario(**names, randomization=randomization)
+        self.ignored = ignored_parameters(randomization)
+        """Parameters of the randomization that have no effect on a device."""
+        self._grasps = Grasps(
+            self.scenario,
+            num_envs,
+            rewards=REWARDS,
+            progress=list(PROGRESS.values()) if reward == "progress" else (),
+            time_limit=time_limit,
+            device=device,
+        )
+        self.num_envs = num_envs
+        self.metadata = {
+            "render_modes": [],
+            "render_fps": round(1 / self._grasps.rig.period),
+            "autoreset_mode": self._mode,
+        }
+        maximum = policy_bounds(self._grasps.fingers).astype(np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(-maximum, maximum, dtype=np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._torch = _torch()
+        with wp.ScopedDevice(self._grasps.device):
+            self._actions = wp.zeros((num_envs, 3), dtype=float)
+            self._over = wp.zeros(num_envs, dtype=bool)
+        self._started = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start the episodes of `seed`, seed + 1, … (None: the generator's next)."""
+        if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
+            text = f"{seed!r} is not a whole number of at least 0"
+            raise InputError(text, source=f"{_SOURCE}: reset", field="seed")
+        if options:
+            text = f"{options!r} has no effect; object and task are arguments of the environment"
+            raise InputError(text, source=f"{_SOURCE}: reset", field="options", choices=["None"])
+        super().reset(seed=None if seed is None else int(seed))
+        first = int(self.np_random.integers(2**31)) if seed is None else int(seed)
+        self._grasps.reset(first)
+        self._over.zero_()
+        self._started = True
+        return self._shown(self._grasps.observation), {"seed": self._grasps.episode_seeds}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """One camera period in all worlds; those that are over start their next episode."""
+        if not self._started:
+            raise gymnasium.error.ResetNeeded("no episode has started: call reset()")
+        self._write(actions)
+        grasps = self._grasps
+        grasps.step(self._actions)
+        scores = grasps.scores
+        ends = (scores.terminated, scores.truncated)
+        info: dict[str, Any] = {}
+        if self._mode == AutoresetMode.NEXT_STEP:
+            self._launch(clear_results, self._over, scores.reward, *ends)
+            grasps.restart(self._over)
+            self._launch(find_over, *ends, self._over)
+        else:
+            info["final_obs"] = self._copied(grasps.observation)
+            self._launch(find_over, *ends, self._over)
+            info["outcome"] = self._copied(scores.outcome)
+            grasps.restart(self._over)
+        info.setdefault("outcome", self._shown(scores.outcome))
+        shown = (grasps.observation, scores.reward, scores.terminated, scores.truncated)
+        observation, reward, terminated, truncated = (self._shown(array) for array in shown)
+        return observation, reward, terminated, truncated, info
+
+    def truth(self) -> dict[str, Array]:
+        """Return ground truth of all worlds, which no observation may contain.
+
+        Waits for the device. Forces in N; names as in `GraspEnv`'s `info`.
+        """
+        scores = self._grasps.scores
+        steps = np.maximum(scores.hold_steps.numpy(), 1)
+        return {
+            "outcome": np.array(OUTCOMES)[scores.outcome.numpy()],
+            "phase": np.array(NAMES)[self._grasps.phases()],
+            "seed": self._grasps.episode_seeds,
+            "peak_force_true_N": scores.peak_force.numpy(),
+            "hold_force_true_N": scores.hold_force.numpy() / steps,
+            "slip_mm_true": 1e3 * scores.slip.numpy(),
+            "break_force_N": scores.break_force.numpy(),
+            "force_normal_true_N": -self._grasps.touch.wrench.numpy()[..., 2],
+            "rejected_solutions": scores.rejected.numpy(),
+        }
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the simulation."""
+        self._grasps.rig.close()
+
+    def _launch(self, kernel: Any, *arrays: Any) -> None:
+        wp.launch(kernel, self.num_envs, list(arrays), device=self._grasps.device)
+
+    def _write(self, actions: Any) -> None:
+        """Copy the actions to the device."""
+        shape = tuple(getattr(actions, "shape", np.shape(actions)))
+        if shape != (self.num_envs, 3):
+            text = f"shape {shape} does not match ({self.num_envs}, 3)"
+            raise InputError(text, source=f"{_SOURCE}: step", field="actions")
+        if isinstance(actions, wp.array):
+            wp.copy(self._actions, actions)
+        elif self._torch is not None and isinstance(actions, self._torch.Tensor):
+            wp.copy(self._actions, wp.from_torch(actions.detach().float().contiguous()))
+        else:
+            self._actions.assign(np.ascontiguousarray(actions, np.float32))
+
+    def _shown(self, array: Any) -> Any:
+        return array.numpy() if self._torch is None else wp.to_torch(array)
+
+    def _copied(self, array: Any) -> Any:
+        return self._shown(wp.clone(array))
+
+
+def _torch() -> Any:
+    try:
+        import torch  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError:
+        return None
+    return torch

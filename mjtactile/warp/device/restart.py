@@ -1,0 +1,221 @@
+"""Start of new grasps in the worlds of a mask."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.device.grasp_phase import Commands, measure
+from mjtactile.warp.device.grasp_score import Scores
+from mjtactile.warp.device.gripper import Drive, Goals, limit_force
+from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, begin_errors
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Starts:
+    """Initial states; entry e of world w is row (w + e * worlds) % rows of the others.
+
+    `qpos` (nq,) and `ctrl` (nu,) are common. `free` (rows, bodies, 7) and `fixed` (rows, bodies, 7)
+    are poses of the object's bodies, those with a free joint at `address` in qpos. `scale` is the
+    size of the object, `mass` its mass, `friction` (rows, 1 + fingers) that of the object's geoms
+    and of each membrane, `modulus` (rows, fingers) that of the membranes, all relative to the
+    model; `break_force` N. `rig` (rows, 5): delay, jitter, play, speed, force noise. `episode`
+    (worlds,) counts.
+    """
+
+    qpos: wp.array(dtype=float)
+    ctrl: wp.array(dtype=float)
+    opening: float
+    force: float
+    free_bodies: wp.array(dtype=int)
+    address: wp.array(dtype=int)
+    fixed_bodies: wp.array(dtype=int)
+    geoms: wp.array(dtype=int)
+    free: wp.array3d(dtype=float)
+    fixed: wp.array3d(dtype=float)
+    scale: wp.array(dtype=float)
+    mass: wp.array(dtype=float)
+    friction: wp.array2d(dtype=float)
+    modulus: wp.array2d(dtype=float)
+    break_force: wp.array(dtype=float)
+    rest_height: wp.array(dtype=float)
+    rig: wp.array2d(dtype=float)
+    episode: wp.array(dtype=int)
+
+
+@wp.struct
+class Scene:
+    """Fields of MuJoCo Warp's model that differ between worlds, and the compiled values."""
+
+    body_pos: wp.array2d(dtype=wp.vec3)
+    body_quat: wp.array2d(dtype=wp.quat)
+    body_ipos: wp.array2d(dtype=wp.vec3)
+    body_mass: wp.array2d(dtype=float)
+    body_subtreemass: wp.array2d(dtype=float)
+    body_inertia: wp.array2d(dtype=wp.vec3)
+    geom_size: wp.array2d(dtype=wp.vec3)
+    geom_pos: wp.array2d(dtype=wp.vec3)
+    geom_rbound: wp.array2d(dtype=float)
+    geom_friction: wp.array2d(dtype=wp.vec3)
+    ipos: wp.array(dtype=wp.vec3)
+    mass: wp.array(dtype=float)
+    inertia: wp.array(dtype=wp.vec3)
+    size: wp.array(dtype=wp.vec3)
+    pos: wp.array(dtype=wp.vec3)
+    rbound: wp.array(dtype=float)
+    friction: wp.array(dtype=wp.vec3)
+    membrane_friction: float
+
+
+@wp.func
+def _place(starts: Starts, scene: Scene, qpos: wp.array2d(dtype=float), w: int, row: int) -> None:
+    for k in range(qpos.shape[1]):
+        qpos[w, k] = starts.qpos[k]
+    for b in range(starts.free_bodies.shape[0]):
+        for c in range(7):
+            qpos[w, starts.address[b] + c] = starts.free[row, b, c]
+    for b in range(starts.fixed_bodies.shape[0]):
+        body = starts.fixed_bodies[b]
+        scene.body_pos[w, body] = wp.vec3(
+            starts.fixed[row, b, 0], starts.fixed[row, b, 1], starts.fixed[row, b, 2]
+        )
+        scene.body_quat[w, body] = wp.quat(
+            starts.fixed[row, b, 3],
+            starts.fixed[row, b, 4],
+            starts.fixed[row, b, 5],
+            starts.fixed[row, b, 6],
+        )
+
+
+@wp.func
+def _change(starts: Starts, scene: Scene, w: int, row: int) -> None:
+    """Give the object its size, mass and friction."""
+    s = starts.scale[row]
+    by = starts.mass[row] * s * s * s
+    for b in range(starts.free_bodies.shape[0]):
+        body = starts.free_bodies[b]
+        scene.body_mass[w, body] = by * scene.mass[body]
+        scene.body_subtreemass[w, body] = by * scene.mass[body]
+        scene.body_inertia[w, body] = by * s * s * scene.inertia[body]
+        scene.body_ipos[w, body] = s * scene.ipos[body]
+    for g in range(starts.geoms.shape[0]):
+        geom = starts.geoms[g]
+        scene.geom_size[w, geom] = s * scene.size[geom]
+        scene.geom_pos[w, geom] = s * scene.pos[geom]
+        scene.geom_rbound[w, geom] = s * scene.rbound[geom]
+        own = scene.friction[geom]
+        scene.geom_friction[w, geom] = wp.vec3(starts.friction[row, 0] * own[0], own[1], own[2])
+
+
+@wp.func
+def _clear(scores: Scores, w: int, start: float, opening: float, rest: float, breaks: float):
+    scores.counted[w] = 0
+    scores.peak_force[w] = 0.0
+    scores.break_force[w] = breaks
+    scores.crushed[w] = 0
+    scores.lost[w] = 0
+    scores.fell[w] = 0
+    scores.held_steps[w] = 0
+    scores.hold_steps[w] = 0
+    scores.hold_force[w] = 0.0
+    scores.rest_height[w] = rest
+    scores.release_height[w] = wp.nan
+    scores.has_grip[w] = 0
+    scores.slip[w] = 0.0
+    scores.rejected[w] = 0
+    scores.start[w] = start
+    scores.first_opening[w] = wp.max(opening, 1.0e-6)
+    scores.progress[w] = 0.0
+    scores.outcome[w] = 0
+
+
+@wp.kernel
+def restart_worlds(
+    mask: wp.array(dtype=bool),
+    fingers: int,
+    starts: Starts,
+    scene: Scene,
+    drive: Drive,
+    goals: Goals,
+    commands: Commands,
+    scores: Scores,
+    model: ErrorModel,
+    estimates: Estimates,
+    membrane_friction: wp.array(dtype=float),
+    modulus: wp.array(dtype=float),
+    time: wp.array(dtype=float),
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    warmstart: wp.array2d(dtype=float),
+    ctrl: wp.array2d(dtype=float),
+    actuator_force: wp.array2d(dtype=float),
+):
+    w = wp.tid()
+    if not mask[w]:
+        return
+    row = (w + starts.episode[w] * mask.shape[0]) % starts.scale.shape[0]
+    starts.episode[w] += 1
+    _place(starts, scene, qpos, w, row)
+    _change(starts, scene, w, row)
+    for k in range(qvel.shape[1]):
+        qvel[w, k] = 0.0
+        warmstart[w, k] = 0.0
+    for k in range(ctrl.shape[1]):
+        ctrl[w, k] = starts.ctrl[k]
+        actuator_force[w, k] = 0.0
+    time[w] = 0.0
+    goals.opening[w] = starts.opening
+    goals.opening_target[w] = starts.opening
+    goals.lift[w] = 0.0
+    goals.lift_target[w] = 0.0
+    goals.force[w] = starts.force
+    goals.motor[w] = starts.opening
+    goals.jaw[w] = starts.opening
+    goals.due[w] = -1.0
+    goals.next_due[w] = -1.0
+    goals.play[w] = starts.rig[row, 2]
+    goals.speed[w] = starts.rig[row, 3]
+    limit_force(drive, w, starts.force)
+    commands.delay[w] = starts.rig[row, 0]
+    commands.jitter[w] = starts.rig[row, 1]
+    commands.noise[w] = starts.rig[row, 4]
+    measure(drive, goals, commands, qpos, qvel, actuator_force, w)
+    commands.opening[w] = commands.measured[w, 0]
+    commands.force[w] = -1.0
+    commands.lift[w] = commands.measured[w, 3]
+    commands.phase[w] = 0
+    commands.phase_time[w] = 0.0
+    commands.lost_time[w] = 0.0
+    commands.gone[w] = 0
+    commands.grip_opening[w] = commands.measured[w, 0]
+    rest = starts.rest_height[row]
+    _clear(scores, w, 0.0, commands.measured[w, 0], rest, starts.break_force[row])
+    for k in range(fingers):
+        f = w * fingers + k
+        membrane_friction[f] = scene.membrane_friction * starts.friction[row, 1 + k]
+        modulus[f] = starts.modulus[row, k]
+        begin_errors(model, estimates, f)
+
+
+@wp.kernel
+def clear_results(
+    over: wp.array(dtype=bool),
+    reward: wp.array(dtype=float),
+    terminated: wp.array(dtype=bool),
+    truncated: wp.array(dtype=bool),
+):
+    """Clear the results of worlds whose action only starts the next episode."""
+    world = wp.tid()
+    if over[world]:
+        reward[world] = 0.0
+        terminated[world] = False
+        truncated[world] = False
+
+
+@wp.kernel
+def find_over(
+    terminated: wp.array(dtype=bool), truncated: wp.array(dtype=bool), over: wp.array(dtype=bool)
+):
+    world = wp.tid()
+    over[world] = terminated[world] or truncated[world]

@@ -1,0 +1,376 @@
+"""`Grasps`: many grasps of a policy on one device, with the steps of `mjtactile/Grasp-v0`.
+
+A control step is one camera period. Policy, gripper, membranes, estimates and score stay on the
+device; nothing waits for the host. On a GPU the physics of a control step is one CUDA graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp as wp
+
+from mjtactile.core import policy
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
+from mjtactile.core.types import Array
+from mjtactile.rig.domain_randomization import NONE
+from mjtactile.rig.finger import Rig
+from mjtactile.sim.fast_reset import movable
+from mjtactile.sim.rig import build_sim_rig
+from mjtactile.sim.scenes.objects import PREFIX
+from mjtactile.sim.sensing_error_model import SensingErrorModel, load_errors
+from mjtactile.warp.device.grasp_phase import (
+    Commands,
+    TaskLimits,
+    command_all,
+    measure_all,
+    observe_all,
+)
+from mjtactile.warp.device.grasp_score import OUTCOMES, Scores, finish_step, score_step
+from mjtactile.warp.device.gripper import Drive, Goals, drive_grippers
+from mjtactile.warp.device.restart import Scene, restart_worlds
+from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, estimate_all
+from mjtactile.warp.scene import bind_bodies
+from mjtactile.warp.starts import sample_starts, with_seed
+
+EPISODES = 4
+"""Different initial states of each world; the fifth episode starts like the first."""
+_ITERATIONS = 30
+"""Iterations of MuJoCo's solver; a gripper with an object takes up to ten. A CPU always does all."""
+_REQUIRED = "Grasp-v0 with a device"
+
+
+class Grasps:
+    """One grasp in each of `worlds` worlds.
+
+    Arrays on the device, with one row for each world: `observation` (worlds, 8 fingers + 14),
+    `scores` (outcome, reward, terminated, truncated and ground truth), `touch`.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        worlds: int,
+        *,
+        rewards: dict[str, float],
+        progress: Sequence[tuple[float, float]] = (),
+        time_limit: float = 20.0,
+        device: str | None = None,
+    ):
+        """Build the worlds; `reset` starts them.
+
+        Args:
+            scenario: Object, sensor, rig, task and randomization; its effects are not used.
+            worlds: Number of worlds.
+            rewards: Reward of each outcome, at the end of an episode.
+            progress: Start and increase of the reward of each phase; empty: only `rewards` count.
+            time_limit: Time limit of an episode, s.
+            device: Warp device; None: Warp's default.
+
+        Raises:
+            InputError: A rig, task or object that these worlds do not support.
+        """
+        self.scenario, self.worlds = scenario, worlds
+        self.device = wp.get_device(device)
+        self.rig = build_sim_rig(with_seed(scenario, scenario.seed))
+        world = self.rig.scene
+        _require_supported(scenario, self.rig)
+        self.fingers = len(self.rig.fingers)
+        self.model = world.model
+        self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.substeps = round(self.rig.period / world.timestep)
+        with wp.ScopedDevice(self.device):
+            self._build(rewards, progress, time_limit)
+        self.seeds: Array = np.zeros(0, int)
+        self._graph: Any = None
+
+    def _build(self, rewards: dict[str, float], progress: Any, time_limit: float) -> None:
+        world, worlds = self.rig.scene, self.worlds
+        self._m = mjw.put_model(self.model)
+        self._m.opt.iterations = min(self._m.opt.iterations, _ITERATIONS)
+        self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
+        self._scene = _scene(self.model, self._m, worlds, world.sensors[0].friction)
+        sensors = world.sensors
+        self.touch = bind_bodies(
+            self.model,
+            self._m,
+            self._d,
+            [sensor.body_id for sensor in sensors],
+            sensors[0].design,
+            (sensors[0].mesh.nx, sensors[0].mesh.ny),
+        )
+        self._drive = _drive(self.rig, self._m, worlds)
+        self._goals = _arrays(Goals, worlds)
+        self._commands = _arrays(Commands, worlds, measured=4)
+        self.scores = _arrays(Scores, worlds)
+        is_varied = self.scenario.randomization != NONE
+        self._errors = _error_model(load_errors(self.rig.fingers[0].design, is_varied))
+        self._estimates = _arrays(Estimates, worlds * self.fingers, wrench=6, slow=6)
+        self._limits = _limits(self.rig)
+        maximum = policy.policy_bounds(self.fingers)
+        self._maximum = wp.array(maximum.astype(np.float32), dtype=float)
+        self.observation = wp.zeros((worlds, len(maximum)), dtype=float)
+        paid = [rewards.get(name, 0.0) for name in OUTCOMES]
+        self._rewards = wp.array(np.array(paid, np.float32), dtype=float)
+        table = np.array(progress, np.float32).reshape(-1, 2)
+        self._progress = wp.array(table, dtype=float)
+        self._time_limit = time_limit
+        task = load_task(self.scenario.task)
+        self._max_drop = float(task.success.max_drop)
+        self._body = self.model.body(f"{PREFIX}object").id
+
+    def reset(self, seed: int, mask: Any = None) -> None:
+        """Start the episodes of `seed`, seed + 1, … in all worlds.
+
+        Args:
+            seed: Seed of the first world.
+            mask: (worlds,) bool array of Warp: start the next episode of these worlds only; `seed`
+                then has no effect.
+        """
+        with wp.ScopedDevice(self.device):
+            if mask is None:
+                count = self.worlds * EPISODES
+                self.seeds = np.arange(seed, seed + count)
+                sampled = sample_starts(self.scenario, self.rig, self.seeds.tolist(), self.worlds)
+                self._starts = sampled.starts
+                self._seed_generators(seed)
+                mask = wp.full(self.worlds, True, dtype=bool)
+            self._restart(mask)
+            self._observe(0.0)
+
+    def step(self, actions: Any) -> None:
+        """Do one control step with `actions` (worlds, 3) in [-1, 1], on the device."""
+        with wp.ScopedDevice(self.device):
+            wp.launch(
+                command_all,
+                dim=self.worlds,
+                inputs=[
+                    *(self._limits, self.fingers, actions, self._estimates, self._commands),
+                    *(self._goals, self._d.time),
+                ],
+            )
+            self._run_physics()
+            self._observe(float(self.rig.period))
+            wp.launch(
+                finish_step,
+                dim=self.worlds,
+                inputs=[
+                    *(self.scores, self._limits, self._rewards, self._progress),
+                    *(self._time_limit, self.fingers, self._estimates, self._commands),
+                    *(self._d.time, self._d.qpos),
+                ],
+            )
+
+    def restart(self, mask: Any) -> None:
+        """Start the next episode in the worlds of `mask`, and write their observations."""
+        with wp.ScopedDevice(self.device):
+            self._restart(mask)
+            self._write_observation()
+
+    @property
+    def episode_seeds(self) -> Array:
+        """Return the seed (worlds,) of each world's episode. Waits for the device."""
+        episode = self._starts.episode.numpy() - 1
+        return self.seeds[(np.arange(self.worlds) + episode * self.worlds) % len(self.seeds)]
+
+    def phases(self) -> Array:
+        """Return the number (worlds,) of each world's phase. Waits for the device."""
+        return self._commands.phase.numpy()
+
+    # -- inside ---------------------------------------------------------------------------------
+
+    def _run_physics(self) -> None:
+        if not self.device.is_cuda:
+            self._substeps()
+        elif self._graph is None:
+            self._substeps()  # compiles; a capture cannot
+            with wp.ScopedCapture() as capture:
+                self._substeps()
+            self._graph = capture.graph
+        else:
+            wp.capture_launch(self._graph)
+
+    def _substeps(self) -> None:
+        m, d = self._m, self._d
+        start = int(self.rig.scene.start.gripper)
+        for _ in range(self.substeps):
+            wp.launch(
+                drive_grippers,
+                dim=self.worlds,
+                inputs=[
+                    *(self._drive, self._goals, float(self.model.opt.timestep), d.time),
+                    *(d.qpos, d.ctrl),
+                ],
+            )
+            mjw.step(m, d)
+            wp.launch(
+                score_step,
+                dim=self.worlds,
+                inputs=[
+                    *(self.scores, self._drive, self.fingers, self._body, start),
+                    *(self._max_drop, self.touch.membrane_wrench, self.touch.membrane_status),
+                    *(d.qpos, d.xpos, d.xipos),
+                ],
+            )
+
+    def _restart(self, mask: Any) -> None:
+        d = self._d
+        self.touch.reset(mask)
+        wp.launch(
+            restart_worlds,
+            dim=self.worlds,
+            inputs=[
+                *(mask, self.fingers, self._starts, self._scene, self._drive, self._goals),
+                *(self._commands, self.scores, self._errors, self._estimates),
+                *(self.touch.membrane_friction, self.touch.membranes.modulus, d.time, d.qpos),
+                *(d.qvel, d.qacc_warmstart, d.ctrl, d.actuator_force),
+            ],
+        )
+
+    def _observe(self, elapsed: float) -> None:
+        d = self._d
+        wp.launch(
+            estimate_all,
+            dim=self.worlds * self.fingers,
+            inputs=[self._errors, self._estimates, elapsed, self.touch.membrane_wrench],
+        )
+        wp.launch(
+            measure_all,
+            dim=self.worlds,
+            inputs=[*(self._drive, self._goals, self._commands, d.qpos, d.qvel, d.actuator_force)],
+        )
+        self._write_observation()
+
+    def _write_observation(self) -> None:
+        wp.launch(
+            observe_all,
+            dim=self.worlds,
+            inputs=[
+                *(self.fingers, self._maximum, self._estimates, self._commands, self.observation)
+            ],
+        )
+
+    def _seed_generators(self, seed: int) -> None:
+        """Give each world and sensor its own generator: no stream is used twice."""
+        streams = np.random.SeedSequence(seed).generate_state(self.worlds * (1 + self.fingers))
+        self._commands.random = wp.array(streams[: self.worlds], dtype=wp.uint32)
+        self._estimates.random = wp.array(streams[self.worlds :], dtype=wp.uint32)
+
+
+def _require_supported(scenario: Scenario, rig: Rig) -> None:
+    world = rig.scene
+    task = load_task(scenario.task)
+    if not task.is_plain:
+        text = f"{scenario.task!r} has disturbances, which do not run on a device yet"
+        raise InputError(text, source=_REQUIRED, field="task", choices=["lift"])
+    if not movable(world):
+        text = "a soft or jointed object, or one with loose geoms, does not run on a device"
+        raise InputError(text, source=str(world.object.path), field="object")
+    designs = {sensor.design.name for sensor in world.sensors}
+    if len(designs) > 1:
+        text = f"the fingers have different sensors ({', '.join(sorted(designs))})"
+        raise InputError(text, source=_REQUIRED, field="rig")
+    if world.linear_drive is None:
+        text = "its jaws or lift are not linear, which does not run on a device"
+        raise InputError(text, source=rig.name, field="rig")
+
+
+def _drive(rig: Rig, m: Any, worlds: int) -> Any:
+    """Return the drive of the rig, with force limits of each world's own."""
+    world = rig.scene
+    linear = world.linear_drive
+    model = world.model
+    jaws = world.jaw_actuators
+    drive = Drive()
+    drive.opening = float(linear.opening)
+    joints = {int(model.jnt_qposadr[j]): int(model.jnt_dofadr[j]) for j in range(model.njnt)}
+    drive.read = _ints(linear.read)
+    drive.velocity = _ints([joints[int(q)] for q in linear.read])
+    drive.per = _floats(linear.per)
+    drive.controls, drive.affine = _ints(linear.controls), _floats(linear.affine)
+    drive.jaws = _ints([actuator.id for actuator, _ in jaws])
+    drive.ratios = _floats([law.ratio for _, law in jaws])
+    drive.stiffness = _floats([actuator.stiffness for actuator, _ in jaws])
+    drive.damping = _floats([actuator.damping for actuator, _ in jaws])
+    whole = np.where(
+        model.actuator_forcelimited[:, None], model.actuator_forcerange, [-np.inf, np.inf]
+    ).astype(np.float32)
+    drive.force_range = wp.array(whole, dtype=wp.vec2)
+    drive.forces = m.actuator_forcerange = wp.array(np.tile(whole, (worlds, 1, 1)), dtype=wp.vec2)
+    drive.share = 2 / len(rig.fingers)
+    drive.opening_max = float(rig.limits.opening[1])
+    drive.lift_speed = float(rig.limits.lift_speed)
+    lift = world.lift_joint
+    drive.lift_read, drive.lift_ratio = lift if lift is not None else (-1, 0.0)
+    return drive
+
+
+def _limits(rig: Rig) -> Any:
+    limits = TaskLimits()
+    goal, of_rig = rig.goal, rig.limits
+    limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
+    limits.place_height = float(goal.place_height)
+    limits.opening_min, limits.opening_max = (float(one) for one in of_rig.opening)
+    limits.speed, limits.force = float(of_rig.speed), float(of_rig.force)
+    limits.lift_max, limits.lift_speed = float(of_rig.lift[1]), float(of_rig.lift_speed)
+    limits.period = float(rig.period)
+    return limits
+
+
+def _scene(model: mujoco.MjModel, m: Any, worlds: int, friction: float) -> Any:
+    """Return the model's fields that differ between worlds, as arrays with a row for each."""
+    scene = Scene()
+    kinds = {"body_quat": wp.quat, "body_mass": float, "body_subtreemass": float,
+             "geom_rbound": float}  # fmt: skip
+    for name in (
+        *("body_pos", "body_quat", "body_ipos", "body_mass", "body_subtreemass", "body_inertia"),
+        *("geom_size", "geom_pos", "geom_rbound", "geom_friction"),
+    ):
+        own = getattr(m, name).numpy()
+        rows = np.repeat(own[:1], worlds, axis=0)
+        array = wp.array(rows, dtype=kinds.get(name, wp.vec3))
+        setattr(m, name, array)
+        setattr(scene, name, array)
+    scene.ipos = wp.array(model.body_ipos.astype(np.float32), dtype=wp.vec3)
+    scene.mass = _floats(model.body_mass)
+    scene.inertia = wp.array(model.body_inertia.astype(np.float32), dtype=wp.vec3)
+    scene.size = wp.array(model.geom_size.astype(np.float32), dtype=wp.vec3)
+    scene.pos = wp.array(model.geom_pos.astype(np.float32), dtype=wp.vec3)
+    scene.rbound = _floats(model.geom_rbound)
+    scene.friction = wp.array(model.geom_friction.astype(np.float32), dtype=wp.vec3)
+    scene.membrane_friction = float(friction)
+    return scene
+
+
+def _error_model(errors: SensingErrorModel) -> Any:
+    model = ErrorModel()
+    model.loads, model.table = _floats(errors.loads), _floats(errors.at_loads)
+    model.gain = _floats(errors.gain)
+    model.spread = _floats(np.linalg.cholesky(errors.correlation))
+    model.outlier_size = _floats(errors.outlier_size)
+    model.slow_time, model.shear_gain = float(errors.slow_time), float(errors.shear_gain)
+    model.touch_force, model.release = float(errors.touch_force), float(errors.release)
+    return model
+
+
+def _arrays(struct: Any, count: int, **columns: int) -> Any:
+    """Return a struct of Warp whose arrays have `count` rows, and `columns` where named."""
+    found = struct()
+    for name, variable in struct.vars.items():
+        shape = (count, columns[name]) if name in columns else count
+        setattr(found, name, wp.zeros(shape, dtype=variable.type.dtype))
+    return found
+
+
+def _floats(values: Any) -> Any:
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=float)
+
+
+def _ints(values: Any) -> Any:
+    return wp.array(np.asarray(values, np.int32).reshape(-1), dtype=int)

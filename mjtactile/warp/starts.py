@@ -1,0 +1,178 @@
+"""Initial states of grasps: the worlds that `mjtactile evaluate` builds for the same seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Array
+from mjtactile.rig.domain_randomization import NONE, SampledWorld, load_variation
+from mjtactile.rig.finger import Rig
+from mjtactile.sim.fast_reset import object_roots, planar_pose
+from mjtactile.sim.rig import place, start_of
+from mjtactile.sim.scenes.objects import PREFIX, load_object
+from mjtactile.warp.device.restart import Starts
+
+# parameters of a variation that have an effect here; those of the camera are in the error model
+SUPPORTED = {
+    "object": ("size_percent", "mass_percent", "friction_percent", "breaking_percent", "place_mm",
+               "yaw_deg"),
+    "sensor": ("stiffness_percent", "thickness_percent", "friction_percent"),
+    "rig": ("delay_ms", "jitter_ms", "backlash_mm", "speed_percent", "force_noise_N"),
+}  # fmt: skip
+_SEEN = ("fx_percent", "center_px", "k1_offset", "k1", "camera_shift_mm", "camera_tilt_deg",
+         "blur_px", "noise_percent", "light_percent", "marker_radius_um",
+         "missing_markers")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SampledStarts:
+    """Device arrays of the initial states of `seeds`, with the seeds (rows,)."""
+
+    starts: Any
+    seeds: Array
+
+
+def ignored_parameters(randomization: str) -> list[str]:
+    """Return the parameters of a variation that have no effect here."""
+    if randomization == NONE:
+        return []
+    found = []
+    for name in load_variation(randomization).spreads:
+        section, _, key = name.partition(".")
+        is_seen = section == "camera" or (section == "sensor" and key in _SEEN)
+        if not is_seen and key not in SUPPORTED.get(section, ()):
+            found.append(name)
+    return found
+
+
+def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: int) -> SampledStarts:
+    """Sample the initial states of `seeds` of a scenario, built once as `rig`.
+
+    Raises InputError for a size that an object's meshes cannot take, or a delay that exceeds the
+    camera period.
+    """
+    world = rig.scene
+    model, data = world.model, world.data
+    grasped = load_object(scenario.object)
+    fingers = [finger.name for finger in rig.fingers]
+    variation = load_variation(scenario.randomization)
+    markers = rig.fingers[0].design.markers.count
+    sampled = [variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds]
+    _check(sampled, model, rig.period)
+    poses = [
+        place(grasped.changed(one.object), start_of(seed)[0])
+        for one, seed in zip(sampled, seeds, strict=True)
+    ]
+    now = place(world.object, start_of(scenario.seed)[0])
+    roots = object_roots(model)
+    free = [body for body in roots if model.body_jntnum[body]]
+    fixed = [body for body in roots if not model.body_jntnum[body]]
+    scale = np.array([1 + one.object.size for one in sampled])
+    starts = Starts()
+    starts.free_bodies, starts.fixed_bodies = _ints(free), _ints(fixed)
+    address = [int(model.jnt_qposadr[model.body_jntadr[body]]) for body in free]
+    starts.address = _ints(address)
+    geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] in roots]
+    starts.geoms = _ints(geoms)
+    current = {
+        **{body: data.qpos[at : at + 7] for body, at in zip(free, address, strict=True)},
+        **{body: np.r_[model.body_pos[body], model.body_quat[body]] for body in fixed},
+    }
+    for name, bodies in (("free", free), ("fixed", fixed)):
+        table = np.zeros((len(seeds), max(len(bodies), 1), 7))
+        for k, body in enumerate(bodies):
+            table[:, k] = _moved(current[body], now, poses, scale, world)
+        setattr(starts, name, _floats(table))
+    starts.qpos, starts.ctrl = _floats(data.qpos), _floats(data.ctrl)
+    starts.opening, starts.force = float(world.opening), float(rig.limits.force)
+    starts.scale = _floats(scale)
+    starts.mass = _floats([1 + one.object.mass for one in sampled])
+    starts.friction = _floats([_frictions(one, fingers) for one in sampled])
+    starts.modulus = _floats([_moduli(one, fingers) for one in sampled])
+    own = [grasped.changed(one.object).break_force for one in sampled]
+    starts.break_force = _floats(np.minimum(own, 1e6))
+    main = model.body(f"{PREFIX}object").id
+    middle = scale * model.body_ipos[main, 2]  # the object stands upright, or has its middle there
+    heights = starts.free.numpy()[:, free.index(main), 2] + middle if main in free else middle
+    starts.rest_height = _floats(heights)
+    speed = world.rig.gripper.speed
+    starts.rig = _floats(
+        [(c.delay, c.jitter, c.backlash, (1 + c.speed) * speed, c.force_noise)
+         for c in (one.rig for one in sampled)]
+    )  # fmt: skip
+    starts.episode = wp.zeros(worlds, dtype=int)
+    return SampledStarts(starts, np.asarray(seeds))
+
+
+def _check(sampled: Sequence[SampledWorld], model: mujoco.MjModel, period: float) -> None:
+    longest = max(one.rig.delay + one.rig.jitter for one in sampled)
+    if longest > period:
+        text = f"delays of up to {1e3 * longest:.0f} ms exceed the period of {1e3 * period:.0f} ms"
+        raise InputError(text, source="Grasp-v0", field="randomization")
+    roots = object_roots(model)
+    kinds = {
+        int(model.geom_type[g])
+        for g in range(model.ngeom)
+        if model.body_rootid[model.geom_bodyid[g]] in roots
+    }
+    if int(mujoco.mjtGeom.mjGEOM_MESH) in kinds and any(one.object.size for one in sampled):
+        text = "object.size_percent cannot change a mesh while it runs"
+        raise InputError(text, source="Grasp-v0", field="randomization")
+
+
+def _moved(
+    pose: Array,
+    now: tuple[float, float, float],
+    wanted: Sequence[tuple[float, float, float]],
+    scale: Array,
+    world: Any,
+) -> Array:
+    """Return a body's poses (n, 7) after the object moves from `now` to the `wanted` poses."""
+    yaw = world.start.yaw
+    centre = np.array([*world.start.centre[:2], 0.0])
+    R_old, p_old = planar_pose(now, yaw, centre)
+    table = world.rig.table_height
+    moved = np.zeros((len(wanted), 7))
+    for k, one in enumerate(wanted):
+        R_new, p_new = planar_pose(one, yaw, centre)
+        local = R_old.T @ (pose[:3] - p_old)
+        local = scale[k] * (local - [0, 0, table]) + [0, 0, table]
+        quaternion, result = np.zeros(4), np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, (R_new @ R_old.T).ravel())
+        mujoco.mju_mulQuat(result, quaternion, pose[3:])
+        moved[k] = [*(R_new @ local + p_new), *result]
+    return moved
+
+
+def _frictions(one: SampledWorld, fingers: Sequence[str]) -> list[float]:
+    """Return the relative friction of the object's geoms, and of it with each membrane."""
+    own = 1 + one.object.friction
+    return [own, *(own * (1 + one.as_built_sensor(f).friction_fraction) for f in fingers)]
+
+
+def _moduli(one: SampledWorld, fingers: Sequence[str]) -> list[float]:
+    """Return the relative shear modulus times thickness of each membrane."""
+    built = [one.as_built_sensor(finger) for finger in fingers]
+    return [(1 + b.stiffness_fraction) * (1 + b.thickness_fraction) for b in built]
+
+
+def _floats(values: Any) -> Any:
+    array = np.ascontiguousarray(values, np.float32)
+    return wp.array(array, dtype=float)
+
+
+def _ints(values: Sequence[int]) -> Any:
+    return wp.array(np.asarray(values, np.int32).reshape(-1), dtype=int)
+
+
+def with_seed(scenario: Scenario, seed: int) -> Scenario:
+    """Return the scenario of an episode without its randomization, which `sample_starts` adds."""
+    return replace(scenario, seed=seed, randomization=NONE, effects="-mesh,-pipeline")
