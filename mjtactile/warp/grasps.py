@@ -34,15 +34,15 @@ from mjtactile.warp.device.grasp_phase import (
 )
 from mjtactile.warp.device.grasp_score import OUTCOMES, Scores, finish_step, score_step
 from mjtactile.warp.device.gripper import Drive, Goals, drive_grippers
-from mjtactile.warp.device.restart import Scene, restart_worlds
+from mjtactile.warp.device.restart import Poses, Scene, restart_worlds
 from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, estimate_all
 from mjtactile.warp.scene import bind_bodies
 from mjtactile.warp.starts import sample_starts, with_seed
 
 EPISODES = 4
 """Different initial states of each world; the fifth episode starts like the first."""
-_ITERATIONS = 30
-"""Iterations of MuJoCo's solver; a gripper with an object takes up to ten. A CPU always does all."""
+_CPU_ITERATIONS = 30
+"""Iterations of MuJoCo's solver on a CPU, which always does all; a grasp needs ten."""
 _REQUIRED = "Grasp-v0 with a device"
 
 
@@ -93,9 +93,14 @@ class Grasps:
     def _build(self, rewards: dict[str, float], progress: Any, time_limit: float) -> None:
         world, worlds = self.rig.scene, self.worlds
         self._m = mjw.put_model(self.model)
-        self._m.opt.iterations = min(self._m.opt.iterations, _ITERATIONS)
+        if not self.device.is_cuda:
+            self._m.opt.iterations = min(self._m.opt.iterations, _CPU_ITERATIONS)
+            self._m.opt.warn_overflow &= ~mjw.OverflowType.ITERATIONS
         self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
         self._scene = _scene(self.model, self._m, worlds, world.sensors[0].friction)
+        self._poses = Poses()
+        for name in Poses.vars:
+            setattr(self._poses, name, getattr(self._d, name))
         sensors = world.sensors
         self.touch = bind_bodies(
             self.model,
@@ -221,17 +226,18 @@ class Grasps:
 
     def _restart(self, mask: Any) -> None:
         d = self._d
-        self.touch.reset(mask)
         wp.launch(
             restart_worlds,
             dim=self.worlds,
             inputs=[
                 *(mask, self.fingers, self._starts, self._scene, self._drive, self._goals),
                 *(self._commands, self.scores, self._errors, self._estimates),
-                *(self.touch.membrane_friction, self.touch.membranes.modulus, d.time, d.qpos),
-                *(d.qvel, d.qacc_warmstart, d.ctrl, d.actuator_force),
+                *(self.touch.membrane_friction, self.touch.membranes.modulus),
+                *(self.touch.membrane_volume, d.time, d.qpos, d.qvel),
+                *(d.qacc_warmstart, d.ctrl, d.actuator_force, self._poses),
             ],
         )
+        self.touch.reset(mask)
 
     def _observe(self, elapsed: float) -> None:
         d = self._d
@@ -337,6 +343,8 @@ def _scene(model: mujoco.MjModel, m: Any, worlds: int, friction: float) -> Any:
         array = wp.array(rows, dtype=kinds.get(name, wp.vec3))
         setattr(m, name, array)
         setattr(scene, name, array)
+    scene.geom_quat = m.geom_quat
+    scene.body_of = _ints(model.geom_bodyid)
     scene.ipos = wp.array(model.body_ipos.astype(np.float32), dtype=wp.vec3)
     scene.mass = _floats(model.body_mass)
     scene.inertia = wp.array(model.body_inertia.astype(np.float32), dtype=wp.vec3)

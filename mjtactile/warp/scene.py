@@ -45,7 +45,8 @@ class Touch:
     - `area` m^2, and of the body with the largest force: `center` m in S, `slides` (1 at the
       friction limit), `slid` m since first touch. All are (worlds, fingers).
     - `friction`, `modulus` (a factor), `sealed` and `supply` (worlds, fingers) may be written.
-      Where `sealed` is 0, a valve connects the chamber to `supply`, Pa (gauge).
+      Where `sealed` is 0, a valve connects the chamber to `supply`, Pa (gauge). `reset` seals the
+      chamber with the sensor's pressure at `rest_volume`, m^3, which may be written, too.
     """
 
     def __init__(self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, places: Any):
@@ -63,6 +64,9 @@ class Touch:
         # the same, of all membranes in one row: (worlds * fingers, ...)
         self.membrane_wrench, self.membrane_status = states.wrench, fields.status
         self.membrane_friction = states.friction
+        rest = float(membranes.membrane.rest.volume)
+        self.membrane_volume = wp.full(count, rest, dtype=float)
+        self.rest_volume = self.membrane_volume.reshape((worlds, self.fingers))
         self.wrench = states.wrench.reshape((*shape, 6))
         self.pressure = fields.pressure.reshape(shape)
         self.status = fields.status.reshape(shape)
@@ -125,7 +129,8 @@ class Touch:
             dim=(self.membranes.count, self.membranes.sheet.rest.shape[1]),
             inputs=[
                 *(self.fingers, mask, self.membranes.sheet.rest, float(membrane.gauge_pressure)),
-                *(float(membrane.rest.volume), self.membranes.gas, self._heat),
+                *(float(membrane.rest.volume), self.membrane_volume, self.membranes.gas),
+                self._heat,
                 *(self.membranes.fields, self._states),
             ],
         )
@@ -219,7 +224,7 @@ def _places(
     reach = math.hypot(math.hypot(design.frame.length, design.frame.width) / 2, top) + 1e-3
     found = [ContactGeoms(model, frame, reach) for frame in frames]
     geoms = max(1, *(len(part.ids) for part in found))
-    bodies = max(1, *(len(np.unique(part.bodies)) for part in found))
+    bodies = max(1, *(len(part.bodies) for part in found))
     tables = {
         name: np.full((len(frames), geoms), -1, np.int32)
         for name in ("geoms", "kinds", "slots", "first", "count")
@@ -227,15 +232,14 @@ def _places(
     listed = np.full((len(frames), bodies), -1, np.int32)
     planes: list[Array] = []
     for i, part in enumerate(found):
-        unique = np.unique(part.bodies)
-        listed[i, : len(unique)] = unique
+        listed[i, : len(part.bodies)] = part.bodies
         for k, geom in enumerate(part.ids):
             kind = int(model.geom_type[geom])
             if kind not in SUPPORTED:
                 name = model.geom(int(geom)).name or f"geom {geom}"
                 raise InputError(f"{name!r} has a shape that is not supported", source="bind")
             tables["geoms"][i, k], tables["kinds"][i, k] = geom, kind
-            tables["slots"][i, k] = np.searchsorted(unique, part.bodies[k])
+            tables["slots"][i, k] = part.slots[k]
             if kind == CONVEX:
                 own = _planes(model, int(geom))
                 tables["first"][i, k] = sum(len(rows) for rows in planes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,18 +13,21 @@ import warp as wp
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
+from mjtactile.rig.as_built_sensor import AsBuiltSensor
 from mjtactile.rig.domain_randomization import NONE, SampledWorld, load_variation
 from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import object_roots, planar_pose
 from mjtactile.sim.rig import place, start_of
 from mjtactile.sim.scenes.objects import PREFIX, load_object
+from mjtactile.warp.as_built_membranes import match_membranes
 from mjtactile.warp.device.restart import Starts
 
 # parameters of a variation that have an effect here; those of the camera are in the error model
 SUPPORTED = {
     "object": ("size_percent", "mass_percent", "friction_percent", "breaking_percent", "place_mm",
                "yaw_deg"),
-    "sensor": ("stiffness_percent", "thickness_percent", "friction_percent"),
+    "sensor": ("stiffness_percent", "thickness_percent", "pre_stretch_offset",
+               "friction_percent"),
     "rig": ("delay_ms", "jitter_ms", "backlash_mm", "speed_percent", "force_noise_N"),
 }  # fmt: skip
 _SEEN = ("fx_percent", "center_px", "k1_offset", "k1", "camera_shift_mm", "camera_tilt_deg",
@@ -96,7 +99,13 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
     starts.scale = _floats(scale)
     starts.mass = _floats([1 + one.object.mass for one in sampled])
     starts.friction = _floats([_frictions(one, fingers) for one in sampled])
-    starts.modulus = _floats([_moduli(one, fingers) for one in sampled])
+    sensor = world.sensors[0]
+    stiffness = np.array([_of(one, fingers, _stiffness) for one in sampled])
+    offsets = np.array([_of(one, fingers, _pre_stretch) for one in sampled])
+    found = match_membranes(
+        sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
+    )
+    starts.modulus, starts.volume = (_floats(one.reshape(stiffness.shape)) for one in found)
     own = [grasped.changed(one.object).break_force for one in sampled]
     starts.break_force = _floats(np.minimum(own, 1e6))
     main = model.body(f"{PREFIX}object").id
@@ -158,10 +167,19 @@ def _frictions(one: SampledWorld, fingers: Sequence[str]) -> list[float]:
     return [own, *(own * (1 + one.as_built_sensor(f).friction_fraction) for f in fingers)]
 
 
-def _moduli(one: SampledWorld, fingers: Sequence[str]) -> list[float]:
-    """Return the relative shear modulus times thickness of each membrane."""
-    built = [one.as_built_sensor(finger) for finger in fingers]
-    return [(1 + b.stiffness_fraction) * (1 + b.thickness_fraction) for b in built]
+def _of(
+    one: SampledWorld, fingers: Sequence[str], value: Callable[[AsBuiltSensor], float]
+) -> list[float]:
+    """Return a value of each finger's as-built sensor."""
+    return [value(one.as_built_sensor(finger)) for finger in fingers]
+
+
+def _stiffness(built: AsBuiltSensor) -> float:
+    return (1 + built.stiffness_fraction) * (1 + built.thickness_fraction)
+
+
+def _pre_stretch(built: AsBuiltSensor) -> float:
+    return built.pre_stretch
 
 
 def _floats(values: Any) -> Any:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.core import policy
-from mjtactile.warp.device.gripper import Drive, Goals, closing_force, height_of
-from mjtactile.warp.device.gripper import opening_of, opening_speed_of
+from mjtactile.warp.device.gripper import (
+    Drive,
+    Goals,
+    closing_force,
+    height_of,
+    opening_of,
+    opening_speed_of,
+)
 from mjtactile.warp.device.sensing_errors import Estimates
 
 wp.set_module_options({"enable_backward": False})

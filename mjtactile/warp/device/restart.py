@@ -17,11 +17,11 @@ class Starts:
     """Initial states; entry e of world w is row (w + e * worlds) % rows of the others.
 
     `qpos` (nq,) and `ctrl` (nu,) are common. `free` (rows, bodies, 7) and `fixed` (rows, bodies, 7)
-    are poses of the object's bodies, those with a free joint at `address` in qpos. `scale` is the
-    size of the object, `mass` its mass, `friction` (rows, 1 + fingers) that of the object's geoms
-    and of each membrane, `modulus` (rows, fingers) that of the membranes, all relative to the
-    model; `break_force` N. `rig` (rows, 5): delay, jitter, play, speed, force noise. `episode`
-    (worlds,) counts.
+    are poses of the object's bodies, those with a free joint at `address` in qpos. Relative to the
+    model are `scale`, the object's size, `mass`, `friction` (rows, 1 + fingers) of its geoms and of
+    each membrane, and `modulus` (rows, fingers) of the membranes. `volume` (rows, fingers) are
+    their rest volumes, m^3. `break_force` is in N. `rig` (rows, 5): delay, jitter, play, speed,
+    force noise. `episode` (worlds,) counts.
     """
 
     qpos: wp.array(dtype=float)
@@ -38,6 +38,7 @@ class Starts:
     mass: wp.array(dtype=float)
     friction: wp.array2d(dtype=float)
     modulus: wp.array2d(dtype=float)
+    volume: wp.array2d(dtype=float)
     break_force: wp.array(dtype=float)
     rest_height: wp.array(dtype=float)
     rig: wp.array2d(dtype=float)
@@ -58,6 +59,8 @@ class Scene:
     geom_pos: wp.array2d(dtype=wp.vec3)
     geom_rbound: wp.array2d(dtype=float)
     geom_friction: wp.array2d(dtype=wp.vec3)
+    geom_quat: wp.array2d(dtype=wp.quat)
+    body_of: wp.array(dtype=int)
     ipos: wp.array(dtype=wp.vec3)
     mass: wp.array(dtype=float)
     inertia: wp.array(dtype=wp.vec3)
@@ -66,6 +69,43 @@ class Scene:
     rbound: wp.array(dtype=float)
     friction: wp.array(dtype=wp.vec3)
     membrane_friction: float
+
+
+@wp.struct
+class Poses:
+    """Poses in MuJoCo Warp's data; it computes those of geoms that are fixed to the world once."""
+
+    xpos: wp.array2d(dtype=wp.vec3)
+    xquat: wp.array2d(dtype=wp.quat)
+    xmat: wp.array2d(dtype=wp.mat33)
+    xipos: wp.array2d(dtype=wp.vec3)
+    geom_xpos: wp.array2d(dtype=wp.vec3)
+    geom_xmat: wp.array2d(dtype=wp.mat33)
+
+
+@wp.func
+def _matrix(q: wp.quat) -> wp.mat33:
+    """Return the rotation of a quaternion in MuJoCo's order, w x y z."""
+    return wp.quat_to_matrix(wp.quat(q[1], q[2], q[3], q[0]))
+
+
+@wp.func
+def _write_fixed(starts: Starts, scene: Scene, poses: Poses, w: int) -> None:
+    """Write the poses of the object's bodies without a joint, and of their geoms."""
+    for b in range(starts.fixed_bodies.shape[0]):
+        body = starts.fixed_bodies[b]
+        p = scene.body_pos[w, body]
+        R = _matrix(scene.body_quat[w, body])
+        poses.xpos[w, body] = p
+        poses.xquat[w, body] = scene.body_quat[w, body]
+        poses.xmat[w, body] = R
+        poses.xipos[w, body] = p + R @ scene.body_ipos[w, body]
+        for g in range(starts.geoms.shape[0]):
+            geom = starts.geoms[g]
+            if scene.body_of[geom] == body:
+                poses.geom_xpos[w, geom] = p + R @ scene.geom_pos[w, geom]
+                own = scene.geom_quat[w % scene.geom_quat.shape[0], geom]
+                poses.geom_xmat[w, geom] = R @ _matrix(own)
 
 
 @wp.func
@@ -144,12 +184,14 @@ def restart_worlds(
     estimates: Estimates,
     membrane_friction: wp.array(dtype=float),
     modulus: wp.array(dtype=float),
+    volume: wp.array(dtype=float),
     time: wp.array(dtype=float),
     qpos: wp.array2d(dtype=float),
     qvel: wp.array2d(dtype=float),
     warmstart: wp.array2d(dtype=float),
     ctrl: wp.array2d(dtype=float),
     actuator_force: wp.array2d(dtype=float),
+    poses: Poses,
 ):
     w = wp.tid()
     if not mask[w]:
@@ -158,6 +200,7 @@ def restart_worlds(
     starts.episode[w] += 1
     _place(starts, scene, qpos, w, row)
     _change(starts, scene, w, row)
+    _write_fixed(starts, scene, poses, w)
     for k in range(qvel.shape[1]):
         qvel[w, k] = 0.0
         warmstart[w, k] = 0.0
@@ -195,6 +238,7 @@ def restart_worlds(
         f = w * fingers + k
         membrane_friction[f] = scene.membrane_friction * starts.friction[row, 1 + k]
         modulus[f] = starts.modulus[row, k]
+        volume[f] = starts.volume[row, k]
         begin_errors(model, estimates, f)
 
 

@@ -208,6 +208,7 @@ def reset_worlds(
     rest: wp.array2d(dtype=float),
     pressure: float,
     volume: float,
+    rest_volume: wp.array(dtype=float),
     gas: Gas,
     heat: Heat,
     fields: Fields,
@@ -215,21 +216,25 @@ def reset_worlds(
 ):
     f, k = wp.tid()
     if mask[f // fingers]:
+        higher = rest_volume[f] / volume
         for c in range(3):
-            fields.u[f, c, k] = rest[c, k]
-            fields.kept[f, c, k] = rest[c, k]
+            at = rest[c, k]
+            if c == 2:
+                at = higher * at
+            fields.u[f, c, k] = at
+            fields.kept[f, c, k] = at
             states.before[f, c, k] = 0.0
         fields.force[f, k] = 0.0
         fields.kept_force[f, k] = 0.0
         if k == 0:
             fields.pressure[f] = pressure
-            fields.volume[f] = volume
+            fields.volume[f] = rest_volume[f]
             fields.status[f] = 0
             fields.lost[f] = 0
             gas.sealed[f] = 1
             heat.warmth[f] = 1.0
-            heat.volume[f] = gas.flat + volume
-            heat.amount[f] = (pressure + gas.ambient) * (gas.flat + volume)
+            heat.volume[f] = gas.flat + rest_volume[f]
+            heat.amount[f] = (pressure + gas.ambient) * heat.volume[f]
             heat.supply[f] = pressure
             for slot in range(states.patches.shape[1]):
                 states.patches[f, slot] = Patch()
