@@ -111,12 +111,12 @@ class Grasps:
             (sensors[0].mesh.nx, sensors[0].mesh.ny),
         )
         self._drive = _drive(self.rig, self._m, worlds)
-        self._goals = _arrays(Goals, worlds)
-        self._commands = _arrays(Commands, worlds, measured=4)
-        self.scores = _arrays(Scores, worlds)
+        self._goals = arrays_of(Goals, worlds)
+        self._commands = arrays_of(Commands, worlds, measured=4)
+        self.scores = arrays_of(Scores, worlds)
         is_varied = self.scenario.randomization != NONE
-        self._errors = _error_model(load_errors(self.rig.fingers[0].design, is_varied))
-        self._estimates = _arrays(Estimates, worlds * self.fingers, wrench=6, slow=6)
+        self._errors = error_model(load_errors(self.rig.fingers[0].design, is_varied))
+        self._estimates = arrays_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
         self._limits = _limits(self.rig)
         maximum = policy.policy_bounds(self.fingers)
         self._maximum = wp.array(maximum.astype(np.float32), dtype=float)
@@ -356,7 +356,7 @@ def _scene(model: mujoco.MjModel, m: Any, worlds: int, friction: float) -> Any:
     return scene
 
 
-def _error_model(errors: SensingErrorModel) -> Any:
+def error_model(errors: SensingErrorModel) -> Any:
     model = ErrorModel()
     model.loads, model.table = _floats(errors.loads), _floats(errors.at_loads)
     model.gain = _floats(errors.gain)
@@ -367,7 +367,7 @@ def _error_model(errors: SensingErrorModel) -> Any:
     return model
 
 
-def _arrays(struct: Any, count: int, **columns: int) -> Any:
+def arrays_of(struct: Any, count: int, **columns: int) -> Any:
     """Return a struct of Warp whose arrays have `count` rows, and `columns` where named."""
     found = struct()
     for name, variable in struct.vars.items():

@@ -143,7 +143,7 @@ def _refuse_soft(model: mujoco.MjModel) -> None:
     for flex in range(model.nflex):
         if model.flex_dim[flex] == 3:
             raise InputError(
-                f"{model.flex(flex).name!r} is soft, and a quasi-static membrane supports "
+                f"{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, flex)!r} is soft, and a quasi-static membrane supports "
                 "only rigid bodies: switch 'mesh' on",
                 field="--effects -mesh",
             )

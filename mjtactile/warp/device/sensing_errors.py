@@ -105,6 +105,11 @@ def begin_errors(model: ErrorModel, estimates: Estimates, f: int) -> None:
 
 
 @wp.kernel
+def begin_all(model: ErrorModel, estimates: Estimates):
+    begin_errors(model, estimates, wp.tid())
+
+
+@wp.kernel
 def estimate_all(
     model: ErrorModel, estimates: Estimates, elapsed: float, wrench: wp.array2d(dtype=float)
 ):
