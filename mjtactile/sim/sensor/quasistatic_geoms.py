@@ -142,8 +142,9 @@ def _refuse_soft(model: mujoco.MjModel) -> None:
     """Raise InputError for a soft object."""
     for flex in range(model.nflex):
         if model.flex_dim[flex] == 3:
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, flex)
             raise InputError(
-                f"{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, flex)!r} is soft, and a quasi-static membrane supports "
-                "only rigid bodies: switch 'mesh' on",
+                f"{name!r} is soft, and a quasi-static membrane supports only rigid bodies: "
+                "switch 'mesh' on",
                 field="--effects -mesh",
             )
