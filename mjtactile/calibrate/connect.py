@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
@@ -54,10 +55,9 @@ def live_camera(rig_file: RigFile, finger: str) -> Iterator[OpenCvCamera]:
 
 @contextlib.contextmanager
 def live_gripper(rig_file: RigFile) -> Iterator[DynamixelGripper]:
-    """Connect the gripper and its lift."""
-    gripper = DynamixelGripper(
-        rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path)
-    )
+    """Connect the gripper and its lift, without compensation of its backlash."""
+    config = replace(rig_file.gripper, backlash=0.0)
+    gripper = DynamixelGripper(rig_file.bus, config, rig_file.lift, source=str(rig_file.path))
     with contextlib.closing(gripper):
         yield gripper
 

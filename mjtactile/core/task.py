@@ -60,8 +60,8 @@ class SampledDisturbance:
 class SampledTask:
     """Values sampled by a seed: mass, kg, friction coefficient, and breaking factor over the
     required force. They are None if the task does not set them; `values` are in the file's units,
-    for results. `liquid` is the fill height over the object's height; `path` is that of the gripper
-    (None: it stays where it is)."""
+    for results. `liquid` is the fill height over the object's height. `path` is that of the gripper
+    (None: no motion)."""
 
     mass: float | None
     friction: float | None

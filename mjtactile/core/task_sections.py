@@ -176,10 +176,10 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """Position on the path of the gripper, relative to its position after the lift.
+    """Position on the path of the gripper, relative to that after the lift.
 
-    x is the closing direction of the first finger, z is up. The gripper stops at each waypoint. A
-    coordinate that is missing keeps its value.
+    x is the closing direction of the first finger. z is up. The gripper stops at each waypoint. A
+    missing coordinate keeps its value.
     """
 
     x: Range | None = sampled_range("x_mm", -1000, 1000, MM, about="along the closing direction")

@@ -113,6 +113,7 @@ class GripperConfig:
     """Jaws of the gripper.
 
     `opening`, m (minimum, maximum), `force_max` on each finger, N, `speed_max` of the opening, m/s.
+    `backlash`, m of the opening, is a gear play that is compensated.
     `calibration` is the file that `calibrate gripper` writes (None: not specified).
     """
 
@@ -120,6 +121,7 @@ class GripperConfig:
     servos: tuple[ServoConfig, ...] = parts("servo", ServoConfig)
     force_max: float = number("force_max_N", 0.1, 500, default=8.0)
     speed_max: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.1)
+    backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
     calibration: Path | None = file_path("calibration")
 
 

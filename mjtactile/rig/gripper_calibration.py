@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import replace
 
 from mjtactile.core.calibration import PartState
-from mjtactile.core.config_fields import entries
+from mjtactile.core.config_fields import MM, entries
 from mjtactile.core.toml import Section, read_json
 from mjtactile.rig.file import GripperConfig, ServoConfig
 
@@ -20,7 +20,7 @@ def gripper_fingerprint(config: GripperConfig) -> str:
 
 
 def calibrated_gripper(config: GripperConfig) -> GripperConfig:
-    """Return the configuration with measured servo values.
+    """Return the configuration with measured servo values and backlash.
 
     They come from the calibration file that the rig file names. Without that file, or if it is for
     another gripper configuration (fingerprint), `config` is returned unchanged.
@@ -36,7 +36,12 @@ def calibrated_gripper(config: GripperConfig) -> GripperConfig:
         raise table.fail(
             "servo", f"is for servos {sorted(lines)}, but the rig file has {sorted(ids)}"
         )
-    return replace(config, servos=tuple(_servo(servo, lines[servo.id]) for servo in config.servos))
+    opening = table.optional("opening")
+    backlash = config.backlash
+    if opening is not None:
+        backlash = max(0.0, opening.number("backlash_mm", -5, 5, MM))
+    servos = tuple(_servo(servo, lines[servo.id]) for servo in config.servos)
+    return replace(config, servos=servos, backlash=backlash)
 
 
 def gripper_state(config: GripperConfig) -> PartState:

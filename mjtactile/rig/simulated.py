@@ -97,7 +97,7 @@ class SimActuator:
 @dataclass(frozen=True)
 class SimGripperConfig:
     """Jaws: `opening` m (lowest, highest), `start` m, `force_max` N on each finger, `speed` m/s of
-    the opening.
+    the opening, `backlash` m, a gear play that is compensated.
     """
 
     opening: tuple[float, float]
@@ -105,6 +105,7 @@ class SimGripperConfig:
     actuators: tuple[SimActuator, ...] = parts("actuator", SimActuator, high=FINGERS_MAX)
     force_max: float = number("force_max_N", 0.1, 500, default=8.0)
     speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
+    backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
 
     @classmethod
     def from_section(cls, section: Section) -> SimGripperConfig:

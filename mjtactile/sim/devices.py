@@ -15,6 +15,7 @@ from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.types import Command, GripperState, ValveState
 from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.domain_randomization import FAULTLESS, RigChange
+from mjtactile.rig.play_compensation import PlayCompensation
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.sensor_types import AnySensor
@@ -191,6 +192,7 @@ class SimGripper:
             force=file.gripper.force_max,
             lift=(0.0, file.lift.travel),
         )
+        self._play = PlayCompensation(file.gripper.backlash)
         self._sent = Command(world.opening, file.gripper.force_max)
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
@@ -207,7 +209,8 @@ class SimGripper:
             if self._change.force_noise
             else 0.0
         )
-        opening = world.opening + self._motor - self._jaw  # servos report the motor position
+        motors = world.opening + self._motor - self._jaw  # servos report the motor position
+        opening = self._play.opening(motors)
         self._asked = GripperState(
             opening, world.opening_speed, force, world.lift_height, world.time, 0.0
         )
@@ -245,7 +248,7 @@ class SimGripper:
     def _apply(self, command: Command) -> None:
         """The jaw follows the motor when the gears' play is used up."""
         half = self._change.backlash / 2
-        self._motor = command.opening
+        self._motor = self._play.motor_goal(command.opening)
         self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
         self._world.set_finger_target(self._jaw, command.force_limit)
         self._world.set_lift_target(command.lift_height)

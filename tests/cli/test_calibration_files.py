@@ -133,6 +133,19 @@ def test_a_rig_that_names_no_file_says_where_to_write_one(capsys):
     one_line(capsys, "camera[1].calibration", 'calibration = "right.json"')
 
 
+def test_the_measured_backlash_of_the_gripper_is_compensated(rig, tmp_path):
+    """Jaws 0.1 mm behind their servos in both directions have a play of 0.2 mm."""
+    rows = ["reported_mm,direction,measured_mm"]
+    for opening in (20, 40, 60, 80):
+        rows += [f"{opening},closing,{opening + 0.1}", f"{opening},opening,{opening - 0.1}"]
+    (tmp_path / "caliper.csv").write_text("\n".join(rows))
+    command = ["calibrate", "gripper", "--rig", str(rig), "--openings"]
+    assert main([*command, str(tmp_path / "caliper.csv")]) == 0
+    config = load_rig_file(rig).gripper
+    assert config.backlash == 0.0
+    assert calibrated_gripper(config).backlash == pytest.approx(2e-4, rel=1e-3)
+
+
 def test_what_was_measured_of_the_gripper_is_used_until_the_rig_file_changes(rig, tmp_path):
     rows = "\n".join(["reported_N,measured_N", *(f"{f},{0.9 * f}" for f in (1, 2, 3, 4))])
     (tmp_path / "cell.csv").write_text(rows)

@@ -29,6 +29,7 @@ from mjtactile.devices.dynamixel.servo import (
 from mjtactile.devices.dynamixel.servo_models import TICKS_PER_RAD
 from mjtactile.rig.command_limits import UNLIMITED
 from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig
+from mjtactile.rig.play_compensation import PlayCompensation
 
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
@@ -54,6 +55,7 @@ class DynamixelGripper:
     ):
         self.geometry = JawGeometry(gripper, source)
         self.config = gripper
+        self._play = PlayCompensation(gripper.backlash)
         self._bus_config = bus
         self._lift_config = lift
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
@@ -118,7 +120,7 @@ class DynamixelGripper:
                 servo.raise_fault(_FAILURES_MAX)
             ticks = {i: s.ticks for i, s in self._jaws.items()}
             return GripperState(
-                opening=self.geometry.opening(ticks),
+                opening=self._play.opening(self.geometry.opening(ticks)),
                 speed=self.geometry.speed(ticks, {i: s.rad_per_s for i, s in self._jaws.items()}),
                 effort=self.geometry.effort(ticks, {i: s.current for i, s in self._jaws.items()}),
                 lift_height=self._lift_height(),
@@ -139,8 +141,9 @@ class DynamixelGripper:
             self._arm()
             self._last_call = scaled_clock.monotonic()
             sent = self._sent = self._limits.clip(command.completed(self._sent))
+            low, high = self.config.opening
             goals = self.geometry.goals(
-                sent.opening,
+                min(max(self._play.motor_goal(sent.opening), low), high),
                 {i: s.ticks for i, s in self._jaws.items()},
                 _LEAD_TIME * self.config.speed_max,
             )

@@ -1,6 +1,6 @@
 """`Gantry`: joints and servos that move the base of a gripper sideways, up and by a tilt.
 
-They are added only to a scene whose task has waypoints, so that other scenes stay as they are.
+They are added only to scenes of tasks with waypoints. Other scenes stay as they are.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _FREQUENCY = 2 * math.pi * 25.0  # natural frequency of the servos, rad/s; criti
 
 
 def add_gantry(spec: mujoco.MjSpec, model: mujoco.MjModel, start: Start) -> None:
-    """Add the joints to the base of the gripper in the compiled `model`, whose `start` is planned.
+    """Add the joints to the base of the gripper in the compiled `model`.
 
-    x is the closing direction of the first finger. The tilt axis is parallel to it, through the
-    center of the fingertips.
+    x is the closing direction of the first finger. The tilt axis is parallel to it. It passes
+    through the center of the fingertips.
     """
     root = int(model.body_rootid[start.gripper])
     base = next(body for body in spec.bodies if body.id == root)

@@ -1,7 +1,7 @@
 """Drives of a simulated rig: jaws, and lift by an actuator, a mocap body, an arm, or none.
 
-Heights are in m above the start position. A displacement (4,) is that of a path: x, y, z, m, and
-tilt, rad; the height of the lift does not contain it.
+Heights are in m above the start position. A displacement (4,) of a path is x, y, z, m, and tilt,
+rad. The height of the lift does not contain it.
 """
 
 from __future__ import annotations
@@ -107,8 +107,10 @@ class ActuatorLift:
 
 
 class GripperHeight:
-    """Height of the gripper from forward kinematics of the current joints, as reported by an
-    arm, less that of the path."""
+    """Height of the gripper from forward kinematics of the current joints, as of an arm.
+
+    The height of the path is subtracted.
+    """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, start: Start):
         self._model = model

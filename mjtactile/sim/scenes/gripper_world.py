@@ -55,7 +55,7 @@ class GripperWorld(World):
         `designs` are the fingers' sensors, `tip_height` m is the height of the fingertips above the
         table. `opening` m is the initial jaw opening (default: the rig file's), `grip` m the
         opening at contact with the object (default: `opening`). `furnish` adds objects to the
-        table. `path` is the task's; the scene then has a gantry, unless an arm or a mocap body
+        table. `path` is the task's. The scene then has a gantry, unless an arm or a mocap body
         moves the gripper. Raises InputError for a rig that cannot follow it.
         """
         self.rig = rig

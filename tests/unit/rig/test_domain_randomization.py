@@ -246,7 +246,7 @@ class FakeWorld:
         self.opening = 0.05
         self.time = 0.0
         self.calls = []
-        jaws = SimpleNamespace(opening=(0.0, 0.1), force_max=8.0)
+        jaws = SimpleNamespace(opening=(0.0, 0.1), force_max=8.0, backlash=0.0)
         self.rig = SimpleNamespace(gripper=jaws, lift=SimpleNamespace(travel=0.1))
 
     def after_each_step_batch(self, call, due):
