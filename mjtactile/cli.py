@@ -48,6 +48,9 @@ _SHARED = (
 )
 EXIT_INPUT = 2
 EXIT_FAULT = 3
+_NAMES = (errno.ENAMETOOLONG, errno.ELOOP)
+"""Errors of a path that no file can have."""
+_SHOWN = 80  # characters of such a path in a message
 
 
 class _Parser(argparse.ArgumentParser):
@@ -187,6 +190,9 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
         code = error.exit_code
     elif isinstance(error, KeyboardInterrupt):
         text = "interrupted"
+    elif isinstance(error, OSError) and error.errno in _NAMES:
+        code = EXIT_INPUT
+        text = f"{str(error.filename or 'a path')[:_SHOWN]}…: {error.strerror}"
     elif isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
         text = f"{error.filename or 'the output'}: cannot be written: {error.strerror}"
     else:

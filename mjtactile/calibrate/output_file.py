@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mjtactile.core import foreign_file
 from mjtactile.core.calibration import Calibration, load_calibration
 from mjtactile.core.calibration_parts import Part
 from mjtactile.core.design import SensorDesign, load_sensor
@@ -27,7 +28,7 @@ class OutputFile:
     def load(self) -> Calibration:
         """Read the file; return an empty calibration if it does not exist. Raises InputError if it
         belongs to another finger or sensor."""
-        if not self.path.exists():
+        if not foreign_file.exists(self.path):
             return Calibration(self.finger, self.design.name)
         calibration = load_calibration(self.path)
         calibration.check(self.design, self.finger, self.path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import datetime
+import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,12 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core import calibration_parts
+from mjtactile.core import calibration_parts, foreign_file
 from mjtactile.core.calibration_parts import CalibrationMetadata
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.recording.files import to_json, versions, write_json
+
+_LARGEST = 1 << 25  # maximum size of a table, bytes
 
 
 def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> CalibrationMetadata:
@@ -75,14 +78,11 @@ def read_columns(
     InputError naming file, line and column.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
-            rows = list(
-                csv.DictReader(
-                    row for row in lines if row.strip() and not row.lstrip().startswith("#")
-                )
-            )
-    except OSError as error:
-        raise InputError(f"the file cannot be read: {error.strerror}", source=path) from error
+        text = foreign_file.read_text(path, _LARGEST, "a table")
+        lines = io.StringIO(text, newline="")
+        rows = list(
+            csv.DictReader(row for row in lines if row.strip() and not row.lstrip().startswith("#"))
+        )
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"no CSV file: {error}", source=path) from error
     names = list(rows[0]) if rows else []

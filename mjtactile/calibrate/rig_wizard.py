@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array
 from mjtactile.devices.camera.opencv import OpenCvCamera
@@ -58,7 +59,7 @@ def setup(
     Raises InputError where something is missing or the answers end. The results up to then are in
     the file.
     """
-    if not path.exists():
+    if not foreign_file.exists(path):
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
         say(f"{path}: created as a copy of {like.stem}")
     ports_found = _PortScan(ports, say)

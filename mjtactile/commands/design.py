@@ -13,6 +13,7 @@ from typing import Any
 from mjtactile import Camera, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_json, save_plot, stdout_to_stderr
+from mjtactile.core import foreign_file
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -222,7 +223,7 @@ def _write_file_figures(out: Path, result: dict[str, Any]) -> None:
 
     path = out / "face.png"
     save_plot(path, lambda figure: plots.plot_face(figure, result), size=(13.0, 3.3))
-    picture = path.read_bytes() if path.exists() else None
+    picture = path.read_bytes() if foreign_file.exists(path) else None
     (out / "design.html").write_text(plots.page(result, picture), encoding="utf-8")
 
 

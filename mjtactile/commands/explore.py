@@ -20,7 +20,7 @@ from mjtactile.commands.output import (
     save_plot,
     stdout_to_stderr,
 )
-from mjtactile.core import signals
+from mjtactile.core import foreign_file, signals
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     if options.sources and options.resume:
         raise InputError("--input cannot be combined with --resume", field="--input")
-    if options.resume and (options.out is None or not (options.out / _TOUCHED).is_file()):
+    if options.resume and (options.out is None or not foreign_file.is_file(options.out / _TOUCHED)):
         raise InputError(f"this option requires --out DIR with {_TOUCHED} in it", field="--resume")
 
 
@@ -149,7 +149,7 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
     patches = []
     turns = [*options.turns, *[0.0] * len(options.sources)]
     for number, source in enumerate(options.sources):
-        if (source / _TOUCHED).is_file():
+        if foreign_file.is_file(source / _TOUCHED):
             patches += PatchStore(source / _TOUCHED).read()
         else:
             yaw = math.radians(turns[number])
@@ -248,7 +248,7 @@ def _explorer(
 def _unused(folder: Path) -> Path:
     """Return the folder. If it exists already, append a number to its name."""
     names = [folder, *(folder.with_name(f"{folder.name}_{number}") for number in range(2, 100))]
-    return next(name for name in names if not name.exists())
+    return next(name for name in names if not foreign_file.exists(name))
 
 
 def _write(out: Path, found: ExplorationResult, summary: dict[str, Any]) -> None:

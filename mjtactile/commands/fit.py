@@ -9,6 +9,7 @@ from pathlib import Path
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_result, require_new, save_plot, stdout_to_stderr
+from mjtactile.core import foreign_file
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -86,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
         require_new(path)
-    if not options.out.parent.is_dir():
+    if not foreign_file.is_dir(options.out.parent):
         raise InputError("the folder does not exist", source=options.out.parent, field="--out")
     with stdout_to_stderr():
         result = fit_recordings(

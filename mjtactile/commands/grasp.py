@@ -30,7 +30,7 @@ from mjtactile.commands.output import (
     require_new,
     stdout_to_stderr,
 )
-from mjtactile.core import signals
+from mjtactile.core import foreign_file, signals
 from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import to_json, write_json
 from mjtactile.runtime.grasp import fidelity_notes
@@ -220,7 +220,7 @@ def _check_video(path: Path | None, frames: int) -> None:
     if path.suffix not in (".mp4", ".gif", ".webp"):
         message = f"{path.suffix or 'no suffix'!r} is not a supported video format"
         raise InputError(message, source=path, field="--video", choices=[".mp4", ".gif", ".webp"])
-    if not path.parent.is_dir():
+    if not foreign_file.is_dir(path.parent):
         raise InputError("the folder does not exist", source=path.parent, field="--video")
     if not video.is_own(path):
         require_new(path, "--video")

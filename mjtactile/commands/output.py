@@ -16,7 +16,7 @@ from typing import Any
 
 from mjtactile import InputError, Recording
 from mjtactile.commands.nonblocking_output import Background
-from mjtactile.core import resources
+from mjtactile.core import foreign_file, resources
 from mjtactile.recording.files import to_json
 from mjtactile.types import Flags
 
@@ -28,7 +28,7 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
     Raises InputError if it is not writable. It also raises InputError if one of `results` (files
     and folders to be written) exists. An empty folder is removed if the work fails.
     """
-    taken = [name for name in results if (path / name).exists()]
+    taken = [name for name in results if foreign_file.exists(path / name)]
     if taken:
         message = f"the folder already contains {taken[0]}, and nothing is overwritten"
         raise InputError(f"{message}; choose another folder", source=path, field="--out")
@@ -58,7 +58,7 @@ def whole_folder(path: Path, *results: str) -> Iterator[Path]:
 
 def require_new(path: Path, field: str = "--out") -> None:
     """Raise InputError where there is a file or folder of that name already."""
-    if path.exists():
+    if foreign_file.exists(path):
         message = "the path exists already, and nothing is overwritten; choose another name"
         raise InputError(message, source=path, field=field)
 
@@ -98,7 +98,7 @@ def new_run_folder(name: str) -> Iterator[Path]:
 @contextlib.contextmanager
 def _removed_if_empty(path: Path) -> Iterator[None]:
     """On exit, remove `path` and its parent folders if they were created inside and are empty."""
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    made = [folder for folder in (path, *path.parents) if not foreign_file.exists(folder)]
     try:
         yield
     finally:
@@ -175,7 +175,7 @@ def page_of_table(name: str) -> Path:
     """Return the page of the documentation, or the README, that has the markers of `name`."""
     folder = resources.folder("docs")
     for page in (folder.parent / "README.md", *sorted(folder.rglob("*.md"))):
-        if page.is_file() and _begin(name) in page.read_text(encoding="utf-8"):
+        if foreign_file.is_file(page) and _begin(name) in page.read_text(encoding="utf-8"):
             return page
     raise InputError(
         f"no page of the documentation has {_begin(name)}; give a file", field="--readme"

@@ -10,6 +10,7 @@ from typing import Any
 from mjtactile import InputError, Recording, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import print_flags, print_json, print_problems, stdout_to_stderr
+from mjtactile.core import foreign_file
 from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.runtime.progress import Progress
 
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
 
     recording = load_recording(options.source)
     path = options.out or options.source / "summary.html"
-    if not path.parent.is_dir():
+    if not foreign_file.is_dir(path.parent):
         raise InputError("no such folder", source=path.parent, field="--out")
     strip = DecimatedHistory()
     with stdout_to_stderr():
@@ -82,6 +83,6 @@ def _summary(folder: Path, recording: Recording) -> dict[str, Any]:
     }
     known |= {key: recording.notes[key] for key in ("outcome", "error") if key in recording.notes}
     for name in ("summary.json", "probe.json"):
-        if (folder / name).is_file():
+        if foreign_file.is_file(folder / name):
             known |= json.loads((folder / name).read_text(encoding="utf-8"))
     return known

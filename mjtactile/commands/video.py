@@ -15,6 +15,7 @@ from mjtactile.commands.output import (
     require_new,
     stdout_to_stderr,
 )
+from mjtactile.core import foreign_file
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -51,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
 
     recording = load_recording(options.source)
     path = options.out or options.source / "video.mp4"
-    if not path.parent.is_dir():
+    if not foreign_file.is_dir(path.parent):
         raise InputError("no such folder", source=path.parent, field="--out")
     if not is_own(path):
         require_new(path)

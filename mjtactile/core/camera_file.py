@@ -16,12 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.lens import MODELS, Lens, model_named, trimmed
 from mjtactile.core.types import Array
 
 LARGEST = 1 << 17
 """Maximum size of a camera file, bytes."""
+_LARGEST_BINARY = 1 << 24
+"""The same of a file whose format is named in the message."""
 DEEPEST = 16
 """Maximum depth of nested values in it."""
 READABLE = ("ROS camera_info", "ros2 topic echo", "OpenCV YAML or XML", "Kalibr YAML", "ini of ROS")
@@ -134,13 +137,7 @@ def camera_info(size: tuple[int, int], K: Array, lens: Lens, name: str) -> dict[
 
 
 def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise InputError(
-            f"cannot be read: {error.strerror}", source=path, field="camera"
-        ) from error
+    data = foreign_file.read_bytes(path, _LARGEST_BINARY, "a camera file", "camera")
     for start, (name, conversion) in _BINARY.items():
         if data.startswith(start):
             raise _foreign(path, name, conversion)

@@ -6,7 +6,10 @@ layers. A file.onnx is evaluated by onnxruntime.
 
 from __future__ import annotations
 
+import io
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.policy import policy_observation_names
 from mjtactile.core.signature_checks import validated
@@ -31,6 +35,14 @@ _BEFORE = "tanh"  # of files without the name of their activation
 _FINGERS_MAX = 8
 _SIZES = {len(policy_observation_names(n)): n for n in range(1, _FINGERS_MAX + 1)}
 _SUFFIXES = (".npz", ".onnx")
+LARGEST = 1 << 26
+"""Maximum size of a policy, also once it is unpacked, bytes."""
+_ENTRIES = 200  # maximum number of arrays
+_BROKEN = (
+    *(OSError, ValueError, EOFError, KeyError, MemoryError, OverflowError, SyntaxError),
+    *(NotImplementedError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile),
+)
+"""Errors of numpy and zipfile for damaged archives."""
 _Layers = Sequence[tuple[Array, Array]]
 
 
@@ -143,17 +155,22 @@ def load_policy(path: str | Path) -> Policy:
     if source.suffix not in _SUFFIXES:
         choices = [f"FILE{suffix}" for suffix in _SUFFIXES]
         raise InputError("is no policy", source=source, choices=choices)
-    if not source.is_file():
+    if not foreign_file.is_file(source):
         raise InputError("no such file", source=source)
     return _load_onnx(source) if source.suffix == ".onnx" else _load_npz(source)
 
 
 def _load_npz(path: Path) -> Policy:
+    data = io.BytesIO(foreign_file.read_bytes(path, LARGEST, "a policy"))
     try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+        with zipfile.ZipFile(data) as archive:
+            _require_bounded(archive, path)
+        data.seek(0)
+        with np.load(data, allow_pickle=False) as file:
             values = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"is no numpy archive: {error}", source=path) from error
+    except _BROKEN as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"is no numpy archive: {text}", source=path) from error
     activation = str(values.pop("activation", _BEFORE))
     count = len(values) // 2
     names = [f"{kind}{k}" for k in range(count) for kind in "wb"]
@@ -175,13 +192,24 @@ def _load_npz(path: Path) -> Policy:
     return Policy(act, layers[0][0].shape[1], str(path))
 
 
+def _require_bounded(archive: zipfile.ZipFile, path: Path) -> None:
+    """Raise InputError for an archive that is much larger once it is unpacked."""
+    entries = archive.infolist()
+    size = sum(entry.file_size for entry in entries)
+    if size > LARGEST or len(entries) > _ENTRIES:
+        message = f"has {len(entries)} arrays of {size >> 20} MiB"
+        choices = [f"at most {_ENTRIES} arrays of {LARGEST >> 20} MiB"]
+        raise InputError(message, source=path, choices=choices)
+
+
 def _load_onnx(path: Path) -> Policy:
     try:
         import onnxruntime  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InputError("needs onnxruntime: pip install onnxruntime", source=path) from error
+    data = foreign_file.read_bytes(path, LARGEST, "a policy")
     try:
-        session = onnxruntime.InferenceSession(path)
+        session = onnxruntime.InferenceSession(data)
     except Exception as error:  # onnxruntime has an error class for each of its codes
         text = " ".join(str(error).split())
         raise InputError(f"cannot be read: {text}", source=path) from error

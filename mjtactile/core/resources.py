@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -15,7 +16,7 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 def folder(name: str) -> Path:
     """Return the shipped folder `name`, such as "models/sensors" or "controllers"."""
     for root in (_PACKAGE, _PACKAGE.parent):
-        if (root / name).is_dir():
+        if foreign_file.is_dir(root / name):
             return root / name
     raise InputError(
         "the installation is incomplete: folder not found", source=_PACKAGE, field=name
@@ -36,13 +37,13 @@ def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
     what = kind.rsplit("/", 1)[-1].rstrip("s")
     choices = [*names(kind, suffix), f"FILE{suffix}"]
     if text.endswith(suffix) or "/" in text:
-        path = Path(text).expanduser()
+        path = foreign_file.user_path(text)
         if not text.endswith(suffix):
             raise InputError(f"does not end in {suffix}", source=text, field=what, choices=choices)
-        if path.is_file():
+        if foreign_file.is_file(path):
             return path
         raise InputError("no such file", source=text, field=what, choices=choices)
     path = folder(kind) / f"{text}{suffix}"
-    if path.is_file():
+    if foreign_file.is_file(path):
         return path
     raise InputError(f"unknown {what}", source=text, choices=choices)

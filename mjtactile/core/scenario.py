@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources
+from mjtactile.core import foreign_file, resources
 from mjtactile.core.config_fields import entry, flag, text, whole
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
@@ -49,11 +49,11 @@ class FileName(Entry):
         if value.endswith(self.suffix) or ("/" in value and ":" not in value):
             if not value.endswith(self.suffix):
                 raise section.fail(key, f"{value!r} does not end in {self.suffix}", choices)
-            written = Path(value).expanduser()
+            written = foreign_file.user_path(value)
             relative = section.folder / written
-            if relative.is_file():
+            if foreign_file.is_file(relative):
                 return str(relative)
-            if not written.is_file():
+            if not foreign_file.is_file(written):
                 raise section.fail(key, f"no such file: {value!r}", choices)
         elif value not in shipped and not self._may_be(value):
             raise section.fail(key, f"{value!r} is unknown", choices)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import KEYS, hint
 
@@ -87,15 +88,10 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    data = foreign_file.read_bytes(path, LARGEST, "such a file")
     try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(
-                f"is larger than {LARGEST >> 20} MiB, the limit for such a file", source=path
-            )
         # editors on Windows put a byte order mark in front
-        return parse(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+        return parse(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         # ValueError: the parsers' own errors, and bytes that are not UTF-8
         raise InputError(

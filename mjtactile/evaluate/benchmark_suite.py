@@ -13,10 +13,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources
+from mjtactile.core import foreign_file, resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import hint
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.toml import read_json
 from mjtactile.evaluate import store
 from mjtactile.evaluate.pool import HERE, Running
 from mjtactile.evaluate.run import common_settings, evaluate
@@ -113,11 +114,11 @@ def load_suite(name_or_path: str | Path) -> Suite:
     """
     path = resources.find(name_or_path, FOLDER, ".json")
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = read_json(path)
         if isinstance(table, dict) and (old := "".join(map(hint, table))):
             raise InputError(f"is a suite of an older version{old}", source=path)
         suite = Suite(**table)
-    except (OSError, ValueError, TypeError) as error:
+    except TypeError as error:
         raise InputError(f"is not a suite of tasks: {error}", source=path) from error
     if suite.scoring_version != VERSION:
         what = f"was scored by version {suite.scoring_version}, but this is version {VERSION}"
@@ -165,7 +166,7 @@ def run_round(
     for task in suite.tasks:
         own = folder / task
         stored = 0
-        if (own / store.MANIFEST).exists():
+        if foreign_file.exists(own / store.MANIFEST):
             stored = store.read_manifest(own)["options"]["count"]
         settings = {"controllers": controllers, "objects": suite.objects, "running": running}
         running.say(f"{task}: {max(count, stored)} episodes")
@@ -179,7 +180,7 @@ def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
     """
     own = folder / task
     path = own / store.MANIFEST
-    if not path.exists():
+    if not foreign_file.exists(path):
         return []
     known = store.read_manifest(own)
     options = known["options"]

@@ -19,7 +19,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.toml import read_json
 
 MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
@@ -29,6 +31,7 @@ RESULTS = (EPISODES, "summary.json", "summary.md", "report.html", "recordings", 
 """Other results in the folder of an evaluation."""
 _SCENARIO = ("task", "sensor", "rig", "effects", "accuracy", "randomization")
 _logger = logging.getLogger(__name__)
+_LARGEST = 1 << 30  # maximum size of the episodes, bytes
 _NAMED = 5  # differing fields or damaged lines in a message
 _DIGITS = 12  # characters of a checksum in a message
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
@@ -84,10 +87,10 @@ class Store:
         self.folder = folder
         self.lines = []
         known = folder / MANIFEST
-        if known.exists() and not resume:
+        if foreign_file.exists(known) and not resume:
             message = "already holds an evaluation; --resume continues it"
             raise InputError(message, source=folder, field="--out")
-        if known.exists():
+        if foreign_file.exists(known):
             _same(known, what)
             self.lines = read_lines(folder)
             _keep_damaged(folder / EPISODES, self.lines)
@@ -161,10 +164,8 @@ def read_lines(folder: Path) -> list[dict[str, Any]]:
 
 def _read_lines(path: Path) -> tuple[list[dict[str, Any]], list[int]]:
     """Return the complete lines, and the numbers of the damaged ones, from 1."""
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    data = foreign_file.read_bytes(path, _LARGEST, "the episodes of an evaluation")
+    text = data.decode("utf-8", errors="replace")
     complete = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
     found = [_line(line) for line in complete]
     lines = [line for line in found if line is not None]
@@ -182,7 +183,7 @@ def _line(text: str) -> dict[str, Any] | None:
 
 def _refuse_unknown_files(folder: Path) -> None:
     for name in RESULTS:
-        if (folder / name).exists():
+        if foreign_file.exists(folder / name):
             action = "it is kept: choose another folder"
             message = f"holds {name} without the {MANIFEST} that describes it; {action}"
             raise InputError(message, source=folder, field="--out")
@@ -191,9 +192,12 @@ def _refuse_unknown_files(folder: Path) -> None:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Read the manifest of an evaluation. Raises InputError if `folder` does not contain one."""
     try:
-        return json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError("no evaluation", source=folder) from error
+        found = read_json(folder / MANIFEST)
+    except InputError as error:
+        raise InputError(f"no evaluation: {error}", source=folder) from error
+    if not isinstance(found, dict) or not isinstance(found.get("options"), dict):
+        raise InputError("no evaluation", source=folder / MANIFEST, field="options")
+    return found
 
 
 def _same(path: Path, what: Mapping[str, Any]) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate.pool import HERE, Running
@@ -189,4 +190,4 @@ def _percent(share: float, low: float, high: float) -> str:
 
 def _resumed(running: Running, folder: Path) -> Running:
     """Return the settings; they resume only if this level was started before."""
-    return replace(running, resume=running.resume and folder.exists())
+    return replace(running, resume=running.resume and foreign_file.exists(folder))

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.flags import Flags
@@ -23,6 +24,7 @@ from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import SurfacePosterior
 from mjtactile.recording.files import to_json
 
+_LARGEST = 1 << 27  # maximum size of a file of patches, bytes
 _PLAN_EDGE = 1.5e-3  # triangle edge during exploration, m
 _EDGE = 0.8e-3  # triangle edge of the result, m
 _MAX_MISSED = 6  # successive touches without contact
@@ -213,12 +215,15 @@ class PatchStore:
 
     def read(self) -> list[Patch]:
         """The patches that are there; a line that was cut off while it was written is left out."""
-        lines = self.path.read_text(encoding="utf-8").splitlines()
+        try:
+            lines = foreign_file.read_text(self.path, _LARGEST, "a list of patches").splitlines()
+        except UnicodeDecodeError as error:
+            raise InputError(f"is not a list of patches: {error}", source=self.path) from error
         patches = []
         for number, line in enumerate(lines):
             try:
                 patches.append(Patch.from_dict(json.loads(line)))
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
                 if number + 1 == len(lines):
                     break
                 raise InputError(

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
@@ -181,7 +182,7 @@ class RecordedEpisode:
         """The images that the references were taken from, by name."""
         references = self.recording.references
         paths = [r.folder / name for r in references for names in r.names for name in names]
-        return {path.name: path for path in paths if path.is_file()}
+        return {path.name: path for path in paths if foreign_file.is_file(path)}
 
     def design_of(self, finger: str) -> SensorDesign:
         """The design with the lens that was measured of this finger."""
@@ -275,8 +276,8 @@ def find_episodes(
     cannot be read is left out, and `leave_out` receives the reason. An `outcome` selects those
     with it. Raises InputError if there are none.
     """
-    within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
-    if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
+    within = path / RECORDINGS if foreign_file.is_dir(path / RECORDINGS) else path
+    if foreign_file.is_file(path / LOG) or foreign_file.is_file(path / "recording" / LOG):
         folders = [path]
     else:
         folders = sorted(log.parent for log in within.rglob(LOG))

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.signature_checks import validated
@@ -243,8 +244,8 @@ def _parsed(target: str) -> tuple[str, Path | str]:
     suffix = {"rerun": ".rrd", "foxglove": ".mcap"}[viewer]
     if path.suffix != suffix:
         raise InputError(f"{where!r} does not end in {suffix}", field="--live", choices=TARGETS)
-    if path.exists():
+    if foreign_file.exists(path):
         raise InputError("exists already; nothing is overwritten", source=path, field="--live")
-    if not path.parent.is_dir():
+    if not foreign_file.is_dir(path.parent):
         raise InputError("no such folder", source=path.parent, field="--live")
     return viewer, path

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, read_flags
-from mjtactile.core.image_decoding import decode, is_sound
+from mjtactile.core.image_decoding import decode, is_sound, read_file
 from mjtactile.core.renamed import current_row
 from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import COMMAND_FIELDS, Array, Command, Image, ValveState
@@ -241,8 +243,7 @@ class Recording:
 
 
 def _read_image(path: Path, time: float) -> Image:
-    data = path.read_bytes() if path.is_file() else b""
-    pixels = decode(data, cv2.IMREAD_GRAYSCALE)
+    pixels = decode(read_file(path), cv2.IMREAD_GRAYSCALE) if _is_image(path) else None
     if pixels is None:
         raise InputError("missing or broken image", source=path)
     return Image(pixels.astype(np.uint8), time)
@@ -266,9 +267,9 @@ def load_recording(path: str | Path) -> Recording:
         InputError: There is no recording, or it is of another version.
     """
     folder = Path(path)
-    folder = folder / "recording" if (folder / "recording").is_dir() else folder
+    folder = folder / "recording" if foreign_file.is_dir(folder / "recording") else folder
     log = folder / LOG
-    if not log.is_file():
+    if not foreign_file.is_file(log):
         raise InputError(f"contains no recording: {LOG} is missing", source=folder)
     try:
         rows, problems = _parse(log)
@@ -325,6 +326,7 @@ def _keep_force_limit(columns: dict[str, np.ndarray]) -> None:
         limits[k] = limit
 
 
+_LINE_MAX = 1 << 24  # maximum length of a line, bytes
 _NAMED = 3  # damaged lines or cycles in a message
 
 
@@ -333,12 +335,14 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
     rows: list[dict[str, Any]] = []
     damaged: list[str] = []
     first: dict[str, Any] = {}
-    with log.open("rb") as lines:
-        for number, line in enumerate(lines, 1):
-            try:
-                row = json.loads(line.decode("utf-8"))
-            except (ValueError, RecursionError):
-                row = None
+    if not foreign_file.is_file(log):
+        raise InputError("is not a regular file", source=log)
+    with log.open("rb") as file:
+        for number, line in enumerate(_lines(file), 1):
+            row = None
+            # a longer line cannot be a cycle
+            with contextlib.suppress(ValueError, RecursionError):
+                row = json.loads(line.decode("utf-8")) if len(line) <= _LINE_MAX else None
             if not isinstance(row, dict):
                 damaged.append(f"line {number} is truncated or corrupt")
                 continue
@@ -350,6 +354,15 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
             first = first or (row if is_cycle else {})
             rows.append(row)
     return rows, _left_out("lines", damaged)
+
+
+def _lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield the lines; of a line that is too long, only the first part."""
+    while line := file.readline(_LINE_MAX + 1):
+        end = line
+        while len(end) > _LINE_MAX and not end.endswith(b"\n"):
+            end = file.readline(_LINE_MAX + 1)
+        yield line
 
 
 def _left_out(what: str, damaged: Sequence[str]) -> list[str]:
@@ -416,14 +429,14 @@ def _is_image(path: Path) -> bool:
     try:
         status = path.stat()
         return _is_sound(path, status.st_mtime_ns, status.st_size)
-    except OSError:
+    except (OSError, ValueError, InputError):
         return False
 
 
 @lru_cache(maxsize=1 << 16)
 def _is_sound(path: Path, modified_ns: int, size: int) -> bool:
     """Check a file once; a recording is loaded several times in a command."""
-    return is_sound(path.read_bytes())
+    return is_sound(read_file(path))
 
 
 def _columns(cycles: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

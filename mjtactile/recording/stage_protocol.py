@@ -22,10 +22,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources
+from mjtactile.core import foreign_file, resources
 from mjtactile.core.errors import InputError
 
 PROTOCOLS = "models/protocols"
+LARGEST = 1 << 20  # maximum size of a protocol, bytes
 COLUMNS: dict[str, tuple[str, float, float, float]] = {
     "time_s": ("time", 1.0, 0, 86400),
     "depth_mm": ("depth", 1e-3, -1, 500),
@@ -111,10 +112,10 @@ def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
     try:
         lines = [
             line
-            for line in path.read_text(encoding="utf-8-sig").splitlines()
+            for line in foreign_file.read_text(path, LARGEST, "a protocol").splitlines()
             if line.strip() and line[0] != "#"
         ]
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise InputError(f"cannot be read: {error}", source=path) from error
     return _moves(list(csv.DictReader(lines)), str(path))
 

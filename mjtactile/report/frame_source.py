@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import foreign_file
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
@@ -40,7 +41,7 @@ class NamedImage:
 
 def read_frames(source: Path) -> Iterator[NamedImage]:
     """Yield the images of `source`. Raises InputError when there is none."""
-    if source.is_dir():
+    if foreign_file.is_dir(source):
         files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
             raise InputError(
@@ -50,7 +51,7 @@ def read_frames(source: Path) -> Iterator[NamedImage]:
                 choices=IMAGE_SUFFIXES,
             )
         yield from (_read(path) for path in files)
-    elif not source.is_file():
+    elif not foreign_file.is_file(source):
         raise InputError("no such file or folder", source=source, field="SOURCE")
     elif source.suffix.lower() in VIDEO_SUFFIXES:
         yield from _read_video(source)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 
+from mjtactile.core import foreign_file
 from mjtactile.core.calibration import PartState
 from mjtactile.core.config_fields import MM, entries
 from mjtactile.core.toml import Section, read_json
@@ -61,7 +62,7 @@ def gripper_state(config: GripperConfig) -> PartState:
 
 def _read(config: GripperConfig) -> Section | None:
     path = config.calibration
-    if path is None or not path.exists():
+    if path is None or not foreign_file.exists(path):
         return None
     table = read_json(path)
     section = Section(table if isinstance(table, dict) else {}, "", str(path))

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mjtactile.core import resources
+from mjtactile.core import foreign_file, resources
 from mjtactile.core.config_fields import read
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
@@ -40,7 +40,7 @@ def load_scenario(source: str | Path) -> Scenario:
         InputError: A value is missing or wrong; the error names file, field, value and valid
             choices.
     """
-    path = Path(source).expanduser()
+    path = foreign_file.user_path(source)
     if path.suffix not in (".toml", ".json"):
         raise InputError(
             f"{path.suffix or 'no suffix'!r} is not a scenario format",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from mjtactile.core import foreign_file
 from mjtactile.core.calibration import Calibration, PartState, load_calibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
@@ -27,7 +28,7 @@ def finger_calibration(finger: CameraConfig, design: SensorDesign) -> Calibratio
     path = finger.calibration or design.calibration
     if path is None:
         return None
-    if not path.exists():
+    if not foreign_file.exists(path):
         return Calibration(finger.finger, design.name)
     calibration = load_calibration(path)
     calibration.check(design, finger.finger, path)

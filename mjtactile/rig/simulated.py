@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core import foreign_file
 from mjtactile.core.config_fields import (
     DEGREE,
     KPA,
@@ -173,7 +174,7 @@ class _World:
 
     def validate(self, section: Section) -> None:
         """Raise InputError where the model is not there."""
-        if not self.model.is_file():
+        if not foreign_file.is_file(self.model):
             raise section.fail("model", f"no such file: {self.model}")
 
 

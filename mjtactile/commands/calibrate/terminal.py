@@ -10,6 +10,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands.output import print_json, print_result
+from mjtactile.core import foreign_file
 
 
 def say(text: str) -> None:
@@ -87,6 +88,6 @@ def ask(text: str) -> float | None:
 def check_folder(path: Path, field: str = "--out") -> Path:
     """Refuse an output file whose folder is not there, before any work is done. Raises
     InputError."""
-    if not path.parent.is_dir():
+    if not foreign_file.is_dir(path.parent):
         raise InputError("the folder does not exist", source=path.parent, field=field)
     return path

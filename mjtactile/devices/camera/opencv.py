@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import scaled_clock
+from mjtactile.core import foreign_file, scaled_clock
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.rig.file import CameraConfig
@@ -156,7 +156,7 @@ class OpenCvCamera:
                 settings[cv2.CAP_PROP_FORMAT] = -1  # a JPEG is passed on undecoded
             flat = [number for item in settings.items() for number in item]
             return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, flat)
-        if not Path(config.source).exists():
+        if not foreign_file.exists(Path(config.source)):
             hint = "`mjtactile doctor` lists the connected cameras"
             raise DeviceError(f"{self.name} is not connected; {hint}")
         return cv2.VideoCapture(config.source, cv2.CAP_V4L2)

@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from mjtactile.core import scaled_clock
+from mjtactile.core import foreign_file, scaled_clock
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
@@ -96,7 +96,7 @@ def _light_finding(what: str, camera: OpenCvCamera) -> Finding:
 
 
 def _camera_remedy(config: CameraConfig) -> str:
-    if config.source.startswith("/dev") and not Path(config.source).exists():
+    if config.source.startswith("/dev") and not foreign_file.exists(Path(config.source)):
         return (
             "`ls -l /dev/v4l/by-id` lists the names that stay the same; write one of them "
             "into the rig file"

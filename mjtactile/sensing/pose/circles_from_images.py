@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.core.image_decoding import decode
+from mjtactile.core.image_decoding import decode, read_file
 from mjtactile.core.sensor_parts import CameraDesign
 from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
@@ -39,11 +39,7 @@ def load_image(path: str | Path) -> NDArray:
     """Read an image file: (H, W) or (H, W, 3) BGR, uint8 or uint16, as stored. Raises InputError
     for a missing, unreadable or corrupt file."""
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
-    pixels = decode(data, cv2.IMREAD_UNCHANGED)
+    pixels = decode(read_file(path), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise InputError("corrupt, too large, or not an image", source=path, choices=IMAGE_SUFFIXES)
     if pixels.ndim == 3 and pixels.shape[2] == 4:

@@ -9,6 +9,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Cadence
@@ -56,9 +57,9 @@ class Indenter:
     def parse(cls, text: str) -> Indenter:
         """Read "sphere:8", "cylinder:5", "box:10" or a file of `_FILES`. Raises InputError."""
         kind, _, number = text.partition(":")
-        path = Path(text).expanduser()
+        path = foreign_file.user_path(text)
         if path.suffix.lower() in _FILES:
-            if not path.is_file():
+            if not foreign_file.is_file(path):
                 raise InputError("no such file", source=path, field="--indenter", choices=SHAPES)
             return cls(_FILES[path.suffix.lower()], path=path)
         try:

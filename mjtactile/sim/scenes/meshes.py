@@ -19,10 +19,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor.feature_size import CONVEX, filled_fraction
 
 SUFFIXES = (".stl", ".obj")
+_LARGEST = 1 << 25  # maximum size of a mesh file, bytes
 # CoACD's own, relative to the shape's size: a tube in 15 parts in 5 s; at 0.02 52 parts in minutes
 _THRESHOLD = 0.05
 _ASCII = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
@@ -36,18 +38,15 @@ def load_solid(path: Path) -> Solid:
     spec = mujoco.MjSpec()
     mesh = spec.add_mesh(name="mesh", scale=[1e-3] * 3)
     try:
-        if (
-            path.suffix.lower() == ".stl"
-            and len(corners := _ASCII.findall(path.read_bytes())) >= 12
-        ):
+        content = foreign_file.read_bytes(path, _LARGEST, "a mesh", "mesh")
+        is_stl = path.suffix.lower() == ".stl"
+        if is_stl and len(corners := _ASCII.findall(content)) >= 12:
             mesh.uservert = np.array(corners, float).ravel()
             mesh.userface = np.arange(len(corners), dtype=np.int32)
         else:
             mesh.file = str(path)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
         model = spec.compile()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path, field="mesh") from error
     except (ValueError, RuntimeError) as error:
         raise InputError(
             f"not a mesh of {' or '.join(SUFFIXES)}: {' '.join(str(error).split())}",

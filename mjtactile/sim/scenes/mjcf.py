@@ -10,30 +10,29 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
 from mjtactile.rig.domain_randomization import ObjectChange
+from mjtactile.sim.scenes import mjcf_trial
 
 LARGEST = 32 << 20  # bytes
 MOST = 20_000
 """Maximum number of copies of elements in a file."""
+_PARSED_MAX = 1 << 20  # maximum size of a file that this process parses, bytes
 _COPIES = ("replicate", "composite", "flexcomp")
 
 
 def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.MjSpec:
     """Return the specification of the file, or of `text` if it is not empty.
 
-    Raises InputError that names `field` for invalid MJCF or too many elements.
+    Raises InputError that names `field` for invalid MJCF, too many elements, and a file that
+    needs too much memory or time (`mjtactile.sim.scenes.mjcf_trial`).
     """
     try:
-        if not text and path.stat().st_size > LARGEST:
-            raise InputError(
-                f"is larger than {LARGEST >> 20} MiB, the limit for an MJCF file",
-                source=path,
-                field=field,
-            )
-        _check_copies(path, text or path.read_text(encoding="utf-8-sig", errors="replace"), field)
         if text:
+            _require_few_copies(path, _root(text), field)
             return mujoco.MjSpec.from_string(text)
+        _require_bounded(path, field)
         return mujoco.MjSpec.from_file(str(path))
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path, field=field) from error
@@ -43,20 +42,37 @@ def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.Mj
         ) from error
 
 
-def _check_copies(path: Path, text: str, field: str | None) -> None:
-    with contextlib.suppress(ElementTree.ParseError):  # which MuJoCo reports better
-        waiting = [(ElementTree.fromstring(text), 1)]
-        while waiting:
-            element, copies = waiting.pop()
-            if element.tag in _COPIES:
-                copies *= _count(element.get("count", "1"))
-                if copies > MOST:
-                    raise InputError(
-                        f"makes {copies} copies; at most {MOST} are allowed",
-                        source=path,
-                        field=field or element.tag,
-                    )
-            waiting += [(child, copies) for child in element]
+def _require_bounded(path: Path, field: str | None) -> None:
+    """Raise InputError for a file that is too large, or needs too much memory or time."""
+    root = None
+    content = foreign_file.read_bytes(path, LARGEST, "an MJCF file", field)
+    if len(content) <= _PARSED_MAX:
+        root = _root(content.decode("utf-8-sig", errors="replace"))
+        _require_few_copies(path, root, field)
+    if reason := mjcf_trial.refusal(path, root):
+        raise InputError(reason, source=path, field=field)
+
+
+def _root(text: str) -> ElementTree.Element | None:
+    """Return the root of the XML text; None for invalid XML, which MuJoCo reports better."""
+    with contextlib.suppress(ElementTree.ParseError):
+        return ElementTree.fromstring(text)
+    return None
+
+
+def _require_few_copies(path: Path, root: ElementTree.Element | None, field: str | None) -> None:
+    waiting = [] if root is None else [(root, 1)]
+    while waiting:
+        element, copies = waiting.pop()
+        if element.tag in _COPIES:
+            copies *= _count(element.get("count", "1"))
+            if copies > MOST:
+                raise InputError(
+                    f"makes {copies} copies; at most {MOST} are allowed",
+                    source=path,
+                    field=field or element.tag,
+                )
+        waiting += [(child, copies) for child in element]
 
 
 def _count(text: str) -> int:

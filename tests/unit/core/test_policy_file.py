@@ -1,5 +1,8 @@
 """Tests of policy files: what a policy computes, and one line for each defect of a network."""
 
+import struct
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -107,3 +110,36 @@ def test_another_rig_and_an_overflow_are_named_at_the_step(tmp_path):
     save_policy(path, [(np.full((3, INPUTS), 1e308), np.zeros(3))])
     with pytest.raises(InputError, match=r"action: .* is not finite"), np.errstate(all="ignore"):
         load_policy(path)(np.ones(INPUTS))
+
+
+def npy(shape, data=b"", dtype="<f8"):
+    """An array of numpy whose header states any shape."""
+    text = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    text += b" " * (63 - (10 + len(text)) % 64) + b"\n"
+    return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + data
+
+
+BOMBS = {
+    "zeros that unpack to 200 MB": {"w0.npy": npy((25_000_000,), b"\0" * 200_000_000)},
+    "a shape of 8 TB": {"w0.npy": npy((10**12,))},
+    "a shape that overflows": {"w0.npy": npy((2**62, 2**62))},
+    "a negative shape": {"w0.npy": npy((-1,))},
+    "objects": {"w0.npy": npy((1,), b"\0" * 8, "|O")},
+    "no header": {"w0.npy": b"\x93NUMPY\x01\0\xff\xff"},
+    "a header that is code": {"w0.npy": npy("__import__('os')")},
+    "nested header": {"w0.npy": npy("(" * 9000 + ")" * 9000)},
+    "thousands of arrays": {f"w{k}.npy": npy((1,), b"\0" * 8) for k in range(5000)},
+    "no array": {"w0.npy": b"text"},
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_an_archive_that_would_unpack_without_bounds_is_refused(tmp_path, kind):
+    """Sizes count before anything is unpacked, and each defect is one line."""
+    path = tmp_path / "policy.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in BOMBS[kind].items():
+            archive.writestr(name, data)
+    with pytest.raises(InputError, match=r"policy\.npz: ") as caught:
+        load_policy(path)
+    assert "\n" not in str(caught.value)
