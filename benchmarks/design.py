@@ -21,14 +21,14 @@ PLACES = 4
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Press into each sensor; one row each, kept in `out`/design.json as they come."""
     rows: list[dict[str, Any]] = []
     for name in SENSORS:
-        say(name)
+        notify(name)
         design = load_sensor(name)
-        presses = check(design, places=1 if quick else PLACES, seed=SEED, say=say)
+        presses = check(design, places=1 if quick else PLACES, seed=SEED, notify=notify)
         rows.append({"sensor": name} | asdict(verdict(presses)))
         write_json(Path(out) / "design.json", {"rows": rows, "quick": quick})
     return {"rows": rows, "quick": quick}

@@ -158,12 +158,12 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
     images = pictures(presses, presses[0])
     presses += [torn(force) for force in TORN_FORCES]
-    felt, seen = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
+    estimated, seen = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
     rows = []
     for name, factor, value in todo[: 2 if quick else None]:
         settings = DEFAULTS.override({name: value})
         row = {"name": name, "factor": factor, "value": value}
-        row |= setting_sensitivity.touch_change(felt, estimate_presses(presses, settings))
+        row |= setting_sensitivity.touch_change(estimated, estimate_presses(presses, settings))
         row |= change(seen, locate(images, settings))
         rows.append(row)
     return {"rows": rows}

@@ -50,7 +50,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
     As models/fidelity/effects.json it is the table that `mjtactile effects` reads.
     """
-    say = Progress().message
+    notify = Progress().message
     design = load_sensor(SENSOR)
     switched = [
         row.name
@@ -63,7 +63,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     effects = {}
     for name in names:
         effects[name] = attempt(lambda name=name: _measure(name, design))
-        say(f"{name}: {effects[name]}")
+        notify(f"{name}: {effects[name]}")
     result = {
         "stamp": stamp(),
         "effects": effects,
@@ -121,7 +121,9 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
     for depth in (2.5e-3, 5e-3, 7.5e-3):
         world.press(depth)
         poses.append(world.marker_poses(0))
-    (dear, *drawn), (cheap, *plain) = (_felt(design, poses, shadows) for shadows in (True, False))
+    (dear, *drawn), (cheap, *plain) = (
+        _estimated(design, poses, shadows) for shadows in (True, False)
+    )
     force, moved = (
         np.array(one) - np.array(other) for one, other in zip(drawn, plain, strict=True)
     )
@@ -133,7 +135,7 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
     }
 
 
-def _felt(
+def _estimated(
     design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]], shadows: bool
 ) -> tuple[float, list[float], list[np.ndarray]]:
     """Return the rendering time, ms per image, the mean forces, N, and the marker positions.

@@ -50,7 +50,7 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
     Returns:
         "rows", one an exploration.
     """
-    say = Progress().message
+    notify = Progress().message
     path = out / "explore_rows.jsonl"
     rows = _kept(path) if resume else []
     if not resume:
@@ -62,7 +62,7 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
         rows.append(row)
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(to_json(row)) + "\n")
-        say(_words(row))
+        notify(_words(row))
     return {"rows": rows}
 
 

@@ -34,7 +34,7 @@ class Kind:
     """
 
     what: str
-    wanted: str
+    requested: str
     tests: Sequence[str]
     quick: bool = True
 
@@ -144,7 +144,7 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
     Raises:
         InputError: pytest is not installed.
     """
-    say = Progress().message
+    notify = Progress().message
     path = out / "attacks.json"
     before = json.loads(path.read_text())["kinds"] if resume and path.is_file() else []
     done = {row["what"]: row for row in before}
@@ -153,8 +153,8 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
         if kind.what in done:
             continue
         counts = count(_report(kind.tests, out / f"attacks_{number}.xml"))
-        done[kind.what] = {"what": kind.what, "wanted": kind.wanted, **counts}
-        say(f"{kind.what}: {counts['as_wanted']} of {counts['tried']}")
+        done[kind.what] = {"what": kind.what, "wanted": kind.requested, **counts}
+        notify(f"{kind.what}: {counts['as_wanted']} of {counts['tried']}")
         write_json(path, {"kinds": list(done.values())})
     rows = [done[kind.what] for kind in kinds]
     return {"stamp": stamp(), "system": platform.system(), "kinds": rows}
@@ -195,5 +195,5 @@ def table(result: Mapping[str, Any]) -> str:
             came = f"met in {row['as_wanted']} cases, not in: {', '.join(row['wrong'])}"
         lines.append(f"| {row['what']} | {row['tried']} | {row['wanted']} | {came} |")
     tried = sum(row["tried"] for row in result["kinds"])
-    wanted = sum(row["as_wanted"] for row in result["kinds"])
-    return "\n".join(lines) + f"\n\n{wanted} of {tried} cases meet the requirement.\n"
+    requested = sum(row["as_wanted"] for row in result["kinds"])
+    return "\n".join(lines) + f"\n\n{requested} of {tried} cases meet the requirement.\n"

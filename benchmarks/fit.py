@@ -99,22 +99,22 @@ def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
     """Record and fit the sensors; return one row each.
 
     Results so far are stored in `out`/fit.json.
     """
-    say = Progress().message if say is None else say
+    notify = Progress().message if notify is None else notify
     cases: list[tuple[int, tuple[int, int] | None]] = [
         (seed, None) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)
     ]
     rows: list[dict[str, Any]] = []
     for seed, mesh in cases[:1] if quick else [*cases, (FIRST_SEED, FINE_MESH)]:
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(_row(Path(folder), seed, mesh, say))
+            rows.append(_row(Path(folder), seed, mesh, notify))
         write_json(Path(out) / "fit.json", {"specimens": rows})
-        say(
+        notify(
             f"seed {seed}: worst number "
             f"{100 * max(abs(n['error']) for n in rows[-1]['numbers'] if n['is_fitted']):.1f} % "
             f"off, worst force {1e3 * max(abs(f['error_N']) for f in rows[-1]['forces']):.1f} mN"
@@ -124,21 +124,21 @@ def run(
 
 
 def _row(
-    folder: Path, seed: int, mesh: tuple[int, int] | None, say: Callable[[str], None]
+    folder: Path, seed: int, mesh: tuple[int, int] | None, notify: Callable[[str], None]
 ) -> dict[str, Any]:
     (folder / "nominal.toml").write_text(nominal_text(), encoding="utf-8")
     nominal = load_sensor(folder / "nominal.toml")
     true = random_sample(nominal, seed)
     for number, recording in enumerate((*FITTED, HELD_OUT)):
         _record(folder, true, recording, 1000 * seed + number, mesh)
-    say(f"seed {seed}: recorded")
+    notify(f"seed {seed}: recorded")
     wall = time.monotonic()
     core = time.process_time()
     result = fit_recordings(
         [folder / name for name, *_ in FITTED],
         sensor=folder / "nominal.toml",
         held_out=[folder / HELD_OUT[0]],
-        options=FitOptions(say=say),
+        options=FitOptions(notify=notify),
     )
     forces = [
         {

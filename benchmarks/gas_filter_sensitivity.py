@@ -148,6 +148,6 @@ def table(result: Mapping[str, Any]) -> str:
 def _factors(half: float, twice: float, usual: float) -> str:
     """At half / at twice; nothing where neither changes."""
     shares = (half / usual, twice / usual)
-    if all(abs(share - 1) < _ALIKE for share in shares):
+    if all(abs(fraction - 1) < _ALIKE for fraction in shares):
         return ""
     return f"{shares[0]:.2f} / {shares[1]:.2f}"

@@ -32,12 +32,12 @@ class _MarkerErrors(Observer):
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Grasp each of OBJECTS with the dense sensor; one row a run. A run that fails is a row too."""
     rows = []
-    say = Progress().message
+    notify = Progress().message
     for name in OBJECTS:
         for seed in SEEDS[:1] if quick else SEEDS:
             row = _row(Scenario(object=name, seed=seed))
             rows.append(row)
-            say(_line(row))
+            notify(_line(row))
     _plot(rows, out)
     objects = {name: _summary(group) for name, group in _by_object(rows).items()}
     return {"sensor": "dense", "runs": rows, "objects": objects}

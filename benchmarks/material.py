@@ -79,7 +79,7 @@ def random_material_sample(seed: int) -> MaterialSample:
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Probe the objects; return one row each.
 
@@ -89,7 +89,7 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
             rows.append(_row(seed, Path(folder)))
-            say(_line(rows[-1]))
+            notify(_line(rows[-1]))
             write_json(Path(out) / "material.json", {"runs": rows, **summary(rows)})
     result = {"runs": rows, **summary(rows)}
     _plot(Path(out), rows)
@@ -138,11 +138,11 @@ def _compare(sample: MaterialSample, result: ProbeResult) -> dict[str, Any]:
 
 def _line(row: Mapping[str, Any]) -> str:
     true = f"{row['modulus_true_kPa']:.0f} kPa" if "modulus_true_kPa" in row else ""
-    felt = (
+    estimated = (
         f"{row['modulus_kPa']:.0f} kPa" if math.isfinite(row.get("modulus_kPa", math.nan)) else ""
     )
     return (
-        f"{row['seed']} {row['kind']} {true}: {row['material']} {felt} "
+        f"{row['seed']} {row['kind']} {true}: {row['material']} {estimated} "
         f"{row.get('error', row.get('status', ''))}"
     )
 

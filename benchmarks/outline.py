@@ -40,7 +40,7 @@ def run(
     *,
     quick: bool = False,
     resume: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Inflate and load each sensor on two meshes; ten minutes of a processor.
 
@@ -48,7 +48,7 @@ def run(
         out: Folder; results so far are stored in its outline.json.
         quick: Two loads of each.
         resume: Continue with the stored results.
-        say: Receiver of a message for every load.
+        notify: Receiver of a message for every load.
 
     Returns:
         "rows", one per sensor and mesh.
@@ -70,10 +70,10 @@ def run(
                 if seed in done:
                     continue
                 found = press(design, held_out(design, seed), mesh=mesh, seed=seed)
-                one = {"seed": seed, "flags": found["flags"], "steps": _felt(found["steps"])}
+                one = {"seed": seed, "flags": found["flags"], "steps": _estimated(found["steps"])}
                 row["presses"].append(one)
                 write_json(kept, {"rows": rows})
-                say(f"{name}, seed {seed}: {row['presses'][-1]['steps']}")
+                notify(f"{name}, seed {seed}: {row['presses'][-1]['steps']}")
     return {"rows": rows}
 
 
@@ -99,7 +99,7 @@ def held_out(design: SensorDesign, seed: int) -> IndentationPlan:
     return IndentationPlan(Indenter(kind, size), DEPTHS, at=(float(x), float(y)), shear=shear)
 
 
-def _felt(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _estimated(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         {
             "true_N": [float(f) for f in step["force_true_N"]],
@@ -121,8 +121,10 @@ def table(result: Mapping[str, Any]) -> str:
     ]
     for row in result["rows"]:
         steps = [step for one in row["presses"] for step in one["steps"]]
-        true, felt = (np.array([s[which] for s in steps], float) for which in ("true_N", "felt_N"))
-        off = 1e3 * (felt - true)
+        true, estimated = (
+            np.array([s[which] for s in steps], float) for which in ("true_N", "felt_N")
+        )
+        off = 1e3 * (estimated - true)
         normal = off[:, 2]
         heights = ", ".join(f"{100 * (h / theory - 1):+.1f}" for h, theory in row["heights_mm"])
         flagged = [bool(one["flags"]) for one in row["presses"] for _ in one["steps"]]

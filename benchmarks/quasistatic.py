@@ -42,19 +42,19 @@ _MARKERS = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
 ).reshape(-1, 2)
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Errors against the references, scatter over places, and times; draws `film.png`."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     path = Path(__file__).with_name("film_reference.json")
     references = json.loads(path.read_text(encoding="utf-8"))
     cases = references["cases"]
     cases = cases[::20] if quick else cases
     rows = []
     for grid in GRIDS:
-        say(f"film: references, {grid[0]} x {grid[1]}")
+        notify(f"film: references, {grid[0]} x {grid[1]}")
         rows += [{"grid": list(grid), **_against(case, grid)} for case in cases]
         other = [case for case in cases if _is_usual(case)]
         rows += [
@@ -63,7 +63,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
     sticking = [
         {"grid": list(grid), **row} for grid in GRIDS for row in _sticking(grid, references)
     ]
-    say("film: places and times")
+    notify("film: places and times")
     places = [
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]

@@ -38,7 +38,7 @@ _TURNS = 6
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Measure each rubber; return one row each.
 
@@ -48,13 +48,13 @@ def run(
     for name, rate in RUBBERS.items():
         row = hold(rate, HOLD_QUICK if quick else HOLD)
         rows.append({"rubber": name, "rate": rate, **row})
-        say(
+        notify(
             f"{name}: worst {1e3 * row['worst_N'][0]:.0f} mN, without the section "
             f"{1e3 * row['worst_N'][1]:.0f} mN"
         )
         write_json(out / "relaxation.json", {"rows": rows})
     price = _price()
-    say(f"a step costs {100 * (price - 1):+.0f} %")
+    notify(f"a step costs {100 * (price - 1):+.0f} %")
     result = {"rows": rows, "price": price, "seconds": HOLD_QUICK if quick else HOLD}
     write_json(out / "relaxation.json", result)
     _plot(out, rows)
@@ -87,7 +87,7 @@ def hold(rate: float, seconds: float, seed: int = 0) -> dict[str, Any]:
         "true_N": [float(held[0, 1]), float(held[-1, 1])],
         "worst_N": np.abs(errors).max(axis=0).tolist(),
         "drift_N": (errors[-1] - errors[0]).tolist(),
-        "after_N": [float(felt - left) for felt in estimate_after],
+        "after_N": [float(estimated - left) for estimated in estimate_after],
         "time_s": (held[:, 0] - held[0, 0]).tolist(),
         "error_N": errors.tolist(),
     }
@@ -111,11 +111,11 @@ def _look(
         world.step(_steps(world, 0.02))
         pressure = world.sensors[0].gauge_pressure + float(rng.normal(0.0, _GAUGE_SD))
         reading = PressureReading(pressure, _GAUGE_SD, world.time)
-        felt = [
+        estimated = [
             view.perception.perceive(view.image(), world.time, reading).force_normal
             for view in views
         ]
-        seen.append([-float(ground_truth.contact_force(world, 0)[2]), *felt])
+        seen.append([-float(ground_truth.contact_force(world, 0)[2]), *estimated])
     true, knowing, unknowing = np.mean(seen, axis=0)
     return world.time, float(true), float(knowing), float(unknowing)
 

@@ -39,11 +39,11 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
         "rows", one per sensor.
     """
     del out
-    say = Progress().message
+    notify = Progress().message
     rows = []
     for name in SENSORS:
         rows.append(_row(name, BODIES[:1] if quick else BODIES))
-        say(f"{name}: normal force off by {1e3 * rows[-1]['force_error_N']:.1f} mN")
+        notify(f"{name}: normal force off by {1e3 * rows[-1]['force_error_N']:.1f} mN")
     return {"rows": rows}
 
 
@@ -108,9 +108,9 @@ def _median(values: list[float]) -> float:
     return float(np.median(known)) if len(known) else float("nan")
 
 
-def _percent(share: float | None, digits: int) -> str:
+def _percent(fraction: float | None, digits: int) -> str:
     """Format a percentage; contact shapes are unknown for non-rectangular frames."""
-    return "unknown" if share is None or np.isnan(share) else f"{100 * share:.{digits}f}"
+    return "unknown" if fraction is None or np.isnan(fraction) else f"{100 * fraction:.{digits}f}"
 
 
 def table(result: Mapping[str, Any]) -> str:

@@ -295,7 +295,7 @@ def _prepare(quick: bool) -> None:
     _GIVEN.update(
         presses=presses,
         images=images,
-        felt=estimate_presses(presses, DEFAULTS),
+        estimated=estimate_presses(presses, DEFAULTS),
         seen=look(images, DEFAULTS),
     )
 
@@ -306,7 +306,7 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
     stage = name.rpartition(".")[0]
     row: dict[str, Any] = {"name": name, "factor": factor, "value": value}
     if stage not in RENDER_STAGES:
-        row |= touch_change(_GIVEN["felt"], estimate_presses(_GIVEN["presses"], settings))
+        row |= touch_change(_GIVEN["estimated"], estimate_presses(_GIVEN["presses"], settings))
     if stage in (*RENDER_STAGES, *IMAGE_STAGES):
         row |= image_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
     return row
@@ -375,7 +375,7 @@ def _both(rows: Sequence[Mapping[str, Any]], key: str, text: Callable[[float], s
     if key not in rows[0]:
         return ""
     shown = [text(row[key]) if np.isfinite(row[key]) else "-" for row in rows]
-    nothing = {"0.0", "0", "1.00", "+0.0", "-0.0"}
-    if set(shown) <= nothing:
+    empty = {"0.0", "0", "1.00", "+0.0", "-0.0"}
+    if set(shown) <= empty:
         return ""
     return " / ".join(shown)

@@ -40,7 +40,7 @@ _FLOOR = 0.05
 _SAME = 3.0  # px, within which two centres are of the same marker
 
 Floats = Array
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class LabelledImage:
     centers: Array
 
 
-def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Watch the sequences; counts for each kind of disturbance."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     seeds = range(SEQUENCES_QUICK if quick else SEQUENCES)
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(max_workers=1 if quick else os.cpu_count()) as pool:
         for k, row in enumerate(pool.map(sequence_row, seeds, chunksize=1)):
             rows.append(row)
             if k % 20 == 0:
-                say(f"{k} of {len(seeds)} sequences")
+                notify(f"{k} of {len(seeds)} sequences")
     groups = {"all": rows} | {name: [row for row in rows if row["kind"] == name] for name in KINDS}
     return {"groups": {name: _sums(group) for name, group in groups.items()}, "rows": rows}
 
@@ -175,10 +175,10 @@ def _dent(
 
     def at(time: float) -> tuple[Array, float, float]:
         if kind == "taps":
-            share = float(np.clip(1 - np.abs(time - taps).min() * rate / 2.5, 0, 1))
+            fraction = float(np.clip(1 - np.abs(time - taps).min() * rate / 2.5, 0, 1))
         else:
-            share = 0.5 - 0.5 * np.cos(2 * np.pi * time / period)
-        return start + way * np.sin(2 * np.pi * time / (3 * period)), share * depth, width
+            fraction = 0.5 - 0.5 * np.cos(2 * np.pi * time / period)
+        return start + way * np.sin(2 * np.pi * time / (3 * period)), fraction * depth, width
 
     return at
 
@@ -296,10 +296,10 @@ def _fade(
     if k % 20 == 0:
         state["gone"] = rng.choice(len(truth), 5, replace=False)
     grey = grey.copy()
-    share = min(1.0, (k % 20) / 10)
+    fraction = min(1.0, (k % 20) / 10)
     for u, v in truth[state["gone"]].tolist():
         cut = grey[max(int(v) - 16, 0) : int(v) + 17, max(int(u) - 16, 0) : int(u) + 17]
-        cut += share * (np.percentile(cut, 90) - cut)
+        cut += fraction * (np.percentile(cut, 90) - cut)
     return grey, truth
 
 

@@ -48,14 +48,14 @@ PLATES = (
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Press every plate into every sensor; five minutes of a processor.
 
     Args:
         out: Folder, unused.
         quick: The first plate and sensor only.
-        say: Receiver of a message for every plate.
+        notify: Receiver of a message for every plate.
 
     Returns:
         "rows", one per sensor, plate, mesh and kind of pressure measurement.
@@ -64,7 +64,7 @@ def run(
     for sensor, plate in itertools.product(SENSORS, PLATES):
         if quick and (sensor, plate) != (SENSORS[0], PLATES[0]):
             continue
-        say(f"wide-faces: {sensor}, plate {plate.name}")
+        notify(f"wide-faces: {sensor}, plate {plate.name}")
         nx, ny = default_mesh(load_sensor(sensor))
         meshes = [(nx, ny)] if quick else [(nx, ny), (2 * nx - 1, 2 * ny - 1)]
         for mesh, gauge in itertools.product(meshes, (True, False)):

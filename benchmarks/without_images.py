@@ -39,7 +39,7 @@ _OUTLIER = 5.0  # of the marker's own standard deviations
 _TIMESTEP = 4e-3
 
 Pose = tuple[Array, Array]
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,17 @@ SCENES = {
 
 
 def run(
-    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+    out: Path, *, quick: bool = False, pairs: int | None = None, notify: Notify | None = None
 ) -> dict[str, Any]:
     """Errors of markers in every scene, and `pairs` of episodes."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     rows = []
     for name, scene in SCENES.items():
-        say(f"markers: {name}")
+        notify(f"markers: {name}")
         rows.append({"scene": name, **marker_errors(scene, IMAGES_QUICK if quick else IMAGES)})
     if pairs is None:
         pairs = PAIRS_QUICK if quick else PAIRS
-    return {"markers": rows, "grasps": _grasps(list(_pairs(pairs, say)))}
+    return {"markers": rows, "grasps": _grasps(list(_pairs(pairs, notify)))}
 
 
 # -- markers
@@ -154,7 +154,7 @@ def _errors(
 # --------------------------------------------------------------------------------
 
 
-def _pairs(count: int, say: Say) -> Iterator[dict[str, Any]]:
+def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
     """The lines of each episode, with and without images, and the processor time that they took,
     s."""
     for k in range(count):
@@ -174,7 +174,7 @@ def _pairs(count: int, say: Say) -> Iterator[dict[str, Any]]:
                 for key in ("outcome", "hold_force_N", "hold_force_true_N", "peak_force_true_N")
             }
             pair[way]["core_s"] = time.process_time() - begin
-        say(
+        notify(
             f"grasps: {k + 1} of {count}: {pair['object']}, {pair['images']['outcome']}, "
             f"{pair['none']['outcome']}"
         )

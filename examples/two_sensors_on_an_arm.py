@@ -53,8 +53,8 @@ def go(seconds, *, height=None, fingers_at=None):
         new if new is not None else old
         for new, old in zip((height, fingers_at), before, strict=True)
     ]
-    for share in np.linspace(0, 1, steps):
-        data.mocap_pos[0, 2], data.ctrl[:] = before + share * (np.array(goals) - before)
+    for fraction in np.linspace(0, 1, steps):
+        data.mocap_pos[0, 2], data.ctrl[:] = before + fraction * (np.array(goals) - before)
         mjtactile.step(model, data, fingers)
     forces = ", ".join(f"{f.name} {f.touch.force_normal:5.2f} N" for f in fingers)
     print(f"{data.time:4.1f} s   egg at {1e3 * data.body('object0').xpos[2]:3.0f} mm   {forces}")

@@ -93,8 +93,8 @@ class _UsageError(MjtactileError):
     exit_code = EXIT_INPUT
 
 
-def build_parser(*wanted: str) -> argparse.ArgumentParser:
-    """Build the parser with the options of the `wanted` commands; the other commands are not
+def build_parser(*requested: str) -> argparse.ArgumentParser:
+    """Build the parser with the options of the `requested` commands; the other commands are not
     imported."""
     parser = _Parser(
         prog="mjtactile",
@@ -102,11 +102,11 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.command = next(iter(wanted), "")
+    parser.command = next(iter(requested), "")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
-        if name not in wanted:
+        if name not in requested:
             commands.add_parser(name, help=text, add_help=False)
             continue
         command = importlib.import_module(f"mjtactile.commands.{name.replace('-', '_')}")

@@ -64,11 +64,11 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
 
 
 def plugged_in(
-    more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
+    more: Iterable[str] = (), *, ask: bool = True, notify: Callable[[str], None] = lambda _: None
 ) -> tuple[list[Any], list[Any]]:
     """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who
     answers on the ports."""
     from mjtactile.devices.camera.v4l2 import video_devices
     from mjtactile.devices.discovery import serial_ports
 
-    return video_devices(), serial_ports(more, ask=ask, say=say)
+    return video_devices(), serial_ports(more, ask=ask, notify=notify)

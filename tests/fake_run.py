@@ -47,16 +47,16 @@ def fake_touch(force: float, time: float) -> Touch:
     gx, gy = np.meshgrid(x, y)
     rest = 0.004 * np.cos(np.pi * gx / 0.04) * np.cos(np.pi * gy / 0.03)
     press = np.exp(-(gx**2 + gy**2) / 0.006**2)
-    share = 0.0 if not np.isfinite(force) else force
-    z = rest - 0.002 * share * press
+    fraction = 0.0 if not np.isfinite(force) else force
+    z = rest - 0.002 * fraction * press
     forces = np.zeros((17, 21, 3))
-    forces[..., 2] = -share * press / press.sum()
-    contact = Contact(share > 0.05, 1e-4 * share, np.zeros(2), 0.002 * share, press > 0.3)
-    wrench = np.array([0.0, 0.0, -share, 0.0, 0.0, 0.0])
+    forces[..., 2] = -fraction * press / press.sum()
+    contact = Contact(fraction > 0.05, 1e-4 * fraction, np.zeros(2), 0.002 * fraction, press > 0.3)
+    wrench = np.array([0.0, 0.0, -fraction, 0.0, 0.0, 0.0])
     traction = Traction(x, y, forces, wrench, np.eye(6) * 0.02**2, 1000.0, "fake")
     surface = Surface(x, y, z, 0.0012, 1e-6, 1e-7, 1e-9)
     markers = Markers(np.arange(81), np.zeros((81, 3)), np.zeros((81, 3)), np.zeros((81, 3, 3)))
-    return Touch(time, 0.01, force, 0.03, share > 0.05, contact, traction, surface, markers)
+    return Touch(time, 0.01, force, 0.03, fraction > 0.05, contact, traction, surface, markers)
 
 
 def fake_image(seed: int, width: int = 160, height: int = 120) -> Image:

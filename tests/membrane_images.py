@@ -55,9 +55,9 @@ def _load(sheet, shear, normal):
     """Generalised forces (3, n) of a force in newtons, even over a disc."""
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    places = np.concatenate([PLACE + share * RADIUS * ring for share in (0.3, 0.6, 0.9)])
-    share = sheet.basis(sheet.own(places)).mean(axis=0)
-    return np.outer([shear, 0.0, -normal], share)
+    places = np.concatenate([PLACE + fraction * RADIUS * ring for fraction in (0.3, 0.6, 0.9)])
+    fraction = sheet.basis(sheet.own(places)).mean(axis=0)
+    return np.outer([shear, 0.0, -normal], fraction)
 
 
 def _image(design, sheet, view, c, time):

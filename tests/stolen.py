@@ -46,9 +46,9 @@ def pytest_runtest_protocol(item, nextitem):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for _ in range(1 if item.path in _undecided else TRIES):
-        reports, share = attempt(item, nextitem)
+        reports, fraction = attempt(item, nextitem)
         failed = [report for report in reports if report.failed]
-        if not failed or share < STOLEN_MAX:
+        if not failed or fraction < STOLEN_MAX:
             break
     else:
         _undecided.add(item.path)
@@ -56,7 +56,9 @@ def pytest_runtest_protocol(item, nextitem):
             crash = getattr(report.longrepr, "reprcrash", None)
             last = (crash.message if crash else str(report.longrepr)).strip().splitlines()[0]
             report.outcome = "skipped"
-            why = f"undecided, {100 * share:.0f} % of the processors' time was taken away: {last}"
+            why = (
+                f"undecided, {100 * fraction:.0f} % of the processors' time was taken away: {last}"
+            )
             report.longrepr = (str(item.path), 0, why)
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)

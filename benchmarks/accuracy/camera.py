@@ -52,7 +52,7 @@ class State:
     force: float
 
 
-def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
     """Rows of each sweep: rms force error, N, rms marker error, um, and ms of rendering and of
     perception an image."""
     design = load_sensor(SENSOR)
@@ -62,7 +62,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
         name: str, seen: SensorDesign, moments: list[State], effects: Effects = DRAWN["as designed"]
     ) -> dict[str, Any]:
         result = {"name": name} | attempt(lambda: _look(seen, moments, effects))
-        say(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
+        notify(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
         return result
 
     scales = (0.6, 1.0) if quick else RESOLUTIONS

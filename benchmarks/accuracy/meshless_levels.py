@@ -39,34 +39,34 @@ FILM, DRAWN = "-mesh", "-mesh,-pipeline"
 _DRAWS = 400
 _WITHOUT = PHYSICS - {Effect.SHEET}
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def run(
-    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+    out: Path, *, quick: bool = False, pairs: int | None = None, notify: Notify | None = None
 ) -> dict[str, Any]:
     """Measure both levels. Unless `quick`, write the table that `--accuracy` reads."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     cases = CASES[:2] if quick else CASES
     finest = (_QUICK_REFERENCE if quick else _REFERENCE)[1]
     force = []
-    felt = []
+    estimated = []
     apart = []
     for case in cases:
-        say(f"levels: a ball of {1e3 * case.radius:g} mm")
+        notify(f"levels: a ball of {1e3 * case.radius:g} mm")
         true = press(finest, case)
         mine = _press(case)
         force.append(mine.force - true.force)
-        felt.append(_felt(mine.force) - true.force)
+        estimated.append(_estimated(mine.force) - true.force)
         apart.append(np.linalg.norm(mine.p_SM - true.p_SM, axis=1))
-    say("levels: an egg held")
+    notify("levels: an egg held")
     held = _held()
     rows = [
         _row(FILM, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
-        _row(DRAWN, 0.0, felt, math.nan, held["film_ms"] + held["drawing_ms"]),
+        _row(DRAWN, 0.0, estimated, math.nan, held["film_ms"] + held["drawing_ms"]),
     ]
     count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs
-    ended = [_outcomes(FIRST_SEED + k, k, count, say) for k in range(count)]
+    ended = [_outcomes(FIRST_SEED + k, k, count, notify) for k in range(count)]
     for row in rows:
         row["outcomes"] = count
         row["same_outcomes"] = sum(one[row["effects"]] == one["auto"] for one in ended)
@@ -114,7 +114,7 @@ def _press(case: Case) -> Pressed:
     return Pressed(float(force), world.marker_poses(0)[0], 0.0)
 
 
-def _felt(force: float) -> np.ndarray:
+def _estimated(force: float) -> np.ndarray:
     """Return synthetic estimates (n,), N, of this normal force, one per simulated grasp."""
     errors = load_errors(load_sensor(SENSOR))
     here = errors.at(force)
@@ -142,10 +142,10 @@ def _held() -> dict[str, float]:
     return {"film_ms": film, "drawing_ms": drawing, "force_noise_N": noise}
 
 
-def _outcomes(seed: int, number: int, count: int, say: Say) -> dict[str, str]:
+def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, str]:
     ended = {}
     for effects in ("auto", FILM, DRAWN):
-        say(f"levels: episode {number + 1} of {count}, {effects}")
+        notify(f"levels: episode {number + 1} of {count}, {effects}")
         scenario = Scenario(
             object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
         )
@@ -170,11 +170,11 @@ def table(result: dict[str, Any]) -> str:
             f"| {names[row['effects']]} | `{row['effects']}` | {row['timestep_ms']:.2f} "
             f"| {1e3 * row['force_error_N']:.1f} | {'' if surface is None else f'{surface:.0f}'} "
             f"| {1e3 * row['force_noise_N']:.1f} | {row['ms_per_s']:.0f} "
-            f"| {_share(row)} |"
+            f"| {_fraction(row)} |"
         )
     return "\n".join(lines) + "\n"
 
 
-def _share(row: dict[str, Any]) -> str:
+def _fraction(row: dict[str, Any]) -> str:
     """Format the fraction of episodes with the same outcome; "" where none was run."""
     return f"{row['same_outcomes']} of {row['outcomes']}" if row["outcomes"] else ""

@@ -20,7 +20,7 @@ _LABELS = {
 }
 
 
-def draw(result: dict[str, Any], out: Path, say: Callable[[str], None]) -> None:
+def draw(result: dict[str, Any], out: Path, notify: Callable[[str], None]) -> None:
     """Write accuracy.png (force) and accuracy_surface.png into `out`.
 
     Print a message if matplotlib is missing.
@@ -28,7 +28,7 @@ def draw(result: dict[str, Any], out: Path, say: Callable[[str], None]) -> None:
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        say("no plots: matplotlib is not installed (pip install 'mjtactile[plots]')")
+        notify("no plots: matplotlib is not installed (pip install 'mjtactile[plots]')")
         return
     for key, unit, scale, name in (
         ("force_error_N", "force error [mN]", 1e3, "accuracy.png"),

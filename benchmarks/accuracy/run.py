@@ -72,13 +72,15 @@ _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
 _QUICK_REFERENCE = (Setting((17, 13), softness=0.1), Setting((21, 17), softness=0.1))
 
 
-def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None) -> dict[str, Any]:
+def run(
+    out: Path, quick: bool = False, notify: Callable[[str], None] | None = None
+) -> dict[str, Any]:
     """Measure everything; about 10 minutes, with `quick` about one. Draws into `out` and writes
     fidelity.json there."""
-    say = Progress().message if say is None else say
+    notify = Progress().message if notify is None else notify
     cases = CASES[:2] if quick else CASES
     reference, uncertainty = _reference(_QUICK_REFERENCE if quick else _REFERENCE, cases)
-    say(
+    notify(
         f"reference: {[round(r.force, 4) for r in reference]} N, uncertain by "
         f"{uncertainty['force_N']:.4f} N"
     )
@@ -90,7 +92,7 @@ def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None
                 measured[setting] = setting.summary() | attempt(
                     lambda s=setting: _measure(s, cases, reference)
                 )
-                say(_line(measured[setting]))
+                notify(_line(measured[setting]))
         return [measured[s] for s in settings if s in measured]
 
     sweeps = {name: rows(settings) for name, settings in SWEEPS.items()}
@@ -104,8 +106,8 @@ def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None
         "closed_form": _closed_form(quick),
     }
     write_json(out / "fidelity.json", fidelity_table(result))  # before the cameras: it needs none
-    result["camera"] = camera.run(quick, say)
-    plots.draw(result, out, say)
+    result["camera"] = camera.run(quick, notify)
+    plots.draw(result, out, notify)
     return result
 
 

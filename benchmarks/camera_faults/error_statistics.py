@@ -13,9 +13,9 @@ FAR_SD = 5.0
 FAR_N = 0.05
 
 
-def numbers(grasp: Grasp, felt: ReplayResult) -> dict[str, Any]:
+def numbers(grasp: Grasp, estimated: ReplayResult) -> dict[str, Any]:
     """Compute force errors where the status is ok, and count the large ones."""
-    touches = felt.touches
+    touches = estimated.touches
     known = np.array([touch.status == "ok" for touch in touches], bool)
     off = np.array([touch.force_normal for touch in touches]) - grasp.true[: len(touches)]
     sd = np.array([touch.force_normal_sd for touch in touches])
@@ -33,5 +33,5 @@ def numbers(grasp: Grasp, felt: ReplayResult) -> dict[str, Any]:
         "sd_N": float(np.median(sd)) if len(sd) else None,
         "status": {code: said.count(code) for code in sorted(set(said))},
         "markers": float(np.median(count)) if count else None,
-        "refused": felt.refused,
+        "refused": estimated.refused,
     }

@@ -42,11 +42,11 @@ _TURNS = 3  # of both sensors, in turn, for the time
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
     """Both sensors under each of `NAMES`, after the references; `quick`: one seed, and every fourth
     trouble."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     seeds = GRASP_SEEDS[: 1 if quick else None]
     grasps = {}
     rows = []
@@ -54,8 +54,8 @@ def run(
         for seed in seeds:
             grasp = record(sensor, seed)
             grasps.setdefault(sensor, grasp)
-            say(f"{sensor}, seed {seed}")
-            rows += _rows(sensor, seed, grasp, NAMES[:: 4 if quick else 1], say)
+            notify(f"{sensor}, seed {seed}")
+            rows += _rows(sensor, seed, grasp, NAMES[:: 4 if quick else 1], notify)
     return {
         "stamp": stamp(),
         "grasp_seeds": list(seeds),
@@ -65,7 +65,7 @@ def run(
 
 
 def _rows(
-    sensor: str, seed: int, grasp: Grasp, names: Sequence[str], say: Callable[[str], None]
+    sensor: str, seed: int, grasp: Grasp, names: Sequence[str], notify: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """One grasp under each trouble, with the gauge and without; the first is none."""
     rows = []
@@ -75,25 +75,25 @@ def _rows(
             continue
         both = replay_faults(grasp, kind)
         clean = clean or both
-        for gauge, felt, without in zip((True, False), both, clean, strict=True):
-            row = _row(grasp, felt, without)
+        for gauge, estimated, without in zip((True, False), both, clean, strict=True):
+            row = _row(grasp, estimated, without)
             head = {"sensor": sensor, "seed": seed, "name": kind.name, "gauge": gauge}
             rows.append({**head, "strength": dict(kind.table), **row})
-            say(f"{kind.name}, gauge {gauge}: worst {row['worst_N']:.3f} N")
+            notify(f"{kind.name}, gauge {gauge}: worst {row['worst_N']:.3f} N")
     return rows
 
 
-def _row(grasp: Grasp, felt: ReplayResult, clean: ReplayResult) -> dict[str, Any]:
+def _row(grasp: Grasp, estimated: ReplayResult, clean: ReplayResult) -> dict[str, Any]:
     """Compute force errors, and changes against the same images without a fault."""
     forces, usual = (
-        np.array([touch.force_normal for touch in one.touches]) for one in (felt, clean)
+        np.array([touch.force_normal for touch in one.touches]) for one in (estimated, clean)
     )
     changed = forces - usual
     return {
         "first_N": float(forces[0] - grasp.true[0]),
         "changed_rms_N": float(np.sqrt(np.nanmean(changed**2))),
         "changed_worst_N": float(np.nanmax(np.abs(changed))),
-        **numbers(grasp, felt),
+        **numbers(grasp, estimated),
     }
 
 

@@ -29,15 +29,15 @@ from mjtactile.runtime.progress import Progress
 SENSORS = ("dense",)
 GRASP_SEED = 4
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 Row = Mapping[str, Any]
 
 
 def run(
-    out: Path, *, quick: bool = False, resume: bool = False, say: Say | None = None
+    out: Path, *, quick: bool = False, resume: bool = False, notify: Notify | None = None
 ) -> dict[str, Any]:
     """All kinds on each sensor, or every second one; draws the pictures into `out`."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     folder = out / "trust"
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
@@ -48,9 +48,9 @@ def run(
         for number, kind in islice(enumerate(kinds()), 0, None, 2 if quick else 1):
             file = folder / f"{sensor}-{number:03}.json"
             if not (resume and file.is_file()):
-                write_json(file, _felt(sensor, grasp, kind))
+                write_json(file, _estimated(sensor, grasp, kind))
             rows.append(json.loads(file.read_text(encoding="utf-8")))
-            say(_line(rows[-1]))
+            notify(_line(rows[-1]))
     return {
         "stamp": stamp(),
         "grasp_seed": GRASP_SEED,
@@ -60,15 +60,15 @@ def run(
     }
 
 
-def _felt(sensor: str, grasp: Grasp, kind: Kind) -> dict[str, Any]:
+def _estimated(sensor: str, grasp: Grasp, kind: Kind) -> dict[str, Any]:
     """A row: with the gauge, and under "without" the same without."""
-    felt, without = (numbers(grasp, found) for found in replay_faults(grasp, kind))
+    estimated, without = (numbers(grasp, found) for found in replay_faults(grasp, kind))
     return {
         "sensor": sensor,
         "name": kind.name,
         "when": kind.when,
         "strength": dict(kind.table),
-        **felt,
+        **estimated,
         "without": without,
     }
 

@@ -52,11 +52,11 @@ _NOWHERE = {
 class Day:
     """One folder with the user's files, and the emulated hardware on the table."""
 
-    def __init__(self, out: Path, say: Callable[[str], None]):
+    def __init__(self, out: Path, notify: Callable[[str], None]):
         self.folder = out / "day"
         self.folder.mkdir(parents=True, exist_ok=True)
         self._out = out
-        self._say = say
+        self._notify = notify
         kept = out / "first_day.json"
         self.rows: list[dict[str, Any]] = read_json(kept)["steps"] if kept.exists() else []
         self.world = resources.find(RIG, "models/rigs", ".toml")
@@ -80,7 +80,7 @@ class Day:
         row.setdefault("seconds", _since(begin))
         self.rows = [*(one for one in self.rows if one["step"] != name), row]
         write_json(self._out / "first_day.json", self.told())
-        self._say(f"{name}: {row}")
+        self._notify(f"{name}: {row}")
 
     def told(self) -> dict[str, Any]:
         """All that was done."""
@@ -145,7 +145,7 @@ class Day:
                     ports=[ends["valve"], ends["servo"]],
                     cameras=[ends["cameras"]["right"], ends["cameras"]["left"]],
                     ask=ask,
-                    say=lambda _: None,
+                    notify=lambda _: None,
                 )
             finally:
                 for board in pressed:

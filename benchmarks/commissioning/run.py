@@ -40,7 +40,7 @@ def run(
     *,
     quick: bool = False,
     resume: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Run the day, step by step.
 
@@ -52,7 +52,7 @@ def run(
         (out / "first_day.json").unlink(missing_ok=True)
     seeds = SEEDS[:1] if quick else SEEDS
     with _hurried():
-        day = Day(out, say)
+        day = Day(out, notify)
         day.step("grasp, before", lambda: day.grasps("dense", day.bare(), seeds))
         day.step("setup", day.set_up)
         for finger in FINGERS:

@@ -20,7 +20,7 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
     """
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
     known = np.asarray(rows["status"] == "ok")
-    left = rows["felt"] - rows["wrench"] @ (np.eye(6) + errors.gain).T
+    left = rows["estimated"] - rows["wrench"] @ (np.eye(6) + errors.gain).T
     at = [errors.at(float(one)) for one in load]
     z = (left - [one.mean for one in at]) / [one.sd for one in at]
     by_load = []
@@ -31,7 +31,7 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
                 "from_N": low,
                 "to_N": high,
                 "images": int(here.sum()),
-                "force_rms_mN": 1e3 * _rms(rows["felt"][here, 2] - rows["wrench"][here, 2]),
+                "force_rms_mN": 1e3 * _rms(rows["estimated"][here, 2] - rows["wrench"][here, 2]),
                 "drawn_rms_mN": 1e3 * _rms(_drawn(errors, rows["wrench"][here])),
                 "force_ratio": _rms(z[here, 2]),
                 "shear_ratio": _rms(z[here, :2]),

@@ -50,14 +50,14 @@ WORLDS = {"errors": "none", "varied": "default"}
 """Name of a set of errors in the file, and the variation that it is measured under."""
 
 Rows = dict[str, Array]
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def run(
-    out: Path, *, quick: bool = False, sensor: str = "dense", say: Say | None = None
+    out: Path, *, quick: bool = False, sensor: str = "dense", notify: Notify | None = None
 ) -> dict[str, Any]:
     """Grip, fit, write the design's file of errors, and check it on the other half of the seeds."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     design = load_sensor(sensor)
     count = GRASPS_QUICK if quick else GRASPS
     table: dict[str, Any] = {
@@ -67,7 +67,7 @@ def run(
     }
     checks = {}
     for name, randomization in WORLDS.items():
-        grasps = list(_grasps(sensor, randomization, count, say))
+        grasps = list(_grasps(sensor, randomization, count, notify))
         fitted, checked = grasps[::2], grasps[1::2]
         checks[name] = check(fit(joined(fitted)), joined(checked)) | {"grasps": len(grasps)}
         table[name] = fit(joined(grasps)).table()
@@ -77,9 +77,9 @@ def run(
     return {"sensor": design.name, "file": table, "checks": checks}
 
 
-def _grasps(sensor: str, randomization: str, count: int, say: Say) -> Iterator[Rows]:
+def _grasps(sensor: str, randomization: str, count: int, notify: Notify) -> Iterator[Rows]:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        say(f"drawn: --randomization {randomization}, grasp {seed - FIRST_SEED + 1} of {count}")
+        notify(f"drawn: --randomization {randomization}, grasp {seed - FIRST_SEED + 1} of {count}")
         scenario = Scenario(
             object=f"random:{seed}",
             seed=seed,
@@ -90,7 +90,7 @@ def _grasps(sensor: str, randomization: str, count: int, say: Say) -> Iterator[R
         try:
             yield squeeze(scenario)
         except MjtactileError as error:
-            say(f"drawn: seed {seed}: {error}")
+            notify(f"drawn: seed {seed}: {error}")
 
 
 def joined(grasps: Sequence[Rows]) -> Rows:
@@ -105,18 +105,18 @@ def fit(rows: Rows) -> SensingErrorModel:
     """Fit the error model of the chain that produced these rows."""
     known = np.asarray(rows["status"] == "ok")
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
-    share = _shares(load)
-    felt = _taken(rows, known)
-    near = share[known]
-    error = felt["felt"] - felt["wrench"]
-    gain = _gain(felt["wrench"], error)
-    own, shear_gain = _shear_gains(felt["wrench"], error, felt)
-    left = error - felt["wrench"] @ gain.T
-    left[:, :2] -= own[:, None] * felt["wrench"][:, :2]
-    mean, sd, between, spread = _by_grasps(left, near, felt)
+    fraction = _shares(load)
+    estimated = _taken(rows, known)
+    near = fraction[known]
+    error = estimated["estimated"] - estimated["wrench"]
+    gain = _gain(estimated["wrench"], error)
+    own, shear_gain = _shear_gains(estimated["wrench"], error, estimated)
+    left = error - estimated["wrench"] @ gain.T
+    left[:, :2] -= own[:, None] * estimated["wrench"][:, :2]
+    mean, sd, between, spread = _by_grasps(left, near, estimated)
     z = (left - near @ mean) / (near @ sd) / between[:, None]
     far = np.asarray((np.abs(z) > _OUTLIER).any(axis=1))
-    apart, middle = _alone(left, felt)
+    apart, middle = _alone(left, estimated)
     # var(b - (a + c) / 2) of white noise is 3/2 of its own
     noise = _median_at(np.abs(apart.mean(axis=0)), near[middle]) / _MEDIAN / math.sqrt(1.5)
     fresh = np.minimum(noise, sd)
@@ -124,11 +124,11 @@ def fit(rows: Rows) -> SensingErrorModel:
     jumps = np.where(apart[0] * apart[1] > 0, np.abs(apart).min(axis=0), 0.0)
     jumps = jumps / (near[middle] @ fresh)
     out = np.asarray((jumps > _OUTLIER).any(axis=1))
-    said = np.sqrt(np.diagonal(felt["cov"], axis1=1, axis2=2))
-    ratio = felt["cov"] / (said[:, :, None] * said[:, None])
-    touching = felt["touching"] & (felt["area"] > 0) & (felt["felt_area"] > 0)
-    log_area = np.log(felt["felt_area"][touching] / felt["area"][touching])
-    aside = (felt["felt_centroid"] - felt["centroid"])[touching]
+    said = np.sqrt(np.diagonal(estimated["cov"], axis1=1, axis2=2))
+    ratio = estimated["cov"] / (said[:, :, None] * said[:, None])
+    touching = estimated["touching"] & (estimated["area"] > 0) & (estimated["estimated_area"] > 0)
+    log_area = np.log(estimated["estimated_area"][touching] / estimated["area"][touching])
+    aside = (estimated["estimated_centroid"] - estimated["centroid"])[touching]
     area, area_sd = _moments(log_area[:, None], near[touching])
     _, centroid_sd = _moments(aside.reshape(-1, 1), np.repeat(near[touching], 2, axis=0))
     zero = DEFAULTS.zero
@@ -143,18 +143,20 @@ def fit(rows: Rows) -> SensingErrorModel:
         reported_correlation=_correlation_of(np.median(ratio, axis=0)),
         shear_gain=shear_gain,
         between=spread,
-        slow_time=_memory(z, felt),
+        slow_time=_memory(z, estimated),
         outliers=_mean_at(out[:, None].astype(float), near[middle])[:, 0],
         outlier_size=np.maximum(np.sqrt(np.mean(jumps[out] ** 2, axis=0)), 1.0)
         if out.any()
         else np.ones(6),
-        unknown=_mean_at(1.0 - known[:, None], share)[:, 0],
+        unknown=_mean_at(1.0 - known[:, None], fraction)[:, 0],
         touch_force=max(zero.touch_min, zero.touch_sd * float(fresh[0, 2])),
         release=zero.release,
         area=area[:, 0],
         area_sd=area_sd[:, 0],
         centroid_sd=centroid_sd[:, 0],
-        depth=float(np.median((felt["felt_depth"] / np.maximum(felt["depth"], 1e-6))[touching])),
+        depth=float(
+            np.median((estimated["estimated_depth"] / np.maximum(estimated["depth"], 1e-6))[touching])
+        ),
         slip_displacement=DEFAULTS.slip.min_displacement,
         incipient=DEFAULTS.slip.incipient,
     )
@@ -215,11 +217,11 @@ def _shear_gains(true: Array, error: Array, rows: Rows) -> tuple[Array, float]:
     return np.where(np.isnan(gains), typical, gains), sd
 
 
-def _mean_at(values: Array, share: Array) -> Array:
+def _mean_at(values: Array, fraction: Array) -> Array:
     """(k, m) Mean of `values` (n, m) at each load; where few are, as at the nearest load with
     enough."""
-    weight = share.sum(axis=0)
-    mean = share.T @ values / np.maximum(weight, 1e-9)[:, None]
+    weight = fraction.sum(axis=0)
+    mean = fraction.T @ values / np.maximum(weight, 1e-9)[:, None]
     enough = np.flatnonzero(weight >= _FEW)
     if not len(enough):
         return np.repeat(values.mean(axis=0, keepdims=True), len(LOADS), axis=0)
@@ -227,11 +229,11 @@ def _mean_at(values: Array, share: Array) -> Array:
     return mean[nearest]
 
 
-def _moments(values: Array, share: Array) -> tuple[Array, Array]:
+def _moments(values: Array, fraction: Array) -> tuple[Array, Array]:
     """Mean and sd (k, m) at each load."""
-    mean = _mean_at(values, share)
-    off = values - share @ mean
-    return mean, np.maximum(np.sqrt(_mean_at(off**2, share)), 1e-9)
+    mean = _mean_at(values, fraction)
+    off = values - fraction @ mean
+    return mean, np.maximum(np.sqrt(_mean_at(off**2, fraction)), 1e-9)
 
 
 def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Array, Array]:
@@ -258,7 +260,7 @@ def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Arra
 
 def _typical(
     values: Array,
-    share: Array,
+    fraction: Array,
     rows: Rows,
     of: Callable[[Array], Array],
     over: Callable[..., Any] = np.median,
@@ -268,7 +270,7 @@ def _typical(
     `of` reduces the `values` (n, m) of one grasp. A load with too few grasps gets the result of the
     nearest load with enough.
     """
-    nearest = share.argmax(axis=1)
+    nearest = fraction.argmax(axis=1)
     found: list[Array | None] = []
     for k in range(len(LOADS)):
         own = [values[which & (nearest == k)] for which in _each(rows)]
@@ -341,10 +343,10 @@ def _alone(left: Array, rows: Rows) -> tuple[Array, Array]:
     return np.concatenate(found, axis=1), np.concatenate(middles)
 
 
-def _median_at(values: Array, share: Array) -> Array:
+def _median_at(values: Array, fraction: Array) -> Array:
     """(k, m) Median of `values` (n, m) of the images nearest to each load; where few are, as at the
     nearest load with enough."""
-    nearest = share.argmax(axis=1)
+    nearest = fraction.argmax(axis=1)
     counts = np.bincount(nearest, minlength=len(LOADS))
     enough = np.flatnonzero(counts >= _FEW)
     if not len(enough):

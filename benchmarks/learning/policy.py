@@ -40,35 +40,35 @@ ENDS = {
     "error": "quasi-static membrane did not converge",
 }
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Learn, evaluate and time; a quarter of an hour on two cores.
 
     Args:
         out: Folder; the policy is stored in its policy.npz.
         quick: Learn for a short time, only to check that it works.
-        say: Receiver of progress messages.
+        notify: Receiver of progress messages.
 
     Returns:
         "learned": rows of time, decisions and outcomes of the last hundred episodes; "judged": for
         each level, the numbers of `evaluate`; "ten_lines": decisions per second of the page's
         lines.
     """
-    say = say or Progress().message
+    notify = notify or Progress().message
     saved = out / "policy.npz"
-    learned = _learn(saved, SECONDS_QUICK if quick else SECONDS, say)
+    learned = _learn(saved, SECONDS_QUICK if quick else SECONDS, notify)
     evaluated = {}
     for effects in LEVELS:
-        say(f"policy: episodes with --effects={effects}")
+        notify(f"policy: episodes with --effects={effects}")
         evaluated[effects] = _evaluate(saved, effects, EPISODES_QUICK if quick else EPISODES)
-    say("policy: the ten lines of docs/how-to/train.md")
+    notify("policy: the ten lines of docs/how-to/train.md")
     ten_lines = _time_page(out, DECISIONS)
     return {"learned": learned, "judged": evaluated, "ten_lines": ten_lines}
 
 
-def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
+def _learn(saved: Path, seconds: int, notify: Notify) -> list[dict[str, Any]]:
     """Return the progress that the example reports while it learns."""
     command = [sys.executable, str(LEARNER), str(saved), str(seconds)]
     rows: list[dict[str, Any]] = []
@@ -80,7 +80,7 @@ def _learn(saved: Path, seconds: int, say: Say) -> list[dict[str, Any]]:
                 rows.append({"seconds": int(told[1]), "decisions": int(told[2])})
             elif line.strip().startswith("{"):
                 rows[-1]["ended"] = ast.literal_eval(line.strip())
-                say(f"policy: {rows[-1]}")
+                notify(f"policy: {rows[-1]}")
     if learner.returncode:
         raise RuntimeError(
             f"{LEARNER.name} ended with {learner.returncode}: mjtactile[learn] lacks?"

@@ -42,13 +42,13 @@ class Squeezer:
 
     def step(self, observation: Observation) -> Command:
         last = observation.command
-        felt = [touch.force_normal for touch in observation.touch]
+        estimated = [touch.force_normal for touch in observation.touch]
         limit = replace(last, force_limit=8.0)
-        if not np.isfinite(felt).all():
+        if not np.isfinite(estimated).all():
             return limit
         now = observation.time
         if self._best_start is None:
-            if min(felt) > _LEAST:
+            if min(estimated) > _LEAST:
                 self._best_start = now
             opening = last.opening - _CLOSING * observation.period
             return replace(limit, opening=max(opening, 0.0), phase="close")
@@ -58,7 +58,7 @@ class Squeezer:
             self._next = now + _CHANGE_EVERY
             self._goal = float(np.exp(self._rng.uniform(np.log(_LEAST), np.log(_MOST))))
             self._height = float(self._rng.choice([0.0, 0.02, 0.04]))
-        speed = float(np.clip(_GAIN * (np.mean(felt) - self._goal), -_FASTEST, _FASTEST))
+        speed = float(np.clip(_GAIN * (np.mean(estimated) - self._goal), -_FASTEST, _FASTEST))
         step = _RISE * observation.period
         height = last.lift_height + float(np.clip(self._height - last.lift_height, -step, step))
         opening = max(last.opening + speed * observation.period, 0.0)
@@ -79,7 +79,7 @@ class Compared(Observer):
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         for finger, (true, touch) in enumerate(zip(self._true, cycle.touch, strict=True)):
-            self.rows.append({"finger": finger, "time": cycle.time, **true, **_felt(touch)})
+            self.rows.append({"finger": finger, "time": cycle.time, **true, **_estimated(touch)})
 
 
 def _true(sensor: QuasistaticSensor) -> dict[str, Any]:
@@ -92,18 +92,18 @@ def _true(sensor: QuasistaticSensor) -> dict[str, Any]:
     }
 
 
-def _felt(touch: Touch) -> dict[str, Any]:
+def _estimated(touch: Touch) -> dict[str, Any]:
     traction = touch.traction
     contact = touch.contact
     slip = touch.slip
     return {
         "status": str(touch.status.code.value),
         "touching": touch.touching,
-        "felt": np.full(6, np.nan) if traction is None else traction.wrench,
+        "estimated": np.full(6, np.nan) if traction is None else traction.wrench,
         "cov": np.full((6, 6), np.nan) if traction is None else traction.wrench_cov,
-        "felt_area": np.nan if contact is None else contact.area,
-        "felt_centroid": np.full(2, np.nan) if contact is None else contact.centroid,
-        "felt_depth": np.nan if contact is None else contact.depth,
+        "estimated_area": np.nan if contact is None else contact.area,
+        "estimated_centroid": np.full(2, np.nan) if contact is None else contact.centroid,
+        "estimated_depth": np.nan if contact is None else contact.depth,
         "slip": "unknown" if slip is None else slip.state,
     }
 

@@ -45,23 +45,23 @@ FIRST_SEED = 9000  # of pairs: nothing was fitted or tuned on these
 _STEPS, _STEPS_QUICK = 224, 30  # of those together: a grasp and the reset after it
 _FORCE = 0.6  # grip force of the policy, N
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def run(
-    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+    out: Path, *, quick: bool = False, pairs: int | None = None, notify: Notify | None = None
 ) -> dict[str, Any]:
     """Measure everything; `pairs` of episodes."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     speeds = {}
     for name, effects in LEVELS.items():
-        say(f"learning: steps, {name}")
+        notify(f"learning: steps, {name}")
         speeds[name] = _speed(effects, EPISODES_QUICK if quick else EPISODES)
-    say("learning: environments together")
+    notify("learning: environments together")
     together = {str(threads): _together(threads, quick) for threads in (1, 2)}
     count = pairs or (PAIRS_QUICK if quick else PAIRS)
-    rows = [_pair(FIRST_SEED + k, k, count, say) for k in range(count)]
-    say("learning: design and memory")
+    rows = [_pair(FIRST_SEED + k, k, count, notify) for k in range(count)]
+    notify("learning: design and memory")
     return {
         "speeds": speeds,
         "together": together,
@@ -134,11 +134,11 @@ def _together(threads: int, quick: bool) -> float:
 # -- pairs
 
 
-def _pair(seed: int, number: int, count: int, say: Say) -> dict[str, Any]:
+def _pair(seed: int, number: int, count: int, notify: Notify) -> dict[str, Any]:
     """The same episode at three levels."""
     row: dict[str, Any] = {"seed": seed}
     for effects in PAIRED:
-        say(f"learning: episode {number + 1} of {count}, {effects}")
+        notify(f"learning: episode {number + 1} of {count}, {effects}")
         scenario = Scenario(
             object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
         )

@@ -35,10 +35,10 @@ DRIVE_SPEED = 2e-3
 DRIVE_DEPTH = 4e-3
 PAPER_CIRCLE_ERROR = 0.39e-3  # mean centre error in the paper, m
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def fig5a(say: Say, quick: bool = False) -> dict[str, Any]:
+def fig5a(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """Load cell against estimate in 1 mm increments, valve closed and open: statics, and the
     paper's dF = c dA."""
     rows = []
@@ -52,7 +52,7 @@ def fig5a(say: Say, quick: bool = False) -> dict[str, Any]:
                     depths=DEPTHS[:3] if quick else DEPTHS,
                 )
             )
-            say(
+            notify(
                 f"5a {name}, valve {'closed' if sealed else 'open'}: ours off by "
                 f"{rows[-1]['error_ours_N']:.3f} N, dF = c dA by {rows[-1]['error_paper_N']:.3f} N"
             )
@@ -84,8 +84,8 @@ def _increments(
         constant = AreaCalibration.fit(area, cell).constant
     except InputError:  # the area shrank under load
         constant = float(area @ cell / (area @ area))
-    for step, felt in zip(steps, constant * area, strict=True):
-        step["paper_N"] = felt
+    for step, estimated in zip(steps, constant * area, strict=True):
+        step["paper_N"] = estimated
     ours = np.array([s["ours_N"] for s in steps])
     return {
         "sensor": design.name,
@@ -98,7 +98,7 @@ def _increments(
     }
 
 
-def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
+def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """Force against deformation, solid cylinder and sponge of the same face: linear and parabolic
     fits."""
     depths = np.arange(5e-4, 4.01e-3, 1e-3 if quick else 2.5e-4)
@@ -106,20 +106,20 @@ def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
         station = TestBench(load_sensor("dense"), indenter)
         station.zero()
-        felt = []
+        estimated = []
         given = []
         for depth in depths:
             station.world.press(float(depth))
             seen = station.look(2)
-            felt.append(seen["force_N"])
+            estimated.append(seen["force_N"])
             given.append(float(depth) - seen["indentation_mm"] * 1e-3)
         curves[name] = {
             "depth_mm": 1e3 * depths,
-            "force_N": felt,
+            "force_N": estimated,
             "own_deformation_mm": 1e3 * np.array(given),
-            **_fits(depths, np.array(felt)),
+            **_fits(depths, np.array(estimated)),
         }
-        say(
+        notify(
             f"5b {name}: linear fit leaves {1e3 * curves[name]['linear_rms_N']:.0f} mN, parabola "
             f"{1e3 * curves[name]['parabola_rms_N']:.0f} mN"
         )
@@ -154,7 +154,7 @@ def _fits(depth: Array, force: Array) -> dict[str, float]:
     }
 
 
-def fig5c(say: Say, quick: bool = False) -> dict[str, Any]:
+def fig5c(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """Force over time while the sensor is driven into both at a steady speed, one image each 1/30
     s, then held."""
     curves = {}
@@ -174,23 +174,26 @@ def fig5c(say: Say, quick: bool = False) -> dict[str, Any]:
                 rows.append(
                     (station.world.time - start, station.look()["force_N"], station.load_cell())
                 )
-        time, felt, cell = np.array(rows).T
+        time, estimated, cell = np.array(rows).T
         curves[name] = {
             "time_s": time,
-            "force_N": felt,
+            "force_N": estimated,
             "cell_N": cell,
-            "error_N": float(np.abs(felt - cell).mean()),
+            "error_N": float(np.abs(estimated - cell).mean()),
         }
-        say(f"5c {name}: {felt[-1]:.2f} N at the end, mean error {curves[name]['error_N']:.3f} N")
+        notify(
+            f"5c {name}: {estimated[-1]:.2f} N at the end, mean error "
+            f"{curves[name]['error_N']:.3f} N"
+        )
     return curves
 
 
-def fig6(say: Say, quick: bool = False) -> dict[str, Any]:
+def fig6(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """15 images of 16 circles in known poses: mean error of the centre, and of the paper's own
     method on such images."""
     summary, errors = paper_like(images=3 if quick else 15)
     methods = compare_methods(images=1 if quick else 5)
-    say(f"6: mean error {summary['mean_mm']:.4f} mm (paper {1e3 * PAPER_CIRCLE_ERROR:.2f} mm)")
+    notify(f"6: mean error {summary['mean_mm']:.4f} mm (paper {1e3 * PAPER_CIRCLE_ERROR:.2f} mm)")
     return {
         "summary": summary,
         "methods": methods,
@@ -206,7 +209,7 @@ OBJECTS = {
 }
 
 
-def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
+def fig7(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """Three objects: the camera's image, the reconstructed membrane, the force on each node."""
     found = {}
     for name, (indenter, placing) in list(OBJECTS.items())[: 1 if quick else None]:
@@ -230,13 +233,13 @@ def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
             "force_N": touch.force_normal,
             "cell_N": station.load_cell(),
         }
-        say(
+        notify(
             f"7 {name}: estimated {touch.force_normal:.3f} N, load cell {station.load_cell():.3f} N"
         )
     return found
 
 
-def air(say: Say, quick: bool = False) -> dict[str, Any]:
+def air(notify: Notify, quick: bool = False) -> dict[str, Any]:
     """Sensitivity by supply pressure (1 mm press, valve closed) and by the amount of air behind the
     membrane."""
     base = load_sensor("dense")
@@ -252,7 +255,7 @@ def air(say: Say, quick: bool = False) -> dict[str, Any]:
     ]
     rows.append(_sensitivity(base, sealed=False))
     for row in rows:
-        say(
+        notify(
             f"air {row['supply_kPa']:.2f} kPa, {row['air_mL']:.1f} mL, valve {row['valve']}: "
             f"{row['stiffness_N_mm']:.3f} N/mm, noise {1e3 * row['noise_N']:.2f} mN"
         )
@@ -291,14 +294,14 @@ EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
 
 
 def run(
-    names: Sequence[str], out: Path | None, *, quick: bool = False, say: Say = lambda _: None
+    names: Sequence[str], out: Path | None, *, quick: bool = False, notify: Notify = lambda _: None
 ) -> dict[str, Any]:
     """Run the experiments by name; their data, and where `out` is given also their figures."""
     from benchmarks.paper import figures  # lazily: matplotlib is optional
 
     results: dict[str, Any] = {}
     for name in names:
-        results[name] = EXPERIMENTS[name](say, quick)
+        results[name] = EXPERIMENTS[name](notify, quick)
         if out is not None:
             figures.save(name, results[name], out)
     return results

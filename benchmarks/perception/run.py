@@ -33,26 +33,26 @@ CHI2 = (0.7, 1.4), (0.9, 1.1)
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
     """All parts; draws `perception.png` and `perception_methods.png` into `out`."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     cv2.setNumThreads(1)
-    say("accuracy of single circles")
+    notify("accuracy of single circles")
     accuracy, errors = marker_accuracy.paper_like(images=4 if quick else 15)
-    say("other methods on the same images")
+    notify("other methods on the same images")
     result: dict[str, Any] = {
         "accuracy": accuracy,
         "methods": marker_methods.compare_methods(images=1 if quick else 5),
         "chord_noise": marker_methods.chord_noise(images=2 if quick else 15),
         "board_from_name": marker_methods.board_from_name(images=1 if quick else 10),
     }
-    say("blur; small circles through a cheap camera")
+    notify("blur; small circles through a cheap camera")
     result["bias_against_blur"] = marker_accuracy.bias_against_blur(repeats=2 if quick else 10)
     result["small_circles"] = marker_methods.small_circles(images=1 if quick else 5)
-    say("surfaces under a ball")
+    notify("surfaces under a ball")
     result["surface"] = chain.pressed(frames=1 if quick else 10, repeats=40 if quick else 300)
-    say("speed")
+    notify("speed")
     result["speed"] = chain.speed(repeats=10 if quick else 60)
     result["measured"] = _measured(result)
     plot(out, errors, result)

@@ -41,7 +41,7 @@ def run(
     *,
     quick: bool = False,
     data: Path | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Estimate the force of each depth image, next to the wrist sensor's; plot into `out`."""
     if data is None:
@@ -57,22 +57,22 @@ def run(
     for row in sorted(clouds):
         if quick and row % 20:
             continue
-        felt = estimate_force_from_surface(
+        estimated = estimate_force_from_surface(
             clouds[row], gauge[row], OUTLINE, rest, smoothing=SMOOTHING
         )
         found.append(
             {
                 "row": row,
                 "time_s": rows[row, 0] - rows[0, 0],
-                "force_N": felt.force.tolist(),
-                "felt_N": float(np.linalg.norm(felt.force)),
+                "force_N": estimated.force.tolist(),
+                "felt_N": float(np.linalg.norm(estimated.force)),
                 "wrist_N": float(wrist[row]),
-                "area_mm2": 1e6 * felt.area,
+                "area_mm2": 1e6 * estimated.area,
             }
         )
-        say(f"row {row}: {found[-1]['felt_N']:.2f} N, wrist {found[-1]['wrist_N']:.2f} N")
-        if field is None or felt.area > field.area:
-            field = felt
+        notify(f"row {row}: {found[-1]['felt_N']:.2f} N, wrist {found[-1]['wrist_N']:.2f} N")
+        if field is None or estimated.area > field.area:
+            field = estimated
     result = {
         "rows": found,
         "gauge_kPa": 1e-3 * rest.pressure,
@@ -86,26 +86,28 @@ def run(
 
 def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
     """Errors against the wrist, N: as it is, and with one factor fitted while the press grew."""
-    row, felt, wrist = (
+    row, estimated, wrist = (
         np.array([one[key] for one in found]) for key in ("row", "felt_N", "wrist_N")
     )
     held = (row >= PRESSING.start) & (row < PRESSING.stop)
-    growing = (felt > 0) & (row <= LOADING)
-    later = (felt > 0) & (row > LOADING)
-    factor = float(wrist[growing] @ felt[growing] / max(felt[growing] @ felt[growing], 1e-12))
+    growing = (estimated > 0) & (row <= LOADING)
+    later = (estimated > 0) & (row > LOADING)
+    factor = float(
+        wrist[growing] @ estimated[growing] / max(estimated[growing] @ estimated[growing], 1e-12)
+    )
     return {
         "wrist_held_N": float(wrist[held].mean()),
-        "felt_held_N": float(felt[held].mean()),
-        "untouched_most_N": float(felt[row < 61].max(initial=0.0)),
+        "felt_held_N": float(estimated[held].mean()),
+        "untouched_most_N": float(estimated[row < 61].max(initial=0.0)),
         "factor": factor,
         "ambient_by_factor_kPa": 1e-3 * (AMBIENT + gauge - factor * gauge),
-        "later_rms_N": float(np.sqrt(np.mean((factor * felt[later] - wrist[later]) ** 2))),
+        "later_rms_N": float(np.sqrt(np.mean((factor * estimated[later] - wrist[later]) ** 2))),
     }
 
 
 def table(result: Mapping[str, Any]) -> str:
     """Return the results in Markdown."""
-    held, felt = result["wrist_held_N"], result["felt_held_N"]
+    held, estimated = result["wrist_held_N"], result["felt_held_N"]
     rows = [
         ("gauge pressure at rest with the standard atmosphere, kPa", "gauge_kPa", 2),
         ("wrist sensor during the hold, N", "wrist_held_N", 2),
@@ -117,7 +119,7 @@ def table(result: Mapping[str, Any]) -> str:
     ]
     lines = ["| real bubble sensor, one load |  |", "|---|---|"]
     lines += [f"| {words} | {result[key]:.{digits}f} |" for words, key, digits in rows]
-    lines.insert(5, f"| error | {100 * (felt / held - 1):+.0f} % |")
+    lines.insert(5, f"| error | {100 * (estimated / held - 1):+.0f} % |")
     return "\n".join(lines)
 
 
@@ -148,11 +150,11 @@ def _draw(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field
         return
     curves, surface = figure.subplots(1, 2, width_ratios=(3, 2))
     at = [one["time_s"] for one in result["rows"]]
-    felt = np.array([one["felt_N"] for one in result["rows"]])
+    estimated = np.array([one["felt_N"] for one in result["rows"]])
     curves.plot(time, wrist, "k-", lw=1, label="wrist's wrench, magnitude")
-    curves.plot(at, felt, "o-", ms=4, label="surface and gauge, by statics")
+    curves.plot(at, estimated, "o-", ms=4, label="surface and gauge, by statics")
     curves.plot(
-        at, result["factor"] * felt, "s:", ms=3, label=f"that, times {result['factor']:.2f}"
+        at, result["factor"] * estimated, "s:", ms=3, label=f"that, times {result['factor']:.2f}"
     )
     curves.set(xlabel="time, s", ylabel="force, N", title="a real bubble, pressed once")
     curves.grid(alpha=0.3)

@@ -40,7 +40,7 @@ def run(
     *,
     quick: bool = False,
     data: Path | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Dots of some frames of each video, and the signs of each grip."""
     if data is None:
@@ -59,7 +59,7 @@ def run(
         row = {"grip": name, "slips": slips, "whole": whole, "seen": seen, "trusted": trusted}
         row |= {"false": false} | dict(zip(SIGNS, np.max(signs, axis=0).tolist(), strict=True))
         rows.append(row)
-        say(f"{name}: {seen} of {whole} dots, {trusted} trusted, {false} false")
+        notify(f"{name}: {seen} of {whole} dots, {trusted} trusted, {false} false")
         write_json(Path(out) / "dots.json", {"rows": rows})
     return {"rows": rows, **summary(rows)}
 

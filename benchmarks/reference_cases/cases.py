@@ -68,7 +68,7 @@ def _press(s: Section) -> dict[str, Any]:
         "drag_mm": s.number("drag_mm", -20, 20, default=0.0),
         "depth_mm": s.number("depth_mm", 0, 50, default=None),
         "shear": s.numbers("shear", ("Fx", "Fy"), -_LARGE, _LARGE, default=None),
-        "felt": s.flag("felt", True),
+        "is_estimated": s.flag("estimate", True),
     }
 
 

@@ -72,7 +72,7 @@ def _press(case: Case) -> list[Number]:
     x, y = plan["at_mm"]
     world = PressWorld(case.design, _indenter(case), at=(1e-3 * x, 1e-3 * y))
     gauge = case.design.chamber.supply_gauge
-    view = View(world, case.design) if plan["felt"] and plan["force"] else None
+    view = View(world, case.design) if plan["is_estimated"] and plan["force"] else None
     take_references(world, [view] if view else [], gauge)
     for depth, reference in plan["force"]:
         world.press(1e-3 * depth)
@@ -206,14 +206,14 @@ def _held_shear(case: Case) -> list[Number]:
         world.step(round(0.5 / world.timestep))
         before = _at_rest(world, 50)[0]
         world.step(round(plan["seconds"] / world.timestep))
-        share = float(_at_rest(world, 50)[0] / before)
+        fraction = float(_at_rest(world, 50)[0] / before)
         numbers.append(
             Number(
                 f"remaining fraction of shear after {plan['seconds']:g} s",
                 f"{step:g} ms",
                 "",
                 1.0,
-                share,
+                fraction,
                 case.allows(1.0),
             )
         )

@@ -28,7 +28,7 @@ def save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 def _draw(axes: Any, row: dict[str, Any]) -> None:
     numbers = row["numbers"]
     simulated = [n for n in numbers if n["sd"] is None]
-    felt = [n for n in numbers if n["sd"] is not None]
+    estimated = [n for n in numbers if n["sd"] is not None]
     places = list(dict.fromkeys(n["at"] for n in numbers))
     axes.errorbar(
         [places.index(n["at"]) for n in simulated],
@@ -46,11 +46,11 @@ def _draw(axes: Any, row: dict[str, Any]) -> None:
         ms=5,
         label="simulated",
     )
-    if felt:
+    if estimated:
         axes.errorbar(
-            [places.index(n["at"]) + 0.15 for n in felt],
-            [n["measured"] for n in felt],
-            [2 * n["sd"] for n in felt],
+            [places.index(n["at"]) + 0.15 for n in estimated],
+            [n["measured"] for n in estimated],
+            [2 * n["sd"] for n in estimated],
             fmt="s",
             ms=4,
             capsize=2,

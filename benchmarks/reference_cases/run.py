@@ -22,18 +22,18 @@ QUICK = 4  # cases
 def run(
     out: Path,
     quick: bool = False,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
     *,
     cases: Path | None = None,
 ) -> dict[str, Any]:
     """Measure every case of the folder `cases` (default: those that come along); `truth.png` into
     `out`; the JSON."""
-    say = Progress().message if say is None else say
+    notify = Progress().message if notify is None else notify
     known = load_cases(cases)
     rows = []
     for case in known[:QUICK] if quick else known:
         rows.append(_row(case))
-        say(f"{case.name}: {_verdict(rows[-1])}")
+        notify(f"{case.name}: {_verdict(rows[-1])}")
     result = {
         "cases": rows,
         "numbers": sum(len(row["numbers"]) for row in rows),

@@ -53,10 +53,10 @@ def run(
     rows = (
         json.loads(path.read_text(encoding="utf-8"))["grasps"] if resume and path.is_file() else []
     )
-    say = Progress().message
+    notify = Progress().message
     for seed in range(len(rows), QUICK if quick else episodes):
         row = grasp(OBJECTS[seed % len(OBJECTS)], seed)
-        say(f"{row['object']}, seed {seed}: {row['outcome']} {row['reason']}".strip())
+        notify(f"{row['object']}, seed {seed}: {row['outcome']} {row['reason']}".strip())
         rows.append(row)
         write_json(path, {"grasps": rows, "slow": scaled_clock.slow()})
     return {"grasps": rows, "slow": scaled_clock.slow()}
@@ -138,5 +138,5 @@ def _row(name: str, rows: Sequence[Mapping[str, Any]], asked: str) -> str:
     low, high = wilson(held, len(rows))
     grips = [row["hold_N"] for row in rows if row["hold_N"] is not None]
     grip = f"{statistics.median(grips):.2f}" if grips else ""
-    share = f"{held} of {len(rows)} ({100 * low:.0f}-{100 * high:.0f} %)"
-    return f"| {name} | {asked} | {share} | {faults} | {grip} |"
+    fraction = f"{held} of {len(rows)} ({100 * low:.0f}-{100 * high:.0f} %)"
+    return f"| {name} | {asked} | {fraction} | {faults} | {grip} |"

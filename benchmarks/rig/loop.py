@@ -53,13 +53,13 @@ def measure_loop(seconds: float) -> dict[str, Any]:
 
         outcome = drive(bench, Closing(0.0), on_cycle, time_limit=seconds + 60, on_ready=on_ready)
         truth = bench.process.truth()
-        share = usage.shares()
+        fraction = usage.shares()
     finally:
         bench.close()
     return _loop_result(rows[:count], outcome) | {
         "world_lost_s": truth["lost"],
         "picture_delay_ms": 1e3 * truth["picture_delay"],
-        "cpu": share,
+        "cpu": fraction,
     }
 
 

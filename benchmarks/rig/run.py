@@ -78,17 +78,17 @@ class _Store:
         self.result: dict[str, Any] = (
             json.loads(path.read_text()) if resume and path.is_file() else {}
         )
-        self._say = Progress().message
+        self._notify = Progress().message
 
     def once(self, part: str, measure: Callable[[], Any]) -> None:
         if part not in self.result:
-            self._say(f"rig: {part}")
+            self._notify(f"rig: {part}")
             self.keep(part, measure())
 
     def repeat(self, part: str, times: int, measure: Callable[[int], Any]) -> None:
         while len(self.result.get(part, [])) < times:
             done = self.result.get(part, [])
-            self._say(f"rig: {part}, {len(done) + 1} of {times}")
+            self._notify(f"rig: {part}, {len(done) + 1} of {times}")
             self.keep(part, [*done, measure(len(done))])
 
     def keep(self, part: str, value: Any) -> None:

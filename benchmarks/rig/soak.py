@@ -50,17 +50,17 @@ class Gripping:
 
     def step(self, observation: Observation) -> Command:
         last = observation.command
-        felt = observation.touch[0].force_normal
+        estimated = observation.touch[0].force_normal
         memory = {"begin": observation.time, "open": last.opening, **last.memory}
         into = (observation.time - memory["begin"]) % self.period
-        if not math.isfinite(felt):
+        if not math.isfinite(estimated):
             speed = 0.0
         elif into > 0.6 * self.period:
             speed = self.speed
-        elif felt < self.touch:
+        elif estimated < self.touch:
             speed = -self.speed
         else:
-            speed = self.gain * (felt - self.force)
+            speed = self.gain * (estimated - self.force)
         opening = min(last.opening + speed * observation.period, memory["open"])
         return replace(last, opening=opening, force_limit=2.0, memory=memory)
 
@@ -151,7 +151,7 @@ class _Leg:
         """
         rows = self._rows[np.isfinite(self._rows[:, 0])]
         intervals = np.diff(rows[:, 0])
-        felt = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
+        estimated = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
         reaction = self.supervisor.reaction(self._injected)
         return {
             "fault": self._kind,
@@ -159,7 +159,7 @@ class _Leg:
             "cycles": len(rows),
             "missed": int((intervals > 1.5 / RATE).sum()),
             "not_running": int((rows[:, 2] == 0).sum()),
-            "grips": len(np.unique(felt // self._grip)),
+            "grips": len(np.unique(estimated // self._grip)),
             "injected": self._injected > 0,
             "safe": reaction is not None,
             "reaction_s": reaction,

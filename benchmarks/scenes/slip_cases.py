@@ -18,14 +18,14 @@ class Way:
 
     `load` names the quantity that grows: a "pull", a "torque", a "shake" of the hand, a "drag" past
     an anchored object, the "grip" that opens under a pull, "one" moving finger, "roll" (both
-    fingers, in opposite directions), "squeeze" or "tap" (none). `share` is the range of its peak,
+    fingers, in opposite directions), "squeeze" or "tap" (none). `fraction`: range of its peak,
     relative to the friction limit (for moved parts the displacement, mm). `rise` is the time to the
     peak, s (for moved parts the speed, mm/s). `stays` is true if the load stays at its peak, else
     it keeps growing.
     """
 
     load: str
-    share: tuple[float, float]
+    fraction: tuple[float, float]
     rise: tuple[float, float]
     stays: bool = True
 
@@ -75,7 +75,7 @@ class SlipCase:
     grip: float
     offset: tuple[float, float]
     angle: float
-    share: float
+    fraction: float
     rise: float
     speed: float
     frequency: float
@@ -110,7 +110,7 @@ def plot_case(seed: int) -> SlipCase:
         grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MAX / max(friction))),
         offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
         angle=float(rng.uniform(0, 2 * np.pi)),
-        share=float(rng.uniform(*way.share)),
+        fraction=float(rng.uniform(*way.fraction)),
         rise=float(rng.uniform(*way.rise)),
         speed=float(np.exp(rng.uniform(*np.log(SPEED)))),
         frequency=float(rng.uniform(4, 8)),

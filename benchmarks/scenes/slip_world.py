@@ -61,16 +61,16 @@ class SlipWorld(World):
         self.case = case
         self.direction = np.array([0.0, np.sin(case.angle), np.cos(case.angle)])
         attachments = [self._add_jaw(spec, design, prefix, mesh) for prefix in _QUATS]
-        body = spec.worldbody.add_body(name="thing", pos=[0, *case.offset])
-        body.add_freejoint(name="thing")
+        body = spec.worldbody.add_body(name="object", pos=[0, *case.offset])
+        body.add_freejoint(name="object")
         reach = _add_body(body, case)
         super().__init__(spec, attachments)
         self._drives = {
             name: self.model.actuator(name).id
             for name in ("left/x", "right/x", "left/y", "right/y")
         }
-        joint = self.model.joint("thing")
-        self._body = self.model.body("thing").id
+        joint = self.model.joint("object")
+        self._body = self.model.body("object").id
         self._dofs = joint.dofadr[0] + np.arange(6)
         self._place = int(joint.qposadr[0])
         for sensor, friction in zip(self.sensors, case.friction, strict=True):
@@ -146,7 +146,7 @@ class SlipWorld(World):
         drag = (
             _ANCHOR
             if way.load in ("drag", "one")
-            else max(case.share - 1, 0.2) * limit / case.speed
+            else max(case.fraction - 1, 0.2) * limit / case.speed
         )
         self.model.dof_damping[self._dofs[:3]] = drag
         self.model.dof_damping[self._dofs[3:]] = drag * _TURNING**2
@@ -165,29 +165,29 @@ class SlipWorld(World):
         case = self.case
         way = self.case.way
         part = t / case.rise
-        grown = case.share * (part if not way.stays else min(part, 1.0))
+        grown = case.fraction * (part if not way.stays else min(part, 1.0))
         if way.load == "pull":
             self._pull(grown * limit)
         elif way.load == "torque":
             self.data.xfrc_applied[self._body, 3] = grown * limit * _TURNING
         elif way.load == "grip":
-            self._pull(case.share * limit * min(t / 0.2, 1.0))
+            self._pull(case.fraction * limit * min(t / 0.2, 1.0))
             opened = (4e-3 if case.slips else 0.4e-3) * min(max(t - 0.4, 0.0) / case.rise, 1.0)
             self._squeeze(self._travel - opened)
         elif way.load == "shake":
             omega = 2 * np.pi * case.frequency
-            amplitude = min(case.share * limit / (case.mass * omega**2), 0.02)
+            amplitude = min(case.fraction * limit / (case.mass * omega**2), 0.02)
             self._move(*[amplitude * min(part, 1.0) * np.sin(omega * t)] * 2)
         elif way.load in ("drag", "one", "roll"):
-            moved = min(1e-3 * case.rise * t, 1e-3 * case.share)
+            moved = min(1e-3 * case.rise * t, 1e-3 * case.fraction)
             self._move(moved, {"drag": moved, "one": 0.0, "roll": -moved}[way.load])
         elif way.load == "squeeze":
             self._squeeze(
-                self._travel + 1e-3 * case.share * np.sin(2 * np.pi * t / (4 * case.rise))
+                self._travel + 1e-3 * case.fraction * np.sin(2 * np.pi * t / (4 * case.rise))
             )
         else:  # taps: open and close again
             up = 0.5 - 0.5 * np.cos(np.pi * t / case.rise)
-            self._squeeze(self._travel - up * 1e-3 * case.share)
+            self._squeeze(self._travel - up * 1e-3 * case.fraction)
 
     def _pull(self, force: float) -> None:
         self.data.xfrc_applied[self._body, :3] = force * self.direction

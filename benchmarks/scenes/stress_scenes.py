@@ -42,7 +42,7 @@ class Body:
         }[self.kind]
         lying = self.kind == "rod"
         body.add_geom(
-            name="thing",
+            name="object",
             type=kind,
             size=size,
             mass=self.mass,
@@ -58,7 +58,7 @@ class DropWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        thing: Body,
+        item: Body,
         *,
         gauge_pressure: float,
         speed: float = 0.0,
@@ -71,19 +71,19 @@ class DropWorld(World):
         configure_options(spec, timestep)
         spec.worldbody.add_site(name="base")
         attachment = attach_membrane(spec, sensor, site="base", mesh=mesh)
-        body = spec.worldbody.add_body(name="thing", pos=[0, 0, _HIGH])
+        body = spec.worldbody.add_body(name="object", pos=[0, 0, _HIGH])
         if guided:
             body.pos = [0, 0, 0]
-            body.add_joint(name="thing", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
+            body.add_joint(name="object", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
         else:
-            body.add_freejoint(name="thing")
-        under = thing.add_to(body)
+            body.add_freejoint(name="object")
+        under = item.add_to(body)
         super().__init__(spec, [attachment])
-        joint = self.model.joint("thing")
+        joint = self.model.joint("object")
         skip = 0 if guided else 2
         self._height = int(joint.qposadr[0]) + skip
         self._velocity = int(joint.dofadr[0]) + skip
-        self.weight = thing.mass * 9.81
+        self.weight = item.mass * 9.81
         self._fill(gauge_pressure)
         top = self.sensors[0].height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
         self._hold(top + under + 2 * self.timestep * speed + 1e-5, -speed)
@@ -143,7 +143,7 @@ class PinchWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        thing: Body,
+        item: Body,
         *,
         gauge_pressure: float,
         squeeze: float,
@@ -171,13 +171,13 @@ class PinchWorld(World):
             )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * (_MASS + 0.05)))
             attachments.append(attach_membrane(spec, sensor, site=site, prefix=prefix, mesh=mesh))
-        body = spec.worldbody.add_body(name="thing", quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0])
-        body.add_freejoint(name="thing")
-        half = thing.add_to(body)
+        body = spec.worldbody.add_body(name="object", quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0])
+        body.add_freejoint(name="object")
+        half = item.add_to(body)
         super().__init__(spec, attachments)
-        joint = self.model.joint("thing")
+        joint = self.model.joint("object")
         self._place = int(joint.qposadr[0]) + 2
-        self.weight = thing.mass * 9.81
+        self.weight = item.mass * 9.81
         for device in self.sensors:
             device.open_valve(gauge_pressure)
         gravity = self.model.opt.gravity.copy()

@@ -41,16 +41,16 @@ _HELD = 4  # images
 _DRAG = 1e-3  # maximum drag displacement, m
 _DRAGGED = (0.5, 1.0)  # of it
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> dict[str, Any]:
     """Press each indenter; return a row for each image.
 
     Args:
         out: Folder, not used; only the table is written.
         quick: Two indenters.
-        say: Receiver of a message for each indenter.
+        notify: Receiver of a message for each indenter.
 
     Returns:
         Rows, and their summary.
@@ -61,7 +61,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
         said = [row["kind"] for row in rows if row["seed"] == seed and row["looked"] == "press"]
-        say(f"body {seed}, {rows[-1]['name']}: {', '.join(said)}")
+        notify(f"body {seed}, {rows[-1]['name']}: {', '.join(said)}")
     return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
 
 
@@ -101,8 +101,8 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
         yield "press"
     for _ in range(_HELD):
         yield "hold"
-    for share in _DRAGGED:
-        world.press(reached, share * drag)
+    for fraction in _DRAGGED:
+        world.press(reached, fraction * drag)
         yield "drag"
 
 
@@ -116,22 +116,22 @@ def _followed(
     if nodal.traction is None or not nodal.touching:
         return None
     start = time.thread_time()
-    felt, perception.state = perception.pipeline.track_contact_shape(
+    estimated, perception.state = perception.pipeline.track_contact_shape(
         before, perception.state, nodal, finder
     )
     seconds = time.thread_time() - start
-    assert felt.shape is not None and felt.traction is not None
+    assert estimated.shape is not None and estimated.traction is not None
     contact = nodal.contact
     return {
         "touch": nodal,
         "force_true_N": -float(true[2]),
-        "force_N": felt.force_normal,
+        "force_N": estimated.force_normal,
         "force_nodal_N": nodal.force_normal,
-        "chi2": _chi2(felt.traction, true),
+        "chi2": _chi2(estimated.traction, true),
         "chi2_nodal": _chi2(nodal.traction, true),
         "area_nodal_mm2": 1e6 * contact.area if contact is not None else np.nan,
         "milliseconds": 1e3 * seconds,
-        **_said(case, felt.shape),
+        **_said(case, estimated.shape),
     }
 
 

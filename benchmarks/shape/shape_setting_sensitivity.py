@@ -96,9 +96,9 @@ def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
         press = None
         for before, after, touch in pressed.images:
             followed = replace(before, press=press)
-            felt, state = chain.track_contact_shape(followed, after, touch, finder)
+            estimated, state = chain.track_contact_shape(followed, after, touch, finder)
             press = state.press
-            told.append(_told(felt.shape, felt.force_normal))
+            told.append(_told(estimated.shape, estimated.force_normal))
     return told
 
 

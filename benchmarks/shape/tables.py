@@ -35,8 +35,8 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
         "press": _told(presses),
         "image": _told([row for row in listed if row["looked"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
-        "kind_end": [_share(row["kind"] == row["family"] for row in ends), len(ends)],
-        "multiple": [_share(row["kind"] == "multiple" for row in two), len(two)],
+        "kind_end": [_fraction(row["kind"] == row["family"] for row in ends), len(ends)],
+        "multiple": [_fraction(row["kind"] == "multiple" for row in two), len(two)],
         "edge_off_mm": _median(row["edge_off_mm"] for row in wedges),
         "edge_turn_deg": _median(row["edge_turn_deg"] for row in wedges),
         "force_smooth": _mean_and_worst(smooth, "force_N"),
@@ -76,11 +76,11 @@ def _told(rows: list[Row]) -> dict[str, Any]:
     curvatures = [covers for row in bent for covers in _curvatures_cover(row)]
     return {
         "area": {key: _errors(some, "area") for key, some in broad.items()},
-        "coverage": [_share(_covers(row) for row in said), len(said)],
-        "coverage_curvature": [_share(curvatures), len(curvatures)],
+        "coverage": [_fraction(_covers(row) for row in said), len(said)],
+        "coverage_curvature": [_fraction(curvatures), len(curvatures)],
         "radius": _errors(balls, "radius"),
-        "kind": [_share(row["kind"] == row["family"] for row in late), len(late)],
-        "unknown": [_share(row["kind"] == "unknown" for row in late), len(late)],
+        "kind": [_fraction(row["kind"] == row["family"] for row in late), len(late)],
+        "unknown": [_fraction(row["kind"] == "unknown" for row in late), len(late)],
     }
 
 
@@ -245,15 +245,15 @@ def _independent(balls: list[Row]) -> list[str]:
     right = sum(row["kind"] == "smooth" for row in balls)
     radius = _errors(balls, "radius")
     place = [row["place_off_mm"] for row in balls]
-    body = _errors(balls, "force", share=False)
-    nodal = _errors(balls, "force_nodal", share=False)
+    body = _errors(balls, "force", fraction=False)
+    nodal = _errors(balls, "force_nodal", fraction=False)
     return [
         f"| {len(balls)} balls of 4 to 30 mm, 2 mm deep, independent membrane | contact shape | "
         "nodal estimate, single image |",
         "|---|---|---|",
         f"| classified as smooth | {right} of {len(balls)} | none |",
         f"| radius error: median / worst | {100 * radius[0]:.1f} % / "
-        f"{100 * _worst(balls, 'radius_mm', 'radius_true_mm', share=True):.0f} % | none |",
+        f"{100 * _worst(balls, 'radius_mm', 'radius_true_mm', fraction=True):.0f} % | none |",
         f"| position error, mm: median / worst | {np.median(place):.2f} / {max(place):.2f} | "
         "none |",
         f"| normal force error, N: median / worst | {body[0]:.4f} / "
@@ -262,11 +262,11 @@ def _independent(balls: list[Row]) -> list[str]:
     ]
 
 
-def _worst(rows: list[Row], name: str, true: str, *, share: bool = False) -> float:
-    return max(abs(row[name] - row[true]) / (row[true] if share else 1.0) for row in rows)
+def _worst(rows: list[Row], name: str, true: str, *, fraction: bool = False) -> float:
+    return max(abs(row[name] - row[true]) / (row[true] if fraction else 1.0) for row in rows)
 
 
-def _errors(rows: list[Row], name: str, *, share: bool = True) -> list[float]:
+def _errors(rows: list[Row], name: str, *, fraction: bool = True) -> list[float]:
     """Return median and 90th percentile of the error, and the count.
 
     An unknown value counts as an error of 100 %.
@@ -278,7 +278,7 @@ def _errors(rows: list[Row], name: str, *, share: bool = True) -> list[float]:
     off = np.array([abs(row[f"{name}_{unit}"] - row[f"{true}_true_{unit}"]) for row in rows])
     scale = np.array([row[f"{true}_true_{unit}"] for row in rows])
     off = np.where(np.isfinite(off), off, scale)
-    off = off / scale if share else off
+    off = off / scale if fraction else off
     return [float(np.median(off)), float(np.quantile(off, 0.9)), len(rows)]
 
 
@@ -287,7 +287,7 @@ def _covers(row: Row) -> bool:
     return bool(low <= row["area_true_mm2"] <= high)
 
 
-def _share(given: Iterable[bool]) -> float:
+def _fraction(given: Iterable[bool]) -> float:
     values = list(given)
     return float(np.mean(values)) if values else float("nan")
 

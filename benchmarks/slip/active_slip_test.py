@@ -49,7 +49,7 @@ def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
 
 def sticks(found: SlipTestResult) -> bool:
     """Return True if the shear clearly follows too little for a slip; False if unknown."""
-    return found.share + 2 * found.sd < STAYS
+    return found.fraction + 2 * found.sd < STAYS
 
 
 def _shear(touch: Touch) -> float:

@@ -39,7 +39,7 @@ run.
 _FINGERS = ("left", "right")
 _SEEN = 2.5  # images in which the first 0.5 mm pass, for a slip that the camera can follow
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 Row = dict[str, Any]
 
 
@@ -50,7 +50,7 @@ def run(
     episodes: int = 0,
     rate: float = 0.0,
     parts: tuple[str, ...] = PARTS,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
 ) -> dict[str, Any]:
     """Evaluate random cases.
 
@@ -60,7 +60,7 @@ def run(
         episodes: Number of cases (0: all).
         rate: Rate of the cameras, Hz (0: the sensor's own).
         parts: Some of `PARTS`; each has rows of the table.
-        say: Receiver of a message for each case.
+        notify: Receiver of a message for each case.
 
     Returns:
         The summary of each part, with a row for each finger of each case.
@@ -82,7 +82,7 @@ def run(
             test = part == PARTS[1]
             for found in pool.map(partial(case_rows, test=test, rate=at), seeds):
                 rows[part] += found
-                say(
+                notify(
                     f"{found[0]['seed']} {found[0]['case']}{', tested' * test}: "
                     + ", ".join(row["outcome"] for row in found)
                 )
@@ -234,7 +234,7 @@ def _quantiles(values: Sequence[float]) -> list[float]:
 def table(result: Mapping[str, Any]) -> str:
     """Return the result as Markdown, next to the requirements."""
 
-    def share(count: int, of: int) -> str:
+    def fraction(count: int, of: int) -> str:
         return f"{100 * count / of:.0f} % ({count} of {of})" if of else "none"
 
     def interval(bounds: Sequence[float]) -> str:
@@ -246,8 +246,8 @@ def table(result: Mapping[str, Any]) -> str:
         "| quantity | required | measured | 95 % interval |",
         "|---|---|---|---|",
         "| slips detected before 0.5 mm and within 100 ms | 65 % | "
-        f"{share(every['in_time'], every['slips'])} | {interval(every['in_time_interval'])} |",
-        f"| holds with a false alarm | 2 % | {share(result['false'], result['holds'])} "
+        f"{fraction(every['in_time'], every['slips'])} | {interval(every['in_time_interval'])} |",
+        f"| holds with a false alarm | 2 % | {fraction(result['false'], result['holds'])} "
         f"| {interval(result['false_interval'])} |",
         f"| precision: slips among alarms |  | {100 * result['precision']:.0f} % "
         f"| {interval(result['precision_interval'])} |",
@@ -259,9 +259,9 @@ def table(result: Mapping[str, Any]) -> str:
     if test is not None:
         lines += [
             "| with the active test: slips detected within 400 ms | 90 % | "
-            f"{share(test['in_time'], test['slips'])} | {interval(test['in_time_interval'])} |",
+            f"{fraction(test['in_time'], test['slips'])} | {interval(test['in_time_interval'])} |",
             "| with the active test: holds with a false alarm | 2 % | "
-            f"{share(test['false'], test['holds'])} | {interval(test['false_interval'])} |",
+            f"{fraction(test['false'], test['holds'])} | {interval(test['false_interval'])} |",
         ]
     lines += [
         "",

@@ -23,10 +23,10 @@ RATES = (30.0, 60.0)  # Hz
 PHASES = ("approach", *probe.TOUCHING, "release", probe.ALONE)
 _HOME = Path(__file__).resolve().parents[2]
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def compare(other: Path, *, quick: bool, say: Say) -> dict[str, Any]:
+def compare(other: Path, *, quick: bool, notify: Notify) -> dict[str, Any]:
     """Both, `ROUNDS` times in turns; of each number the median. Raises InputError where `other` is
     no checkout that runs."""
     if not (other / "mjtactile" / "__init__.py").exists():
@@ -39,7 +39,7 @@ def compare(other: Path, *, quick: bool, say: Say) -> dict[str, Any]:
                 for name, home in (("before", other.resolve()), ("now", _HOME))
             }
         )
-        say(
+        notify(
             f"round {k + 1}: {rounds[-1]['now']['loop'][0]['factors']['all']:.2f} x real time at "
             f"30 Hz, before {rounds[-1]['before']['loop'][0]['factors']['all']:.2f}; load "
             f"{os.getloadavg()[0]:.1f}"

@@ -20,16 +20,16 @@ def count(*roots: Any) -> int:
     seen = set()
     waiting = list(roots)
     while waiting:
-        thing = waiting.pop()
-        if id(thing) in seen:
+        item = waiting.pop()
+        if id(item) in seen:
             continue
-        seen.add(id(thing))
-        if isinstance(thing, np.ndarray):
-            found += _denormal(thing)
-        elif isinstance(thing, (list, tuple, dict)) or type(thing).__module__.startswith(
+        seen.add(id(item))
+        if isinstance(item, np.ndarray):
+            found += _denormal(item)
+        elif isinstance(item, (list, tuple, dict)) or type(item).__module__.startswith(
             "mjtactile."
         ):
-            waiting += gc.get_referents(thing)
+            waiting += gc.get_referents(item)
     return found
 
 

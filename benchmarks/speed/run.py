@@ -35,24 +35,26 @@ SEED = 0  # of the grasp
 
 def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str, Any]:
     """All parts; draws speed.png into `out`. `against`: another checkout to compare with."""
-    say = Progress().message
+    notify = Progress().message
     compared = (
-        {} if against is None else {"compared": compare.compare(against, quick=quick, say=say)}
+        {}
+        if against is None
+        else {"compared": compare.compare(against, quick=quick, notify=notify)}
     )
     physics = [
-        _physics(Setting(mesh, timestep), say)
+        _physics(Setting(mesh, timestep), notify)
         for mesh in ((11, 9), (13, 11))
         for timestep in TIMESTEPS
     ]
-    growth = _growth(MESHES[:4] if quick else MESHES, say)
-    scenes = [_rigid(name, say) for name in ("rigid pads", "rigid pads, touch_grid")]
-    many = sensors.measure(sensors.COUNTS[:2] if quick else sensors.COUNTS, say)
+    growth = _growth(MESHES[:4] if quick else MESHES, notify)
+    scenes = [_rigid(name, notify) for name in ("rigid pads", "rigid pads, touch_grid")]
+    many = sensors.measure(sensors.COUNTS[:2] if quick else sensors.COUNTS, notify)
     kinds = (
         [("", 0), ("", 2)]
         if quick
         else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
     )
-    loops = [_loop(accuracy, n, say) for accuracy, n in kinds]
+    loops = [_loop(accuracy, n, notify) for accuracy, n in kinds]
     result = {
         "physics": physics,
         "growth": growth,
@@ -65,21 +67,21 @@ def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str
     return result
 
 
-def _physics(setting: Setting, say: Callable[[str], None]) -> dict[str, Any]:
+def _physics(setting: Setting, notify: Callable[[str], None]) -> dict[str, Any]:
     row = setting.summary() | attempt(lambda: cost_and_noise(setting))
     if "failed" not in row:
         row["real_time_factor"] = 1000 / row["ms_per_s"]
-        say(
+        notify(
             f"{setting.mesh} at {1e3 * setting.timestep:.2f} ms: {row['real_time_factor']:.2f} "
             "x real time"
         )
     return row
 
 
-def _growth(meshes: tuple[tuple[int, int], ...], say: Callable[[str], None]) -> dict[str, Any]:
+def _growth(meshes: tuple[tuple[int, int], ...], notify: Callable[[str], None]) -> dict[str, Any]:
     """Core time of a step against the number of vertices; the slope in log-log axes."""
     rows = [
-        _physics(Setting(mesh, 1 / 150), say) | {"vertices": 2 * mesh[0] * mesh[1]}
+        _physics(Setting(mesh, 1 / 150), notify) | {"vertices": 2 * mesh[0] * mesh[1]}
         for mesh in meshes
     ]
     good = [row for row in rows if "failed" not in row]
@@ -88,16 +90,16 @@ def _growth(meshes: tuple[tuple[int, int], ...], say: Callable[[str], None]) -> 
             np.log([r["vertices"] for r in good]), np.log([r["ms_per_step"] for r in good]), 1
         )[0]
     )
-    say(f"cost grows with vertices ^ {slope:.2f}")
+    notify(f"cost grows with vertices ^ {slope:.2f}")
     return {"rows": rows, "exponent": slope}
 
 
-def _rigid(name: str, say: Callable[[str], None]) -> dict[str, Any]:
+def _rigid(name: str, notify: Callable[[str], None]) -> dict[str, Any]:
     world = rigid_pads.hold(
         load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE, touch_grid="grid" in name
     )
     ms = core_ms(world.step, 500)
-    say(f"{name}: {1e3 * ms:.0f} us a step")
+    notify(f"{name}: {1e3 * ms:.0f} us a step")
     return {
         "scene": name,
         "ms_per_step": ms,
@@ -106,7 +108,7 @@ def _rigid(name: str, say: Callable[[str], None]) -> dict[str, Any]:
     }
 
 
-def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, Any]:
+def _loop(accuracy: str, workers: int, notify: Callable[[str], None]) -> dict[str, Any]:
     """A whole grasp at CAMERA_RATE, as `mjtactile grasp` runs it but without scoring and recording:
     wall and core time.
 
@@ -145,7 +147,7 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
         "load_average": os.getloadavg()[0],
         "denormals": slow,
     }
-    say(
+    notify(
         f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} processes: "
         f"{row['real_time_factor']:.2f} x real "
         f"time, {row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}"

@@ -23,7 +23,7 @@ _SETTLE = 1.2
 _STEPS = 100
 
 
-def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[str, Any]]:
+def measure(counts: tuple[int, ...], notify: Callable[[str], None]) -> list[dict[str, Any]]:
     """Measure a step for each number of sensors, ms: `loaded` with a ball on each, `asleep` with
     none."""
     rows = []
@@ -37,7 +37,7 @@ def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[st
             for name, world in (("loaded_ms", loaded), ("asleep_ms", asleep))
         }
         rows.append({"sensors": count, **ms})
-        say(
+        notify(
             f"{count} sensors: {ms['loaded_ms']:.2f} ms a step with a ball on each, "
             f"{ms['asleep_ms']:.2f} ms asleep"
         )

@@ -57,7 +57,7 @@ _ACCOUNTED = {
 def run(
     out: Path,
     quick: bool = False,
-    say: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
     *,
     resume: bool = False,
 ) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def run(
     Every case that ends is appended to `stability.jsonl`; `resume` keeps those that an interrupted
     run left there.
     """
-    say = Progress().message if say is None else say
+    notify = Progress().message if notify is None else notify
     cases = pruned() if quick else matrix()
     log = out / "stability.jsonl"
     place = {(c.axis, c.label): i for i, c in enumerate(cases)}
@@ -85,7 +85,7 @@ def run(
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
             if row["outcome"] == "FAILED" or len(rows) % 25 == 0:
-                say(
+                notify(
                     f"{len(rows)}/{len(cases)} {row['axis']}, {row['label']}: {row['outcome']} "
                     f"{row['reason']}"
                 )

@@ -26,16 +26,16 @@ ROUNDS = 3
 _FIRST = 3  # the first cycles wait for the page
 _ADDRESS = re.compile(r"http://localhost:\d+/")
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Speeds, ms of the session's thread a cycle, and ages of images in ms when the page's frame
     got them; of each round.
 
     Raises InputError where there is no Chromium.
     """
-    say = say or Progress().message
+    notify = notify or Progress().message
     if CHROMIUM is None:
         raise InputError(
             "no Chromium here to look at it: apt-get install chromium", field="bench studio"
@@ -53,7 +53,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
                 "load": os.getloadavg()[0],
             }
         )
-        say(
+        notify(
             f"round {k + 1}: {watched['factor']:.2f} x real time, without Studio "
             f"{without['factor']:.2f}"
         )

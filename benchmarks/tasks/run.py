@@ -132,7 +132,7 @@ def _round(suite: Suite, folder: Path, names: Sequence[str], count: int, resume:
             folder / name,
             controllers=[own],
             count=count,
-            running=Running(resume=resume, say=Progress().message, run_one=run_one),
+            running=Running(resume=resume, notify=Progress().message, run_one=run_one),
         )
 
 

@@ -25,13 +25,13 @@ def table(result: Mapping[str, Any]) -> str:
         "|---" * (len(names) + 2) + "|",
     ]
     for task, summary in result["tasks"].items():
-        cells = [_share(summary["controllers"].get(name)) for name in names]
+        cells = [_fraction(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
     every = result["together"]
-    cells = [_share(every["controllers"].get(name)) for name in names]
+    cells = [_fraction(every["controllers"].get(name)) for name in names]
     lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
     for task, summary in result["harsh"].items():
-        cells = [_share(summary["controllers"].get(name)) for name in names]
+        cells = [_fraction(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task}, `harsh` | {' | '.join(cells)} | {_difference(summary)} |")
     lines += [
         "",
@@ -104,7 +104,7 @@ def _agreement(result: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _share(group: Mapping[str, Any] | None) -> str:
+def _fraction(group: Mapping[str, Any] | None) -> str:
     if group is None:
         return ""
     low, high = group["success_interval"]

@@ -27,17 +27,17 @@ _SEED = 20
 _ARC = np.radians(np.linspace(-45, 45, 13))  # of a wire, that a sheet can touch
 _FLANK = 3e-3  # length of the flanks that extend a wire, m, so that it covers nodes
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Return the forces of all indenters at all positions and speeds, and the reference forces."""
-    say = say or Progress().message
+    notify = notify or Progress().message
     films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
     places = PLACES_QUICK if quick else PLACES
     rows = []
     for name, body in (BODIES | FACES).items():
-        say(f"thin: {name}")
+        notify(f"thin: {name}")
         draw = np.random.default_rng(_SEED)
         for _ in range(places):
             at = draw.uniform(-_AROUND, _AROUND, 2)

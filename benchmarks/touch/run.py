@@ -49,7 +49,7 @@ _FORCE_MAX = 2.5  # maximum force, N
 _OFF_NOMINAL_FRAMES = 20
 _FRAMES = 3  # looked at in each state; the last one counts
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 class LayoutView(View):
@@ -109,7 +109,7 @@ class LayoutView(View):
         }
 
 
-def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
+def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> dict[str, Any]:
     """Press, drag and hold; one row for each look of each sensor."""
     mesh = MESH_QUICK if quick else MESH
     calibrations = {name: calibrate_area(load_sensor(name)) for name in SENSORS}
@@ -117,7 +117,7 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     milliseconds = {name: [] for name in SENSORS}
     for seed in range(FIRST_SEED, FIRST_SEED + (3 if quick else EPISODES)):
         rows += _episode(seed, mesh, calibrations, milliseconds)
-        say(
+        notify(
             f"press {seed}: "
             + ", ".join(
                 f"{r['force_true_N'][2]:.2f} N ({r['sensor']} {r['error_N'][2]:+.3f})"
@@ -127,7 +127,9 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     edges: list[dict[str, Any]] = []
     for seed, case in sharp_indenters.bodies(quick=quick):
         edges += _sharp_episode(seed, case, mesh)
-        say(f"{case.name} {seed}: " + ", ".join(f"{r['error_shape_N']:+.3f}" for r in edges[-3:]))
+        notify(
+            f"{case.name} {seed}: " + ", ".join(f"{r['error_shape_N']:+.3f}" for r in edges[-3:])
+        )
     quiet = _quiet(60 if quick else QUIET_FRAMES)
     result: dict[str, Any] = {
         "mesh": mesh,

@@ -79,17 +79,17 @@ def _looked(
     rows = []
     for name, view in views.items():
         perception = view.perception
-        touch = felt = None
+        touch = estimated = None
         for _ in range(_FRAMES):
             image = view.image()
             before = perception.state
             touch = perception.perceive(image, image.time)
-            felt, perception.state = perception.pipeline.track_contact_shape(
+            estimated, perception.state = perception.pipeline.track_contact_shape(
                 before, perception.state, touch, finders[name]
             )
-        assert touch is not None and felt is not None and felt.shape is not None
-        told = {"sensor": name, "force_true_N": -float(true[2]), "kind": felt.shape.kind}
-        rows.append(told | _against(touch, true, "") | _against(felt, true, "_shape"))
+        assert touch is not None and estimated is not None and estimated.shape is not None
+        told = {"sensor": name, "force_true_N": -float(true[2]), "kind": estimated.shape.kind}
+        rows.append(told | _against(touch, true, "") | _against(estimated, true, "_shape"))
     return rows
 
 

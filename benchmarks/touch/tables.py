@@ -23,8 +23,8 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     torque = np.array([r["torque_error_Nmm"] for r in rows])
     sd = np.array([r["sd"] for r in rows])
     full = np.linalg.norm(true, axis=1)
-    felt = [r for r in rows if r["touching"] and -r["force_true_N"][2] > 0.1]
-    share = np.array([r["area_mm2"] / r["area_true_mm2"] - 1 for r in felt])
+    estimated = [r for r in rows if r["touching"] and -r["force_true_N"][2] > 0.1]
+    fraction = np.array([r["area_mm2"] / r["area_true_mm2"] - 1 for r in estimated])
     light = [r["touching"] for r in rows if LIGHT <= -r["force_true_N"][2] < 2 * LIGHT]
     levels = {
         level: float(np.mean(np.abs([r[level] + r["force_true_N"][2] for r in rows])))
@@ -45,9 +45,9 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
             ]
         ),
         "torque_Nmm": _mean(np.linalg.norm(torque, axis=1)),
-        "centroid_mm": _mean([r["centroid_error_mm"] for r in felt]),
-        "area_share": float(np.median(np.abs(share))) if len(share) else float("nan"),
-        "area_bias_share": float(np.median(share)) if len(share) else float("nan"),
+        "centroid_mm": _mean([r["centroid_error_mm"] for r in estimated]),
+        "area_share": float(np.median(np.abs(fraction))) if len(fraction) else float("nan"),
+        "area_bias_share": float(np.median(fraction)) if len(fraction) else float("nan"),
         "light_touches": len(light),
         "light_felt": sum(light),
         **levels,

@@ -172,5 +172,5 @@ def _beat(scene: Scene, world: PressWorld) -> None:
     begin = world.time
     world.drive(top, 0.0, _FAST)
     while world.time < begin + _RHYTHM:
-        share = (1 - np.cos(2 * np.pi * scene.frequency * (world.time - begin))) / 2
-        world.drive(top + share * (scene.depth - top), 0.0, 10.0)
+        fraction = (1 - np.cos(2 * np.pi * scene.frequency * (world.time - begin))) / 2
+        world.drive(top + fraction * (scene.depth - top), 0.0, 10.0)

@@ -29,11 +29,11 @@ FIRST_SEED = 1000
 SCENES = 260
 SCENES_QUICK = 4
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def run(
-    out: Path, *, quick: bool = False, resume: bool = False, say: Say = lambda _: None
+    out: Path, *, quick: bool = False, resume: bool = False, notify: Notify = lambda _: None
 ) -> dict[str, Any]:
     """Watch the scenes; the JSON has no rows, which are in `out`/scenes."""
     folder = out / "scenes"
@@ -44,7 +44,7 @@ def run(
         waiting = [seed for seed in seeds if not (resume and files[seed].is_file())]
         for found in pool.map(scene_rows, waiting):
             write_json(files[found["seed"]], found)
-            say(
+            notify(
                 f"{found['seed']} {found['kind']} of a {found['shape']}, {found['sensor']}: "
                 + (found["error"] or f"{len(found['rows'])} images")
             )
@@ -76,7 +76,7 @@ def _row(look: Sample) -> dict[str, Any]:
     touch = look.touch
     traction = look.touch.traction
     known = touch.status == OK
-    felt = (
+    estimated = (
         touch.contact.area
         if known and touch.contact is not None and len(touch.patches) == 1
         else None
@@ -90,5 +90,5 @@ def _row(look: Sample) -> dict[str, Any]:
         "wrench": traction.wrench.tolist() if known and traction else None,
         "sd": np.sqrt(np.diag(traction.wrench_cov)).tolist() if known and traction else None,
         "area_true": look.area,
-        "area": felt,
+        "area": estimated,
     }

@@ -46,9 +46,9 @@ class TouchNode(LifecycleNode):
     # -- lifecycle
 
     def on_configure(self, state):
-        self.wanted = {name: self.get_parameter(name).value for name in DEFAULTS}
+        self.requested = {name: self.get_parameter(name).value for name in DEFAULTS}
         try:
-            self.design = mjtactile.load_sensor(self.wanted["sensor"])
+            self.design = mjtactile.load_sensor(self.requested["sensor"])
         except mjtactile.InputError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -82,7 +82,7 @@ class TouchNode(LifecycleNode):
 
     def stamp(self, time):
         """Return the stamp of a time on the rig's clock, s."""
-        if self.wanted["publish_clock"]:
+        if self.requested["publish_clock"]:
             return Time(nanoseconds=round(1e9 * time)).to_msg()
         return (self.offset + Duration(seconds=time)).to_msg()
 
@@ -107,7 +107,7 @@ class TouchNode(LifecycleNode):
 
     def begin_cycle(self, now):
         """Set the relation of the rig's clock and that of ROS; `now` is on the rig's, s."""
-        if self.wanted["publish_clock"]:
+        if self.requested["publish_clock"]:
             clock = Clock()
             clock.clock = self.stamp(now)
             self.send("/clock", clock, None, now, 10)
@@ -197,7 +197,7 @@ class TouchNode(LifecycleNode):
         goal = handle.request
         controller = mjtactile.load_controller(goal.controller or "gentle")
         options = {"object_name": goal.object or "egg"}
-        with mjtactile.open_session(self.wanted["rig"], self.design, **options) as session:
+        with mjtactile.open_session(self.requested["rig"], self.design, **options) as session:
             session.take_references()
             fingers = session.rig.fingers
             names = [finger.name for finger in fingers]
@@ -215,7 +215,7 @@ class TouchNode(LifecycleNode):
                 if handle.is_cancel_requested or not self.active:
                     session.make_safe("the goal was canceled")
 
-            limit = self.wanted["time_limit_s"]
+            limit = self.requested["time_limit_s"]
             return session.run(controller, time_limit=limit, on_cycle=on_cycle).phase
 
 

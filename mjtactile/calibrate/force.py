@@ -71,7 +71,7 @@ class ForceCalibration:
     offset_sd: float
     rms: float
     true: Array
-    felt: Array
+    estimated: Array
     area_change: Array
     reasons: tuple[str, ...]
 
@@ -86,7 +86,7 @@ class ForceCalibration:
             "residual_N": self.rms,
             "loads": [
                 {"force_N": t, "estimated_N": f, "area_change_mm2": 1e6 * a}
-                for t, f, a in zip(self.true, self.felt, self.area_change, strict=True)
+                for t, f, a in zip(self.true, self.estimated, self.area_change, strict=True)
             ],
         }
 
@@ -133,7 +133,9 @@ def mean_force(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[f
     return force, float(np.mean([t.surface.area for t in good if t.surface is not None]))
 
 
-def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> ForceCalibration:
+def calibrate_force(
+    true: Array, estimated: Array, area: Array, area_rest: float
+) -> ForceCalibration:
     """Fit the force scale and the paper's area constant to known loads.
 
     Inputs are the known normal loads, N, and the measured forces, N. Further inputs are the
@@ -150,11 +152,11 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
         constant = AreaCalibration.fit(change, true)
     except InputError:
         constant = None
-    if np.ptp(felt) > 0:
-        (offset, scale), (offset_sd, scale_sd), rms = fit_line(felt, true)
+    if np.ptp(estimated) > 0:
+        (offset, scale), (offset_sd, scale_sd), rms = fit_line(estimated, true)
     else:
         (offset, scale), (offset_sd, scale_sd), rms = ((np.nan,) * 2,) * 2 + (np.nan,)
-    reasons = _refusals(true, felt, constant, float(scale), float(offset), rms)
+    reasons = _refusals(true, estimated, constant, float(scale), float(offset), rms)
     return ForceCalibration(
         constant,
         float(scale),
@@ -163,7 +165,7 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
         float(offset_sd),
         rms,
         true,
-        felt,
+        estimated,
         change,
         tuple(reasons),
     )
@@ -180,7 +182,7 @@ def force_part(c: ForceCalibration, stamp: CalibrationMetadata) -> ForceScale:
 
 def _refusals(
     true: Array,
-    felt: Array,
+    estimated: Array,
     constant: AreaCalibration | None,
     scale: float,
     offset: float,
@@ -189,9 +191,9 @@ def _refusals(
     largest = float(np.max(true))
     if largest < FORCE_MIN:
         return [f"the largest load is {largest:.2f} N; at least {FORCE_MIN:g} N is needed"]
-    if np.ptp(felt) < 0.1 * np.ptp(true):
+    if np.ptp(estimated) < 0.1 * np.ptp(true):
         return [
-            f"the sensor reports {np.min(felt):.2f} to {np.max(felt):.2f} N for loads of "
+            f"the sensor reports {np.min(estimated):.2f} to {np.max(estimated):.2f} N for loads of "
             f"{np.min(true):.2f} to {largest:.2f} N: check that the load acts on the membrane "
             "and that the images are in the order of the loads"
         ]

@@ -26,7 +26,7 @@ from mjtactile.devices.valve.driver import BoardValve
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.references import settled_images, take_references
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 Ask = Callable[[str], float | None]
 """Function that asks the user for a number; None: skip this value."""
 
@@ -52,7 +52,7 @@ _SAMPLE = 0.01  # time between pressure samples, s
 
 
 def collect_views(
-    pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say
+    pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, notify: Notify
 ) -> list[BoardView]:
     """Collect `count` views of a board that the user moves.
 
@@ -70,7 +70,7 @@ def collect_views(
             and all(_moved(view, other) > _NEW_VIEW_FRACTION * gray.shape[1] for other in taken)
         ):
             taken.append(view)
-            say(
+            notify(
                 f"view {len(taken)} of {count}: {len(view.ids)} corners. {_hint(taken, gray.shape)}"
             )
             if len(taken) == count:
@@ -118,18 +118,20 @@ def _hint(taken: Sequence[BoardView], shape: tuple[int, ...]) -> str:
 # --------------------------------------------------------------------------------
 
 
-def reference_images(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
+def reference_images(
+    rig: Rig, notify: Notify
+) -> list[tuple[list[Image], list[Image], float | None]]:
     """Take images of each finger's flat and inflated membrane, with the pressure sensor's reading,
     Pa."""
     taken = {}
-    for reference in take_references(rig.fingers, rig.clock, say):
+    for reference in take_references(rig.fingers, rig.clock, notify):
         taken[reference.stage] = reference
     pressures = taken["rest"].gauge_pressure or [None] * len(rig.fingers)
     return list(zip(taken["flat"].images, taken["rest"].images, pressures, strict=True))
 
 
 def dropped_images(
-    rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
+    rig: Rig, forces: Sequence[float], load_cell: Ask, notify: Notify
 ) -> Iterator[tuple[str, float, list[list[Image]]]]:
     """Squeeze a load cell with rising force limits, N, and yield its readings and images of each
     finger.
@@ -139,7 +141,7 @@ def dropped_images(
     """
     gripper: Any = rig.gripper
     for force in sorted(forces):
-        say(f"squeezing with a force limit of {force:.2f} N")
+        notify(f"squeezing with a force limit of {force:.2f} N")
         _squeeze(gripper, force)
         with keepalive(gripper):
             shots = settled_images(rig.fingers, rig.clock)
@@ -154,7 +156,7 @@ def dropped_images(
 
 
 def measure_openings(
-    gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, say: Say
+    gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, notify: Notify
 ) -> tuple[Array, list[str], Array]:
     """Reach each opening (m) from both sides and ask for the caliper's reading: reported m,
     directions, measured m."""
@@ -166,7 +168,7 @@ def measure_openings(
     low, high = gripper.config.opening
     for opening, direction in path:
         away = 4e-3 if direction == "closing" else -4e-3
-        say(f"moving to {1e3 * opening:.1f} mm, {direction}")
+        notify(f"moving to {1e3 * opening:.1f} mm, {direction}")
         _move(gripper, min(max(opening + away, low), high), force)
         _move(gripper, opening, force)
         reported = gripper.state().opening
@@ -182,13 +184,13 @@ def measure_openings(
 
 
 def measure_forces(
-    gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, say: Say
+    gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, notify: Notify
 ) -> tuple[Array, Array]:
     """Squeeze the object between the jaws with rising force limits, N. Return the reported forces
     and the load cell readings, N."""
     rows = []
     for force in sorted(forces):
-        say(f"squeezing with a force limit of {force:.2f} N")
+        notify(f"squeezing with a force limit of {force:.2f} N")
         _squeeze(gripper, force)
         reported = float(np.mean([_pause(gripper, _PERIOD).effort for _ in range(10)]))
         with keepalive(gripper):
@@ -269,7 +271,7 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
 
 
 def step_valve(
-    valve: BoardValve, pressure: float, seal_time: float, say: Say
+    valve: BoardValve, pressure: float, seal_time: float, notify: Notify
 ) -> tuple[Array, Array, list[str]]:
     """Vent, open at `pressure` Pa, seal for `seal_time` s, vent: times s, gauge pressures Pa,
     stages.
@@ -288,7 +290,7 @@ def step_valve(
         ("closed", seal, seal_time),
         ("vent", lambda: valve.open(0.0), fall),
     ):
-        say(f"{valve.config.finger}: {stage} for {seconds:g} s")
+        notify(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()
             scaled_clock.sleep(vent)  # the initial vent must not appear as a step in the samples
@@ -307,7 +309,7 @@ def step_valve(
 
 
 def calibrate_live_valve(
-    valve: BoardValve, pressure: float, seal_time: float, say: Say
+    valve: BoardValve, pressure: float, seal_time: float, notify: Notify
 ) -> ValveCalibration:
     """Run `step_valve` and evaluate its samples."""
-    return calibrate_valve(*step_valve(valve, pressure, seal_time, say), pressure)
+    return calibrate_valve(*step_valve(valve, pressure, seal_time, notify), pressure)

@@ -23,7 +23,7 @@ from mjtactile.devices.discovery import SerialPort, serial_ports, servos_at, val
 from mjtactile.rig.file import UNFLIPPED, CameraConfig, RigFile, load_rig_file, rig_from_table
 
 Ask = Callable[[str], str]
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 Place = tuple[str, int, str]
 """Section, which of the sections of that name, and field."""
 _LIMITS = (
@@ -49,7 +49,7 @@ def setup(
     ports: Sequence[str] = (),
     cameras: Sequence[str] = (),
     ask: Ask,
-    say: Say,
+    notify: Notify,
 ) -> RigFile:
     """Create or complete the rig file `path`, starting from a copy of `like`.
 
@@ -61,26 +61,26 @@ def setup(
     """
     if not foreign_file.exists(path):
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
-        say(f"{path}: created as a copy of {like.stem}")
-    ports_found = _PortScan(ports, say)
+        notify(f"{path}: created as a copy of {like.stem}")
+    ports_found = _PortScan(ports, notify)
     for step in (_bus, _valves):
-        _write(path, step(load_rig_file(path), ports_found, ask, say))
-    _write(path, _cameras(load_rig_file(path), cameras, ask, say))
-    _limits(path, ask, say)
+        _write(path, step(load_rig_file(path), ports_found, ask, notify))
+    _write(path, _cameras(load_rig_file(path), cameras, ask, notify))
+    _limits(path, ask, notify)
     return load_rig_file(path)
 
 
 class _PortScan:
     """Serial ports of the computer, scanned once on first use."""
 
-    def __init__(self, more: Sequence[str], say: Say):
+    def __init__(self, more: Sequence[str], notify: Notify):
         self._more = more
-        self._say = say
+        self._notify = notify
         self._ports = None
 
     def with_(self, what: str, has: Callable[[SerialPort], bool]) -> list[SerialPort]:
         if self._ports is None:
-            self._ports = serial_ports(self._more, say=self._say)
+            self._ports = serial_ports(self._more, notify=self._notify)
         if found := [port for port in self._ports if has(port)]:
             return found
         seen = [
@@ -95,28 +95,28 @@ class _PortScan:
         )
 
 
-def _bus(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Place, object]:
+def _bus(rig: RigFile, ports_found: _PortScan, ask: Ask, notify: Notify) -> Mapping[Place, object]:
     lift = [rig.lift.id] if rig.lift.kind == "servo" else []
-    wanted = [servo.id for servo in rig.gripper.servos] + lift
+    requested = [servo.id for servo in rig.gripper.servos] + lift
     with contextlib.suppress(DeviceError):
         if (
             rig.bus.port.startswith("/")
-            and {*wanted} <= servos_at(rig.bus.port, (rig.bus.baud,))[1].keys()
+            and {*requested} <= servos_at(rig.bus.port, (rig.bus.baud,))[1].keys()
         ):
-            say(f"servos {wanted} answer at {rig.bus.port}: setting kept")
+            notify(f"servos {requested} answer at {rig.bus.port}: setting kept")
             return {}
     ports = ports_found.with_("Dynamixel servos", lambda port: bool(port.servos))
-    port = _choose("servo bus", ports, lambda port: port.path, ask, say)
-    if len(port.servos) < len(wanted):
+    port = _choose("servo bus", ports, lambda port: port.path, ask, notify)
+    if len(port.servos) < len(requested):
         raise InputError(
-            f"servos {list(port.servos)} answer at {port.path}, but this gripper has {len(wanted)}",
+            f"servos {list(port.servos)} answer at {port.path}; this gripper has {len(requested)}",
             source=rig.path,
             field="gripper.servo",
             choices=["connect the missing servos", "start from another --template"],
         )
     changes: dict[Place, object] = {("bus", 0, "port"): port.path, ("bus", 0, "baud"): port.baud}
     free = sorted(port.servos)
-    for number in range(len(wanted)):
+    for number in range(len(requested)):
         is_lift = number >= len(rig.gripper.servos)
         name, section, index = "the lift", "lift", 0
         if not is_lift:
@@ -124,13 +124,13 @@ def _bus(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Pl
             name = f"jaw {number + 1} ({per_rad_mm:+g} mm/rad)"
             section, index = "gripper.servo", number
         chosen = _choose(
-            f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say
+            f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, notify
         )
         free.remove(chosen)
         model = port.servos[chosen]
         changes |= {(section, index, "id"): chosen, (section, index, "model"): model}
         if not is_lift and model != rig.gripper.servos[number].model:
-            say(
+            notify(
                 f"{name} is a {model}: using the torque per ampere of its data sheet and the "
                 "factory gain"
             )
@@ -138,24 +138,26 @@ def _bus(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Pl
     return changes
 
 
-def _valves(rig: RigFile, ports_found: _PortScan, ask: Ask, say: Say) -> Mapping[Place, object]:
+def _valves(
+    rig: RigFile, ports_found: _PortScan, ask: Ask, notify: Notify
+) -> Mapping[Place, object]:
     if not rig.valves:
         return {}
     present = rig.valves[0].port
     with contextlib.suppress(DeviceError):
         if present.startswith("/") and valve_board_at(present):
-            say(f"the valve board answers at {present}: setting kept")
+            notify(f"the valve board answers at {present}: setting kept")
             return {}
     ports = ports_found.with_("a valve board", lambda port: bool(port.board))
-    port = _choose("valve board", ports, lambda port: port.path, ask, say)
+    port = _choose("valve board", ports, lambda port: port.path, ask, notify)
     return {("valve", number, "port"): port.path for number in range(len(rig.valves))}
 
 
-def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[Place, object]:
+def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, notify: Notify) -> Mapping[Place, object]:
     with contextlib.suppress(DeviceError), contextlib.ExitStack() as stack:
         for config in rig.cameras:
             stack.enter_context(contextlib.closing(OpenCvCamera(config)))
-        say(f"cameras {', '.join(config.source for config in rig.cameras)} answer: setting kept")
+        notify(f"cameras {', '.join(config.source for config in rig.cameras)} answer: setting kept")
         return {}
     sources = [*more, *(camera.path for camera in video_devices() if camera.formats)]
     if len(sources) < len(rig.cameras):
@@ -167,7 +169,7 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
         )
     candidates = [_with_source(rig.cameras[0], source) for source in sources]
     changes: dict[Place, object] = {}
-    for number, (source, flip) in enumerate(_assigned(rig, candidates, ask, say)):
+    for number, (source, flip) in enumerate(_assigned(rig, candidates, ask, notify)):
         changes |= {("camera", number, "source"): source, ("camera", number, "flipped"): flip}
     return changes
 
@@ -184,7 +186,7 @@ def _with_source(config: CameraConfig, source: str) -> CameraConfig:
 
 
 def _assigned(
-    rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say
+    rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, notify: Notify
 ) -> list[tuple[str, str | None]]:
     """Return each finger's camera source and the flip of its image (None: not flipped, or unknown).
 
@@ -203,20 +205,20 @@ def _assigned(
         }
         first, *others = sorted(changes, key=lambda source: -changes[source])
         if all(changes[first] > _CLEARER * changes[other] for other in others):
-            say(f"{finger}: {first}")
+            notify(f"{finger}: {first}")
             ask(f"Press the {_CORNER} of the {finger} finger, hold it and press Enter: ")
             camera = next(one for one in cameras if one.source == first)
             flip = flip_of(_mean_image(camera) - flat[first])
             if flip is None:
-                say(
+                notify(
                     f"{finger}: the contact was not in a corner; the image is assumed to be upright"
                 )
             elif flip != UNFLIPPED:
-                say(f"{finger}: the image is flipped: {flip}")
+                notify(f"{finger}: the image is flipped: {flip}")
             found[first] = None if flip == UNFLIPPED else flip
         else:
             levels = ", ".join(f"{change:.1f}" for change in changes.values())
-            say(f"no image changed clearly more than the others ({levels} grey levels)")
+            notify(f"no image changed clearly more than the others ({levels} grey levels)")
     return list(found.items())
 
 
@@ -253,7 +255,7 @@ def _mean_image(config: CameraConfig) -> Array:
     raise AssertionError
 
 
-def _limits(path: Path, ask: Ask, say: Say) -> None:
+def _limits(path: Path, ask: Ask, notify: Notify) -> None:
     """Each is written as soon as it is good."""
     for section, key, text in _LIMITS:
         while True:
@@ -263,23 +265,25 @@ def _limits(path: Path, ask: Ask, say: Say) -> None:
                 _write(path, {(section, 0, key): float(answer)} if answer else {})
                 break
             except InputError as error:
-                say(f"{answer}: {error}")
+                notify(f"{answer}: {error}")
             except ValueError:
-                say(f"{answer!r} is not a number")
+                notify(f"{answer!r} is not a number")
 
 
-def _choose(what: str, items: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:
+def _choose(
+    what: str, items: Sequence[_T], name: Callable[[_T], str], ask: Ask, notify: Notify
+) -> _T:
     """Ask the user to choose one of `items`; without a question if there is only one."""
     if len(items) == 1:
-        say(f"{what}: {name(items[0])}")
+        notify(f"{what}: {name(items[0])}")
         return items[0]
     for number, item in enumerate(items, 1):
-        say(f"  {number}  {name(item)}")
+        notify(f"  {number}  {name(item)}")
     while True:
         answer = ask(f"{what}, which one? [1]: ").strip() or "1"
         if answer.isdigit() and 1 <= int(answer) <= len(items):
             return items[int(answer) - 1]
-        say(f"{answer!r} is not a number from 1 to {len(items)}")
+        notify(f"{answer!r} is not a number from 1 to {len(items)}")
 
 
 def _write(path: Path, changes: Mapping[Place, object]) -> None:

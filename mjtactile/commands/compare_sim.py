@@ -66,11 +66,11 @@ def run(options: argparse.Namespace) -> int:
         shadow, episode = shadow_of(
             options.recording,
             rig=options.rig,
-            thing=options.object,
+            item=options.object,
             until=options.until,
             causes=options.parameter,
             workers=options.workers,
-            say=progress.message,
+            notify=progress.message,
         )
     result = numbers(shadow, episode.fingers) | {"recording": str(options.recording)}
     if options.out is not None:

@@ -138,7 +138,7 @@ def run(options: argparse.Namespace) -> int:
             progress = Progress(quiet=options.json)
             if requirements is None:
                 result = json_output.of_file(
-                    design, options.force_N, check=options.check, say=progress.message
+                    design, options.force_N, check=options.check, notify=progress.message
                 )
             else:
                 result, files = json_output.from_requirements(
@@ -149,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
                     count=options.count,
                     seed=options.seed,
                     check=options.check,
-                    say=progress.message,
+                    notify=progress.message,
                 )
             progress.close()
         if out is not None:

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.runtime.progress import Progress
 
     with stdout_to_stderr():
-        cameras, ports = plugged_in(options.port, ask=not options.no_ask, say=Progress().message)
+        cameras, ports = plugged_in(options.port, ask=not options.no_ask, notify=Progress().message)
     if options.json:
         print_json(
             {

@@ -62,7 +62,7 @@ ARGUMENTS = (
 _STATES = {
     (True, True): "on",
     (True, False): "off",
-    (False, True): "wanted",
+    (False, True): "requested",
     (False, False): "none",
 }
 
@@ -71,13 +71,13 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.experiments.fidelity_options import effects_of
 
     design = load_sensor(options.sensor)
-    grasped, wanted, rows = effects_of(design, options.object, options.accuracy, options.effects)
+    grasped, requested, rows = effects_of(design, options.object, options.accuracy, options.effects)
     if options.json:
         print_json(
-            {"sensor": design.name, "object": grasped, "force_error_N": wanted, "effects": rows}
+            {"sensor": design.name, "object": grasped, "force_error_N": requested, "effects": rows}
         )
         return 0
-    print(f"sensor {design.name}, object {grasped}, force error {1e3 * wanted:.3g} mN")
+    print(f"sensor {design.name}, object {grasped}, force error {1e3 * requested:.3g} mN")
     print(f"{'effect':<24}{'':<10}{'costs ms/s':>10}{'else mN':>9}{'else um':>9}  why")
     for row in rows:
         state = _STATES[row["built"], row["on"]]

@@ -290,4 +290,4 @@ def _running(options: argparse.Namespace) -> Running:
     from mjtactile.evaluate.pool import Running
     from mjtactile.runtime.progress import Progress
 
-    return Running(workers=options.workers, resume=options.resume, say=Progress().message)
+    return Running(workers=options.workers, resume=options.resume, notify=Progress().message)

@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         experiments = of_checkout("paper.run")
 
         results = experiments.run(
-            options.only, out, quick=options.quick, say=Progress(quiet=options.json).message
+            options.only, out, quick=options.quick, notify=Progress(quiet=options.json).message
         )
         if out is not None:
             write_json(out / "experiments.json", experiments.without_arrays(results))

@@ -124,11 +124,11 @@ def _check(options: argparse.Namespace) -> None:
 def _in(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
-        wanted = scenario.scenario_of(options, _DEFAULT)
-        scenario.apply_time_scale(options.time_scale, wanted.rig)
-        _take_a_replay_as_a_source(options, wanted)
+        requested = scenario.scenario_of(options, _DEFAULT)
+        scenario.apply_time_scale(options.time_scale, requested.rig)
+        _take_a_replay_as_a_source(options, requested)
         found, summary = (
-            _fused(options) if options.sources else _live(options, wanted, out, progress)
+            _fused(options) if options.sources else _live(options, requested, out, progress)
         )
         if out is not None and found.patches:
             _write(out, found, summary)
@@ -168,17 +168,17 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
     return found, found.summary()
 
 
-def _take_a_replay_as_a_source(options: argparse.Namespace, wanted: Scenario) -> None:
+def _take_a_replay_as_a_source(options: argparse.Namespace, requested: Scenario) -> None:
     """Add a replayed recording to the sources, so that its images are evaluated again."""
     from mjtactile.explore.gripper_exploration import recorded_folder
 
-    folder = recorded_folder(wanted)
+    folder = recorded_folder(requested)
     if folder is not None:
         options.sources = [*options.sources, folder]
 
 
 def _live(
-    options: argparse.Namespace, wanted: Scenario, out: Path | None, progress: Progress
+    options: argparse.Namespace, requested: Scenario, out: Path | None, progress: Progress
 ) -> tuple[ExplorationResult, dict[str, Any]]:
     from mjtactile.explore.exploration import ExplorationGoal, PatchStore
 
@@ -186,27 +186,27 @@ def _live(
     known = store.read() if store is not None and options.resume else []
     asked = ExplorationGoal(options.touches, 1e-3 * options.accuracy_mm, options.force)
     keep = store.write if store is not None else lambda _: None
-    on = _holder(options, wanted)
+    on = _holder(options, requested)
     with signals.deferred() as stop:
         explore = _explorer(on, options, out, lambda: stop.asked)
-        found, true = explore(wanted, asked, known=known, say=progress.message, keep=keep)
+        found, true = explore(requested, asked, known=known, notify=progress.message, keep=keep)
         stop.asked = False  # the exploration ended in order and reports so
-    names = {"object": Path(wanted.object).stem, "sensor": wanted.design().name}
-    return found, {**names, "seed": wanted.seed, **found.summary(), **true}
+    names = {"object": Path(requested.object).stem, "sensor": requested.design().name}
+    return found, {**names, "seed": requested.seed, **found.summary(), **true}
 
 
-def _holder(options: argparse.Namespace, wanted: Scenario) -> str:
+def _holder(options: argparse.Namespace, requested: Scenario) -> str:
     """Return the carrier of the sensor: "stage", "gripper" (simulated) or "hand" (of an emulated or
     a real rig)."""
     from mjtactile.explore.gripper_exploration import is_simulated
 
-    if options.setup == "stage" and wanted.rig != "sim":
-        message = f"the stage is simulated and cannot be used with the rig {wanted.rig!r}"
+    if options.setup == "stage" and requested.rig != "sim":
+        message = f"the stage is simulated and cannot be used with the rig {requested.rig!r}"
         raise InputError(message, field="--setup", choices=["--setup gripper"])
-    if options.setup != "gripper" and wanted.rig == "sim":
+    if options.setup != "gripper" and requested.rig == "sim":
         on = "stage"
     else:
-        on = "gripper" if is_simulated(wanted) else "hand"
+        on = "gripper" if is_simulated(requested) else "hand"
     if len(options.turns) > (on == "hand"):
         raise InputError(
             "too many rotations are given: one applies to the object of a real or an "
@@ -230,16 +230,16 @@ def _explorer(
         return partial(explore_in_gripper, stopped=stopped)
 
     def in_gripper(
-        wanted: Scenario, asked: ExplorationGoal, **told: Any
+        requested: Scenario, asked: ExplorationGoal, **told: Any
     ) -> tuple[ExplorationResult, dict[str, Any]]:
         yaw = math.radians(sum(options.turns))
         with contextlib.ExitStack() as stack:
             recorder = None
             if out is not None:
                 folder = _unused(out / "recording")
-                header = wanted.header() | {"controller": "explore"}
+                header = requested.header() | {"controller": "explore"}
                 recorder = stack.enter_context(Recorder(folder, header))
-            found = explore_by_gripper(wanted, asked, yaw=yaw, observer=recorder, **told)
+            found = explore_by_gripper(requested, asked, yaw=yaw, observer=recorder, **told)
         return found, {}
 
     return in_gripper

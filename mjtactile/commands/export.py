@@ -115,20 +115,20 @@ def _write(
             images=options.images,
             crf=options.crf,
             task=options.task,
-            say=progress.message,
+            notify=progress.message,
             leave_out=leave_out,
         )
     if options.format == "mcap":
         from mjtactile.export import mcap
 
-        return mcap.write(episodes, out, say=progress.message, leave_out=leave_out)
+        return mcap.write(episodes, out, notify=progress.message, leave_out=leave_out)
     if options.format == "rerun":
         from mjtactile.export import rrd
 
-        return rrd.write(episodes, out, say=progress.message, leave_out=leave_out)
+        return rrd.write(episodes, out, notify=progress.message, leave_out=leave_out)
     from mjtactile.export import rosbag2
 
-    return rosbag2.write(episodes, out, say=progress.message, leave_out=leave_out)
+    return rosbag2.write(episodes, out, notify=progress.message, leave_out=leave_out)
 
 
 def _need(name: str) -> None:

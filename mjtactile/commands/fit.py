@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
                 finger=options.finger,
                 touch_sd=1e-3 * options.touch,
                 name=options.out.stem,
-                say=Progress(quiet=options.json).message,
+                notify=Progress(quiet=options.json).message,
             ),
         )
         text = text_of(result)

@@ -117,16 +117,16 @@ def run(options: argparse.Namespace) -> int:
     _check_video(options.video, options.frames)
     if options.rig is not None:
         scenario.apply_time_scale(options.time_scale, options.rig)
-    wanted = scenario.scenario_of(options)
-    scenario.apply_time_scale(options.time_scale, wanted.rig)
+    requested = scenario.scenario_of(options)
+    scenario.apply_time_scale(options.time_scale, requested.rig)
     progress = Progress()  # it checks if stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
-        folder = new_run_folder(scenario.stem(wanted))
+        folder = new_run_folder(scenario.stem(requested))
     else:
         folder = output_folder(options.out, *_RESULTS, "recording")
     with live as views, folder as out, stdout_to_stderr(), figure_writer_process() as figure:
-        summary = _run_and_report(wanted, options, out, progress, views, figure)
+        summary = _run_and_report(requested, options, out, progress, views, figure)
     # the exit code reports the outcome even if stdout is closed
     with contextlib.suppress(BrokenPipeError):
         if options.json:
@@ -153,7 +153,7 @@ def _live_views(target: str | None, progress: Progress) -> Iterator[list[Observe
 
 
 def _run_and_report(
-    wanted: Scenario,
+    requested: Scenario,
     options: argparse.Namespace,
     out: Path,
     progress: Progress,
@@ -171,11 +171,11 @@ def _run_and_report(
     recorder: Recorder | None = None
     try:
         with signals.deferred():  # no signal between an open file and who closes it
-            recorder = Recorder(out / "recording", wanted.header(), frames=options.frames)
+            recorder = Recorder(out / "recording", requested.header(), frames=options.frames)
             recorder.views = [] if options.video else None
             recorder.strip = DecimatedHistory()
         summary = run_grasp(
-            wanted,
+            requested,
             [recorder, progress, *views],
             workers=options.workers,
             error_estimate=options.error_estimate,
@@ -187,7 +187,7 @@ def _run_and_report(
         if recorder.never_began(error):
             recorder.discard()
             raise
-        _report_fault(error, recorder, out, wanted, figure)
+        _report_fault(error, recorder, out, requested, figure)
         raise
     progress.close()
     recorder.close(outcome=summary["outcome"])
@@ -204,7 +204,7 @@ def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None
     from mjtactile.report.video import write_video
 
     try:
-        write_video(path, load_recording(out), recorder.views or (), say=progress.message)
+        write_video(path, load_recording(out), recorder.views or (), notify=progress.message)
     except (MjtactileError, OSError) as error:
         print(f"mjtactile: warning: {path} was not written: {error}", file=sys.stderr)
 
@@ -231,7 +231,7 @@ def _check_video(path: Path | None, frames: int) -> None:
 
 
 def _report_fault(
-    error: BaseException, recorder: Recorder, out: Path, wanted: Scenario, figure: FigureWriter
+    error: BaseException, recorder: Recorder, out: Path, requested: Scenario, figure: FigureWriter
 ) -> None:
     """Save the data recorded in a failed run and report its location."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
@@ -241,9 +241,9 @@ def _report_fault(
         **dict.fromkeys(_MEASURED),
         "frames": recorder.cycles,
         "flags": recorder.flags,
-        **wanted.names(),
+        **requested.names(),
         "error": reason,
-        "scenario": wanted.to_dict(),
+        "scenario": requested.to_dict(),
     }
     error.summary = to_json(summary)  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             result = inflate(
                 design,
                 [1e3 * p for p in options.pressures],
-                say=Progress(quiet=options.json).message,
+                notify=Progress(quiet=options.json).message,
             )
         if out is not None:
             write_json(out / "inflate.json", result)

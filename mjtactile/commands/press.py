@@ -95,16 +95,16 @@ def run(options: argparse.Namespace) -> int:
         1e-3 * options.shear_mm,
         sealed=options.valve == "closed",
     )
-    say = Progress(quiet=options.json).message
+    notify = Progress(quiet=options.json).message
     design, simulation = simulation_of(design, options.accuracy, options.effects, options.mesh)
-    simulation = with_shape_mesh(design, simulation, say)
+    simulation = with_shape_mesh(design, simulation, notify)
     with optional_folder(options.out, "press.json", "press.png") as out:
         with stdout_to_stderr():
             result = press(
                 design,
                 plan,
                 seed=options.seed,
-                say=say,
+                notify=notify,
                 error_estimate=options.error_estimate,
                 **simulation,
             )
@@ -141,11 +141,11 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
         "true   penetr. mm  gauge kPa"
     )
     for s in result["steps"]:
-        true, felt = (
+        true, estimated = (
             " ".join(f"{v:8.4f}" for v in s[key]) for key in ("force_true_N", "force_estimated_N")
         )
         print(
-            f"{s['depth_mm']:8.3f} {true} {felt} {s['contact_area_mm2']:16.1f} "
+            f"{s['depth_mm']:8.3f} {true} {estimated} {s['contact_area_mm2']:16.1f} "
             f"{s['contact_area_true_mm2']:6.1f} "
             f"{s['penetration_mm']:11.4f} "
             f"{s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
@@ -161,8 +161,8 @@ def _shape_line(shape: dict[str, Any]) -> str:
     """Describe the estimated contact shape in one line."""
     if shape["kind"] == "unknown":
         return f"shape unknown: {shape['status']}"
-    share = shape["probabilities"][shape["kind"]]
-    words = [f"shape: {shape['kind']} ({100 * share:.0f} %), best model {shape['family']}"]
+    fraction = shape["probabilities"][shape["kind"]]
+    words = [f"shape: {shape['kind']} ({100 * fraction:.0f} %), best model {shape['family']}"]
     if shape["radius_mm"] is not None:
         words.append(f"radius {shape['radius_mm']:.1f} +- {shape['radius_sd_mm']:.1f} mm")
     elif shape["kind"] == "smooth":

@@ -77,17 +77,17 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     from mjtactile.report.page import write_page
     from mjtactile.runtime.probe import run_probe
 
-    wanted = scenario.scenario_of(options, _DEFAULT)
+    requested = scenario.scenario_of(options, _DEFAULT)
     progress = Progress(quiet=options.json)
     with contextlib.closing(progress):
         if out is None:
-            return run_probe(wanted, [progress])
+            return run_probe(requested, [progress])
         with (
             signals.deferred(),
-            Recorder(out / "recording", wanted.header(), frames=options.frames) as recorder,
+            Recorder(out / "recording", requested.header(), frames=options.frames) as recorder,
         ):
             recorder.strip = DecimatedHistory()
-            result = run_probe(wanted, [recorder, progress])
+            result = run_probe(requested, [recorder, progress])
             recorder.close(outcome=result.material.kind)
     write_page(
         out / "probe.html",

@@ -218,7 +218,7 @@ def _on_stage(
             seconds=options.seconds,
             seed=options.seed or 0,
             load_cell=options.load_cell,
-            say=progress.message,
+            notify=progress.message,
         )
         recorder.close(outcome="recorded")
     return {"cycles": cycles, "seconds": options.seconds, "flags": recorder.flags}
@@ -246,7 +246,7 @@ def _on_rig(
     # with the pressure that was asked for, unless the fingers name their own sensor
     named = wanted.sensor == requested.sensor
     built = replace(wanted, sensor=design) if named else wanted
-    with open_session(built, workers=0, say=progress.message) as session:
+    with open_session(built, workers=0, notify=progress.message) as session:
         header = wanted.header() | {"design": built.design().name}
         del header["command"]  # the recording does not contain a grasp
         if session.rig.scene is None and not session.rig.recorded:

@@ -100,18 +100,18 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     if "sensor" in given:
         base = replace(base, sensors={})
         chosen.discard("sensors")
-    wanted = resolve_scenario(replace(base, **given), tuple(chosen))
+    requested = resolve_scenario(replace(base, **given), tuple(chosen))
     if hasattr(options, "controller") and "controller" not in given:
-        _require_named(wanted)
-    return wanted
+        _require_named(requested)
+    return requested
 
 
-def _require_named(wanted: Scenario) -> None:
+def _require_named(requested: Scenario) -> None:
     """Raise InputError for a controller file that only a scenario file or a recording names.
 
     Such a file is code, and its name may come from another person.
     """
-    name = wanted.controller
+    name = requested.controller
     if name in resources.names("controllers", ".py"):
         return
     raise InputError(

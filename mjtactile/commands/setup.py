@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
             ports=options.port,
             cameras=options.camera,
             ask=ask,
-            say=print,
+            notify=print,
         )
     following = [
         f"mjtactile doctor --rig {options.file}",

@@ -56,16 +56,16 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.studio.serve import watch
     from mjtactile.studio.session_bridge import SessionBridge
 
-    def say(text: str) -> None:
+    def notify(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
-    wanted = scenario.scenario_of(options)
-    scenario.apply_time_scale(options.time_scale, wanted.rig)
-    backend, _, folder = wanted.rig.partition(":")
+    requested = scenario.scenario_of(options)
+    scenario.apply_time_scale(options.time_scale, requested.rig)
+    backend, _, folder = requested.rig.partition(":")
     if backend == "replay" and folder:
-        bridge = RecordingPlayer(wanted, load_recording(folder), say)
+        bridge = RecordingPlayer(requested, load_recording(folder), notify)
     else:
-        bridge = SessionBridge(wanted, say)
+        bridge = SessionBridge(requested, notify)
     bridge.fastest = float("inf") if options.no_realtime else 1.0
     watch(
         bridge,

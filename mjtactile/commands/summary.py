@@ -51,14 +51,14 @@ def run(options: argparse.Namespace) -> int:
     strip = DecimatedHistory()
     with stdout_to_stderr():
         Progress(quiet=options.json).message(f"{len(recording)} cycles")
-        felt = replay_estimate(recording, strip.add)
+        estimated = replay_estimate(recording, strip.add)
         kept = with_shapes(recording, strip.kept) if options.shape else strip.kept
         write_page(path, recording, kept, _summary(options.source, recording))
     result = {
         "out": str(path),
         "cycles": len(recording),
         "shown": len(strip.kept),
-        "re_estimate": felt,
+        "re_estimate": estimated,
         "flags": recording.flags,
         "problems": recording.problems,
     }
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         print_json(result)
     else:
         print(f"{result['cycles']} cycles, {result['shown']} of them shown")
-        if not felt:
+        if not estimated:
             print("  no surfaces: they need the images of all cycles and of the references")
         print_problems(recording)
         print(f"  written to {path}")

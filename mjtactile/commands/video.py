@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             speed=options.speed,
             begin=options.begin,
             seconds=options.seconds,
-            say=Progress(quiet=options.json).message,
+            notify=Progress(quiet=options.json).message,
         )
     result |= {"out": str(path), "flags": recording.flags, "problems": recording.problems}
     if options.json:

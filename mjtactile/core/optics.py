@@ -142,10 +142,10 @@ class Camera(Pinhole):
         Raises:
             InputError: Names the file, the field and the valid choices.
         """
-        lens, pane = camera_file.read(Path(path))
+        lens, glass_pane = camera_file.read(Path(path))
         camera = cls(**lens)
-        if pane is not None:
-            camera = camera.behind_glass(*pane)
+        if glass_pane is not None:
+            camera = camera.behind_glass(*glass_pane)
         return camera.behind(glass)
 
 

@@ -70,7 +70,7 @@ class Relaxation:
     @property
     def fractions(self) -> Array:
         """a_i, (terms,)."""
-        return np.array([share for share, _ in self.terms])
+        return np.array([fraction for fraction, _ in self.terms])
 
     @property
     def times(self) -> Array:
@@ -91,10 +91,10 @@ class Relaxation:
         if len(self.terms) > MAX_TERMS:
             message = f"has {len(self.terms)} terms; at most {MAX_TERMS} are allowed"
             raise section.fail("relaxation.terms_s", message)
-        for share, seconds in self.terms:
-            if not (0 < share <= 2 and 1e-3 <= seconds <= 1e7):
+        for fraction, seconds in self.terms:
+            if not (0 < fraction <= 2 and 1e-3 <= seconds <= 1e7):
                 message = (
-                    f"[{share:g}, {seconds:g}] is outside the range: a fraction above 0, up "
+                    f"[{fraction:g}, {seconds:g}] is outside the range: a fraction above 0, up "
                     "to 2, and 0.001 to 1e7 seconds"
                 )
                 raise section.fail("relaxation.terms_s", message)

@@ -53,6 +53,8 @@ KEYS: Mapping[str, str] = {
     "shapes": "contact_shapes",
     # error models of a sensing pipeline
     "said": "reported_sd",
+    # cases of bench references
+    "felt": "estimate",
 }
 """File key before 0.2.0 to file key now."""
 

@@ -148,7 +148,7 @@ class Task:
         values: dict[str, float] = {}
         for number_, disturbance in enumerate(self.disturbances, 1):
             sampled = {
-                name: _at(span, _share(seed, f"{number_}.{_STREAMS.get(name, name)}"))
+                name: _at(span, _fraction(seed, f"{number_}.{_STREAMS.get(name, name)}"))
                 for name, span in disturbance.sampled_ranges().items()
             }
             values |= {
@@ -171,7 +171,7 @@ class Task:
                 )
 
         def at(name: str, span: Range) -> float:
-            value = _at(span, _share(seed, name))
+            value = _at(span, _fraction(seed, name))
             number_, _, field = name.removeprefix("waypoint").partition(".")
             key = f"task.waypoint{number_}.{_key(Waypoint, field)}"
             values[key] = _written(Waypoint, field, value)
@@ -194,12 +194,12 @@ class Task:
         self, seed: int, fingers: int, events: tuple[SampledDisturbance, ...]
     ) -> SampledTask:
         spans = self.object
-        breaking = None if spans.breaking is None else _at(spans.breaking, _share(seed, "breaking"))
-        liquid = None if spans.liquid is None else _at(spans.liquid, _share(seed, "liquid"))
-        path = self._path(lambda name, span: _at(span, _share(seed, name)))
+        breaking = None if spans.breaking is None else _at(spans.breaking, _fraction(seed, "breaking"))
+        liquid = None if spans.liquid is None else _at(spans.liquid, _fraction(seed, "liquid"))
+        path = self._path(lambda name, span: _at(span, _fraction(seed, name)))
         attempt = 0
         while True:
-            shares = [_share(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
+            shares = [_fraction(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
             mass = None if spans.mass is None else _logarithmic(spans.mass, shares[0])
             friction = None if spans.friction is None else _at(spans.friction, shares[1])
             sampled = SampledTask(mass, friction, breaking, events, {}, liquid, path)
@@ -244,16 +244,16 @@ def _written(kind: type, name: str, value: float) -> float:
     return float(f"{value / unit:.6g}")
 
 
-def _share(seed: int, name: str) -> float:
+def _fraction(seed: int, name: str) -> float:
     return float(np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())]).random())
 
 
-def _at(span: Range, share: float) -> float:
-    return span[0] + share * (span[1] - span[0])
+def _at(span: Range, fraction: float) -> float:
+    return span[0] + fraction * (span[1] - span[0])
 
 
-def _logarithmic(span: Range, share: float) -> float:
-    return float(span[0] * (span[1] / span[0]) ** share)
+def _logarithmic(span: Range, fraction: float) -> float:
+    return float(span[0] * (span[1] / span[0]) ** fraction)
 
 
 def _way(disturbance: Disturbance, seed: int, name: str) -> tuple[float, float, float]:

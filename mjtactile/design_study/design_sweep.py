@@ -39,7 +39,7 @@ _FEWEST_PX = 6.0
 _MAX_MARKERS = 400
 _TRIES = 40  # maximum number of samples per feasible design
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class Requirements:
     def missed(self, reached: Score) -> list[str]:
         """Return the names of the requirements that a sensor does not meet."""
         missed = []
-        for wanted, have, words in (
+        for requested, have, words in (
             (self.touch, reached.touch, "touch"),
             (self.edge, reached.edge_sd, "edge"),
             (self.radius, reached.radius, "radius"),
         ):
-            if wanted is not None and not have <= wanted * (1 + 1e-9):
+            if requested is not None and not have <= requested * (1 + 1e-9):
                 missed.append(words)
         if self.maximum is not None and not reached.maximum >= self.maximum:
             missed.append("range")
@@ -95,7 +95,7 @@ def sweep(
     given: GivenHardware = ALL_FREE,
     count: int = 48,
     seed: int = 0,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
 ) -> list[DesignCandidate]:
     """Sample designs and predict the performance of each.
 
@@ -106,7 +106,7 @@ def sweep(
         given: Parts of the camera that stay as they are.
         count: Number of designs.
         seed: Seed of the samples, which fill their ranges evenly (Sobol).
-        say: Called with progress messages.
+        notify: Called with progress messages.
 
     Returns:
         The designs that can be built and used for sensing, with the front marked.
@@ -129,10 +129,10 @@ def sweep(
             refused[str(getattr(error, "field", None) or error)] += 1
             continue
         if len(candidates) % 8 == 0:
-            say(f"{len(candidates)} of {count} designs")
+            notify(f"{len(candidates)} of {count} designs")
     if refused:
         causes = ", ".join(f"{name} ({many})" for name, many in refused.most_common(3))
-        say(f"{refused.total()} samples were refused: {causes}")
+        notify(f"{refused.total()} samples were refused: {causes}")
     if not candidates:
         raise InputError(
             f"none of {_TRIES * count} sampled designs could be built and used for sensing; most "
@@ -178,7 +178,7 @@ def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FRE
     Returns:
         The design, without a check that it can be built.
     """
-    density, share, covered, thicker, higher, stretch = numbers.tolist()
+    density, fraction, covered, thicker, higher, stretch = numbers.tolist()
     frame = design.frame
     membrane = design.membrane
     chamber = design.chamber
@@ -188,7 +188,7 @@ def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FRE
         spans = np.minimum(spans, 2 * covered * _seen(design))
     columns, rows = (max(3, round(1e3 * density * (span + 2 * _EDGE))) for span in spans)
     extent = tuple(
-        span * (many - 1) / (many - 1 + 2 * share)
+        span * (many - 1) / (many - 1 + 2 * fraction)
         for span, many in zip(spans, (columns, rows), strict=True)
     )
     membrane = replace(
@@ -199,7 +199,7 @@ def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FRE
     supply = _rounded(math.exp(higher) * chamber.supply_gauge, 10.0)
     chamber = replace(chamber, supply_gauge=supply)
     made = with_markers(
-        replace(design, membrane=membrane, chamber=chamber), rows, columns, extent, share
+        replace(design, membrane=membrane, chamber=chamber), rows, columns, extent, fraction
     )
     markers = made.markers
     pitches = {name: _rounded(getattr(markers, name), 1e-5, down=True) for name in _PITCHES}
@@ -275,7 +275,7 @@ def best(
     candidates: Sequence[DesignCandidate],
     count: int,
     check: Callable[[SensorDesign], None] = lambda _: None,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
 ) -> tuple[list[DesignCandidate], list[DesignCandidate]]:
     """Select designs of the front, from the best force to the best edge.
 
@@ -285,7 +285,7 @@ def best(
         candidates: Result of `sweep`.
         count: Maximum number of designs.
         check: Check of a design; it raises InputError.
-        say: Called with progress messages.
+        notify: Called with progress messages.
 
     Returns:
         Selected designs, the best force first; and the remaining candidates, with the front marked.
@@ -304,7 +304,7 @@ def best(
             try:
                 check(one.design)
             except (InputError, MjtactileError) as error:
-                say(f"a design is refused: {error}")
+                notify(f"a design is refused: {error}")
                 refused = one.design
                 break
             passed.add(id(one.design))

@@ -20,16 +20,16 @@ from mjtactile.design_study.virtual_bench import VirtualBench
 
 _WRITTEN = 3
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def of_file(
-    design: SensorDesign, force: float, *, check: int = 0, seed: int = 0, say: Say
+    design: SensorDesign, force: float, *, check: int = 0, seed: int = 0, notify: Notify
 ) -> dict[str, Any]:
     """Predict the performance at a `force`, N; `check`: positions checked in full simulation."""
-    result = predict_file.as_table(predict_file.study(design, force, say=say))
+    result = predict_file.as_table(predict_file.study(design, force, notify=notify))
     if check:
-        result["checked"] = [_checked(design, check, seed, say)]
+        result["checked"] = [_checked(design, check, seed, notify)]
     return result
 
 
@@ -42,7 +42,7 @@ def from_requirements(
     count: int,
     check: int = 0,
     seed: int = 0,
-    say: Say,
+    notify: Notify,
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Search for files that meet the requirements.
 
@@ -54,16 +54,16 @@ def from_requirements(
         count: Number of sampled designs.
         check: Number of the best designs that are checked in full simulation.
         seed: Seed of samples and indentations.
-        say: Called with progress messages.
+        notify: Called with progress messages.
 
     Returns:
         The JSON's object, and the best sensors' files by name.
     """
-    say(f"what {design.name} reaches")
+    notify(f"what {design.name} reaches")
     initial = _initial(design, force, requirements)
-    sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, say=say)
-    say("checking the best designs as `mjtactile fabricate` does")
-    picked, candidates = best(sampled, max(_WRITTEN, check), check_by_simulation, say)
+    sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, notify=notify)
+    notify("checking the best designs as `mjtactile fabricate` does")
+    picked, candidates = best(sampled, max(_WRITTEN, check), check_by_simulation, notify)
     named = {f"best_{number}": one for number, one in enumerate(picked, 1)}
     texts = {f"{name}.toml": _text(name, one, force) for name, one in named.items()}
     result = {
@@ -81,7 +81,7 @@ def from_requirements(
         "candidates": [_row(one) for one in candidates],
         "best": [{"file": f"{name}.toml"} | _row(one) for name, one in named.items()],
         "checked": [
-            _checked(replace(one.design, name=name), 4, seed, say)
+            _checked(replace(one.design, name=name), 4, seed, notify)
             for name, one in list(named.items())[:check]
         ],
     }
@@ -158,12 +158,12 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
     return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
 
 
-def _checked(design: SensorDesign, places: int, seed: int, say: Say) -> dict[str, Any]:
+def _checked(design: SensorDesign, places: int, seed: int, notify: Notify) -> dict[str, Any]:
     """Compare the predicted sd with the scatter of indentations in full simulation."""
-    say(f"indenting {design.name} in full simulation")
+    notify(f"indenting {design.name} in full simulation")
     claimed = largest_force(VirtualBench(design))
     reach = check_range(design, claimed, seed=seed) if math.isfinite(claimed) else None
-    presses = check(design, places=places, seed=seed, say=say)
+    presses = check(design, places=places, seed=seed, notify=notify)
     found = {} if not presses else asdict(verdict(presses))
     return {
         "sensor": design.name,

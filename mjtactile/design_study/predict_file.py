@@ -32,7 +32,7 @@ _HALVINGS = 12
 _RIM = 72  # number of points on an outline
 _MORE = 1.25
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,15 @@ class PredictionReport:
     changes: tuple[Change, ...]
 
 
-def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> PredictionReport:
+def study(
+    design: SensorDesign, force: float, *, notify: Notify = lambda _: None
+) -> PredictionReport:
     """Predict the performance of a sensor file.
 
     Args:
         design: The sensor.
         force: Indenting force, N.
-        say: Called with progress messages.
+        notify: Called with progress messages.
 
     Returns:
         The study.
@@ -80,19 +82,19 @@ def study(design: SensorDesign, force: float, *, say: Say = lambda _: None) -> P
         InputError: The membrane has no equilibrium, or markers are outside of the image.
     """
     stand = VirtualBench(design)
-    say("predicting the performance")
+    notify("predicting the performance")
     own = score(design, force, stand=stand)
     reacher = ResolutionPredictor(stand)
     places = face_places(design)
     face = []
     for number, place in enumerate(places):
         if number % 10 == 0:
-            say(f"sensing surface: {number} of {len(places)} positions")
+            notify(f"sensing surface: {number} of {len(places)} positions")
         face.append(reacher.at(place, force))
     picture = picture_of(stand)
     changes = []
     for what, variant in variants(design, picture.longest_lens):
-        say(f"effect of a change: {what}")
+        notify(f"effect of a change: {what}")
         try:
             changes.append(Change(what, score(rebuilt(variant), force)))
         except (InputError, MjtactileError) as error:
@@ -207,7 +209,7 @@ def as_table(given: PredictionReport) -> dict[str, Any]:
             {
                 "x_mm": 1e3 * at.x,
                 "y_mm": 1e3 * at.y,
-                "estimated_N": at.felt,
+                "estimated_N": at.estimated,
                 "force_sd_mN": 1e3 * at.force_sd,
                 "force_noise_mN": 1e3 * at.noise,
                 "position_sd_mm": 1e3 * at.position_sd,

@@ -35,7 +35,7 @@ class Checked:
     place: tuple[float, float]
     depth: float
     true: float
-    felt: float
+    estimated: float
     off: tuple[float, float]
     force_sd: float
     position_sd: float
@@ -65,7 +65,7 @@ def check(
     places: int = 6,
     depths: int = 3,
     seed: int = 0,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> list[Checked]:
     """Indent the simulated sensor with a ball at random positions and depths.
 
@@ -74,7 +74,7 @@ def check(
         places: Number of positions.
         depths: Number of depths at each position.
         seed: Seed of positions, depths and camera noise.
-        say: Called after each position.
+        notify: Called after each position.
 
     Returns:
         The indentations with a valid estimate and prediction.
@@ -93,7 +93,7 @@ def check(
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
         compared = [_compared(reacher, at, step) for step in result["steps"]]
         found += [one for one in compared if one is not None]
-        say(f"position {number + 1} of {places}: {len(found)} indentations")
+        notify(f"position {number + 1} of {places}: {len(found)} indentations")
     return found
 
 
@@ -186,7 +186,7 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     Returns:
         The ratios.
     """
-    error = np.array([one.felt - one.true for one in presses])
+    error = np.array([one.estimated - one.true for one in presses])
     off = np.array([one.off for one in presses])
     force_sd, position_sd, said = (
         np.array([getattr(one, name) for one in presses])

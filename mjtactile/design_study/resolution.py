@@ -35,7 +35,7 @@ class Resolution:
         x: Position in S, m.
         y: Position in S, m.
         force: Indenting force, N.
-        felt: Force estimated by the sensing pipeline, N.
+        estimated: Force estimated by the sensing pipeline, N.
         force_sd: Standard deviation reported by the sensing pipeline, including all model errors,
             N.
         noise: Image-to-image noise of the estimated force from pixel noise alone, N.
@@ -48,7 +48,7 @@ class Resolution:
     x: float
     y: float
     force: float
-    felt: float
+    estimated: float
     force_sd: float
     noise: float
     position_sd: float
@@ -85,12 +85,17 @@ class ResolutionPredictor:
             return Resolution(x, y, force, *[unknown] * 6)
         edge_sd = self.edge_sd(place, force) if edges else unknown
         pressed = self.stand.press(ball(place, BALL_RADIUS), force)
-        felt = None if pressed is None else self.stand.estimate_touch(pressed.state)
-        if pressed is None or felt is None or felt.touch.traction is None or not felt.ok:
+        estimated = None if pressed is None else self.stand.estimate_touch(pressed.state)
+        if (
+            pressed is None
+            or estimated is None
+            or estimated.touch.traction is None
+            or not estimated.ok
+        ):
             return Resolution(x, y, force, unknown, unknown, unknown, unknown, edge_sd, unknown)
-        wrench = felt.touch.traction.wrench
-        cov = felt.touch.traction.wrench_cov
-        noise = math.sqrt(self.stand.noise(felt)[2, 2])
+        wrench = estimated.touch.traction.wrench
+        cov = estimated.touch.traction.wrench_cov
+        noise = math.sqrt(self.stand.noise(estimated)[2, 2])
         height = pressed.height
         acts = position_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])

@@ -81,7 +81,7 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     stand = stand or VirtualBench(design)
     reacher = ResolutionPredictor(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
-    places = [half * share for share in _PLACES]
+    places = [half * fraction for fraction in _PLACES]
     reaches = [reacher.at(place, force) for place in places]
     zero = stand.pipeline.settings.zero
     seen = zero.touch_sd * stand.level_noise()
@@ -130,10 +130,10 @@ def _within_tolerance(stand: VirtualBench, force: float) -> bool:
     pressed = stand.press(ball(np.zeros(2), RANGE_RADIUS), force)
     if pressed is None:
         return False
-    felt = stand.estimate_touch(pressed.state)
-    if not felt.ok or felt.touch.traction is None:
+    estimated = stand.estimate_touch(pressed.state)
+    if not estimated.ok or estimated.touch.traction is None:
         return False
-    return bool(abs(-felt.touch.traction.wrench[2] - force) < MAX_FORCE_ERROR * force)
+    return bool(abs(-estimated.touch.traction.wrench[2] - force) < MAX_FORCE_ERROR * force)
 
 
 def _rms(values: list[float]) -> float:

@@ -46,7 +46,7 @@ def rebuilt(design: SensorDesign) -> SensorDesign:
 
 
 def with_markers(
-    design: SensorDesign, rows: int, columns: int, extent: tuple[float, float], share: float
+    design: SensorDesign, rows: int, columns: int, extent: tuple[float, float], fraction: float
 ) -> SensorDesign:
     """Return the same sensor with other markers.
 
@@ -55,14 +55,14 @@ def with_markers(
         rows: Number along y.
         columns: Number along x.
         extent: Distance between the outermost centers along x and y, m.
-        share: Marker radius as a fraction of the smaller pitch.
+        fraction: Marker radius as a fraction of the smaller pitch.
 
     Returns:
         The sensor.
     """
     pitch_x = extent[0] / (columns - 1)
     pitch_y = extent[1] / (rows - 1)
-    radius = share * min(pitch_x, pitch_y)
+    radius = fraction * min(pitch_x, pitch_y)
     markers = replace(
         design.markers, rows=rows, columns=columns, pitch_x=pitch_x, pitch_y=pitch_y, radius=radius
     )
@@ -119,11 +119,11 @@ def with_frame(design: SensorDesign, length: float, width: float) -> SensorDesig
         )
     )
     columns, rows = counts
-    wanted = (extent[0] + wider[0], extent[1] + wider[1])
-    if min(wanted) <= 0:
+    requested = (extent[0] + wider[0], extent[1] + wider[1])
+    if min(requested) <= 0:
         raise InputError("leaves no room for the markers", source=design.name, field="--frame-mm")
     changed = replace(design, frame=replace(frame, length=length, width=width))
-    return with_markers(changed, rows, columns, wanted, radius_fraction(design))
+    return with_markers(changed, rows, columns, requested, radius_fraction(design))
 
 
 def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:

@@ -218,7 +218,7 @@ class VirtualBench:
             touch, state = self.pipeline.step(state, self.sample(film, time), time)
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
-    def noise(self, felt: PredictedTouch) -> Array:
+    def noise(self, estimated: PredictedTouch) -> Array:
         """Return the covariance (3, 3) N^2 of the force from pixel noise: image to image.
 
         The pipeline's tractions are linear in the whitened markers: traction = P^(1/2) half^T
@@ -226,11 +226,11 @@ class VirtualBench:
         camera's error bound for the markers, whitened in the same manner. It applies to a single
         image. The pipeline's memory of the camera from earlier images reduces it by up to half.
         """
-        assert felt.touch.markers is not None
-        gain = felt.shape.gain
+        assert estimated.touch.markers is not None
+        gain = estimated.shape.gain
         to_force = net_force(self.pipeline.inverse, gain.prior) @ gain.half.T
         by_marker = cho_solve((gain.innovation, True), to_force.T).T
-        seen = gain.weights @ felt.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
+        seen = gain.weights @ estimated.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
         slopes = len(gain.half) - 3 * len(seen)  # whitened: unit variances
         noise = block_diag(*seen, np.eye(slopes)) if slopes else block_diag(*seen)
         return by_marker @ noise @ by_marker.T

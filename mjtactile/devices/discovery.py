@@ -53,7 +53,7 @@ class SerialPort:
 
 
 def serial_ports(
-    more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
+    more: Iterable[str] = (), *, ask: bool = True, notify: Callable[[str], None] = lambda _: None
 ) -> list[SerialPort]:
     """Return all serial ports of this computer.
 
@@ -61,7 +61,7 @@ def serial_ports(
         more: Additional ports to check.
         ask: True to query the devices on them, which takes some seconds each. A built-in port,
             which may be a console, is queried only if `more` names it.
-        say: Called with a message before each query.
+        notify: Called with a message before each query.
 
     Returns:
         The computer's own by name, then the other ports of `more`.
@@ -76,10 +76,10 @@ def serial_ports(
         elif port.vid is None and port.device not in named:
             found.append(replace(known, problem=f"built in: queried only with --port {path}"))
         else:
-            found.append(_identify(known, say))
+            found.append(_identify(known, notify))
     present = {port.device for port in found}
     others = [SerialPort(path, path, "named", "") for path in named if path not in present]
-    return found + [_identify(port, say) if ask else port for port in others]
+    return found + [_identify(port, notify) if ask else port for port in others]
 
 
 def servos_at(
@@ -126,8 +126,8 @@ def valve_board_at(port: str) -> str:
         line.close()
 
 
-def _identify(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
-    say(f"{port.path}: searching for servos and a valve board")
+def _identify(port: SerialPort, notify: Callable[[str], None]) -> SerialPort:
+    notify(f"{port.path}: searching for servos and a valve board")
     try:
         baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
         return replace(

@@ -41,17 +41,17 @@ class Path:
         if speed_max <= 0:
             self.start(goal)
             return
-        wanted = math.copysign(speed_max, left) if left else 0.0
+        requested = math.copysign(speed_max, left) if left else 0.0
         if acceleration > 0:
-            wanted = math.copysign(min(speed_max, math.sqrt(2 * acceleration * abs(left))), left)
+            requested = math.copysign(min(speed_max, math.sqrt(2 * acceleration * abs(left))), left)
             change = acceleration * period
-            wanted = self.speed + min(max(wanted - self.speed, -change), change)
-        step = wanted * period
+            requested = self.speed + min(max(requested - self.speed, -change), change)
+        step = requested * period
         if abs(step) >= abs(left) and step * left >= 0:
             self.start(goal)
         else:
             self.angle = self.angle + step
-            self.speed = wanted
+            self.speed = requested
 
     def turn(self, speed: float, acceleration: float, period: float) -> None:
         """Towards a speed."""

@@ -270,10 +270,10 @@ class EmulatedServo(ServoRegisters):
 
     def _warm(self, period: float) -> None:
         """Winding temperature of first order, and the overload timer."""
-        share = abs(self.current) / self._current_max
-        final = _AMBIENT + _HEATING * share**2
+        fraction = abs(self.current) / self._current_max
+        final = _AMBIENT + _HEATING * fraction**2
         self._temperature += (final - self._temperature) * min(1.0, period / _COOLING_TIME)
-        self._overload_time = self._overload_time + period if share > _OVERLOAD_FRACTION else 0.0
+        self._overload_time = self._overload_time + period if fraction > _OVERLOAD_FRACTION else 0.0
         if self._overload_time > _OVERLOAD_TIME:
             self.raise_error(_OVERLOAD)
         if self._temperature > self.get("Temperature Limit"):

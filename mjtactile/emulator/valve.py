@@ -225,8 +225,8 @@ class ValveFirmware:
                 return "error range"
             self.hold = 1e-3 * numbers[0]
             return f"hold {numbers[0]}"
-        wanted = {"limit": 2, "set": 2, "seal": 1, "vent": 1, "state": 1}.get(word)
-        if not numbers or wanted != len(numbers):
+        requested = {"limit": 2, "set": 2, "seal": 1, "vent": 1, "state": 1}.get(word)
+        if not numbers or requested != len(numbers):
             return "error unknown"
         if numbers[0] not in self.channels:
             return "error channel"

@@ -169,7 +169,7 @@ def run_round(
         if foreign_file.exists(own / store.MANIFEST):
             stored = store.read_manifest(own)["options"]["count"]
         settings = {"controllers": controllers, "objects": suite.objects, "running": running}
-        running.say(f"{task}: {max(count, stored)} episodes")
+        running.notify(f"{task}: {max(count, stored)} episodes")
         evaluate(own, suite.scenario(task), count=max(count, stored), **settings)
 
 
@@ -280,7 +280,7 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
             cells = [
                 task,
                 controller,
-                share(found["held"], found["episodes"]),
+                fraction(found["held"], found["episodes"]),
                 "" if margin is None else f"{margin:.1f}",
                 *(_difference(found["against"].get(name)) for name in others),
             ]
@@ -310,7 +310,7 @@ def _intervals_text(rows: Mapping[str, Any]) -> str:
     )
 
 
-def share(held: int, of: int) -> str:
+def fraction(held: int, of: int) -> str:
     """ "26 of 33 (62-89 %)"."""
     low, high = wilson(held, of)
     return f"{held} of {of} ({100 * low:.0f}-{100 * high:.0f} %)"

@@ -18,7 +18,7 @@ DASK = "dask"
 BACKENDS = (PROCESSES, DASK)
 _CONNECT_TIME = 10.0  # timeout for the scheduler's reply, s
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 RunOne = Callable[[Episode], dict[str, Any]]
 
 
@@ -54,7 +54,7 @@ class Running:
         backend: Backend that runs the episodes, of `BACKENDS`.
         scheduler: Address of a cluster's scheduler.
         resume: True to continue from the results in the folder.
-        say: Callback that receives one line per episode.
+        notify: Callback that receives one line per episode.
         run_one: Function that computes an episode's line, in another process.
     """
 
@@ -62,7 +62,7 @@ class Running:
     backend: str = PROCESSES
     scheduler: str = ""
     resume: bool = False
-    say: Say = lambda _: None
+    notify: Notify = lambda _: None
     run_one: RunOne = run_episode
 
 
@@ -115,7 +115,7 @@ def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
 
 
 def run_all(
-    missing: Sequence[Episode], kept: Store, pool: Pool, say: Say, run: RunOne = run_episode
+    missing: Sequence[Episode], kept: Store, pool: Pool, notify: Notify, run: RunOne = run_episode
 ) -> None:
     """Run the `missing` episodes and store each line, which `run` computes in another process.
 
@@ -143,7 +143,7 @@ def run_all(
                     if line is None:
                         raise DeviceError("a worker was stopped; --resume continues")
                     kept.add(line)
-                    say(_progress(line, k, len(missing), k / (time.monotonic() - start)))
+                    notify(_progress(line, k, len(missing), k / (time.monotonic() - start)))
     except TerminatedWorkerError as error:
         raise DeviceError(
             f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume continues"

@@ -13,7 +13,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.evaluate import emulated, report, store, worst_episodes
 from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
-from mjtactile.evaluate.pool import HERE, Pool, Running, Say, run_all
+from mjtactile.evaluate.pool import HERE, Notify, Pool, Running, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.recording.files import RECORDINGS
 from mjtactile.rig.domain_randomization import load_variation
@@ -78,12 +78,12 @@ def evaluate(
     missing = [one for one in episodes if (one.controller, one.index) not in done]
     if kept.lines:
         complete = len(episodes) - len(missing)
-        running.say(f"{complete} of {len(episodes)} episodes are already complete")
+        running.notify(f"{complete} of {len(episodes)} episodes are already complete")
     workers = running.workers
     if workers is None:  # an emulated world, which keeps time, has all processors
         workers = 1 if emulated.check(scenario) else platform_support.processors()
     pool = Pool(running.backend, workers, running.scheduler)
-    run_all(missing, kept, pool, running.say, running.run_one)
+    run_all(missing, kept, pool, running.notify, running.run_one)
     kept.finish()
     return summarise(kept.lines)
 
@@ -96,7 +96,7 @@ def _recorded(episode: Episode, folder: Path) -> Episode:
 def write_report(
     folder: Path,
     worst_count: int,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
     *,
     only: Collection[str] | None = None,
 ) -> Path:
@@ -111,11 +111,11 @@ def write_report(
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         what = f"{line['controller']}, {line['object']}, seed {line['seed']}"
-        say(f"image {k} of {len(chosen)}: {what}")
+        notify(f"image {k} of {len(chosen)}: {what}")
         name = name_of(line["controller"], line["episode"])
         episode = _episode(known, line, folder / store.MANIFEST)
         if only is not None and episode.scenario.controller not in only:
-            say(f"no image: the controller {episode.scenario.controller!r} is not run here")
+            notify(f"no image: the controller {episode.scenario.controller!r} is not run here")
             continue
         pictures[name] = worst_episodes.draw(episode, folder / "worst" / name)
     path = folder / "report.html"

@@ -64,11 +64,11 @@ def screen(
         raise InputError(what, field="--effects")
     both = {"count": count, "controllers": controllers, "objects": objects}
     cheap = replace(scenario, effects=cheap_effects(scenario.effects))
-    running.say(f"screening: {count} episodes with --effects={cheap.effects}")
+    running.notify(f"screening: {count} episodes with --effects={cheap.effects}")
     evaluate(folder / SCREEN, cheap, **both, running=_resumed(running, folder / SCREEN))
     screened = read_lines(folder / SCREEN)
     again = to_run_again(screened, sample)
-    running.say(f"at full fidelity: {len(again)} of them")
+    running.notify(f"at full fidelity: {len(again)} of them")
     resumed = _resumed(running, folder / FULL)
     evaluate(folder / FULL, scenario, **both, only=again, running=resumed)
     return compare(screened, read_lines(folder / FULL))

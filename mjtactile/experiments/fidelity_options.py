@@ -18,18 +18,18 @@ def effects_of(
     grasped = load_object(object_name)
     films = bool(accuracy) and quasistatic_is_valid(design, grasped, overrides)
     fidelity = _fidelity(accuracy, films)
-    wanted = _force_error(fidelity)
+    requested = _force_error(fidelity)
     if fidelity is None:
-        chosen = choose(design, grasped, force_error=wanted, overrides=overrides)
-        return grasped.name, wanted, chosen.summary()
+        chosen = choose(design, grasped, force_error=requested, overrides=overrides)
+        return grasped.name, requested, chosen.summary()
     switched = fidelity.with_effects(overrides)
-    rows = choose(design, grasped, force_error=wanted, overrides=switched).summary()
+    rows = choose(design, grasped, force_error=requested, overrides=switched).summary()
     for row in rows:
         if row["effect"] in parse(fidelity.effects) and row["effect"] not in parse(overrides):
             row["why"] = (
                 f"the quasi-static membrane is sufficient: {1e3 * fidelity.force_error:.2g} mN"
             )
-    return grasped.name, wanted, rows
+    return grasped.name, requested, rows
 
 
 def simulation_of(

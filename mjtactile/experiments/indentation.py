@@ -27,7 +27,7 @@ from mjtactile.sim.sensor.mesh import make_mesh
 _COARSEST = 1.7e-3  # vertex spacing, m; marker heights are then 25 um off, as from pixel noise
 _NOWHERE = Indenter("sphere", 1e-3)
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def inflate(
@@ -35,7 +35,7 @@ def inflate(
     pressures: Sequence[float],
     *,
     mesh: tuple[int, int] | None = None,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
 ) -> dict[str, Any]:
     """Bulge test at each gauge pressure, Pa; the JSON of `mjtactile inflate`."""
     world = _world(design, _NOWHERE, mesh=mesh)
@@ -56,7 +56,7 @@ def inflate(
                 "converged": converged,
             }
         )
-        say(f"{steps[-1]['pressure_kPa']:.3g} kPa: {steps[-1]['centre_height_mm']:.3f} mm")
+        notify(f"{steps[-1]['pressure_kPa']:.3g} kPa: {steps[-1]['centre_height_mm']:.3f} mm")
     return {"sensor": design.name, "steps": steps, "flags": world.flags}
 
 
@@ -83,7 +83,7 @@ def press(
     *,
     mesh: tuple[int, int] | None = None,
     seed: int = 0,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
     error_estimate: bool = False,
     **simulation: Any,
 ) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def press(
         steps.append(_step(world, touches[-1], converged))
         if plan.shear:
             world.press(depth)
-        say(
+        notify(
             f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, estimated "
             f"{-steps[-1]['force_estimated_N'][2]:.3f} N"
         )
@@ -194,14 +194,14 @@ def shape_mesh(design: SensorDesign) -> tuple[int, int]:
 
 
 def with_shape_mesh(
-    design: SensorDesign, simulation: dict[str, Any], say: Say = lambda _: None
+    design: SensorDesign, simulation: dict[str, Any], notify: Notify = lambda _: None
 ) -> dict[str, Any]:
     """Return the settings with the mesh that contact shapes require, unless they have a mesh.
 
     Args:
         design: Sensor.
         simulation: Settings of the world, with its `effects`.
-        say: Receiver of a message about the mesh and its cost.
+        notify: Receiver of a message about the mesh and its cost.
 
     Returns:
         The settings; unchanged without the effect "mesh".
@@ -211,7 +211,7 @@ def with_shape_mesh(
     nx, ny = shape_mesh(design)
     coarse = default_mesh(design)
     if (nx, ny) != coarse:
-        say(
+        notify(
             f"mesh of {nx} x {ny} vertices for the contact shape; for forces alone "
             f"--mesh {coarse[0]}x{coarse[1]} is sufficient and about 1.5 times as fast"
         )

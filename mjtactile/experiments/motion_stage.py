@@ -36,7 +36,7 @@ _NO_COMMAND = Command(0.0, 0.0)
 NOTHING = Stage("sphere:8", (0.0, 0.0), (Move(0.0),))
 """Stage without contact."""
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -96,16 +96,16 @@ def record_stage(
     seconds: float,
     seed: int = 0,
     load_cell: bool = False,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
     **world: Any,
 ) -> int:
     """Record references and `seconds` s of moves, with a load cell; return the cycles."""
     bench = StageWorld(as_built, stage, seed=seed, **world)
     recorder.note(fingers=["left"], stage=stage.note())
-    say("reference: flat, valve open")
+    notify("reference: flat, valve open")
     bench.inflate(0.0, seal=False)
     recorder.add_reference("flat", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [0.0])
-    say("reference: inflated, no contact")
+    notify("reference: inflated, no contact")
     bench.inflate(as_built.chamber.supply_gauge, seal=True)
     readings = [bench.pressure() for _ in range(_REFERENCE_IMAGES)]
     recorder.add_reference(
@@ -118,7 +118,7 @@ def record_stage(
         number = current(stage.moves, cycle * bench.period)
         if number is not None:
             if not loads[number]:
-                say(describe(stage.moves[number]))
+                notify(describe(stage.moves[number]))
             loads[number].append(bench.load())
         recorder.add(bench.cycle())
         drive.advance_to((cycle + 1) * bench.period)

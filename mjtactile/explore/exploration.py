@@ -119,7 +119,7 @@ def explore(
     *,
     known: Sequence[Patch] = (),
     completed: int = 0,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> ExplorationResult:
@@ -130,7 +130,7 @@ def explore(
         goal: Stop criteria.
         known: Patches from earlier touches.
         completed: Number of these earlier touches.
-        say: Callback that receives a line for each touch.
+        notify: Callback that receives a line for each touch.
         keep: Callback that receives each new patch.
         stopped: Callback between touches; True stops the exploration.
     """
@@ -167,7 +167,7 @@ def explore(
         patches += new
         missed = 0 if new else missed + 1
         hypotheses = fuse(patches, hypotheses) if new else hypotheses
-        say(_line(completed + len(targets), new, hypotheses[0]))
+        notify(_line(completed + len(targets), new, hypotheses[0]))
     if not patches and outcome != "interrupted":
         outcome = "nothing there"
     return explored(patches, outcome, completed + len(targets), bench.flags, failures)

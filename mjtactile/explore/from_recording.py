@@ -158,9 +158,9 @@ def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
         later = times >= move.time
         start = depth if math.isfinite(depth) else move.depth - _LIFTED
         way = max(abs(move.depth - start), abs(move.shear - shear), 1e-9)
-        share = np.clip((times[later] - move.time) * move.speed / way, 0.0, 1.0)
-        depths[later] = start + share * (move.depth - start)
-        shears[later] = shear + share * (move.shear - shear)
+        fraction = np.clip((times[later] - move.time) * move.speed / way, 0.0, 1.0)
+        depths[later] = start + fraction * (move.depth - start)
+        shears[later] = shear + fraction * (move.shear - shear)
         depth = move.depth
         shear = move.shear
     return depths, shears

@@ -44,7 +44,7 @@ def explore_by_gripper(
     *,
     yaw: float = 0.0,
     known: Sequence[Patch] = (),
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     observer: Observer | None = None,
 ) -> ExplorationResult:
@@ -55,7 +55,7 @@ def explore_by_gripper(
         goal: `touches`, the grips including earlier ones, at most one per height; `force`.
         yaw: Rotation of the object about the vertical since the first grips, by the user, rad.
         known: Patches from earlier grips.
-        say: Callback that receives a line for each grip.
+        notify: Callback that receives a line for each grip.
         keep: Callback that receives each patch.
         observer: Observer, for example a recorder.
 
@@ -70,7 +70,7 @@ def explore_by_gripper(
     log = Log()
     observers = Observers([log] if observer is None else [log, observer])
     outcome = "touches"
-    with open_session(scenario, workers=0, say=say) as session:
+    with open_session(scenario, workers=0, notify=notify) as session:
         require_two(len(session.rig.fingers))
         heights = _heights(session.rig, goal.touches - before)
         observers.begin(session)
@@ -90,7 +90,7 @@ def explore_by_gripper(
             keep(patch)
         patches += new
         kinds = ", ".join(patch.kind for patch in new)
-        say(f"grip {number}: {1e3 * grip[0].height:.0f} mm up: {kinds}")
+        notify(f"grip {number}: {1e3 * grip[0].height:.0f} mm up: {kinds}")
     tried = before + len(heights)
     return explored(patches, outcome if patches else "nothing there", tried, flags)
 

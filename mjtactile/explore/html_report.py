@@ -75,8 +75,8 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
 def _sd_colours(mesh: Mesh) -> Array:
     """Return the colors (V, 3) of each vertex's uncertainty."""
     low, high = math.log(3e-5), math.log(_UNSURE)
-    share = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
-    mixed = (1 - share) * np.array([245, 245, 240]) + share * np.array([217, 108, 30])
+    fraction = np.clip((np.log(np.maximum(mesh.sd, 1e-9)) - low) / (high - low), 0, 1)[:, None]
+    mixed = (1 - fraction) * np.array([245, 245, 240]) + fraction * np.array([217, 108, 30])
     return mixed.round().astype(int)
 
 

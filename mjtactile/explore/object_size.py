@@ -50,11 +50,11 @@ def sizes(
     """Estimate the sizes of the object from the meshes of the most likely surface and of its
     relevant rivals, and from all surfaces, the most likely first."""
     mean, axes = principal_sizes(meshes[0])
-    share = shares(surfaces)[: len(meshes)]
-    share = share / share.sum()
+    fraction = shares(surfaces)[: len(meshes)]
+    fraction = fraction / fraction.sum()
     touched = np.concatenate([patch.points for patch in patches]) if patches else np.zeros((0, 3))
     variance = np.zeros(3)
-    for weight, mesh, surface in zip(share, meshes, surfaces, strict=False):
+    for weight, mesh, surface in zip(fraction, meshes, surfaces, strict=False):
         other = np.ptp(mesh.vertices @ axes, axis=0)
         own = [_variance(surface, _ends(mesh, axis), touched) for axis in axes.T]
         variance += weight * (np.array(own) + (other - mean) ** 2)
@@ -67,7 +67,9 @@ def sizes(
 
 def rivals(surfaces: Sequence[SurfacePosterior]) -> list[SurfacePosterior]:
     """Return the surfaces with a relevant probability, in order."""
-    return [each for each, share in zip(surfaces, shares(surfaces), strict=True) if share > _RIVAL]
+    return [
+        each for each, fraction in zip(surfaces, shares(surfaces), strict=True) if fraction > _RIVAL
+    ]
 
 
 def size_information_gain(mesh: Mesh, surface: SurfacePosterior) -> Array:

@@ -167,7 +167,7 @@ def _inside(outline: Array, center: Array, shrink: float) -> Array:
     order = np.argsort(angle)
     reach = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
     rays = np.column_stack([np.cos(spokes), np.sin(spokes)])
-    rings = [center + share * reach[:, None] * rays for share in _RINGS]
+    rings = [center + fraction * reach[:, None] * rays for fraction in _RINGS]
     return np.concatenate([[center], *rings])
 
 

@@ -93,7 +93,7 @@ def explore_in_gripper(
     goal: ExplorationGoal,
     *,
     known: Sequence[Patch] = (),
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     keep: Callable[[Patch], None] = lambda _: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[ExplorationResult, dict[str, Any]]:
@@ -103,7 +103,7 @@ def explore_in_gripper(
         scenario: Object, sensor, rig (two fingers) and seed.
         goal: Stop criteria; a grip counts as one touch.
         known: Patches from earlier grips.
-        say: Callback that receives a line for each grip.
+        notify: Callback that receives a line for each grip.
         keep: Callback that receives each patch.
         stopped: Callback that returns True to stop.
 
@@ -140,7 +140,7 @@ def explore_in_gripper(
         hypotheses = fuse(patches, hypotheses)
         sd = 1e3 * mesh_of(hypotheses[0], _PLAN_EDGE).error()
         kinds = ", ".join(patch.kind for patch in new) or "no contact"
-        say(
+        notify(
             f"grip {number}: rotated {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
             f"{kinds}; surface sd {sd:.2f} mm"
         )

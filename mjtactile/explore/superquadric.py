@@ -73,11 +73,11 @@ def _norm(x: Array, y: Array, power: Array) -> tuple[Array, Array, Array]:
     maximum = np.maximum(np.maximum(np.abs(x), np.abs(y)), _TINY)
     sides = np.abs(x) / maximum, np.abs(y) / maximum
     total = np.maximum(sides[0] ** power + sides[1] ** power, _TINY)
-    share = total ** (1 / power - 1)
+    fraction = total ** (1 / power - 1)
     return (
         maximum * total ** (1 / power),
-        np.sign(x) * sides[0] ** (power - 1) * share,
-        np.sign(y) * sides[1] ** (power - 1) * share,
+        np.sign(x) * sides[0] ** (power - 1) * fraction,
+        np.sign(y) * sides[1] ** (power - 1) * fraction,
     )
 
 

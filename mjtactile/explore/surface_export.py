@@ -18,8 +18,8 @@ _UNKNOWN_COLOUR = np.array([150, 150, 150])
 
 def colours(compliance: Array) -> Array:
     """Return colors (V, 3) uint8: blue is stiff, red is soft, gray is unknown."""
-    share = np.clip(np.sqrt(np.maximum(np.nan_to_num(compliance), 0.0) / SOFT), 0, 1)[:, None]
-    mixed = (1 - share) * _STIFF_COLOUR + share * _SOFT_COLOUR
+    fraction = np.clip(np.sqrt(np.maximum(np.nan_to_num(compliance), 0.0) / SOFT), 0, 1)[:, None]
+    mixed = (1 - fraction) * _STIFF_COLOUR + fraction * _SOFT_COLOUR
     known = np.isfinite(compliance)[:, None]
     return np.where(known, mixed, _UNKNOWN_COLOUR).round().astype(np.uint8)
 

@@ -319,7 +319,7 @@ def write_each(
     suffix: str,
     write_one: Callable[[Path, RecordedEpisode], None],
     *,
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     leave_out: Callable[[str], None],
 ) -> dict[str, Any]:
     """Write `episode_000000`, with `suffix`, and so on; return the number of episodes and frames.
@@ -329,7 +329,7 @@ def write_each(
     frames: list[int] = []
 
     def write(episode: RecordedEpisode) -> None:
-        say(f"{len(frames) + 1} of {len(episodes)}: {episode.recording.folder}")
+        notify(f"{len(frames) + 1} of {len(episodes)}: {episode.recording.folder}")
         path = out / f"episode_{len(frames):06d}{suffix}"
         try:
             write_one(path, episode)

@@ -58,13 +58,13 @@ class LiveView(Observer):
         target: "rerun" (the open viewer, else a new one), "rerun:FILE.rrd",
             "rerun+http://HOST:9876/proxy" (a remote viewer), "foxglove" (a server on port 8765 that
             Foxglove connects to), "foxglove:PORT", "foxglove:FILE.mcap".
-        say: Callback that receives a line with the address or file to open.
+        notify: Callback that receives a line with the address or file to open.
 
     Raises:
         InputError: The target is unknown, the file exists, or a package is missing.
     """
 
-    def __init__(self, target: str, say: Callable[[str], None] = lambda _: None):
+    def __init__(self, target: str, notify: Callable[[str], None] = lambda _: None):
         self.viewer, self._to = _parsed(target)
         self.where = ""
         """Address or file to open; set when the run starts."""
@@ -74,7 +74,7 @@ class LiveView(Observer):
         self._patience = 0.0
         self._sink: Sink | None = None
         self._session: Any = None
-        self._say = say
+        self._notify = notify
         self._queue: queue.Queue[Perceived | None] = queue.Queue(_WAITING)
         self._thread: threading.Thread | None = None
 
@@ -95,7 +95,7 @@ class LiveView(Observer):
         source = _Running(session)
         self._sink = self._open(source.fingers)
         self.where = self._sink.where
-        self._say(self.where)
+        self._notify(self.where)
         self._thread = threading.Thread(
             target=self._work, args=(source, self._sink), name="live", daemon=True
         )

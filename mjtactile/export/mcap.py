@@ -19,12 +19,12 @@ def write(
     episodes: Sequence[RecordedEpisode],
     out: Path,
     *,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write `episode_000000.mcap` and so on into `out`; returns the number of frames."""
     write_json(out / "layout.json", layout(episodes[0].fingers))
-    return write_each(episodes, out, ".mcap", _write_one, say=say, leave_out=leave_out)
+    return write_each(episodes, out, ".mcap", _write_one, notify=notify, leave_out=leave_out)
 
 
 def _write_one(path: Path, episode: RecordedEpisode) -> None:

@@ -100,13 +100,18 @@ def write(
     episodes: Sequence[RecordedEpisode],
     out: Path,
     *,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write the bags `episode_000000` and so on, and the message package's source, into `out`."""
     _write_package(out / PACKAGE)
     return write_each(
-        episodes, out, "", lambda path, own: _Bag(own).write(path), say=say, leave_out=leave_out
+        episodes,
+        out,
+        "",
+        lambda path, own: _Bag(own).write(path),
+        notify=notify,
+        leave_out=leave_out,
     )
 
 

@@ -15,7 +15,7 @@ def write(
     episodes: Sequence[RecordedEpisode],
     out: Path,
     *,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write `episode_000000.rrd` and so on into `out`; returns the number of frames."""
@@ -27,4 +27,4 @@ def write(
             sink.log(item)
         sink.close()
 
-    return write_each(episodes, out, ".rrd", write_one, say=say, leave_out=leave_out)
+    return write_each(episodes, out, ".rrd", write_one, notify=notify, leave_out=leave_out)

@@ -138,10 +138,10 @@ def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
     node_area = (traction.x[1] - traction.x[0]) * (traction.y[1] - traction.y[0])
     pressure = traction.force.reshape(-1, 3) / node_area
     size = np.linalg.norm(pressure, axis=1)
-    felt = size > _FELT * max(float(np.nanmax(size, initial=0.0)), 1e-9)
-    at = np.column_stack([x.ravel(), y.ravel()])[felt]
+    estimated = size > _FELT * max(float(np.nanmax(size, initial=0.0)), 1e-9)
+    at = np.column_stack([x.ravel(), y.ravel()])[estimated]
     tips = np.column_stack([at, _height(surface, at)])
-    vectors = TRACTION * pressure[felt]
+    vectors = TRACTION * pressure[estimated]
     return Arrows(tips - vectors, vectors, PRESSED)
 
 

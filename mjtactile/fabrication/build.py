@@ -49,7 +49,7 @@ def build(
     hardware: Hardware,
     source: str,
     text: str,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     states_of: Callable[..., list[MembraneState]] = simulate,
     fit_states_of: Callable[..., list[MembraneState]] = simulate_fit_protocol,
 ) -> Build:
@@ -59,11 +59,11 @@ def build(
     parts = make_parts(layout)
     solids = {name: mesh.solid_of(part) for name, part in parts.items()}
     _check_parts(parts, solids)
-    states = states_of(design, hardware, source, say)
+    states = states_of(design, hardware, source, notify)
     optics = plan_camera(design, hardware, states, source)
-    loads = PressureLoads.of(design, states, fit_states_of(design, say))
+    loads = PressureLoads.of(design, states, fit_states_of(design, notify))
     glass_limit(design, loads.highest.gauge_pressure, loads.highest.name).check(source)
-    say("drawing")
+    notify("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap, loads)
     drawn = _pictures(layout, optics, parts)

@@ -90,7 +90,7 @@ def simulate(
     design: SensorDesign,
     hardware: Hardware,
     source: str,
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     places: Mapping[str, tuple[int, int]] = PLACES,
 ) -> list[MembraneState]:
     """Compute all states. Raises InputError if the membrane fails, touches the glass, or stretches
@@ -116,7 +116,7 @@ def simulate(
                     _check_inflated(design, states[-1], source)
                 load = f"indented by {1e3 * depth:.2g} mm at {name}, filled at {kpa}"
                 states.append(_indented(world, depth, load))
-            say(f"pressed at {name}")
+            notify(f"pressed at {name}")
     except SimulationError as error:
         raise InputError(
             f"the membrane fails at {1e-3 * supply:g} kPa and an indentation of "
@@ -128,13 +128,13 @@ def simulate(
 
 
 def simulate_fit_protocol(
-    design: SensorDesign, say: Callable[[str], None] = lambda _: None
+    design: SensorDesign, notify: Callable[[str], None] = lambda _: None
 ) -> list[MembraneState]:
     """Simulate the loads of the protocols that `mjtactile fit` requires, with the valve closed.
 
     Args:
         design: The sensor.
-        say: Called with progress messages.
+        notify: Called with progress messages.
 
     Returns:
         The states at the largest depth of each protocol. A load that the membrane does not carry is
@@ -149,7 +149,7 @@ def simulate_fit_protocol(
         moves = [move for move in read_moves(protocol) if move.touches]
         depth = min(max(move.depth for move in moves), _DEEPEST_FRACTION * design.chamber.depth)
         what = f"protocol {protocol} with {indenter}, filled at {1e-3 * pressure:g} kPa"
-        say(what)
+        notify(what)
         try:
             world = PressWorld(design, Indenter.parse(indenter))
             world.inflate(pressure, seal=True)

@@ -76,12 +76,12 @@ def sealed_runs(
             smooth.append([1.0, volume, hold.pressure / 1e3])
             true.append(sim.volume)
     rows = np.array([row for row in smooth if math.isfinite(row[2])]).reshape(-1, 3)
-    wanted = np.array([v for v, row in zip(true, smooth, strict=True) if math.isfinite(row[2])])
+    requested = np.array([v for v, row in zip(true, smooth, strict=True) if math.isfinite(row[2])])
     # few holds: the smooth volume as it is
     prior = np.diag(np.sqrt(len(rows) + 1) * 1e-2 * np.array([0.0, 1.0, 1.0]))
     weights = np.linalg.lstsq(
         np.vstack([rows, prior]),
-        np.concatenate([wanted / _ML - rows[:, 1], np.zeros(3)]),
+        np.concatenate([requested / _ML - rows[:, 1], np.zeros(3)]),
         rcond=None,
     )[0]
 

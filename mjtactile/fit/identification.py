@@ -53,7 +53,7 @@ def fit_recordings(
     known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
-    evidence = [read_evidence(path, design, options.finger, options.say) for path in recordings]
+    evidence = [read_evidence(path, design, options.finger, options.notify) for path in recordings]
     picture = fit_image_noise(design, evidence[0].flat)
     free, membrane = _fit_membrane(design, evidence, manually["membrane"], options)
     gas = _gas(membrane, evidence, manually["chamber"], options)
@@ -68,7 +68,7 @@ def fit_recordings(
         check
         for path in held_out
         for check in _check(
-            fitted, read_evidence(path, design, options.finger, options.say), options.mesh
+            fitted, read_evidence(path, design, options.finger, options.notify), options.mesh
         )
     )
     return FitResult(
@@ -137,7 +137,9 @@ def _fit_membrane(
         membrane.names, membrane.values, membrane.cov, "membrane", _HELD_FIRST
     ):
         held[name] = getattr(design.membrane, name)
-        options.say(f"membrane: the recordings do not determine {name}; it keeps the file's value")
+        options.notify(
+            f"membrane: the recordings do not determine {name}; it keeps the file's value"
+        )
         membrane = fit_membrane(design, evidence, known=held, options=options)
     return free, membrane
 
@@ -187,7 +189,7 @@ def _gas(
     if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > volume_sd_max:
         held |= {"extra_volume": chamber.extra_volume}
         found = fit_gas(membrane.design, runs, known=held)
-    options.say(_report_gas(found))
+    options.notify(_report_gas(found))
     start = replace(membrane.design, chamber=replace(membrane.design.chamber, **found.values))
     models = [
         _replayed(evidence[i], membrane.offsets[i], options.mesh)
@@ -200,7 +202,7 @@ def _gas(
         for i in with_pressure
     ]
     found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
-    options.say(_report_gas(found))
+    options.notify(_report_gas(found))
     return found
 
 

@@ -33,7 +33,7 @@ _LENS_FRACTION_PER_PX = 0.1
 _MOVES_MAX = 5e-5
 _WIDTHS = {"sphere": 2.0, "cylinder": 2.0, "box": 1.0}  # of an indenter, by its size
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class Evidence:
 
 
 def read_evidence(
-    path: Path, design: SensorDesign, finger: str, say: Say = lambda _: None
+    path: Path, design: SensorDesign, finger: str, notify: Notify = lambda _: None
 ) -> Evidence:
     """Read the measurements of `finger` from the recording in `path`.
 
@@ -126,7 +126,7 @@ def read_evidence(
     stage = stage_from_note(note, path) if note is not None and is_own else None
     if stage is not None:
         _check_indenter(stage, design, path)
-    say(f"{path}: {len(recording)} images")
+    notify(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
     times, shots = _follow(recording, number, pipeline, expected)
     pressure = pressures_at(recording, number, calibration, times)

@@ -44,7 +44,7 @@ _SPEED = 0.01
 # reported sd
 _ENOUGH = 0.5
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 SCALES = {
@@ -65,14 +65,14 @@ class FitOptions:
         touch_sd: Standard deviation of a manually determined first contact, m.
         mesh: Vertices of the simulated membrane along x and y; None: the default.
         name: Name of the fitted sensor.
-        say: Function that receives the progress.
+        notify: Function that receives the progress.
     """
 
     finger: str = "left"
     touch_sd: float = 5e-5
     mesh: tuple[int, int] | None = None
     name: str = "fitted"
-    say: Say = lambda _: None
+    notify: Notify = lambda _: None
 
 
 DEFAULT = FitOptions()
@@ -303,7 +303,7 @@ class _Problem:
         n = self._counts[0]
         found = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
         left = np.concatenate(found) - self._common @ x[n + self._counts[1] :]
-        self.options.say(
+        self.options.notify(
             f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
             f"{np.sqrt(np.mean(left**2)):.2f} sd (rms)"
         )

@@ -21,17 +21,17 @@ class ParameterInfo:
     """Information on a field of the sensor file.
 
     `name` is its name in a sentence. The value counts as known up to a certain sd. This sd is the
-    larger of `share`, relative to its value, and `minimum`, in the file's unit. `record` describes
+    larger of `fraction`, relative to its value, and `minimum`, in the file's unit. `record` names
     the necessary recording.
     """
 
     name: str
     record: str
-    share: float = 0.1
+    fraction: float = 0.1
     minimum: float = 0.0
 
     def is_finite_value(self, value: float, sd: float) -> bool:
-        return sd <= max(self.share * abs(value), self.minimum)
+        return sd <= max(self.fraction * abs(value), self.minimum)
 
 
 FIT_PRESSURES = (500.0, 3000.0)

@@ -110,19 +110,19 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
     return RelaxationFit(memories.times, fractions, within, float(fractions @ (begin - end)), sd)
 
 
-def _solve(shown: Array, wanted: Array) -> tuple[Array, Array]:
-    """Fit nonnegative fractions (k,) of the responses (n, k, 3 N) to `wanted` (n, 3 N).
+def _solve(shown: Array, requested: Array) -> tuple[Array, Array]:
+    """Fit nonnegative fractions (k,) of the responses (n, k, 3 N) to `requested` (n, 3 N).
 
     The covariance comes from the scatter of the residuals from image to image. An error of the
     pressure sensor moves all markers of an image together.
     """
     shown = shown - shown.mean(axis=0)
-    wanted = wanted - wanted.mean(axis=0)
+    requested = requested - requested.mean(axis=0)
     normal = np.einsum("nkj,nlj->kl", shown, shown)
     normal += 1e-9 * np.trace(normal) * np.eye(len(normal))
     root = np.linalg.cholesky(normal)
-    fractions = nnls(root.T, np.linalg.solve(root, np.einsum("nkj,nj->k", shown, wanted)))[0]
-    left = wanted - np.einsum("nkj,k->nj", shown, fractions)
+    fractions = nnls(root.T, np.linalg.solve(root, np.einsum("nkj,nj->k", shown, requested)))[0]
+    left = requested - np.einsum("nkj,k->nj", shown, fractions)
     scores = np.einsum("nkj,nj->nk", shown, left)
     inverse = np.linalg.inv(normal)
     return fractions, _ALIKE * inverse @ (scores.T @ scores) @ inverse

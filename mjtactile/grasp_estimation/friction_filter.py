@@ -187,8 +187,8 @@ def _normal_cdf(value: Array) -> Array:
 @cache
 def _prior() -> Array:
     """Return the steady prior, (2 n)."""
-    share = _RATES[0] / (_RATES[0] + _RATES[1])
-    return np.concatenate([(1 - share) * _common(), share * _common()])
+    fraction = _RATES[0] / (_RATES[0] + _RATES[1])
+    return np.concatenate([(1 - fraction) * _common(), fraction * _common()])
 
 
 @cache
@@ -254,7 +254,7 @@ def _answer(harder: float, more: float, slides: Array) -> Array:
         return np.ones_like(slides)
     sd = _ANSWER_SD[0] + _ANSWER_SD[1] * abs(harder)
     sticking, sliding = (
-        0.1 + math.exp(-0.5 * ((more - share * harder) / sd) ** 2) for share in _ANSWERS
+        0.1 + math.exp(-0.5 * ((more - fraction * harder) / sd) ** 2) for fraction in _ANSWERS
     )
     return sticking + (sliding - sticking) * slides
 

@@ -63,9 +63,9 @@ class GripStiffnessEstimator:
         if min(nominal, 2 * way) < _WAY_MIN:
             return self
         found = min(max(nominal / way, _RANGE[0]), _RANGE[1])
-        share = min(1.0, period / _SETTLING)
+        fraction = min(1.0, period / _SETTLING)
         return GripStiffnessEstimator(
-            self.opening, self.force, self.hardness + share * (found - self.hardness)
+            self.opening, self.force, self.hardness + fraction * (found - self.hardness)
         )
 
 

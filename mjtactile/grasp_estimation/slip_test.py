@@ -21,12 +21,12 @@ class SlipTestResult:
     """Dependence of the shear on the grip.
 
     Attributes:
-        share: Relative change of the shear over that of the normal force: 0 sticks, 1 slips; NaN if
+        fraction: Relative change of shear over that of the normal force: 0 sticks, 1 slips; NaN if
             the grip change was too small.
         sd: Its standard deviation.
     """
 
-    share: float
+    fraction: float
     sd: float
 
 
@@ -61,10 +61,10 @@ def evaluate_slip_test(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
     power = float(press @ press)
     if math.sqrt(power / count) < _CHANGE_MIN:
         return UNKNOWN
-    share = float(press @ drag) / power
-    left = drag - share * press
+    fraction = float(press @ drag) / power
+    left = drag - fraction * press
     sd = math.sqrt(float(left @ left) / (count - 3) / power)
-    return SlipTestResult(share, sd)
+    return SlipTestResult(fraction, sd)
 
 
 def _without_trend(values: Array) -> Array:

@@ -48,7 +48,7 @@ class Weight:
     mass: float
     sd: float
     load: Array
-    share: Array
+    fraction: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,9 +186,9 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         rig = self._rig
         cycle = self._cycle
         deadline = cycle.now + rig.period
-        wanted = command_from_action(self._seen, action)
+        requested = command_from_action(self._seen, action)
         rig.clock.advance_towards(deadline)
-        sent = cycle.send(wanted)
+        sent = cycle.send(requested)
         self._score.send(sent.phase)
         outcome = ""
         try:

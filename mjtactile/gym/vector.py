@@ -59,8 +59,8 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
         mask = (options or {}).get("reset_mask", [True] * self.num_envs)
         self._together(
             partial(env.reset_ahead, seed=one)
-            for env, one, wanted in zip(self.envs, chosen, mask, strict=True)
-            if wanted
+            for env, one, requested in zip(self.envs, chosen, mask, strict=True)
+            if requested
         )
         return super().reset(seed=seed, options=options)
 

@@ -135,10 +135,10 @@ class _Corner:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Triangle of a cut cell with weight `share`; `towards` maps free nodes to fixed ones."""
+    """Triangle of a cut cell with weight `fraction`; `towards` maps free nodes to fixed ones."""
 
     corners: tuple[_Corner, _Corner, _Corner]
-    share: float
+    fraction: float
     towards: dict[tuple[int, int], tuple[int, int]]
 
 
@@ -155,8 +155,8 @@ def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
             held = other if grid.inside[one] else one
             polygon.append(_Corner(grid.between(free, held), None))
             towards[free] = held
-    for part, share in _triangulate(polygon):
-        yield _Triangle(part, share, towards)
+    for part, fraction in _triangulate(polygon):
+        yield _Triangle(part, fraction, towards)
 
 
 def _triangulate(
@@ -165,8 +165,8 @@ def _triangulate(
     """A convex polygon of 3 to 6 corners in triangles, and how much each counts."""
     count = len(polygon)
     if count <= 4:
-        for (a, b, c), share in _DIVISIONS[count]:
-            yield (polygon[a], polygon[b], polygon[c]), share
+        for (a, b, c), fraction in _DIVISIONS[count]:
+            yield (polygon[a], polygon[b], polygon[c]), fraction
         return
     # from the free node after a crossing to the free node before the next one
     first = next(k for k in range(count) if polygon[k].node is None and polygon[k - 1].node)
@@ -193,7 +193,7 @@ def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Arra
         nodes = [corner.node for corner in one.corners]
         numbers = [0 if node is None else node[0] * line + node[1] for node in nodes]
         links = [_link(nodes[a], nodes[(a + 1) % 3], one.towards, line) for a in range(3)]
-        area = one.share * doubled / 2
+        area = one.fraction * doubled / 2
         total += area
         found.append([area, *by_x, *by_y, *numbers, *links])
     groups = np.zeros((_whole_groups(len(found)), 13))

@@ -43,12 +43,12 @@ def relative_force_error(obstacles: Sequence[Obstacle], spacing: float) -> float
 
 def row_error(rows: Sequence[Array] | Array, spacing: float) -> float:
     """Return the same error for obstacle rows (k, NUMBERS) in the kernel's format."""
-    return max((_share(row, spacing) for row in rows), default=0.0) * (spacing / SPACING)
+    return max((_fraction(row, spacing) for row in rows), default=0.0) * (spacing / SPACING)
 
 
 def error_of_few_nodes(nodes: int) -> float:
     """Return the same error from the number of nodes in contact, for any obstacle width."""
-    return next(share for minimum, share in _FEW if nodes >= minimum)
+    return next(fraction for minimum, fraction in _FEW if nodes >= minimum)
 
 
 def gap_error(gap: float, force: float, tension: float) -> float:
@@ -73,7 +73,7 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
         shares = ()
     else:
         shares = _ROUND
-    return next((share for minimum, share in shares if width >= minimum), float("inf"))
+    return next((fraction for minimum, fraction in shares if width >= minimum), float("inf"))
 
 
 def _is_face(body: Obstacle) -> bool:
@@ -123,12 +123,12 @@ def _lowest_of(corners: Array, R: Array) -> Array:
     return at[at[:, 2] < at[:, 2].min() + _FLAT].mean(axis=0)
 
 
-def _share(row: Array, spacing: float) -> float:
+def _fraction(row: Array, spacing: float) -> float:
     if row[0] == _CONE:
         return _TIP
     wide = _width(row) / spacing
-    share = next(share for minimum, share in _SHARES if wide >= minimum)
-    return max(share, _AT_EDGES) if row[0] in _EDGED else share
+    fraction = next(fraction for minimum, fraction in _SHARES if wide >= minimum)
+    return max(fraction, _AT_EDGES) if row[0] in _EDGED else fraction
 
 
 def _width(row: Array) -> float:

@@ -37,13 +37,15 @@ def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
     x = _low_bulge(membrane)
     force = np.zeros(membrane.grid)
     found = np.empty(FOUND)
-    for share, stretch in _ways(membrane.design.membrane.pre_stretch):
+    for fraction, stretch in _ways(membrane.design.membrane.pre_stretch):
         membrane._numbers[_STRETCH_SQUARED] = stretch**2
         try:
             _keep(membrane, x)
         except np.linalg.LinAlgError:
             break
-        settings = np.array([share * membrane.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0])
+        settings = np.array(
+            [fraction * membrane.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0]
+        )
         trend = np.zeros((4, *membrane.grid))
         membrane._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
         if not MembraneSolution(x, force, found).converged:
@@ -60,8 +62,8 @@ def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
 def _ways(stretch: float) -> Iterator[tuple[float, float]]:
     """Yield the fraction of the pressure and the stretch of each inflation step."""
     more = max(_TAUT - stretch, 0.0)
-    for share in _INFLATING:
-        yield share, stretch + more
+    for fraction in _INFLATING:
+        yield fraction, stretch + more
     for left in _LETTING_GO:
         if more > 0:
             yield 1.0, stretch + left * more

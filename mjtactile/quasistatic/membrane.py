@@ -231,8 +231,8 @@ class QuasistaticMembrane:
         given = (count, taken, settings, len(rows) // count, rows, pooled, pool, *start)
         fields = (made.x, made.force, made.trend, made.found)
         # checked once, before the others wake: each would hold Python's lock for a twentieth of all
-        share = bound("qs_solve_batch", *self._fixed(self._room)[:-1], ..., *given, *fields)
-        run_in_threads(threads, lambda k: share(self._rooms[k]))
+        fraction = bound("qs_solve_batch", *self._fixed(self._room)[:-1], ..., *given, *fields)
+        run_in_threads(threads, lambda k: fraction(self._rooms[k]))
         return made
 
     def relative_force_error(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:

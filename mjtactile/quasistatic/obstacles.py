@@ -305,8 +305,8 @@ def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
     )
     if not fits:
-        wanted = ", ".join("n" if want < 0 else str(want) for want in shape)
-        raise InputError(f"has shape {array.shape}, not ({wanted})", field=field)
+        requested = ", ".join("n" if want < 0 else str(want) for want in shape)
+        raise InputError(f"has shape {array.shape}, not ({requested})", field=field)
     if array.size < _FEW:
         known = all(map(math.isfinite, array.ravel().tolist()))
     else:

@@ -55,18 +55,18 @@ def require_recorded(
     `sensor` is the recorded one. Equal to it is also that of the file, which may differ by options
     such as a pressure.
     """
-    wanted = load_sensor(asked)
+    requested = load_sensor(asked)
     known = [sensor]
     if (stored := _file(recording, finger)) is not None:
         known.append(sensor_from_text(stored["text"], name="", source=stored["name"]))
-    if any(wanted.has_values_of(each) for each in known):
+    if any(requested.has_values_of(each) for each in known):
         return
     recorded = repr(sensor.name)
-    if sensor.name == wanted.name:
+    if sensor.name == requested.name:
         recorded = f"other values of {recorded}"
     raise InputError(
-        f"finger {finger!r} was recorded with {recorded}, not with the present {wanted.name!r}; a "
-        "recording is evaluated with its own sensor",
+        f"finger {finger!r} was recorded with {recorded}, not with the present {requested.name!r}; "
+        "a recording is evaluated with its own sensor",
         source=recording.folder,
         field="--sensor",
     )

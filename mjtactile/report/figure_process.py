@@ -29,11 +29,11 @@ class _Still:
     R_WS: Array
     corners: Array
     rgba: Array
-    thing: Array | None
+    item: Array | None
 
     def object_triangles(self) -> Array:
-        assert self.thing is not None  # used only with shapes
-        return self.thing
+        assert self.item is not None  # used only with shapes
+        return self.item
 
     def triangles(self) -> tuple[Array, Array]:
         return self.corners, self.rgba
@@ -41,8 +41,8 @@ class _Still:
 
 def _still(scene: SceneCamera, snapshot: CycleLike | None) -> _Still:
     shaped = snapshot is not None and any(touch.shape is not None for touch in snapshot.touch)
-    thing = scene.object_triangles() if shaped else None
-    return _Still(scene.p_WS, scene.R_WS, *scene.triangles(), thing)
+    item = scene.object_triangles() if shaped else None
+    return _Still(scene.p_WS, scene.R_WS, *scene.triangles(), item)
 
 
 class FigureWriter:

@@ -81,8 +81,8 @@ def _cut(corners: Array, turn: float) -> Array:
     after = np.roll(corners, -1, axis=1)
     beyond = np.roll(off, -1, axis=1)
     meets = off * beyond < 0
-    share = np.where(meets, off, 0.0) / np.where(meets, off - beyond, 1.0)
-    points = corners + share[:, :, None] * (after - corners)
+    fraction = np.where(meets, off, 0.0) / np.where(meets, off - beyond, 1.0)
+    points = corners + fraction[:, :, None] * (after - corners)
     two = meets.sum(axis=1) == 2  # else it goes through a corner: its neighbours have the piece
     return points[two][meets[two]].reshape(-1, 2, 3)
 

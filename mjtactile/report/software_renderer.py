@@ -47,13 +47,13 @@ def render_scene(
     middle, half, axes_PW = _framing(view)
     image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
-    for felt, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
+    for estimated, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
         if (
-            felt.touching
-            and felt.traction is not None
-            and np.isfinite(felt.traction.wrench[:3]).all()
+            estimated.touching
+            and estimated.traction is not None
+            and np.isfinite(estimated.traction.wrench[:3]).all()
         ):
-            push_W = R_WS @ -felt.traction.wrench[:3]  # on the object
+            push_W = R_WS @ -estimated.traction.wrench[:3]  # on the object
             tip = (axes_PW @ (p_WS - middle) / half)[:2]
             along = _PER_NEWTON * (axes_PW @ push_W)[:2]
             _arrow(axes, tip - along, tip, colour, f"{np.linalg.norm(push_W):.2f} N")

@@ -38,8 +38,8 @@ def write_plots(
     recording = load_recording(folder)
     strip = [] if recorder.strip is None else recorder.strip.kept
     problems: list[MjtactileError | OSError] = []
-    with ThreadPoolExecutor(1, thread_name_prefix="page") as beside:
-        page = beside.submit(
+    with ThreadPoolExecutor(1, thread_name_prefix="page") as pool:
+        page = pool.submit(
             write_page, folder / "summary.html", recording, strip, summary, recorder.snapshot
         )
         for write in (

@@ -49,7 +49,7 @@ def write_video(
     speed: float = 1.0,
     begin: float = 0.0,
     seconds: float = math.inf,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write a video of `recording` to `path` (.mp4, .gif or .webp).
 
@@ -87,7 +87,7 @@ def write_video(
             size = (frame.shape[1], frame.shape[0])
             write(np.ascontiguousarray(frame))
             if (k + 1) % 100 == 0:
-                say(f"{k + 1} of {len(times)} images")
+                notify(f"{k + 1} of {len(times)} images")
     part.replace(path)
     return {
         "frames": len(times),
@@ -188,13 +188,18 @@ class _Film:
         )
         status = str(columns["status"][row][finger])
         if math.isfinite(force):
-            felt = f"{force:+.2f} N, sd {sd:.2f}"
+            estimated = f"{force:+.2f} N, sd {sd:.2f}"
         else:
-            felt = f"force unknown: {status}"
+            estimated = f"force unknown: {status}"
         slip = columns["slip_state"][row][finger] if "slip_state" in columns else "unknown"
         colour = _bgr(FINGER_COLOURS[finger % len(FINGER_COLOURS)])
         write_frames(
-            panel, f"{self._recording.fingers[finger]}: {felt}", (12, height + 32), 0.8, colour, 2
+            panel,
+            f"{self._recording.fingers[finger]}: {estimated}",
+            (12, height + 32),
+            0.8,
+            colour,
+            2,
         )
         write_frames(
             panel,
@@ -219,22 +224,24 @@ class _Curve:
 
     def __init__(self, recording: Recording, width: int):
         time = recording.column("time")[:, 0]
-        felt, sd, true = (
+        estimated, sd, true = (
             recording.column(name)
             for name in ("force_normal", "force_normal_sd", "force_normal_true")
         )
         self._start = float(time[0])
         self._end = max(float(time[-1]), float(time[0]) + 1e-3)
         self._width = width
-        maximum = np.nanmax(np.concatenate([felt.ravel(), true.ravel(), [0.2]]))
+        maximum = np.nanmax(np.concatenate([estimated.ravel(), true.ravel(), [0.2]]))
         self._top = 1.3 * float(maximum)
         self._low = -0.1 * float(maximum)
         self._picture = np.full((_CURVE, width, 3), 255, np.uint8)
         self._shade(recording)
         self._scale()
-        for finger, colour in zip(range(felt.shape[1]), map(_bgr, FINGER_COLOURS), strict=False):
-            self._band(time, felt[:, finger], 2 * sd[:, finger], colour)
-            self._line(time, felt[:, finger], colour, 2)
+        for finger, colour in zip(
+            range(estimated.shape[1]), map(_bgr, FINGER_COLOURS), strict=False
+        ):
+            self._band(time, estimated[:, finger], 2 * sd[:, finger], colour)
+            self._line(time, estimated[:, finger], colour, 2)
             self._line(time, true[:, finger], tuple(int(0.55 * c) for c in colour), 1)
         known = "estimated, 2 sd" + ("; ground truth (thin)" if np.isfinite(true).any() else "")
         write_frames(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)

@@ -29,22 +29,24 @@ class CommandLimits:
     pressure: tuple[float, float] | None = None
     pressure_rate: float = 1200.0
 
-    def apply(self, wanted: Command, last: Command, period: float) -> Command:
-        """The command nearest to `wanted` that keeps the limits, starting from `last` one `period`
-        s ago."""
+    def apply(self, requested: Command, last: Command, period: float) -> Command:
+        """Return the command nearest to `requested` within the limits.
+
+        The limits start from `last`, one `period` s ago.
+        """
         values = {}
         for name, entry in COMMAND_FIELDS.items():
-            value = getattr(wanted, name)
+            value = getattr(requested, name)
             values[name] = self._limited(entry, value, getattr(last, name), period)
         return Command(**values)
 
-    def clip(self, wanted: Command) -> Command:
-        """Return the command nearest to `wanted` within the ranges, at any speed."""
-        return self.apply(wanted, wanted, math.inf)
+    def clip(self, requested: Command) -> Command:
+        """Return the command nearest to `requested` within the ranges, at any speed."""
+        return self.apply(requested, requested, math.inf)
 
-    def _limited(self, entry: CommandField, wanted: Any, last: Any, period: float) -> Any:
-        if wanted is None or not entry.limit:
-            return wanted
+    def _limited(self, entry: CommandField, requested: Any, last: Any, period: float) -> Any:
+        if requested is None or not entry.limit:
+            return requested
         bounds = getattr(self, entry.limit)
         if bounds is None:
             return None
@@ -52,10 +54,10 @@ class CommandLimits:
         step = math.inf
         if entry.rate and period < math.inf:
             step = min(getattr(self, entry.rate) * period, entry.step_max)
-        before = wanted if last is None else last
-        if not isinstance(wanted, tuple):
-            return _near(wanted, before, step, low, high)
-        pairs = zip(wanted, before, strict=True)
+        before = requested if last is None else last
+        if not isinstance(requested, tuple):
+            return _near(requested, before, step, low, high)
+        pairs = zip(requested, before, strict=True)
         return tuple(_near(one, was, step, low, high) for one, was in pairs)
 
 

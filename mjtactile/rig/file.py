@@ -268,9 +268,9 @@ class RigFile:
             raise section.fail("gripper.servo", f"servo ids {ids} are not all different")
         for key, devices in (("camera", self.cameras), ("valve", self.valves)):
             fingers = [device.finger for device in devices]
-            wanted = list(FINGERS[: len(fingers)])
-            if fingers != wanted:
-                raise section.fail(key, f"fingers {fingers} should be {wanted}, in this order")
+            requested = list(FINGERS[: len(fingers)])
+            if fingers != requested:
+                raise section.fail(key, f"fingers {fingers} should be {requested}, in this order")
         if self.valves and len(self.valves) != len(self.cameras):
             message = f"{len(self.valves)} valves for {len(self.cameras)} cameras"
             raise section.fail("valve", message)

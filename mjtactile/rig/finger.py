@@ -168,6 +168,6 @@ def make_fingers(
 ) -> tuple[Finger, ...]:
     """Fingers from their parts, all in the same order; no valves, or one for each, and so with
     calibrations."""
-    nothing = (None,) * len(names)
-    parts = zip(names, designs, cameras, valves or nothing, calibrations or nothing, strict=True)
+    empty = (None,) * len(names)
+    parts = zip(names, designs, cameras, valves or empty, calibrations or empty, strict=True)
     return tuple(Finger(*part) for part in parts)

@@ -62,49 +62,49 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
         InputError: An unknown rig, object or sensor.
         DeviceError: A device is missing.
     """
-    wanted = as_scenario(scenario, design, **fields)
-    name = wanted.rig
+    requested = as_scenario(scenario, design, **fields)
+    name = requested.rig
     kind, _, argument = name.partition(":")
     file = None
     if kind not in _found(RIGS):
         shipped = resources.names("models/rigs", ".toml")
         if "." not in name and "/" not in name and name not in shipped:
             raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
-        file = with_sensors(read_rig_file(name), wanted.sensors)
+        file = with_sensors(read_rig_file(name), requested.sensors)
         argument = ""
         kind = file.backend
-    if kind not in SIMULATES and (wanted.accuracy, wanted.effects) != ("", "auto"):
+    if kind not in SIMULATES and (requested.accuracy, requested.effects) != ("", "auto"):
         raise InputError(
             f"the rig {name!r} is not a simulated rig", field="--accuracy or --effects"
         )
-    if kind not in SIMULATES and wanted.randomization != NONE:
+    if kind not in SIMULATES and requested.randomization != NONE:
         message = f"the rig {name!r} is not a simulated rig: its world cannot be randomized"
         raise InputError(message, field="--randomization", choices=[NONE])
-    task = load_task(wanted.task)
+    task = load_task(requested.task)
     if task.waypoints and kind not in MOVES_SIDEWAYS:
         text = f"the rig {name!r} does not move sideways, and the task {task.name!r} has waypoints"
         raise InputError(text, field="--rig", choices=["sim", "sim_arm", "sim_three_finger"])
     goal = task.goal.task_goal()
-    rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
+    rig = load_backend(RIGS, kind)(RigRequest(requested, requested.design(), argument, file))
     try:
-        _require_built(rig, wanted)
+        _require_built(rig, requested)
     except InputError:
         rig.close()
         raise
     return replace(rig, goal=goal)
 
 
-def _require_built(rig: Rig, wanted: Scenario) -> None:
+def _require_built(rig: Rig, requested: Scenario) -> None:
     """Raise InputError if a finger has another sensor than the scenario names for it.
 
     A backend of another package may ignore them; the results would then state a wrong sensor.
     """
     built = {finger.name: finger.design.name for finger in rig.fingers}
-    require_fingers(wanted.rig, list(built), wanted.sensors)
-    for finger, sensor in wanted.sensors.items():
+    require_fingers(requested.rig, list(built), requested.sensors)
+    for finger, sensor in requested.sensors.items():
         asked = load_sensor(sensor).name
         if built[finger] != asked:
-            message = f"the rig {wanted.rig!r} has the sensor {built[finger]!r}, not {asked!r}"
+            message = f"the rig {requested.rig!r} has the sensor {built[finger]!r}, not {asked!r}"
             raise InputError(message, field=f"sensors.{finger}", choices=[built[finger]])
 
 

@@ -153,9 +153,9 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     cycle.rig.clock.advance_towards(deadline)
     observation = cycle.observe()
     begin = wall.perf_counter()
-    wanted = _think(cycle, controller, observation)
+    requested = _think(cycle, controller, observation)
     controller_ms = 1e3 * (wall.perf_counter() - begin)
-    sent = cycle.send(wanted)
+    sent = cycle.send(requested)
     memory, left_out = plain(sent.memory)
     turn = Cycle(
         cycle.now,
@@ -163,7 +163,7 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
         cycle.touch,
         cycle.gripper,
         cycle.valves,
-        replace(wanted, memory=memory),
+        replace(requested, memory=memory),
         replace(sent, memory=memory),
         cycle.camera_ms,
         cycle.perception_ms,

@@ -36,7 +36,7 @@ class Cycle:
     touch: tuple[Touch, ...]
     gripper: GripperState
     valves: tuple[ValveState, ...]
-    wanted: Command
+    requested: Command
     sent: Command
     camera_ms: float
     perception_ms: float
@@ -129,14 +129,14 @@ class ControlCycle:
             self.now, rig.period, self.touch, self.gripper, self.valves, self.last, rig.goal
         )
 
-    def send(self, wanted: Command) -> Command:
-        """Send the command `wanted` after supervisor and limits, and return the sent command.
+    def send(self, requested: Command) -> Command:
+        """Send the command `requested` after supervisor and limits, and return the sent command.
 
         If no device responds, it is the previous command, and the devices' own watchdogs act. A
         command that cannot be executed starts the retreat.
         """
         try:
-            self.last = self._send(wanted)
+            self.last = self._send(requested)
         except SimulationError:  # without a world, the object cannot be set down
             raise
         except DeviceError as error:
@@ -204,13 +204,19 @@ class ControlCycle:
     def _touch_unknown(self, status: Status) -> None:
         self.touch = tuple(unknown_touch(image, self.now, status) for image in self.images)
 
-    def _send(self, wanted: Command) -> Command:
+    def _send(self, requested: Command) -> Command:
         rig = self.rig
-        wanted = wanted.checked()
-        _check_pressures(rig, wanted)
+        requested = requested.checked()
+        _check_pressures(rig, requested)
         opening = self.gripper.opening
         allowed = self.supervisor.decide(
-            self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height, opening
+            self.now,
+            requested,
+            self.last,
+            self.touch,
+            self.valves,
+            self.gripper.lift_height,
+            opening,
         )
         last = _rate_limit_start(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)
@@ -222,10 +228,10 @@ class ControlCycle:
         return replace(sent, phase=allowed.phase, memory=allowed.memory, reason=allowed.reason)
 
 
-def _check_pressures(rig: Rig, wanted: Command) -> None:
+def _check_pressures(rig: Rig, requested: Command) -> None:
     """Raise InputError if the rig has no controllable valve with a pressure sensor, or the number
     of pressures differs from that of its fingers."""
-    if wanted.gauge_pressure is None:
+    if requested.gauge_pressure is None:
         return
     if rig.limits.pressure is None:
         message = (
@@ -233,22 +239,22 @@ def _check_pressures(rig: Rig, wanted: Command) -> None:
             "pressure in its fingers cannot be changed"
         )
         raise InputError(message, source="Command", field="gauge_pressure")
-    if len(wanted.gauge_pressure) != len(rig.fingers):
-        message = f"{len(wanted.gauge_pressure)} pressures for {len(rig.fingers)} fingers"
+    if len(requested.gauge_pressure) != len(rig.fingers):
+        message = f"{len(requested.gauge_pressure)} pressures for {len(rig.fingers)} fingers"
         raise InputError(message, source="Command", field="gauge_pressure")
 
 
 def _rate_limit_start(
-    rig: Rig, wanted: Command, last: Command, valves: Sequence[ValveState]
+    rig: Rig, requested: Command, last: Command, valves: Sequence[ValveState]
 ) -> Command:
     """Return the previous command, with pressures from which the rate limits start.
 
     The first pressures start at the sensor readings, or without a reading at the requested
     value.
     """
-    if wanted.gauge_pressure is None or last.gauge_pressure is not None:
+    if requested.gauge_pressure is None or last.gauge_pressure is not None:
         return last
-    pairs = zip(wanted.gauge_pressure, rig.readings(valves), strict=True)
+    pairs = zip(requested.gauge_pressure, rig.readings(valves), strict=True)
     shown = tuple(one if gauge is None else gauge.gauge_pressure for one, gauge in pairs)
     return replace(last, gauge_pressure=shown)
 

@@ -202,7 +202,7 @@ def run_grasp(
     """
     watching = Observers(observers)
     controller = load_controller(scenario.controller) if controller is None else controller
-    with open_session(scenario, workers=workers, say=watching.message) as session:
+    with open_session(scenario, workers=workers, notify=watching.message) as session:
         rig = session.rig
         watching.begin(session)
         score = _score(scenario, rig, watching)

@@ -110,7 +110,7 @@ def run_probe(
     watching = Observers(observers)
     controller = load_controller(scenario.controller)
     log = _Log()
-    with open_session(scenario, settings=settings, say=watching.message) as session:
+    with open_session(scenario, settings=settings, notify=watching.message) as session:
         watching.begin(session)
         session.take_references(watching)
         session.run(controller, time_limit=scenario.time_limit, observer=Observers([log, watching]))

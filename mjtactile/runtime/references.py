@@ -36,7 +36,7 @@ class ReferenceImages:
 
 
 def take_references(
-    fingers: Sequence[Finger], clock: Clock, say: Callable[[str], None] = lambda _: None
+    fingers: Sequence[Finger], clock: Clock, notify: Callable[[str], None] = lambda _: None
 ) -> Iterator[ReferenceImages]:
     """Bring the membranes into each of their two reference states and take images there.
 
@@ -45,11 +45,11 @@ def take_references(
     the next state. Raises DeviceError if a device does not answer.
     """
     valves = [finger.valve for finger in fingers if finger.valve is not None]
-    say("reference: flat, valve open")
+    notify("reference: flat, valve open")
     for valve in valves:
         valve.open(0.0)
     yield ReferenceImages("flat", settled_images(fingers, clock), [0.0 for _ in valves])
-    say("reference: inflated, no contact")
+    notify("reference: inflated, no contact")
     inflate(fingers, clock)
     readings: list[list[float | None]] = []
     images = settled_images(

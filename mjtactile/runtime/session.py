@@ -38,7 +38,7 @@ from mjtactile.runtime.unsensed_force_monitor import UnsensedForceMonitor
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 @validated(threads=not_below(0))
@@ -55,7 +55,7 @@ class Session:
         pool: Perception processes instead of threads.
         contact_shapes: True to estimate the shape of every touch, even if the controller does not
             require it.
-        say: Callback for messages, one line each.
+        notify: Callback for messages, one line each.
     """
 
     def __init__(
@@ -67,14 +67,14 @@ class Session:
         threads: int | None = None,
         pool: PerceptionPool | None = None,
         contact_shapes: bool = False,
-        say: Say = lambda _: None,
+        notify: Notify = lambda _: None,
     ):
         self.rig = rig
         self.settings = DEFAULTS if settings is None else settings
         self._threads = threads
         self._pool = pool
         self._shapes = contact_shapes
-        self._say = say
+        self._notify = notify
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
         self._push = UnsensedForceMonitor(names, rig.period)
@@ -128,7 +128,7 @@ class Session:
         if rig.touch_is_synthetic:  # references are not used
             inflate(rig.fingers, rig.clock)
             return
-        for reference in take_references(rig.fingers, rig.clock, self._say):
+        for reference in take_references(rig.fingers, rig.clock, self._notify):
             observer.add_reference(reference.stage, reference.images, reference.gauge_pressure)
             self._zero(reference)
 
@@ -155,10 +155,10 @@ class Session:
             states = known[finger.name].states(finger.design) if finger.name in known else []
             missing = ", ".join(part.kind for part in states if part.state == "missing")
             if missing:
-                self._say(f"calibration of {finger.name}: never measured: {missing}")
+                self._notify(f"calibration of {finger.name}: never measured: {missing}")
             for part in states:
                 if part.state in ("outdated", "refused"):
-                    self._say(f"calibration of {finger.name}: {part.kind}: {part.text}")
+                    self._notify(f"calibration of {finger.name}: {part.kind}: {part.text}")
         if known:
             observer.note(
                 calibration={name: calibration.table() for name, calibration in known.items()}
@@ -207,9 +207,9 @@ class Session:
         is_real = math.isfinite(self.rig.host_timeout)
         watched: list[Observer] = [notes, self._push] if is_real else [notes]
         if self.rig.workload is not None:
-            say = Observers(watching).message
+            notify = Observers(watching).message
             shapes = self._shapes or reads
-            watched.append(SlownessMonitor(self.rig.workload, say, contact_shapes=shapes))
+            watched.append(SlownessMonitor(self.rig.workload, notify, contact_shapes=shapes))
         with signals.deferred() as stop, notes:
             return run_loop(
                 self.rig,
@@ -265,7 +265,7 @@ def open_session(
     *,
     workers: int | None = None,
     settings: Settings | None = None,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
     **fields: Any,
 ) -> Iterator[Session]:
     """Open a session with the rig of a scenario, in simulation or on devices.
@@ -279,7 +279,7 @@ def open_session(
         workers: Number of perception workers in addition to the loop (None: automatic, 0: none):
             threads on a real rig, processes in simulation.
         settings: Settings of the sensing pipelines; None: the defaults.
-        say: Callback for messages, one line each.
+        notify: Callback for messages, one line each.
         **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 
     Yields:
@@ -290,9 +290,9 @@ def open_session(
         DeviceError: A device is missing.
         Interrupted: A signal requested the end of the process.
     """
-    wanted = as_scenario(scenario, design, **fields)
+    requested = as_scenario(scenario, design, **fields)
     with signals.deferred():
-        built = build_rig(wanted)
+        built = build_rig(requested)
         with contextlib.ExitStack() as stack:
             stack.callback(built.close)
             pool = _start_pool(built, workers)
@@ -303,8 +303,8 @@ def open_session(
                 settings=settings,
                 threads=workers,
                 pool=pool,
-                contact_shapes=wanted.contact_shapes,
-                say=say,
+                contact_shapes=requested.contact_shapes,
+                notify=notify,
             )
 
 

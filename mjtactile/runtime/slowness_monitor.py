@@ -20,7 +20,7 @@ class SlownessMonitor(Observer):
 
     Args:
         ask: Function that returns the workload of the rig so far.
-        say: Callback for messages, one line each.
+        notify: Callback for messages, one line each.
         now: Wall clock, s.
         contact_shapes: True if the shape of every touch is estimated.
     """
@@ -28,13 +28,13 @@ class SlownessMonitor(Observer):
     def __init__(
         self,
         ask: Callable[[], Workload],
-        say: Callable[[str], None],
+        notify: Callable[[str], None],
         now: Callable[[], float] = wall.perf_counter,
         *,
         contact_shapes: bool = False,
     ):
         self._ask = ask
-        self._say = say
+        self._notify = notify
         self._now = now
         self._shapes = contact_shapes
         self._start: tuple[float, float, Workload] | None = None
@@ -88,7 +88,7 @@ class SlownessMonitor(Observer):
             f"({_cause(name, self._largest, self._shapes)})"
             for name in sorted(causes, key=lambda name: -fractions[name])
         ]
-        self._say(f"slow: {factor:.2g} x real time; {', '.join(texts)}")
+        self._notify(f"slow: {factor:.2g} x real time; {', '.join(texts)}")
 
 
 def _cause(part: str, load: Workload, contact_shapes: bool) -> str:

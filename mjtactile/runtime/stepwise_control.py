@@ -51,10 +51,10 @@ class StepwiseControl:
         self._sent = False
         return observation
 
-    def send(self, wanted: Command) -> Command:
+    def send(self, requested: Command) -> Command:
         """Send a command, and return the one sent after supervisor and limits."""
         self._sent = True
-        return self._cycle.send(wanted)
+        return self._cycle.send(requested)
 
     def close(self) -> None:
         """Stop the perception threads."""

@@ -70,7 +70,7 @@ class Supervisor:
     def decide(
         self,
         now: float,
-        wanted: Command,
+        requested: Command,
         last: Command,
         touch: Sequence[Touch],
         valves: Sequence[ValveState],
@@ -95,11 +95,11 @@ class Supervisor:
             return self._go_back(now, last, touch)
         unknown = [t.status for t in touch if not math.isfinite(t.force_normal)]
         if unknown:
-            return self._hold(now, wanted, last, touch, unknown[0])
+            return self._hold(now, requested, last, touch, unknown[0])
         self._blind_since = None
         if self.state != "running":
             self._enter("running", "forces are known", now)
-        return wanted
+        return requested
 
     def make_safe(self, reason: str, now: float) -> None:
         """Start the retreat: lower and open the gripper, and ignore the controller's commands."""
@@ -119,7 +119,7 @@ class Supervisor:
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
     def _hold(
-        self, now: float, wanted: Command, last: Command, touch: Sequence[Touch], why: str
+        self, now: float, requested: Command, last: Command, touch: Sequence[Touch], why: str
     ) -> Command:
         """Restrict a command while forces are unknown: opening and lowering only.
 
@@ -134,10 +134,10 @@ class Supervisor:
         if self.state != "holding":
             self._enter("holding", why, now)
         return replace(
-            wanted,
-            opening=max(wanted.opening, last.opening),
-            force_limit=wanted.force_limit if last.force_limit is None else last.force_limit,
-            lift_height=min(wanted.lift_height, last.lift_height),
+            requested,
+            opening=max(requested.opening, last.opening),
+            force_limit=requested.force_limit if last.force_limit is None else last.force_limit,
+            lift_height=min(requested.lift_height, last.lift_height),
             gauge_pressure=last.gauge_pressure,
         )
 

@@ -36,7 +36,7 @@ class UnsensedForceMonitor(Observer):
         self._names = names
         count = math.ceil(_LASTS / period)
         self._efforts: deque[float] = deque(maxlen=count)
-        self._felt: deque[float] = deque(maxlen=count)
+        self._estimated: deque[float] = deque(maxlen=count)
         self._free = 0.0
         self._maximum = 0.0
         self._text = ""
@@ -52,26 +52,26 @@ class UnsensedForceMonitor(Observer):
         cycles."""
         if self._tracker is None:
             self._tracker = FlagTracker(cycle.time)
-        felt = float(np.mean([touch.force_normal for touch in cycle.touch]))
+        estimated = float(np.mean([touch.force_normal for touch in cycle.touch]))
         effort = float(cycle.gripper.effort)
-        if not math.isfinite(felt + effort):
+        if not math.isfinite(estimated + effort):
             self._efforts.clear()
-            self._felt.clear()
+            self._estimated.clear()
             return
         self._efforts.append(effort)
-        self._felt.append(felt)
+        self._estimated.append(estimated)
         if len(self._efforts) < (self._efforts.maxlen or 0):
             return
         if not any(touch.touching for touch in cycle.touch):
             # effort above `_LEAST` is not friction but a load that no finger senses
             self._free = max(self._free, min(abs(float(np.mean(self._efforts))), _LEAST))
-        is_up = self._exceeds(np.array(self._efforts), np.array(self._felt))
+        is_up = self._exceeds(np.array(self._efforts), np.array(self._estimated))
         self._tracker.update(cycle.time, {KIND: self._text} if is_up else {}, {Cadence.CYCLE})
 
-    def _exceeds(self, effort: Array, felt: Array) -> bool:
+    def _exceeds(self, effort: Array, estimated: Array) -> bool:
         """Return True if the minimum excess force over the window is too large, and set the flag
         text if it is also the largest so far."""
-        beyond = effort - felt
+        beyond = effort - estimated
         minimum = int(beyond.argmin())
         allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[minimum]))
         if beyond[minimum] <= allowed:
@@ -82,7 +82,7 @@ class UnsensedForceMonitor(Observer):
         names = " and ".join(self._names)
         self._text = (
             f"the servos push with {effort[minimum]:.1f} N, but {names} measure "
-            f"{felt[minimum]:.1f} N on average: frames, finger sides or the jaws carry "
+            f"{estimated[minimum]:.1f} N on average: frames, finger sides or the jaws carry "
             f"{self._maximum:.1f} N, more than the allowed {allowed:.1f} N"
         )
         return True

@@ -41,10 +41,10 @@ def attach_shape(
     if contact is None or shape.kind == "unknown":
         return replace(touch, shape=shape)
     sharp = np.zeros(6) if sharpness is None else sharpness
-    felt = touch if load is None else with_load(touch, load, sharp)
+    estimated = touch if load is None else with_load(touch, load, sharp)
     by_body = replace(contact, area=shape.area, outline=shape.outline, area_source=shape.family)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
-    return replace(felt, shape=shape, contact=by_body, patches=patches)
+    return replace(estimated, shape=shape, contact=by_body, patches=patches)
 
 
 def apply_shape_and_motion(
@@ -52,12 +52,12 @@ def apply_shape_and_motion(
 ) -> tuple[Touch, PipelineState]:
     """Return the touch with the shape `found`, its slip updated by the shape's motion, and the
     state with the history of the contact episode. For `sharpness` (6,) see `with_load`."""
-    felt = attach_shape(touch, found.shape, found.load, sharpness)
+    estimated = attach_shape(touch, found.shape, found.load, sharpness)
     after = replace(after, press=found.press)
-    if felt.slip is None:
-        return felt, after
-    slip_state, history = with_motion(felt.slip, after.slip, found.shape.motion, settings)
-    return replace(felt, slip=slip_state), replace(after, slip=history)
+    if estimated.slip is None:
+        return estimated, after
+    slip_state, history = with_motion(estimated.slip, after.slip, found.shape.motion, settings)
+    return replace(estimated, slip=slip_state), replace(after, slip=history)
 
 
 def membrane_displacement(before: PipelineState, after: PipelineState) -> MembraneMotion | None:

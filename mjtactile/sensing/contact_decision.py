@@ -158,7 +158,7 @@ class ContactDecision:
             )
             lost = slip.unknown(status.code, "no zero")
             return replace(touch, slip=lost, status=status), state
-        felt = replace(
+        estimated = replace(
             touch,
             force_normal=found.force,
             force_normal_sd=sd,
@@ -167,7 +167,7 @@ class ContactDecision:
             patches=patches,
             slip=slip_state,
         )
-        return felt, state
+        return estimated, state
 
     def _with_zero_followed(
         self, state: PipelineState, estimate: Estimate, elapsed: float
@@ -190,5 +190,5 @@ class ContactDecision:
             state,
             reference=replace(state.reference, rest=followed.rest),
             apart=followed.apart,
-            gas=None if state.gas is None else state.gas.corrected(followed.share),
+            gas=None if state.gas is None else state.gas.corrected(followed.fraction),
         )

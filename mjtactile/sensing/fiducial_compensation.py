@@ -128,8 +128,8 @@ def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
 
     names = ("center_px", "radius_px", "cov", "inside", "outside", "blur_px")
     center, radius, cov, inside, outside, blur = (mean(name) for name in names)
-    share = count[ids][:, None, None]
-    return FiducialDetections(ids, center, radius, cov / share, inside, outside, blur)
+    fraction = count[ids][:, None, None]
+    return FiducialDetections(ids, center, radius, cov / fraction, inside, outside, blur)
 
 
 def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialDetections:

@@ -74,8 +74,8 @@ class SensingPipeline:
     ):
         settings = DEFAULTS if settings is None else settings
         design.require_markers_that_fit()
-        nothing = Calibration("", design.name)
-        self._measured = nothing if calibration is None else calibration.used(design)
+        empty = Calibration("", design.name)
+        self._measured = empty if calibration is None else calibration.used(design)
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)

@@ -141,5 +141,5 @@ class WideFaceTest:
 
 def has_changed(shape: Shape, settings: InverseSettings) -> bool:
     """Return True if the camera differs from the drift estimated in earlier images."""
-    share = shape.camera**2 / shape.gain.observed_drift[1:]
-    return bool(share[:MODES].max() > settings.changed_min**2)
+    fraction = shape.camera**2 / shape.gain.observed_drift[1:]
+    return bool(fraction[:MODES].max() > settings.changed_min**2)

@@ -94,7 +94,7 @@ class SimCamera:
 
     def _blurred(self, renderer: Renderer) -> Image:
         """Return the mean image over the exposure that ends now."""
-        poses = [self._sensor.marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
+        poses = [self._sensor.marker_poses_before(fraction * _EXPOSURE) for fraction in _SHUTTER]
         gray = np.asarray(
             np.mean([renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32)
         )

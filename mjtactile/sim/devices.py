@@ -89,9 +89,9 @@ class SimClock:
         self._advance(time)
         begin = wall.perf_counter()
         first, *others = self.on_arrival or [lambda: None]
-        beside = [self._begin(action) for action in others]
+        started = [self._begin(action) for action in others]
         first()
-        for action in beside:
+        for action in started:
             action.result()
         self.rendering_time += wall.perf_counter() - begin
 

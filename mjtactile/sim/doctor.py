@@ -286,7 +286,7 @@ def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
 
 def _force(world: GripperWorld) -> Iterator[Finding]:
     """Compare `force_max_N` with the force of the actuators at the widths of objects."""
-    wanted = world.rig.gripper.force_max
+    requested = world.rig.gripper.force_max
     widths = _object_widths(world)
     forces = [world.grip_force_available(width) for width in widths]
     pairs = zip(forces, widths, strict=True)
@@ -303,13 +303,16 @@ def _force(world: GripperWorld) -> Iterator[Finding]:
             f"{text}: too little for a grasp",
             f"{remedy}, or correct the ratio of the transmission",
         )
-    elif min(forces) < (1 - _EVEN) * wanted:
+    elif min(forces) < (1 - _EVEN) * requested:
         yield _warn(
-            "force", f"{text}, force_max_N says {wanted:g}", f"{remedy}, or a smaller force_max_N"
+            "force",
+            f"{text}, force_max_N says {requested:g}",
+            f"{remedy}, or a smaller force_max_N",
         )
     else:
         yield _ok(
-            "force", f"force_max_N = {wanted:g} on each finger is within the range of the actuators"
+            "force",
+            f"force_max_N = {requested:g} on each finger is within the range of the actuators",
         )
 
 

@@ -35,8 +35,8 @@ class Snapshot:
         for name in dir(world.model):
             if not name.startswith("_") and isinstance(getattr(world.model, name), np.ndarray):
                 self._keep_array(getattr(world.model, name))
-        for thing in (world, *others):
-            self._keep(thing)
+        for item in (world, *others):
+            self._keep(item)
 
     def restore(self) -> None:
         """Go back to it; the world must not be moving."""
@@ -44,23 +44,23 @@ class Snapshot:
         for undo in self._undo:
             undo()
 
-    def _keep(self, thing: Any) -> None:
-        """Record the undo action that restores `thing` and its contents to the current state."""
-        if id(thing) in self._seen:
+    def _keep(self, item: Any) -> None:
+        """Record the undo action that restores `item` and its contents to the current state."""
+        if id(item) in self._seen:
             return
-        if isinstance(thing, np.ndarray):
-            self._keep_array(thing)
-        elif isinstance(thing, np.random.Generator):
-            self._seen.add(id(thing))
-            state = copy.deepcopy(thing.bit_generator.state)
-            self._undo.append(lambda: setattr(thing.bit_generator, "state", copy.deepcopy(state)))
-        elif isinstance(thing, (list, deque, dict, set)):
-            self._keep_container(thing)
-        elif isinstance(thing, tuple):
-            for part in thing:
+        if isinstance(item, np.ndarray):
+            self._keep_array(item)
+        elif isinstance(item, np.random.Generator):
+            self._seen.add(id(item))
+            state = copy.deepcopy(item.bit_generator.state)
+            self._undo.append(lambda: setattr(item.bit_generator, "state", copy.deepcopy(state)))
+        elif isinstance(item, (list, deque, dict, set)):
+            self._keep_container(item)
+        elif isinstance(item, tuple):
+            for part in item:
                 self._keep(part)
-        elif type(thing).__module__.startswith("mjtactile.") and hasattr(thing, "__dict__"):
-            self._keep_object(thing)
+        elif type(item).__module__.startswith("mjtactile.") and hasattr(item, "__dict__"):
+            self._keep_object(item)
 
     def _keep_array(self, array: np.ndarray) -> None:
         self._seen.add(id(array))
@@ -69,25 +69,25 @@ class Snapshot:
         was = array.copy()
         self._undo.append(lambda: np.copyto(array, was))
 
-    def _keep_container(self, thing: Any) -> None:
-        self._seen.add(id(thing))
-        was = thing.copy()
+    def _keep_container(self, item: Any) -> None:
+        self._seen.add(id(item))
+        was = item.copy()
 
         def undo() -> None:
-            thing.clear()
-            thing.update(was) if isinstance(thing, (dict, set)) else thing.extend(was)
+            item.clear()
+            item.update(was) if isinstance(item, (dict, set)) else item.extend(was)
 
         self._undo.append(undo)
         for part in was.values() if isinstance(was, dict) else was:
             self._keep(part)
 
-    def _keep_object(self, thing: Any) -> None:
-        self._seen.add(id(thing))
-        was = dict(vars(thing))
+    def _keep_object(self, item: Any) -> None:
+        self._seen.add(id(item))
+        was = dict(vars(item))
 
         def undo() -> None:
-            vars(thing).clear()
-            vars(thing).update(was)
+            vars(item).clear()
+            vars(item).update(was)
 
         self._undo.append(undo)
         for value in was.values():

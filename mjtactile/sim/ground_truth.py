@@ -58,9 +58,9 @@ def patch(world: World, sensor: int) -> tuple[Array, float]:
     press = np.maximum(-forces[:, 2], 0.0)
     if press.sum() <= 0:
         return np.zeros(3), 0.0
-    share = press / press.sum()
-    middle = share @ points
-    return middle, float(share @ np.linalg.norm(points - middle, axis=1))
+    fraction = press / press.sum()
+    middle = fraction @ points
+    return middle, float(fraction @ np.linalg.norm(points - middle, axis=1))
 
 
 def contact_force(world: World, sensor: int) -> Array:
@@ -138,17 +138,17 @@ def sliding(world: World, sensor: int) -> tuple[float, float]:
         for rate in (velocity, data.efc_force)
     )
     normal = data.efc_force[first]
-    share = normal / max(float(normal.sum()), 1e-9)
-    arm = data.contact.pos[rows] - share @ data.contact.pos[rows]
+    fraction = normal / max(float(normal.sum()), 1e-9)
+    arm = data.contact.pos[rows] - fraction @ data.contact.pos[rows]
     around = np.cross(data.xmat[device.body_id].reshape(3, 3)[:, 2], arm)
-    mean = share @ v_W
-    turn = float(share @ (around * v_W).sum(axis=1)) / max(
-        float(share @ (around**2).sum(axis=1)), 1e-12
+    mean = fraction @ v_W
+    turn = float(fraction @ (around * v_W).sum(axis=1)) / max(
+        float(fraction @ (around**2).sum(axis=1)), 1e-12
     )
     along = np.einsum("nk,nkj->nj", np.einsum("nj,nkj->nk", mean + turn * around, planes), planes)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     used = -float((along * f_W).sum()) / max(float(data.contact.friction[rows, 0] @ normal), 1e-9)
-    return used, float(np.sqrt(mean @ mean + turn**2 * (share @ (arm**2).sum(axis=1))))
+    return used, float(np.sqrt(mean @ mean + turn**2 * (fraction @ (arm**2).sum(axis=1))))
 
 
 def contact_wrench(world: World, sensor: int) -> Array:

@@ -30,7 +30,7 @@ _TINY = 1e-9  # of a cell's pressure, and m
 
 @dataclass(frozen=True, eq=False)
 class ObstacleContact:
-    """Solution: heights `w` (nx, ny) m on `obstacle` (nx, ny) m, contact fraction `share` and
+    """Solution: heights `w` (nx, ny) m on `obstacle` (nx, ny) m, contact fraction `fraction` and
     `force` N of each cell of `spacing` m.
 
     `settled` is True if the active set converged.
@@ -38,7 +38,7 @@ class ObstacleContact:
 
     w: Array
     obstacle: Array
-    share: Array
+    fraction: Array
     force: Array
     spacing: float
     settled: bool
@@ -50,7 +50,7 @@ class ObstacleContact:
             np.minimum(np.abs(slope), _steepest(self.obstacle, self.spacing, axis)) ** 2
             for axis, slope in enumerate(np.gradient(self.w, self.spacing))
         ]
-        return float((self.share * np.sqrt(1 + squares[0] + squares[1])).sum()) * self.spacing**2
+        return float((self.fraction * np.sqrt(1 + squares[0] + squares[1])).sum()) * self.spacing**2
 
 
 def _steepest(obstacle: Array, spacing: float, axis: int) -> Array:
@@ -105,9 +105,9 @@ def solve_contact(
         if settled:
             break
     # it ran
-    share = np.where(q > 0, _share(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable]
+    fraction = np.where(q > 0, _fraction(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable]
     fields = np.zeros((3, *inside.shape))
-    fields[:, inside] = w, share, tension * q
+    fields[:, inside] = w, fraction, tension * q
     return ObstacleContact(fields[0], obstacle, fields[1], fields[2], spacing, settled)
 
 
@@ -133,7 +133,7 @@ def _carry(
     return parts[0] + shift * parts[1], shift
 
 
-def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
+def _fraction(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
     """Return the contact fraction of each cell: its force over that with full contact."""
     here = np.isfinite(psi)
     whole = load - stiffness @ np.where(here, psi, 0.0)

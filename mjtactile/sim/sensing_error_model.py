@@ -138,7 +138,7 @@ def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel
 
 
 @cache
-def _load(path: Path, wanted: str, name: str) -> dict[str, SensingErrorModel]:
+def _load(path: Path, requested: str, name: str) -> dict[str, SensingErrorModel]:
     how = f"mjtactile bench error-model --sensor {name}"
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
@@ -152,7 +152,7 @@ def _load(path: Path, wanted: str, name: str) -> dict[str, SensingErrorModel]:
         ) from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"not a table of pipeline errors: {error!r}", source=path) from error
-    if measured_of != wanted:
+    if measured_of != requested:
         raise InputError(
             f"the errors of its pipeline were measured for another design of that name: run {how}",
             source=name,

@@ -62,7 +62,7 @@ class SensingErrorSampler:
         grasp, gain = rng.standard_normal(2)
         self._settings[_GRASP:_ELAPSED] = grasp, self._errors.shear_gain * gain
 
-    def felt(
+    def estimated(
         self, true: Array, elapsed: float, rng: np.random.Generator
     ) -> tuple[Array, Array, ErrorsAtLoad]:
         """Return a simulated estimate (6,) of the `true` wrench (6,), its covariance and errors.
@@ -124,7 +124,7 @@ class SyntheticTouchSource:
         time = sensor.time
         elapsed = 0.0 if math.isnan(self._time) else max(time - self._time, 0.0)
         self._time = time
-        wrench, cov, here = self._error_sampler.felt(sensor.look(), elapsed, self._rng)
+        wrench, cov, here = self._error_sampler.estimated(sensor.look(), elapsed, self._rng)
         if self._rng.random() < here.unknown:
             status = Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
             lost = Slip("unknown", _NOWHERE, math.nan, math.nan, status)

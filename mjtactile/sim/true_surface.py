@@ -27,12 +27,12 @@ class TrueSurface:
     def of(cls, grasped: ObjectModel, seed: int = 0) -> TrueSurface:
         """Sample the surface of an object at rest by random lines, in proportion to area."""
         spec = read_spec(grasped)
-        thing = spec.body("object")
+        item = spec.body("object")
         for other in list(spec.worldbody.bodies):
             if other.name != "object":
                 spec.delete(other)
-        thing.pos = [0.0, 0.0, 0.0]
-        for joint in list(thing.joints):
+        item.pos = [0.0, 0.0, 0.0]
+        for joint in list(item.joints):
             if joint.type == mujoco.mjtJoint.mjJNT_FREE:
                 spec.delete(joint)
         model = spec.compile()

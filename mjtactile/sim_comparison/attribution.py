@@ -129,7 +129,7 @@ def explain(
     *,
     many: Callable[[Sequence[Mapping[str, Sequence[float]]]], Sequence[Signals | None]]
     | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> SimComparison:
     """Simulate the recording and, if it differs, simulate it with each cause.
 
@@ -138,7 +138,7 @@ def explain(
         simulate: Function that runs the simulator with amounts of causes.
         causes: Possible causes.
         many: Function for several runs, None for each failed one; without it runs are sequential.
-        say: Callback for progress messages.
+        notify: Callback for progress messages.
 
     Returns:
         Both signals, their differences, and the cause that explains them.
@@ -152,10 +152,10 @@ def explain(
     differs = any(np.nanmax(values, initial=0.0) > 1.0 for values in tolerances.values())
     if not differs:
         return SimComparison(there, here, None, found, {}, (), None, differs=False)
-    say(f"recording and simulation differ: {len(causes)} causes are tested")
+    notify(f"recording and simulation differ: {len(causes)} causes are tested")
     fingers = there.fingers
     asked = [{cause.name: (cause.probe,) * fingers} for cause in causes]
-    run_all = many or (lambda wanted: [attempted(simulate, one) for one in wanted])
+    run_all = many or (lambda requested: [attempted(simulate, one) for one in requested])
     probes = [here if one is None else one.at(time) for one in run_all(asked)]
     tried, allowed = _tried(there, here, causes, probes, _shift(plain, time))
 

@@ -28,22 +28,22 @@ def shadow_of(
     folder: Path,
     *,
     rig: str = "sim",
-    thing: str = "",
+    item: str = "",
     until: float = math.inf,
     causes: Sequence[str] = (),
     workers: int = 1,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> tuple[SimComparison, RecordedEpisode]:
     """Simulate a recording and report where both differ.
 
     Args:
         folder: The recording, or the folder of a run that contains it.
         rig: The simulated rig that represents the recording's gripper.
-        thing: The grasped object, if the recording does not name it.
+        item: The grasped object, if the recording does not name it.
         until: Time from the first cycle, s, after which data are ignored.
         causes: Names of the causes to test; none: all.
         workers: Number of simulating processes.
-        say: Callback for progress messages.
+        notify: Callback for progress messages.
 
     Returns:
         The comparison, and the recording.
@@ -53,25 +53,25 @@ def shadow_of(
     """
     episode = RecordedEpisode(folder)
     staged = "stage" in episode.recording.notes
-    again = StageReplay(folder, until) if staged else _hand(episode, folder, rig, thing, until)
+    again = StageReplay(folder, until) if staged else _hand(episode, folder, rig, item, until)
     found = recorded(episode)
     if math.isfinite(until):
         found = found.at(found.time[found.time <= until])
 
-    def many(wanted: Sequence[Amounts]) -> Sequence[Signals | None]:
-        ran: Any = Parallel(n_jobs=workers)(delayed(attempted)(again.run, one) for one in wanted)
+    def many(requested: Sequence[Amounts]) -> Sequence[Signals | None]:
+        ran: Any = Parallel(n_jobs=workers)(delayed(attempted)(again.run, one) for one in requested)
         return list(ran)
 
-    say("simulating the recording")
+    notify("simulating the recording")
     chosen = causes_of(staged, tuple(causes))
-    return explain(found, again.run, chosen, many=many, say=say), episode
+    return explain(found, again.run, chosen, many=many, notify=notify), episode
 
 
 def _hand(
-    episode: RecordedEpisode, folder: Path, rig: str, thing: str, until: float
+    episode: RecordedEpisode, folder: Path, rig: str, item: str, until: float
 ) -> GripperReplay:
     header = episode.recording.header
-    name = thing or header.get("object")
+    name = item or header.get("object")
     if not name:
         raise InputError(
             "the recording does not name the grasped object", source=folder, field="--object"

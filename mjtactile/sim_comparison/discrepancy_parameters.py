@@ -28,7 +28,7 @@ class DiscrepancyParameter:
         remedy: Recommended action.
         spread: Standard deviation as a nuisance parameter of other causes, SI; 0: none.
         low: Minimum value, SI.
-        on: Location: "sensor", "hand", "thing" or "stage".
+        on: Location: "sensor", "gripper", "object" or "stage".
     """
 
     name: str
@@ -122,7 +122,7 @@ CAUSES: tuple[DiscrepancyParameter, ...] = (
         "mm",
         "mjtactile calibrate gripper measures the jaws",
         spread=3e-4,
-        on="hand",
+        on="gripper",
     ),
     DiscrepancyParameter(
         "along",
@@ -133,7 +133,7 @@ CAUSES: tuple[DiscrepancyParameter, ...] = (
         "mm",
         "place the object again; the sensors have no fault",
         spread=2e-3,
-        on="thing",
+        on="object",
     ),
     DiscrepancyParameter(
         "mass",
@@ -143,7 +143,7 @@ CAUSES: tuple[DiscrepancyParameter, ...] = (
         0.01,
         "%",
         "weigh the object, and set the mass in its file",
-        on="thing",
+        on="object",
         low=-0.9,
     ),
     DiscrepancyParameter(
@@ -158,7 +158,7 @@ CAUSES: tuple[DiscrepancyParameter, ...] = (
         on="stage",
     ),
 )
-IN_STOCK = ("sensor", "hand", "thing")
+IN_STOCK = ("sensor", "gripper", "object")
 ON_STAGE = ("sensor", "stage")
 
 

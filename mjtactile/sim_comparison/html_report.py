@@ -29,9 +29,11 @@ def verdict(shadow: SimComparison) -> str:
     where = " and ".join(parting(shadow))
     if shadow.named is None:
         return f"differs from the simulator in {where}; no single cause explains it"
-    named = say(shadow.named)
+    named = notify(shadow.named)
     if shadow.alike:
-        named += ", or " + ", or ".join(say(one) for one in shadow.alike) + " (indistinguishable)"
+        named += (
+            ", or " + ", or ".join(notify(one) for one in shadow.alike) + " (indistinguishable)"
+        )
     explained = f"{named} (explains {100 * shadow.explains:.0f} % of it)"
     return f"differs from the simulator in {where}: {explained}"
 
@@ -43,7 +45,7 @@ def parting(shadow: SimComparison) -> list[str]:
     ]
 
 
-def say(one: TestedParameter, fingers: Sequence[str] = ()) -> str:
+def notify(one: TestedParameter, fingers: Sequence[str] = ()) -> str:
     """A cause with its amount: of a sensor, that of each finger where they differ."""
     amounts = one.amounts
     largest = max(range(len(amounts)), key=lambda k: abs(amounts[k]))
@@ -75,7 +77,7 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
             "amounts": [amount / scale for amount in one.amounts],
             "sd": [sd / scale for sd in one.sd],
             "explains": one.explains,
-            "says": say(one, fingers),
+            "says": notify(one, fingers),
         }
 
     return {
@@ -95,7 +97,7 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     """The page."""
     body = [f"<h1>{escape(title)}</h1>", f"<p><b>{escape(verdict(shadow))}</b></p>"]
     if shadow.named is not None:
-        body.append(f"<p>{escape(say(shadow.named, fingers))}</p>")
+        body.append(f"<p>{escape(notify(shadow.named, fingers))}</p>")
         body.append(f"<p>Remedy: {escape(shadow.named.cause.remedy)}</p>")
     body.append(_legend(shadow))
     for number, finger in enumerate(fingers):
@@ -105,7 +107,7 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     body += ["<h2>Differences, rms</h2>", html.table(head, _apart_rows(shadow))]
     if shadow.tried:
         rows = [
-            (escape(one.cause.name), escape(say(one, fingers)), f"{100 * one.explains:.0f} %")
+            (escape(one.cause.name), escape(notify(one, fingers)), f"{100 * one.explains:.0f} %")
             for one in shadow.tried
         ]
         table = html.table(["cause", "best fit", "explains"], rows, text=True)

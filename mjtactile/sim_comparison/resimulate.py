@@ -81,11 +81,11 @@ class GripperReplay:
         pose, _ = start_of(self.scenario.seed)
         along = float(amounts.get("along", (0.0,))[0])
         mass = float(amounts.get("mass", (0.0,))[0])
-        thing = replace(UNCHANGED, place=(pose[0] + along, pose[1]), mass=mass)
+        item = replace(UNCHANGED, place=(pose[0] + along, pose[1]), mass=mass)
         as_built = tuple(
             replace(_as_built_sensor(amounts, k), finger=name) for k, name in enumerate(names)
         )
-        return SampledWorld(object=thing, as_built=as_built)
+        return SampledWorld(object=item, as_built=as_built)
 
 
 @dataclass(frozen=True)

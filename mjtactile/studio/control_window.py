@@ -188,13 +188,13 @@ class ControlWindow(plugin.ViewerPlugin):
             imgui.SameLine()
             imgui.TextDisabled(text)
             if changed:
-                wanted = toggled(now.effects, name, not on)
+                requested = toggled(now.effects, name, not on)
                 try:
-                    _effects(now.sensor, now.object, now.accuracy, wanted)
+                    _effects(now.sensor, now.object, now.accuracy, requested)
                 except MjtactileError as error:
                     self.complain(str(error))
                 else:
-                    self._next = replace(now, effects=wanted)
+                    self._next = replace(now, effects=requested)
 
     def _ask(self, task: Callable[..., None], *arguments: Any) -> None:
         self.bridge.ask(lambda session: task(session, *arguments))
@@ -235,10 +235,10 @@ def _price(row: dict[str, Any]) -> str:
     return f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
 
 
-def _choice(label: str, now: str, choices: Any, nothing: str = "") -> str:
+def _choice(label: str, now: str, choices: Any, empty: str = "") -> str:
     """Return the selection from `choices`; the present value is always available."""
     all_ = [*choices] if now in choices else [now, *choices]
-    _, chosen = imgui.Combo(label, all_.index(now), [text or nothing for text in all_])
+    _, chosen = imgui.Combo(label, all_.index(now), [text or empty for text in all_])
     return all_[chosen]
 
 

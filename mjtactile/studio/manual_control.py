@@ -51,16 +51,16 @@ class ManualGoal:
         actual = observation.gripper.opening
         if not math.isfinite(self.force):
             return _towards(last, self.opening, _OPENING_SPEED * period)
-        felt = sum(touch.force_normal for touch in observation.touch) / len(observation.touch)
-        if not math.isfinite(felt):
+        estimated = sum(touch.force_normal for touch in observation.touch) / len(observation.touch)
+        if not math.isfinite(estimated):
             return last
         touching = any(touch.touching for touch in observation.touch)
         maximum = _SQUEEZE_SPEED if touching else _OPENING_SPEED
-        speed = _SQUEEZE_GAIN * (self.force - felt) if touching else maximum
-        wanted = last - max(-maximum, min(maximum, speed)) * period
+        speed = _SQUEEZE_GAIN * (self.force - estimated) if touching else maximum
+        requested = last - max(-maximum, min(maximum, speed)) * period
         if math.isfinite(actual):
-            return max(actual - _REACH, min(actual + _REACH, wanted))
-        return wanted
+            return max(actual - _REACH, min(actual + _REACH, requested))
+        return requested
 
 
 def _towards(start: float, goal: float, maximum: float) -> float:

@@ -45,13 +45,13 @@ class SnapshotSource(Protocol):
     def snapshot(self) -> StudioSnapshot | None: ...
 
 
-def ellipses_of(felt: FingerSnapshot) -> Ellipses:
+def ellipses_of(estimated: FingerSnapshot) -> Ellipses:
     """Return the ellipses of a finger's image with the status of each.
 
     Tracked ellipses are used if sensing tracked all of them; else they are detected again.
     """
-    ellipses = followed(felt.image, felt.tracks)
-    return find_ellipses(felt.image) if ellipses is None else ellipses
+    ellipses = followed(estimated.image, estimated.tracks)
+    return find_ellipses(estimated.image) if ellipses is None else ellipses
 
 
 class Panel(plugin.ViewerPlugin):
@@ -119,28 +119,30 @@ class Panel(plugin.ViewerPlugin):
     @staticmethod
     def _has_membranes(snapshot: StudioSnapshot) -> bool:
         """Return True if the scene itself has membranes: then only indented parts are colored."""
-        return snapshot.scene is not None or any(felt.body is not None for felt in snapshot.fingers)
+        return snapshot.scene is not None or any(
+            estimated.body is not None for estimated in snapshot.fingers
+        )
 
     def _placed(self, fingers: Sequence[FingerSnapshot]) -> tuple[FingerSnapshot, ...]:
         """Return the fingers with poses in the viewer's scene, if only the MuJoCo body is known."""
         data = self.viewer.data
         placed = []
-        for felt in fingers:
-            if felt.body is not None and felt.body < len(data.xpos):
-                turn = data.xmat[felt.body].reshape(3, 3).copy()
-                felt = replace(felt, pose=Pose(data.xpos[felt.body].copy(), turn))
-            placed.append(felt)
+        for estimated in fingers:
+            if estimated.body is not None and estimated.body < len(data.xpos):
+                turn = data.xmat[estimated.body].reshape(3, 3).copy()
+                estimated = replace(estimated, pose=Pose(data.xpos[estimated.body].copy(), turn))
+            placed.append(estimated)
         return tuple(placed)
 
     def _make_figures(self, fingers: Sequence[FingerSnapshot]) -> None:
         """Each camera's image with its ellipses, and each membrane."""
         kind = "indentation" if self.look.surface == "none" else self.look.surface
-        fields = [surface_colormap.field_of(felt, kind) for felt in fingers]
+        fields = [surface_colormap.field_of(estimated, kind) for estimated in fingers]
         scale = surface_colormap.scale_of(fields)
         self._scale = surface_colormap.scale_text(kind, scale)
-        for k, (felt, field) in enumerate(zip(fingers, fields, strict=True)):
-            self._ellipses[k] = ellipses_of(felt)
-            seen = with_ellipses(felt.image, _DETAIL * _IMAGE[0], self._ellipses[k])
+        for k, (estimated, field) in enumerate(zip(fingers, fields, strict=True)):
+            self._ellipses[k] = ellipses_of(estimated)
+            seen = with_ellipses(estimated.image, _DETAIL * _IMAGE[0], self._ellipses[k])
             height = round(seen.shape[0] / _DETAIL)
             self._upload(
                 k,
@@ -156,7 +158,7 @@ class Panel(plugin.ViewerPlugin):
                     k,
                     "membrane",
                     surface_colormap.picture(
-                        felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))
+                        estimated, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))
                     ),
                 )
 
@@ -175,15 +177,17 @@ class Panel(plugin.ViewerPlugin):
         self._build_overlay({} if snapshot is None else snapshot.flags)
         if snapshot is None:
             return
-        for k, felt in enumerate(snapshot.fingers):
+        for k, estimated in enumerate(snapshot.fingers):
             self._build_finger(
-                felt,
+                estimated,
                 k,
                 float("nan") if snapshot.session is None else snapshot.session.perception_ms,
             )
         self._layout.place(LEFT + 14, -_CURVES, -(LEFT + _FINGER[0] + 32), _CURVES)
         if imgui.Begin("Curves")[0]:
-            plots.build(self.source.history.curves(), [felt.name for felt in snapshot.fingers])
+            plots.build(
+                self.source.history.curves(), [estimated.name for estimated in snapshot.fingers]
+            )
         imgui.End()
 
     def _build_overlay(self, flags: Flags) -> None:
@@ -214,33 +218,33 @@ class Panel(plugin.ViewerPlugin):
                 imgui.TextColored(RED, self.error)
         imgui.End()
 
-    def _build_finger(self, felt: FingerSnapshot, k: int, perception_ms: float) -> None:
+    def _build_finger(self, estimated: FingerSnapshot, k: int, perception_ms: float) -> None:
         self._layout.place(-_FINGER[0] - 8, (_FINGER[1] + 4) * k, *_FINGER)
-        if imgui.Begin(f"Finger {felt.name}")[0]:
+        if imgui.Begin(f"Finger {estimated.name}")[0]:
             self._build_image(k, "image")
-            self._describe_ellipse(k, felt)
+            self._describe_ellipse(k, estimated)
             imgui.SameLine()
             self._build_image(k, "membrane")
-            for line in finger_lines(felt, perception_ms):
+            for line in finger_lines(estimated, perception_ms):
                 imgui.TextUnformatted(line)
             if flagged := flagged_text(self._ellipses.get(k)):
                 imgui.TextUnformatted(flagged)
-            if felt.touch.status != "ok":
-                imgui.TextColored(RED, str(felt.touch.status))
+            if estimated.touch.status != "ok":
+                imgui.TextColored(RED, str(estimated.touch.status))
         imgui.End()
 
     def _build_image(self, k: int, what: str) -> None:
         if (k, what) in self._textures:
             imgui.Image(self._textures[k, what], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, what]))
 
-    def _describe_ellipse(self, k: int, felt: FingerSnapshot) -> None:
+    def _describe_ellipse(self, k: int, estimated: FingerSnapshot) -> None:
         """Show a tooltip with status and size of the ellipse under the mouse."""
         ellipses = self._ellipses.get(k)
         if ellipses is None or not len(ellipses) or not imgui.IsItemHovered():
             return
         corner = imgui.GetItemRectMin()
         mouse = imgui.GetMousePos()
-        scale = (felt.image.pixels.shape[1] or 640) / _WIDTH
+        scale = (estimated.image.pixels.shape[1] or 640) / _WIDTH
         at = scale * np.array([mouse.x - corner.x, mouse.y - corner.y])
         away = np.linalg.norm(ellipses.center_px - at, axis=1) - ellipses.semi_axes_px[:, 0]
         near = int(away.argmin())

@@ -31,9 +31,12 @@ class RecordingPlayer(SessionBridge):
     """
 
     def __init__(
-        self, scenario: Scenario, recording: Recording, say: Callable[[str], None] = lambda _: None
+        self,
+        scenario: Scenario,
+        recording: Recording,
+        notify: Callable[[str], None] = lambda _: None,
     ):
-        super().__init__(scenario, say)
+        super().__init__(scenario, notify)
         self.recording = recording
         self.history = RecordingHistory(self)
         self._snapshots: list[StudioSnapshot] = []
@@ -60,7 +63,8 @@ class RecordingPlayer(SessionBridge):
             self.at = 0.0
         self._snapshots.append(
             replace(
-                snapshot, fingers=tuple(replace(felt, image=_NOTHING) for felt in snapshot.fingers)
+                snapshot,
+                fingers=tuple(replace(estimated, image=_NOTHING) for estimated in snapshot.fingers),
             )
         )
         self._times.append(snapshot.time)
@@ -104,8 +108,8 @@ class RecordingPlayer(SessionBridge):
                 snapshot = self._snapshots[number]
                 images = self.recording.images_of(number)
                 fingers = (
-                    replace(felt, image=image)
-                    for felt, image in zip(snapshot.fingers, images, strict=True)
+                    replace(estimated, image=image)
+                    for estimated, image in zip(snapshot.fingers, images, strict=True)
                 )
                 self._shown = replace(snapshot, fingers=tuple(fingers))
             return self._shown
@@ -150,8 +154,8 @@ class PlaybackWindow(plugin.ViewerPlugin):
             if changed:
                 tape.playing = False
                 tape.at = at
-            felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles processed"
-            imgui.TextUnformatted(felt if len(tape.history.rows) < len(tape.recording) else "")
+            estimated = f"{len(tape.history.rows)} of {len(tape.recording)} cycles processed"
+            imgui.TextUnformatted(estimated if len(tape.history.rows) < len(tape.recording) else "")
             imgui.TextWrapped(tape.outcome or tape.last_message)
         imgui.End()
 

@@ -55,13 +55,13 @@ def _begin(label: str, curves: Curves) -> bool:
 
 def _forces(curves: Curves, names: Sequence[str]) -> None:
     for k, name in enumerate(names):
-        known = np.isfinite(curves.felt[k])
+        known = np.isfinite(curves.estimated[k])
         time = curves.time[known]
-        felt = curves.felt[k][known]
+        estimated = curves.estimated[k][known]
         sd = curves.sd[k][known]
-        _line(f"{name}, estimated", time, felt)
+        _line(f"{name}, estimated", time, estimated)
         some = slice(len(time) % _BARS, None, _BARS)
-        implot.PlotErrorBars(f"{name}, estimated", time[some], felt[some], 2 * sd[some])
+        implot.PlotErrorBars(f"{name}, estimated", time[some], estimated[some], 2 * sd[some])
         if np.isfinite(curves.true[k]).any():
             _line(f"{name}, ground truth", curves.time, curves.true[k])
 

@@ -112,62 +112,71 @@ def draw(
     """
     brush.begin()
     fields = [
-        None if look.surface == "none" else surface_colormap.field_of(felt, look.surface)
-        for felt in fingers
+        None if look.surface == "none" else surface_colormap.field_of(estimated, look.surface)
+        for estimated in fingers
     ]
     scale = surface_colormap.scale_of(fields)
-    for felt, field, colour in zip(fingers, fields, FINGER_COLOURS, strict=False):
-        if felt.pose is None:
+    for estimated, field, colour in zip(fingers, fields, FINGER_COLOURS, strict=False):
+        if estimated.pose is None:
             continue
         if (
             field is not None
-            and (found := surface_colormap.sheet(felt, field, scale, minimum=minimum)) is not None
+            and (found := surface_colormap.sheet(estimated, field, scale, minimum=minimum))
+            is not None
         ):
             corners, rgb = found
-            brush.triangles(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
-        if felt.touch.touching:
+            brush.triangles(estimated.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
+        if estimated.touch.touching:
             _touches(
                 brush,
-                felt,
-                felt.pose,
+                estimated,
+                estimated.pose,
                 look,
                 [*(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0],
             )
-        if look.camera and felt.design is not None:
-            _camera(brush, felt, felt.pose)
+        if look.camera and estimated.design is not None:
+            _camera(brush, estimated, estimated.pose)
 
 
 def _touches(
-    brush: GeomPool, felt: FingerSnapshot, pose: Pose, look: OverlayOptions, rgba: Sequence[float]
+    brush: GeomPool,
+    estimated: FingerSnapshot,
+    pose: Pose,
+    look: OverlayOptions,
+    rgba: Sequence[float],
 ) -> None:
     """Render a finger's outlines, shape, center of pressure, net force and force field."""
-    centre = surface_colormap.centre_of_pressure(felt.touch)
+    centre = surface_colormap.centre_of_pressure(estimated.touch)
     if look.contacts:
-        for patch in felt.touch.patches:
+        for patch in estimated.touch.patches:
             if len(patch.outline):
-                _outline(brush, felt, pose, patch.outline)
-        if felt.touch.shape is not None:
-            for line in lines_of(felt.touch.shape):
+                _outline(brush, estimated, pose, patch.outline)
+        if estimated.touch.shape is not None:
+            for line in lines_of(estimated.touch.shape):
                 _line(brush, pose.place(line))
         if centre is not None:
-            brush.ball(pose.place(_over(felt, centre[None]))[0], 8e-4, _RED)
-    if felt.touch.traction is None:
+            brush.ball(pose.place(_over(estimated, centre[None]))[0], 8e-4, _RED)
+    if estimated.touch.traction is None:
         return
-    if look.forces and centre is not None and np.isfinite(felt.touch.traction.wrench[:3]).all():
-        tip = pose.place(_over(felt, centre[None]))[0]
-        push = -pose.R_WS @ felt.touch.traction.wrench[:3]
+    if (
+        look.forces
+        and centre is not None
+        and np.isfinite(estimated.touch.traction.wrench[:3]).all()
+    ):
+        tip = pose.place(_over(estimated, centre[None]))[0]
+        push = -pose.R_WS @ estimated.touch.traction.wrench[:3]
         brush.connect(_G.mjGEOM_ARROW, 0.002, tip - _METRES_PER_NEWTON * push, tip, rgba)
     if look.field:
-        _field(brush, felt, pose, rgba)
+        _field(brush, estimated, pose, rgba)
 
 
-def _over(felt: FingerSnapshot, p_S: Array) -> Array:
-    return surface_colormap.height_at(felt.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
+def _over(estimated: FingerSnapshot, p_S: Array) -> Array:
+    return surface_colormap.height_at(estimated.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
 
 
-def _outline(brush: GeomPool, felt: FingerSnapshot, pose: Pose, outline: Array) -> None:
+def _outline(brush: GeomPool, estimated: FingerSnapshot, pose: Pose, outline: Array) -> None:
     every = -(-len(outline) // _OUTLINE)
-    points = pose.place(_over(felt, outline[::every]))
+    points = pose.place(_over(estimated, outline[::every]))
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _DARK)
 
@@ -180,17 +189,17 @@ def _line(brush: GeomPool, points: Array) -> None:
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _BODY)
 
 
-def _field(brush: GeomPool, felt: FingerSnapshot, pose: Pose, rgba: Sequence[float]) -> None:
+def _field(brush: GeomPool, estimated: FingerSnapshot, pose: Pose, rgba: Sequence[float]) -> None:
     """Render the traction field, as exerted by the membrane: an arrow for each block of nodes."""
-    t = felt.touch.traction
+    t = estimated.touch.traction
     assert t is not None
     for rows in np.array_split(np.arange(len(t.y)), _ARROWS[1]):
         for columns in np.array_split(np.arange(len(t.x)), _ARROWS[0]):
             push = -t.force[np.ix_(rows, columns)].sum(axis=(0, 1))
             if np.linalg.norm(push) * _FIELD_METRES_PER_NEWTON > _MIN_ARROW:
-                tip = pose.place(_over(felt, np.array([[t.x[columns].mean(), t.y[rows].mean()]])))[
-                    0
-                ]
+                tip = pose.place(
+                    _over(estimated, np.array([[t.x[columns].mean(), t.y[rows].mean()]]))
+                )[0]
                 brush.connect(
                     _G.mjGEOM_ARROW,
                     8e-4,
@@ -200,9 +209,9 @@ def _field(brush: GeomPool, felt: FingerSnapshot, pose: Pose, rgba: Sequence[flo
                 )
 
 
-def _camera(brush: GeomPool, felt: FingerSnapshot, pose: Pose) -> None:
+def _camera(brush: GeomPool, estimated: FingerSnapshot, pose: Pose) -> None:
     """Render the camera's frustum, from its center to the plane of the flat membrane."""
-    camera = felt.design.camera
+    camera = estimated.design.camera
     corners = (
         np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]])
         - 0.5

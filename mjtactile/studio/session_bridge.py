@@ -54,7 +54,7 @@ class SessionBridge(Observer):
     """Observer of `run_grasp`; `take_over` wraps the controller of `scenario`."""
 
     def __init__(
-        self, scenario: Scenario | None = None, say: Callable[[str], None] = lambda _: None
+        self, scenario: Scenario | None = None, notify: Callable[[str], None] = lambda _: None
     ):
         self.scenario = scenario or Scenario()
         self.session: Session | None = None
@@ -77,7 +77,7 @@ class SessionBridge(Observer):
         self._flagged: set[str] = set()
         """Kinds of flags that were already reported."""
         self._gas = ChamberReadings()
-        self._say = say
+        self._notify = notify
         self._tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
         self._pace: tuple[float, float] | None = None
 
@@ -111,7 +111,7 @@ class SessionBridge(Observer):
 
     def message(self, text: str) -> None:
         self.last_message = text
-        self._say(text)
+        self._notify(text)
 
     def note(self, **facts: Any) -> None:
         """Report each kind of simulation flag once."""

@@ -85,16 +85,16 @@ class SessionState:
     perception_ms: float
 
 
-def finger_lines(felt: FingerSnapshot, perception_ms: float = math.nan) -> list[str]:
+def finger_lines(estimated: FingerSnapshot, perception_ms: float = math.nan) -> list[str]:
     """Return the panel's text lines of a finger."""
-    touch = felt.touch
+    touch = estimated.touch
     shear = math.nan if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
     lines = [
         f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
         f"shear  {shear:.3f} N, 2 sd {2 * _shear_sd(touch):.3f}",
     ]
-    if math.isfinite(felt.true):
-        lines.append(f"ground truth {felt.true:+.3f} N")
+    if math.isfinite(estimated.true):
+        lines.append(f"ground truth {estimated.true:+.3f} N")
     if touch.contact is not None:
         lines.append(
             f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep"
@@ -102,7 +102,7 @@ def finger_lines(felt: FingerSnapshot, perception_ms: float = math.nan) -> list[
     if touch.shape is not None:
         lines.append(f"shape  {describe_shape(touch.shape)}")
     lines.append(f"slip   {_slip(touch)}")
-    lines.append(f"gas    {_gas(felt)}")
+    lines.append(f"gas    {_gas(estimated)}")
     thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
     return [*lines, f"image  {1e3 * touch.age:.0f} ms old{thought}"]
 
@@ -128,16 +128,16 @@ def _slip(touch: Touch) -> str:
     return f"{slip.state}, {1e3 * slip.distance:.1f} mm so far{speed}"
 
 
-def _gas(felt: FingerSnapshot) -> str:
+def _gas(estimated: FingerSnapshot) -> str:
     """Return valve state, pressure and temperature as text, if known."""
-    parts = [] if felt.valve is None else ["open" if felt.valve.is_open else "closed"]
-    measured = felt.valve.gauge_pressure if felt.valve is not None else None
+    parts = [] if estimated.valve is None else ["open" if estimated.valve.is_open else "closed"]
+    measured = estimated.valve.gauge_pressure if estimated.valve is not None else None
     if measured is not None:
         parts.append(f"{1e-3 * measured:.2f} kPa")
-    elif math.isfinite(felt.gauge_pressure):
-        parts.append(f"{1e-3 * felt.gauge_pressure:.2f} kPa (ground truth)")
-    if math.isfinite(felt.temperature):
-        parts.append(f"{felt.temperature - 273.15:.1f} C")
+    elif math.isfinite(estimated.gauge_pressure):
+        parts.append(f"{1e-3 * estimated.gauge_pressure:.2f} kPa (ground truth)")
+    if math.isfinite(estimated.temperature):
+        parts.append(f"{estimated.temperature - 273.15:.1f} C")
     return ", ".join(parts) or "sealed by hand"
 
 
@@ -150,7 +150,7 @@ class Row:
     """
 
     time: float
-    felt: tuple[float, ...]
+    estimated: tuple[float, ...]
     sd: tuple[float, ...]
     true: tuple[float, ...]
     pressure: tuple[float, ...]
@@ -174,9 +174,9 @@ def row_of(snapshot: StudioSnapshot) -> Row:
     )
 
 
-def _pressure(felt: FingerSnapshot) -> float:
-    measured = None if felt.valve is None else felt.valve.gauge_pressure
-    return felt.gauge_pressure if measured is None else measured
+def _pressure(estimated: FingerSnapshot) -> float:
+    measured = None if estimated.valve is None else estimated.valve.gauge_pressure
+    return estimated.gauge_pressure if measured is None else measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class Curves:
     """
 
     time: Array
-    felt: Array
+    estimated: Array
     sd: Array
     true: Array
     pressure: Array
@@ -209,7 +209,7 @@ def curves_of(rows: Sequence[Row]) -> Curves | None:
 
     return Curves(
         column("time"),
-        column("felt"),
+        column("estimated"),
         column("sd"),
         column("true"),
         column("pressure"),

@@ -54,11 +54,15 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
     """
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
-    middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
+    middle = np.mean(
+        [estimated.pose.p_WS for estimated in fingers if estimated.pose is not None], axis=0
+    )
     # initial look-at point of the camera
     shown.stat.center = middle - [0.0, 0.0, _BELOW * _AROUND]
     shown.stat.extent = _AROUND
-    closes = next((felt.pose.R_WS[:, 2] for felt in fingers if felt.pose is not None), None)
+    closes = next(
+        (estimated.pose.R_WS[:, 2] for estimated in fingers if estimated.pose is not None), None
+    )
     if closes is not None:
         shown.vis.global_.azimuth = math.degrees(math.atan2(closes[1], closes[0])) + _ASIDE
         shown.vis.global_.elevation = _ABOVE

@@ -34,10 +34,10 @@ class Field:
     values: Array
 
 
-def field_of(felt: FingerSnapshot, kind: str) -> Field | None:
+def field_of(estimated: FingerSnapshot, kind: str) -> Field | None:
     """Return the field of this kind; None without a rest shape, a surface or a traction."""
-    touch = felt.touch
-    rest = felt.rest
+    touch = estimated.touch
+    rest = estimated.rest
     if kind == "indentation":
         if touch.surface is None or rest is None or rest.z.shape != touch.surface.z.shape:
             return None
@@ -102,7 +102,7 @@ def colours(values: Array, scale: float) -> NDArray[np.uint8]:
 
 
 def picture(
-    felt: FingerSnapshot, field: Field, scale: float, size: tuple[int, int]
+    estimated: FingerSnapshot, field: Field, scale: float, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
     """Return an image of the membrane in camera view (x right, y down), red, green, blue (h, w, 3).
 
@@ -114,19 +114,21 @@ def picture(
     rgb = colours(at(field, x, y), scale)
 
     def pixels(p: Array) -> NDArray[np.int32]:
-        share = (p - [field.x[0], field.y[0]]) / [
+        fraction = (p - [field.x[0], field.y[0]]) / [
             field.x[-1] - field.x[0],
             field.y[-1] - field.y[0],
         ]
-        return np.round(16 * share * [width - 1, height - 1]).astype(np.int32)
+        return np.round(16 * fraction * [width - 1, height - 1]).astype(np.int32)
 
-    for patch in felt.touch.patches:
+    for patch in estimated.touch.patches:
         if len(patch.outline):
             cv2.polylines(rgb, [pixels(patch.outline)], True, _WHITE, 1, cv2.LINE_AA, shift=4)
-    centre = centre_of_pressure(felt.touch)
-    if centre is not None and felt.touch.traction is not None:
+    centre = centre_of_pressure(estimated.touch)
+    if centre is not None and estimated.touch.traction is not None:
         middle = pixels(centre)
-        drag = np.round(middle + 16 * _PER_NEWTON * felt.touch.traction.wrench[:2]).astype(np.int32)
+        drag = np.round(middle + 16 * _PER_NEWTON * estimated.touch.traction.wrench[:2]).astype(
+            np.int32
+        )
         cv2.circle(rgb, tuple(map(int, middle)), 16 * 3, _RED, -1, cv2.LINE_AA, shift=4)
         if math.hypot(*(drag - middle)) > 16 * 4:
             cv2.arrowedLine(
@@ -136,7 +138,7 @@ def picture(
 
 
 def sheet(
-    felt: FingerSnapshot, field: Field, scale: float, *, minimum: float = 0.0
+    estimated: FingerSnapshot, field: Field, scale: float, *, minimum: float = 0.0
 ) -> tuple[Array, Array] | None:
     """Return triangles of the estimated surface: corners (m, 3, 3) m in S, colors (m, 3) from 0 to
     1.
@@ -144,7 +146,7 @@ def sheet(
     Return None without a surface. If `least` is not 0, only triangles above that fraction of the
     scale are included.
     """
-    surface = felt.touch.surface
+    surface = estimated.touch.surface
     if surface is None:
         return None
     nx, ny = _GRID

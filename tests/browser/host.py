@@ -103,7 +103,9 @@ class Clerk(plugin.ViewerPlugin):
         found = {
             "number": -1 if snapshot is None else snapshot.number,
             "phase": "" if snapshot is None else snapshot.session.phase,
-            "felt": [] if snapshot is None else [describe(felt) for felt in snapshot.fingers],
+            "felt": []
+            if snapshot is None
+            else [describe(estimated) for estimated in snapshot.fingers],
             "paused": now.paused,
             "geoms": len(self.viewer.extra_geoms),
             "outcome": now.outcome,
@@ -125,14 +127,16 @@ class Clerk(plugin.ViewerPlugin):
         frame.update(found)
 
 
-def describe(felt):
-    centroid = felt.touch.contact.centroid.tolist() if felt.touch.contact is not None else None
+def describe(estimated):
+    centroid = (
+        estimated.touch.contact.centroid.tolist() if estimated.touch.contact is not None else None
+    )
     return {
-        "force": felt.touch.force_normal,
-        "sd": felt.touch.force_normal_sd,
-        "true": felt.true,
+        "force": estimated.touch.force_normal,
+        "sd": estimated.touch.force_normal_sd,
+        "true": estimated.true,
         "centroid": centroid,
-        "pressure": felt.gauge_pressure,
+        "pressure": estimated.gauge_pressure,
     }
 
 

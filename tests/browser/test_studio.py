@@ -104,17 +104,17 @@ class Studio:
             time.sleep(0.05)
         return found
 
-    def press(self, label, share=0.5):
+    def press(self, label, fraction=0.5):
         """Press the widget and release it, each after the previous action has arrived.
 
-        `share` is the position along its width. A window that grows by a line moves the widgets
+        `fraction` is the position along its width. A window that grows by a line moves the widgets
         below between a query and a press. Then another widget or none is pressed. In that case the
         mouse is released outside all windows, which is not a click, and the widget is located
         again.
         """
         end = time.monotonic() + LIMIT
         while True:
-            x, y = self._come_to(label, share, end)
+            x, y = self._come_to(label, fraction, end)
             self.page.mouse("mousePressed", x, y, buttons=1)
             frames = self.ask()["frames"]
             seen = self.until(
@@ -127,12 +127,12 @@ class Studio:
         self.page.mouse("mouseReleased", x, y)
         self.until(lambda f: f["active"] != label, f"{label!r} is let go of")
 
-    def _come_to(self, label, share, end):
+    def _come_to(self, label, fraction, end):
         """Move the mouse to the widget and return its position."""
         while True:
             found = self.until(lambda f: label in f["places"], f"there is {label!r}")
             left, top, right, bottom = found["places"][label]
-            x = left + share * (right - left)
+            x = left + fraction * (right - left)
             y = (top + bottom) / 2
             if found["hovered"] == label and self._mouse == (x, y):
                 return x, y
@@ -207,13 +207,13 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
     now = studio.ask()
     held = studio.until(lambda f: f["frames"] > now["frames"] + 3, "some frames go by")
     assert held["number"] == now["number"]  # a pause is one
-    for felt in held["felt"]:
+    for estimated in held["felt"]:
         for text in (
-            f"normal {felt['force']:+.3f} N, 2 sd {2 * felt['sd']:.3f}",
-            f"ground truth {felt['true']:+.3f} N",
+            f"normal {estimated['force']:+.3f} N, 2 sd {2 * estimated['sd']:.3f}",
+            f"ground truth {estimated['true']:+.3f} N",
         ):
             assert text in held["said"]
-        assert abs(felt["force"] - felt["true"]) < 5 * felt["sd"]
+        assert abs(estimated["force"] - estimated["true"]) < 5 * estimated["sd"]
     later, (_, membrane, *_) = studio.picture(
         lambda shot, parts: (parts[1][:, :, 1] > 180).mean() > 0.005
     )

@@ -164,8 +164,8 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
         first.folder == tmp_path / "one" / "recordings" / "quick-000000"
         and first.notes["outcome"] == line["outcome"]
     )
-    felt = [recording.column("force_normal") for recording in (first, second)]
-    assert np.array_equal(*felt, equal_nan=True)  # a touch that is drawn may be none
+    estimated = [recording.column("force_normal") for recording in (first, second)]
+    assert np.array_equal(*estimated, equal_nan=True)  # a touch that is drawn may be none
     assert first.header["command"] == line["rerun_command"]
     assert line["time_s"] == pytest.approx(np.ptp(first.column("time")))
     log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()

@@ -84,11 +84,11 @@ def test_its_page_feels_it_again(folder, tmp_path, capsys):
     assert main(["summary", str(folder), "--out", str(tmp_path / "page.html"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     page = Balanced((tmp_path / "page.html").read_text())
-    felt = [shot["felt"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
-    assert result["re_estimate"] and result["shown"] == result["cycles"] == len(felt)
+    estimated = [shot["estimates"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
+    assert result["re_estimate"] and result["shown"] == result["cycles"] == len(estimated)
     said = load_recording(folder).column("force_normal")[:, 0]
     # as written, two digits
-    assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)
+    assert [float(text.split()[0]) for text in estimated] == pytest.approx(said, abs=0.0051)
     assert "hyperelasticity" in page.text  # list of simulated effects
 
 

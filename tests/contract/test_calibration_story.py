@@ -99,7 +99,7 @@ def emulated_session(path):
     try:
         rig = build_emulated_rig(rig_file, design, object_name="egg", seed=1, emulator=emulator)
         try:
-            session = Session(rig, say=said.append)
+            session = Session(rig, notify=said.append)
             session.take_references()
             yield session, emulator, said
         finally:

@@ -83,8 +83,8 @@ def test_what_is_returned_keeps_the_limits_of_the_rig(rig):
     far = Command(9.0, 1e6, 9.0)
     near = Command(-9.0, -1.0, -9.0)
     start = Command(rig.gripper.state().opening, 1.0)
-    for wanted, force in ((far, rig.limits.force), (near, 0.0)):
-        sent = rig.gripper.command(rig.limits.apply(wanted, start, PERIOD))
+    for requested, force in ((far, rig.limits.force), (near, 0.0)):
+        sent = rig.gripper.command(rig.limits.apply(requested, start, PERIOD))
         assert sent.force_limit == force
         assert rig.limits.opening[0] <= sent.opening <= rig.limits.opening[1]
         assert abs(sent.opening - start.opening) <= rig.limits.speed * PERIOD + 1e-9
@@ -92,8 +92,8 @@ def test_what_is_returned_keeps_the_limits_of_the_rig(rig):
 
 
 def test_phase_memory_and_reason_come_back(rig):
-    wanted = Command(rig.gripper.state().opening, 1.0, 0.0, "close", {"a": 1.0}, "because")
-    sent = rig.gripper.command(wanted)
+    requested = Command(rig.gripper.state().opening, 1.0, 0.0, "close", {"a": 1.0}, "because")
+    sent = rig.gripper.command(requested)
     assert (sent.phase, dict(sent.memory), sent.reason) == ("close", {"a": 1.0}, "because")
 
 
@@ -171,13 +171,13 @@ def test_an_old_recordings_0_is_the_limit_before_it(folder, tmp_path):
     cycles = [line for line in lines if line["kind"] == "cycle"]
     for line, limit in zip(cycles, (0.0, 2.0, 0.0, 3.0), strict=False):
         line["command_force_limit"] = limit
-    for version, wanted in ((1, [math.nan, 2.0, 2.0, 3.0]), (2, [0.0, 2.0, 0.0, 3.0])):
+    for version, requested in ((1, [math.nan, 2.0, 2.0, 3.0]), (2, [0.0, 2.0, 0.0, 3.0])):
         lines[0]["version"] = version
         log = tmp_path / str(version) / LOG
         log.parent.mkdir()
         log.write_text("".join(json.dumps(line) + "\n" for line in lines))
         found = load_recording(log.parent).columns["command_force_limit"][:4]
-        assert np.array_equal(found, wanted, equal_nan=True)
+        assert np.array_equal(found, requested, equal_nan=True)
 
 
 def test_a_replay_does_not_invent_a_limit():

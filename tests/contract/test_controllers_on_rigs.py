@@ -38,13 +38,13 @@ class Gentle:
         self.controller = load_controller(str(name))
         self.until = until
         self.path = self.controller.path
-        self.felt = []
-        self.wanted = []
+        self.estimated = []
+        self.requested = []
 
     def step(self, observation):
         command = self.controller.step(observation)
-        self.felt.append([touch.force_normal for touch in observation.touch])
-        self.wanted.append(command)
+        self.estimated.append([touch.force_normal for touch in observation.touch])
+        self.requested.append(command)
         return replace(command, phase="done") if command.phase == self.until else command
 
 
@@ -92,12 +92,12 @@ def test_gentle_lifts_an_egg(name, tmp_path):
         )
     finally:
         rig.close()
-    assert gentle.wanted[-1].phase == "hold"
-    true, hand, egg = moments[len(gentle.felt) - 1]  # afterwards the object was set down again
+    assert gentle.requested[-1].phase == "hold"
+    true, hand, egg = moments[len(gentle.estimated) - 1]  # afterwards the object was set down again
     # the controller's criterion for a settled grip
-    assert np.mean(gentle.felt[-1]) == pytest.approx(0.6, abs=0.08)
+    assert np.mean(gentle.estimated[-1]) == pytest.approx(0.6, abs=0.08)
     # one image, one cycle old; 16 markers are good to 20-30 mN (docs/validation/accuracy.md)
-    assert gentle.felt[-1] == pytest.approx(true, abs=0.05)
+    assert gentle.estimated[-1] == pytest.approx(true, abs=0.05)
     # it came along; it stood in a cup and slips by less than a millimetre
     assert egg - 0.0315 == pytest.approx(0.04, abs=2e-3)
     assert hand > 0.04
@@ -116,7 +116,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     monkeypatch.setattr(opencv, "_STALE_PERIODS", 18.0)  # this computer is slow, the camera is not
     heights = []
     truths = []
-    felt = []
+    estimated = []
 
     class Watched(Recorder):
         def add(self, cycle, **rest):
@@ -127,7 +127,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
                 moment = (before + scaled_clock.monotonic()) / 2
                 heights.append(true["object_height"])
                 truths.append([moment, true["contact_1"], true["contact_2"]])
-                felt.append([[touch.time, touch.force_normal] for touch in cycle.touch])
+                estimated.append([[touch.time, touch.force_normal] for touch in cycle.touch])
 
     cameras = load_rig_file("emulated").cameras
     rig_file = replace(patient_rig_file(), cameras=cameras)
@@ -144,7 +144,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
     # of the moments of the images; 0.007 was seen, and 0.025 at worst
     moments, *true = np.array(truths).T
-    seen = np.array(felt)
+    seen = np.array(estimated)
     errors = [seen[:, k, 1] - np.interp(seen[:, k, 0], moments, true[k]) for k in (0, 1)]
     assert np.nanmedian(np.abs(errors)) < 0.02
     pressures = load_recording(tmp_path).column("gauge_pressure")
@@ -195,4 +195,4 @@ def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):
     again = build_replay_rig(str(tmp_path / "first"), DESIGN)
     assert [finger.name for finger in again.fingers] == ["first", "second", "third"]
     second = run_gentle(again, tmp_path / "second", until="regulate")
-    assert second.felt == first.felt and second.wanted == first.wanted
+    assert second.estimated == first.estimated and second.requested == first.requested

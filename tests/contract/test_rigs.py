@@ -77,8 +77,8 @@ def recording_folder(tmp_path_factory):
     return folder
 
 
-def record(rig, folder, say=lambda _: None):
-    session = Session(rig, say=say)
+def record(rig, folder, notify=lambda _: None):
+    session = Session(rig, notify=notify)
     with Recorder(folder, {"object": "egg"}) as recorder:
         session.take_references(recorder)
         session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)

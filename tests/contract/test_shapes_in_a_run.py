@@ -89,10 +89,10 @@ def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
 
 def _without(observation):
     """The same controller, which looks at no shape."""
-    felt = [touch.force_normal for touch in observation.touch]
+    estimated = [touch.force_normal for touch in observation.touch]
     command = observation.command
-    held = command.memory.get("held", 0.0) + (min(felt) > 0.15)
+    held = command.memory.get("held", 0.0) + (min(estimated) > 0.15)
     assert all(touch.shape is None for touch in observation.touch)
-    opening = command.opening - (0.02 if max(felt) < 0.2 else 0.003) * observation.period
+    opening = command.opening - (0.02 if max(estimated) < 0.2 else 0.003) * observation.period
     phase = "done" if held > 5 else "close"
     return replace(command, opening=opening, force_limit=4.0, memory={"held": held}, phase=phase)

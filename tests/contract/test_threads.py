@@ -82,7 +82,7 @@ def chain(act):
     return SimpleNamespace(perceive=act)
 
 
-def felt(image, now, reading=None):
+def estimated(image, now, reading=None):
     return unknown_touch(image, now, "ok")
 
 
@@ -91,7 +91,7 @@ def test_both_work_at_the_same_time():
 
     def act(image, now, reading=None):
         meet.wait()
-        return felt(image, now)
+        return estimated(image, now)
 
     for threads in (1, 2):
         with Perceivers([chain(act), chain(act)], NAMES, threads) as both:
@@ -106,9 +106,9 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
         calls.append(now)
         if now == 1.0:
             raise ValueError("what it says")
-        return felt(image, now)
+        return estimated(image, now)
 
-    with Perceivers([chain(felt), chain(act)], NAMES, threads) as both:
+    with Perceivers([chain(estimated), chain(act)], NAMES, threads) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
         assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == [
@@ -126,9 +126,9 @@ def test_one_that_hangs_is_unknown_until_it_answers():
         seen.append(now)
         assert go.wait(300)
         answered.set()
-        return felt(image, now)
+        return estimated(image, now)
 
-    with Perceivers([chain(felt), chain(hangs)], NAMES, 2) as both:
+    with Perceivers([chain(estimated), chain(hangs)], NAMES, 2) as both:
         # the second call does not wait for it
         for now, timeout in ((1.0, 0.01), (2.0, 1e9)):
             left, right = both.perceive([IMAGE, IMAGE], now, timeout)

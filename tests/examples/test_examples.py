@@ -78,11 +78,11 @@ def test_arm_follows_touch(capsys):
 @pytest.mark.filterwarnings("ignore")  # robosuite's own
 def test_touch_in_robosuite(capsys):
     example = run("touch_in_robosuite", "robosuite")
-    felt = example.seen["force_normal"]
+    estimated = example.seen["force_normal"]
     true = [-finger.ground_truth_wrench()[2] for finger in example.env.fingers]
-    assert np.min(felt) > 0.8  # the gripper closes until the mean estimate is 1 N
+    assert np.min(estimated) > 0.8  # the gripper closes until the mean estimate is 1 N
     # an image is up to 33 ms old and the arm moves up: the mean of both fingers changes least
-    assert np.mean(felt) == pytest.approx(np.mean(true), rel=0.1)
+    assert np.mean(estimated) == pytest.approx(np.mean(true), rel=0.1)
     # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the cube's middle at 0.82
     assert example.seen["cube_pos"][2] > 0.86
     assert example.env._check_success()
@@ -151,9 +151,9 @@ def test_grasp_from_python(capsys):
     example = run("grasp_from_python")
     assert example.last.phase == "done" and "ended as 'done'" in capsys.readouterr().out
     # its target
-    assert np.mean([felt for phase, felt, _ in example.seen if phase == "hold"]) == pytest.approx(
-        0.6, abs=0.02
-    )
+    assert np.mean(
+        [estimated for phase, estimated, _ in example.seen if phase == "hold"]
+    ) == pytest.approx(0.6, abs=0.02)
 
 
 def test_replay_a_recording(monkeypatch, capsys):

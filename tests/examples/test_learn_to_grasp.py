@@ -36,8 +36,8 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
     controller = runpy.run_path(str(CHECKOUT / "controllers/policy.py"))
     rng = np.random.default_rng(0)
     for shown in rng.uniform(-1, 1, (5, len(SCALE))) * SCALE:
-        wanted, _ = model.predict((shown / SCALE).astype(np.float32), deterministic=True)
+        requested, _ = model.predict((shown / SCALE).astype(np.float32), deterministic=True)
         np.testing.assert_allclose(
-            np.clip(controller["load"](path)(shown), -1, 1), MIDDLE + SPAN * wanted, atol=1e-5
+            np.clip(controller["load"](path)(shown), -1, 1), MIDDLE + SPAN * requested, atol=1e-5
         )
     env.close()

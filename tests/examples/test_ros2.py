@@ -221,10 +221,10 @@ def test_what_the_node_publishes_is_what_was_felt(ros):
         "right/membrane",
     }
     touch = cycle.touch[1]
-    felt = topics["right/wrench"].wrench
-    assert [felt.force.x, felt.force.y, felt.force.z] == list(
+    estimated = topics["right/wrench"].wrench
+    assert [estimated.force.x, estimated.force.y, estimated.force.z] == list(
         touch.traction.wrench[:3]
-    ) and felt.force.z < -0.5
+    ) and estimated.force.z < -0.5
     assert (topics["right/wrench"].header.frame_id, topics["left/wrench"].header.stamp.nanosec) == (
         "right_sensor",
         990_000_000,
@@ -275,9 +275,9 @@ def test_frames_are_those_of_an_exported_bag(ros):
     node.begin_cycle(1.0)
     node.publish_frames(NAMES, cycle)
     row = {"opening": cycle.gripper.opening, "lift_height": cycle.gripper.lift_height}
-    wanted = list(moving_frames(Mounting.assumed(2), NAMES, row))
-    assert len(ros.frames[0]) == len(wanted)
-    for found, own in zip(ros.frames[0], wanted, strict=True):
+    requested = list(moving_frames(Mounting.assumed(2), NAMES, row))
+    assert len(ros.frames[0]) == len(requested)
+    for found, own in zip(ros.frames[0], requested, strict=True):
         assert (found.header.frame_id, found.child_frame_id) == (own.parent, own.child)
         t = found.transform
         at = [t.translation.x, t.translation.y, t.translation.z]

@@ -332,9 +332,9 @@ def _derivative(
     lateral[:, 2, 2] = 1 / a
     lateral[:, 3, 3] = 1 / b
     lateral[:, 4, 4] = ellipse.axes_difference(a, b) * (a + b) / (2 * a * b)
-    wanted = np.broadcast_to(np.eye(5)[:, :parts], (len(a), 5, parts))
+    requested = np.broadcast_to(np.eye(5)[:, :parts], (len(a), 5, parts))
     # only these rows of D^-1
-    return np.linalg.solve(D.transpose(0, 2, 1), wanted).transpose(0, 2, 1) @ lateral
+    return np.linalg.solve(D.transpose(0, 2, 1), requested).transpose(0, 2, 1) @ lateral
 
 
 def _tilted(n: Array, p: Array) -> Array:

@@ -219,10 +219,10 @@ class DenseInverse(InverseMembrane):
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
         pressure = self._dense.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
-        share = float(
+        fraction = float(
             np.hypot(self.settings.drift_gas, self.settings.dent_fraction * dent / volume)
         )
-        pressure *= share if rest.gas.constant is not None else 0.0
+        pressure *= fraction if rest.gas.constant is not None else 0.0
         load = pressure * self._dense.volume_gradient(state)
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
         drift = np.zeros((unit.shape[1], 1 + camera.shape[2]))

@@ -108,10 +108,10 @@ def _area(
     extent of one node is the minimum of that moment.
     """
     p = p[..., :2].reshape(-1, 2)
-    share = pressure * estimator.node_area
-    share /= share.sum()
-    off = p - share @ p
-    variance = float(share @ (off * off).sum(axis=1)) / 2
+    fraction = pressure * estimator.node_area
+    fraction /= fraction.sum()
+    off = p - fraction @ p
+    variance = float(fraction @ (off * off).sum(axis=1)) / 2
     minimum = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
     disc = 4 * np.pi * max(variance, minimum)
     seen = s.area_disc * (disc / s.area_disc) ** s.area_power
@@ -163,8 +163,8 @@ def _patch(
 ) -> Contact:
     """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure
     `weight` (a, b)."""
-    share = weight / weight.sum()
-    centroid = np.einsum("ab,abi->i", share, position[..., :2])
+    fraction = weight / weight.sum()
+    centroid = np.einsum("ab,abi->i", fraction, position[..., :2])
     area = float(cells[inside].sum())
     points = position[inside][:, :2]
     spread = _spread(points, cells[inside]) if len(points) > 2 else np.zeros((2, 2))
@@ -190,6 +190,6 @@ def _patch(
 
 def _spread(points: Array, weight: Array) -> Array:
     """Second moments (2, 2) of weighted points (n, 2) about their mean."""
-    share = weight / weight.sum()
-    off = points - share @ points
-    return (off.T * share) @ off
+    fraction = weight / weight.sum()
+    off = points - fraction @ points
+    return (off.T * fraction) @ off

@@ -107,10 +107,10 @@ def write(folder, text=None, **changes):
 
 
 def test_a_users_object_is_read(tmp_path):
-    thing = load_object(write(tmp_path))
-    assert (thing.name, thing.break_force, thing.material) == ("thing", 2.0, "solid")
-    assert thing.grasp_height == pytest.approx(0.03)
-    assert thing.mass == pytest.approx(0.01)
+    item = load_object(write(tmp_path))
+    assert (item.name, item.break_force, item.material) == ("thing", 2.0, "solid")
+    assert item.grasp_height == pytest.approx(0.03)
+    assert item.mass == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(

@@ -209,9 +209,9 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator.node_positions(shape.c))))
-    share = np.sqrt(estimator.posterior_fraction(shape))
+    fraction = np.sqrt(estimator.posterior_fraction(shape))
     # 400 draws: 3.5 %, six of them
-    np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)
+    np.testing.assert_allclose(error.std(axis=1) * fraction, predicted, rtol=0.12)
 
 
 @pytest.mark.parametrize(("young", "tauter"), [(1.0, 0.01), (1.0, -0.01), (1.06, 0.005)])

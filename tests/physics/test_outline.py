@@ -250,15 +250,15 @@ def test_a_load_on_the_sheet_is_felt_where_it_is(design):
     load[2] = -force @ sheet.basis(sheet.own(estimator.nodes))
     c = sheet.equilibrium(rest.gas, rest.young, load, start=rest.c)
     shape = estimator.estimate(seen(c), rest)
-    felt = estimator.traction(shape)
+    estimated = estimator.traction(shape)
     # the prior of compact contacts gives part of a load to the camera and the gas
-    assert felt.wrench[2] == pytest.approx(-0.5, abs=0.01)
-    assert np.abs(felt.wrench[:2]).max() < 0.01
+    assert estimated.wrench[2] == pytest.approx(-0.5, abs=0.01)
+    assert np.abs(estimated.wrench[:2]).max() < 0.01
     # on the regular grid sum and torque stay
-    np.testing.assert_allclose(felt.force.sum(axis=(0, 1)), felt.wrench[:3], atol=1e-12)
-    x, y = np.meshgrid(felt.x, felt.y)
-    middle = np.array([(x * felt.force[..., 2]).sum(), (y * felt.force[..., 2]).sum()])
-    np.testing.assert_allclose(middle / felt.wrench[2], place, atol=0.5e-3)
+    np.testing.assert_allclose(estimated.force.sum(axis=(0, 1)), estimated.wrench[:3], atol=1e-12)
+    x, y = np.meshgrid(estimated.x, estimated.y)
+    middle = np.array([(x * estimated.force[..., 2]).sum(), (y * estimated.force[..., 2]).sum()])
+    np.testing.assert_allclose(middle / estimated.wrench[2], place, atol=0.5e-3)
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])

@@ -45,8 +45,8 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     rest = perception.state.reference.surface
     world.press(3e-3)
     surface = perception.perceive(image(), world.time).surface
-    felt = calibration.force(surface.area - rest.area)
-    assert felt == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
+    estimated = calibration.force(surface.area - rest.area)
+    assert estimated == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
     # the spring grid shows the force at the cylinder: the central third of the frame carries most
     # of it
     force = -spring_grid_force(surface, rest, design.membrane.pretension)[..., 2]

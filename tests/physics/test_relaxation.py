@@ -63,9 +63,9 @@ def test_strain_creeps_under_a_constant_stress():
 
     eps(t) = sigma / E (1 - a / (1 + a) exp(-t / (1 + a) tau))
     """
-    share = 0.4
+    fraction = 0.4
     tau = 0.5
-    patch = Patch(Relaxation(((share, tau),)))
+    patch = Patch(Relaxation(((fraction, tau),)))
     small = 1e-6
     load, _ = patch.stretched(small, np.inf)
     patch.sheet.settle(patch.flat)
@@ -82,7 +82,7 @@ def test_strain_creeps_under_a_constant_stress():
         strains.append(brentq(off, 0, 2 * small, xtol=1e-12))
         patch.stretched(strains[-1], STEP)
     times = STEP * np.arange(1, 501)
-    expected = small * (1 - share / (1 + share) * np.exp(-times / ((1 + share) * tau)))
+    expected = small * (1 - fraction / (1 + fraction) * np.exp(-times / ((1 + fraction) * tau)))
     # a step is 1/125 of the time constant: the mean of both ends is good to its square
     np.testing.assert_allclose(strains, expected, rtol=2e-3)
 

@@ -23,9 +23,9 @@ def test_truth_slides_at_the_speed_of_the_drag():
     assert ground_truth.sliding(world, 0)[0] < 0.9
     used = []
     speeds = []
-    for _ in world.load(0.8 * CASE.share / CASE.rise):  # of the fingers' way
-        share, speed = ground_truth.sliding(world, 0)
-        used.append(share)
+    for _ in world.load(0.8 * CASE.fraction / CASE.rise):  # of the fingers' way
+        fraction, speed = ground_truth.sliding(world, 0)
+        used.append(fraction)
         speeds.append(speed)
     late = slice(-20, None)
     # within friction's accuracy of 3 %, and vertices that stick

@@ -24,8 +24,8 @@ FILM = {
 
 
 @pytest.mark.parametrize(("name", "film", "share"), [(name, *each) for name, each in FILM.items()])
-def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, share):
-    """A thin object has the force of the quasi-static membrane within the fraction `share`.
+def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, fraction):
+    """A thin object has the force of the quasi-static membrane within the fraction `fraction`.
 
     This holds on a row of vertices at 10 and 100 mm/s, and off it; the forces agree within 10 %.
     `bench thin` has the distribution. Triangles gave 1.1 to 1.8 times the force.
@@ -34,7 +34,7 @@ def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, share):
     off_it = (-2.23e-3, -0.58e-3)
     presses = (on_a_row, 0.01), (on_a_row, 0.1), (off_it, 0.1)
     forces = [press(BODIES[name], at, speed).force for at, speed in presses]
-    assert forces == pytest.approx([film] * 3, rel=share)
+    assert forces == pytest.approx([film] * 3, rel=fraction)
     assert forces == pytest.approx([np.mean(forces)] * 3, rel=0.1)
 
 

@@ -13,9 +13,9 @@ import pytest
 import mjtactile
 
 
-def section(thing, title):
+def section(item, title):
     """The names that stand in a section of a docstring, () where it has none."""
-    text = inspect.getdoc(thing) or ""
+    text = inspect.getdoc(item) or ""
     found = re.search(rf"(?ms)^{title}:\n(.*?)(?=^\S|\Z)", text)
     return set(re.findall(r"(?m)^    \*{0,2}(\w+):", found.group(1))) if found else ()
 
@@ -28,11 +28,11 @@ def plain(function):
 def functions():
     """Every public function, and every public method of public classes."""
     for name in mjtactile.__all__:
-        thing = getattr(mjtactile, name)
-        if not inspect.isclass(thing):
-            yield name, thing
+        item = getattr(mjtactile, name)
+        if not inspect.isclass(item):
+            yield name, item
             continue
-        for key, value in vars(thing).items():
+        for key, value in vars(item).items():
             if not key.startswith("_") and inspect.isfunction(plain(value)):
                 yield f"{name}.{key}", plain(value)
 

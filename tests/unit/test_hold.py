@@ -46,7 +46,7 @@ def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, accelera
     found = grasp_estimation.estimate_weight(now, before, acceleration=acceleration)
     assert found.mass == pytest.approx(mass, rel=1e-9)
     np.testing.assert_allclose(found.load, loads)
-    np.testing.assert_allclose(found.share, [2 / 3, 1 / 3])
+    np.testing.assert_allclose(found.fraction, [2 / 3, 1 / 3])
 
 
 def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
@@ -71,8 +71,8 @@ def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
         [touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)]
     )
     assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.minimum < 0.2
-    nothing = grasp_estimation.estimate_friction([touch(0.0, 0.0, 0.01), UNKNOWN])
-    assert nothing.minimum == 0.0 and np.isnan(nothing.used).all()
+    empty = grasp_estimation.estimate_friction([touch(0.0, 0.0, 0.01), UNKNOWN])
+    assert empty.minimum == 0.0 and np.isnan(empty.used).all()
 
 
 def test_a_grip_is_as_hard_as_coulomb_asks():
@@ -111,12 +111,12 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
     ]
 
     def touch_at(force, inner):
-        felt = []
+        estimated = []
         for sign, R_WS, side in zip((1, -1), frames, (0.5, 0.5), strict=True):
             push = np.array([-sign * 1.0, 0, 0])  # the grip
             f_S = R_WS.T @ (push + side * np.asarray(force) + sign * np.asarray(inner))
-            felt.append(touch(f_S[0], f_S[1], -f_S[2]))
-        return felt
+            estimated.append(touch(f_S[0], f_S[1], -f_S[2]))
+        return estimated
 
     hangs = touch_at([0, 0, -0.3], [0, 0, 0.03])
     down = grasp_estimation.load_direction(hangs)
@@ -147,7 +147,7 @@ def test_what_slips_follows_the_grip(slips):
         normal = 0.8 * (1 + wobble) + rng.normal(0, 0.001, 12)
         shear = 0.4 * (1 + slips * wobble + 0.3 * time) + rng.normal(0, 0.001, 12)
         found.append(grasp_estimation.evaluate_slip_test(normal, shear))
-    shares = np.array([one.share for one in found])
+    shares = np.array([one.fraction for one in found])
     # the load's own growth, 11 % in that time, is in the mean that the shear is compared with
     assert shares.mean() == pytest.approx(slips, rel=0.08, abs=0.02)
     # 0.001 N of 0.4 and 0.8 N, over 5 % / sqrt 2 of twelve: 0.023
@@ -157,9 +157,9 @@ def test_what_slips_follows_the_grip(slips):
 
 def test_a_grip_that_does_not_change_tells_nothing():
     steady = np.full(12, 0.8) + 1e-4 * np.sin(np.arange(12))
-    assert math.isnan(grasp_estimation.evaluate_slip_test(steady, np.full(12, 0.4)).share)
-    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, 0.9], [0.4, 0.4]).share)
-    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, math.nan] * 6, [0.4] * 12).share)
+    assert math.isnan(grasp_estimation.evaluate_slip_test(steady, np.full(12, 0.4)).fraction)
+    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, 0.9], [0.4, 0.4]).fraction)
+    assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, math.nan] * 6, [0.4] * 12).fraction)
 
 
 def test_unknown_is_not_zero():
@@ -285,16 +285,18 @@ def test_what_the_fingers_drag_each_other_by_is_no_load():
     ],
 )
 def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, maximum):
-    felt = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
+    estimated = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
     frames = grasp_estimation.FrameLoadEstimator()
     for _ in range(round(30 * time)):
-        frames = grasp_estimation.FrameLoadEstimator(**asdict(frames.after(felt, effort, 1 / 30)))
+        frames = grasp_estimation.FrameLoadEstimator(
+            **asdict(frames.after(estimated, effort, 1 / 30))
+        )
     if math.isinf(maximum):
         assert frames.maximum > 10.0
         return
     assert frames.maximum == pytest.approx(maximum)
     for _ in range(30):  # a second without data about the frames
-        frames = frames.after(felt, 1.0, 1 / 30)
+        frames = frames.after(estimated, 1.0, 1 / 30)
     assert frames.maximum == pytest.approx(
         maximum * math.exp(0.05), rel=0.01
     )  # it grows by 5 % a second

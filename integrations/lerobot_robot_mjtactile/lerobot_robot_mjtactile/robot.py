@@ -127,11 +127,11 @@ class MjtactileRobot(Robot):
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Ask for an opening, a force limit and a height; the rig's limits cut them."""
-        wanted = mjtactile.Command(
+        requested = mjtactile.Command(
             opening=float(action["opening_m"]),
             force_limit=float(action["force_limit_N"]),
             lift_height=float(action["lift_height_m"]),
             phase="regulate",
         )
-        sent = self._steps.send(wanted)
+        sent = self._steps.send(requested)
         return dict(zip(ACTIONS, (sent.opening, sent.force_limit, sent.lift_height), strict=True))

@@ -10,7 +10,7 @@ from typing import Any
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
-from mjtactile.commands.calibrate.terminal import check_folder, finish, say
+from mjtactile.commands.calibrate.terminal import check_folder, finish, notify
 from mjtactile.commands.output import print_result, stdout_to_stderr
 from mjtactile.report.frame_source import read_frames
 
@@ -214,7 +214,7 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
         if view is not None:
             views.append(view)
     if blind:
-        say(f"the board was not found in {blind} of {blind + len(views)} images")
+        notify(f"the board was not found in {blind} of {blind + len(views)} images")
     if not views:
         raise InputError(
             "the board was found in none of the images: check that --board and --dictionary "
@@ -233,11 +233,11 @@ def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
         live_rig(options.rig, load_sensor("dense")) as (rig_file, _),
         live_camera(rig_file, options.finger) as camera,
     ):
-        say(
+        notify(
             f"{camera.name}: hold the board still in the view for a moment; repeat at other "
             "positions and tilts. Ctrl-C aborts."
         )
-        views = collect_views(camera_images(camera, options.seconds), finder, options.views, say)
+        views = collect_views(camera_images(camera, options.seconds), finder, options.views, notify)
     if not views:
         raise InputError(
             f"no resting board was found within {options.seconds:g} s: check that --board and "

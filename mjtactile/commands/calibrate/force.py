@@ -12,7 +12,7 @@ from typing import Any
 from mjtactile import Calibration, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
-from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, say
+from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, notify
 from mjtactile.commands.output import stdout_to_stderr
 from mjtactile.report.frame_source import read_frames, to_image
 from mjtactile.types import Image
@@ -104,9 +104,9 @@ def run(options: argparse.Namespace) -> int:
             chains, loads = _live(options, targets)
         else:
             chains, loads = _recorded(options, targets[0])
-        true, felt, areas = _estimate_all(options, chains, loads)
+        true, estimated, areas = _estimate_all(options, chains, loads)
     results = {}
-    for goal, pipeline, forces, area in zip(targets, chains, felt, areas, strict=True):
+    for goal, pipeline, forces, area in zip(targets, chains, estimated, areas, strict=True):
         fit = calibrate_force(true, forces, area, pipeline.state.reference.surface.area)
         goal.write("force", force_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
         results[goal.finger] = (
@@ -127,10 +127,10 @@ def _estimate_all(
     from mjtactile.calibrate.force import mean_force
 
     true = []
-    felt = []
+    estimated = []
     for name, force, shots in loads:
         try:
-            felt.append(
+            estimated.append(
                 [
                     mean_force(pipeline, images)
                     for pipeline, images in zip(chains, shots, strict=True)
@@ -141,7 +141,7 @@ def _estimate_all(
                 str(error), source=options.source or options.rig, field=name
             ) from error
         true.append(force)
-    forces, areas = np.array(felt).reshape(-1, len(chains), 2).transpose(2, 1, 0)
+    forces, areas = np.array(estimated).reshape(-1, len(chains), 2).transpose(2, 1, 0)
     return np.array(true), forces, areas
 
 
@@ -297,7 +297,7 @@ def _live(
             )
         rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(keepalive(*rig.valves))
-        pictures = reference_images(rig, say)
+        pictures = reference_images(rig, notify)
         places = output_options.places(targets, rig_file)
         with keepalive(rig.gripper):
             chains = [
@@ -347,7 +347,7 @@ def _squeezed(
                 "finger; the jaws will close on it"
             )
     yield from dropped_images(
-        rig, [maximum * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say
+        rig, [maximum * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, notify
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
-from mjtactile.commands.calibrate.terminal import finish_all, say
+from mjtactile.commands.calibrate.terminal import finish_all, notify
 from mjtactile.commands.output import stdout_to_stderr
 from mjtactile.report.frame_source import read_frames, to_image
 from mjtactile.types import Image
@@ -109,7 +109,7 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
 
     design = load_sensor(options.sensor)
     with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
-        pictures = reference_images(rig, say)
+        pictures = reference_images(rig, notify)
     return [(*pictures[place], True) for place in output_options.places(targets, rig_file)]
 
 

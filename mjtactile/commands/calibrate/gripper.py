@@ -10,7 +10,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, finish, say
+from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, finish, notify
 from mjtactile.commands.output import stdout_to_stderr
 
 Instrument = Callable[[str], float | None]
@@ -131,19 +131,19 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         maximum = _force_max(options, config)
         gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = _instruments(emulator)
-        say(
+        notify(
             "the jaws move now; keep fingers and objects out of the gap. Ctrl-C stops and "
             "switches the torque off."
         )
         openings = measure_openings(
-            gripper, [low, (low + high) / 2, high], caliper, 0.25 * config.force_max, say
+            gripper, [low, (low + high) / 2, high], caliper, 0.25 * config.force_max, notify
         )
         if options.skip_forces:
             return openings, None
         if emulator is None:
             confirm("now put the load cell between the jaws")
         limits = [maximum * part for part in _FORCE_PARTS]
-        return openings, measure_forces(gripper, limits, load_cell, say)
+        return openings, measure_forces(gripper, limits, load_cell, notify)
 
 
 def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:

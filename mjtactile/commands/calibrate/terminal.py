@@ -13,7 +13,7 @@ from mjtactile.commands.output import print_json, print_result
 from mjtactile.core import foreign_file
 
 
-def say(text: str) -> None:
+def notify(text: str) -> None:
     """Print a message or instruction to stderr; stdout is reserved for the result."""
     print(text, file=sys.stderr, flush=True)
 
@@ -82,7 +82,7 @@ def ask(text: str) -> float | None:
         try:
             return float(line.replace(",", "."))
         except ValueError:
-            say(f"{line.strip()!r} is not a number")
+            notify(f"{line.strip()!r} is not a number")
 
 
 def check_folder(path: Path, field: str = "--out") -> Path:

@@ -9,7 +9,7 @@ from typing import Any
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
-from mjtactile.commands.calibrate.terminal import finish_all, say
+from mjtactile.commands.calibrate.terminal import finish_all, notify
 from mjtactile.commands.output import stdout_to_stderr
 
 HELP = "pressure step: sensor zero, rise time, final pressure, leak"
@@ -102,7 +102,7 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
     ):
         return [
             calibrate_live_valve(
-                of_finger[goal.finger], _pressure(options, goal), options.seal, say
+                of_finger[goal.finger], _pressure(options, goal), options.seal, notify
             )
             for goal in targets
         ]

@@ -35,12 +35,12 @@ def check_servos(rig_file: RigFile) -> Iterator[Finding]:
             "close the program that uses it (Dynamixel Wizard, another run)",
         )
         return
-    wanted = {servo.id: servo.model for servo in rig_file.gripper.servos}
+    requested = {servo.id: servo.model for servo in rig_file.gripper.servos}
     if rig_file.lift.kind == "servo":
-        wanted[rig_file.lift.id] = rig_file.lift.model
+        requested[rig_file.lift.id] = rig_file.lift.model
     try:
         answering = []
-        for servo, model in wanted.items():
+        for servo, model in requested.items():
             findings = list(check_servo(bus, servo, model))
             yield from findings
             if not any("does not answer" in f.text for f in findings):
@@ -68,12 +68,12 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
         )
         return
     yield _identity(what, number, report, model)
-    for name, wanted, meaning in REQUIRED:
-        if report.settings.get(name, wanted) != wanted:
+    for name, requested, meaning in REQUIRED:
+        if report.settings.get(name, requested) != requested:
             yield Finding(
                 "bad",
                 what,
-                f"{name} is {report.settings[name]}, must be {wanted}: {meaning}",
+                f"{name} is {report.settings[name]}, must be {requested}: {meaning}",
                 "set it with Dynamixel Wizard",
             )
     if report.model in MODELS and not MODELS[report.model].watchdog_stops(report.firmware):

@@ -122,11 +122,11 @@ class JawGeometry:
         While closing, `lead`, m, is divided equally too. Each jaw's goal is at most that far ahead
         of its current position (`ticks`).
         """
-        share = opening / len(self.servos)
+        fraction = opening / len(self.servos)
         lead = lead / len(self.servos)
         return {
             servo.config.id: servo.ticks(
-                max(share, servo.part(ticks[servo.config.id]) - lead) if ticks else share
+                max(fraction, servo.part(ticks[servo.config.id]) - lead) if ticks else fraction
             )
             for servo in self.servos
         }

@@ -144,11 +144,11 @@ class Servo:
                 "then switch its power off and on (mjtactile never reboots it)",
                 self.id,
             )
-        for name, wanted, meaning in REQUIRED:
+        for name, requested, meaning in REQUIRED:
             found = read_setting(self.bus, self.id, self.model, name)
-            if found != wanted:
+            if found != requested:
                 raise DeviceError(
-                    f"{self.where}: {name} is {found} ({meaning}), must be {wanted}; set it "
+                    f"{self.where}: {name} is {found} ({meaning}), must be {requested}; set it "
                     "with Dynamixel Wizard"
                 )
         if not self.model.watchdog_stops(firmware):

@@ -26,7 +26,7 @@ def write(
     images: str = "video",
     crf: int = 0,
     task: str | None = None,
-    say: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
     leave_out: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write all episodes into `out` and return the counts; `crf`: 0 is lossless, 18-30 lossy.
@@ -46,7 +46,7 @@ def write(
     total = 0
     stats = []
     for k, episode in enumerate(episodes):
-        say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
+        notify(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
         videos = {
             key: VideoFile(out, key, k, f.shape[:2], fps, crf)
             for key, f in features.items()

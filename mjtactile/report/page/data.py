@@ -86,8 +86,8 @@ def page_data(
     times = recording.column("time")[:, 0]
     shown = -1 if snapshot is None else snapshot.time
     # nearly all of it is in C, which lets go of the interpreter
-    with ThreadPoolExecutor(2) as beside:
-        shots = list(beside.map(lambda moment: _shot(moment[0], moment[1], unit), moments))
+    with ThreadPoolExecutor(2) as pool:
+        shots = list(pool.map(lambda moment: _shot(moment[0], moment[1], unit), moments))
     phases = [
         (*phase, PHASE_COLOURS.get(phase[0], "#eeeeee"))
         for phase in recording.phases()
@@ -136,12 +136,12 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
     Format: `{"label", "series": [{"name", "colour", "y", "sd", "dash"}], "lines": [(value,
     words)]}`.
     """
-    felt = plot.scale * recording.column(plot.column)
+    estimated = plot.scale * recording.column(plot.column)
     sd = recording.column(plot.sd) if plot.sd else None
     true = None if plot.true is None else plot.scale * plot.true(recording)
-    single = felt.shape[1] == 1 and recording.width != 1
+    single = estimated.shape[1] == 1 and recording.width != 1
     series: list[dict[str, Any]] = []
-    for finger in range(felt.shape[1]):
+    for finger in range(estimated.shape[1]):
         colour = _GREY if single else FINGER_COLOURS[finger % len(FINGER_COLOURS)]
         if single:
             name = plot.label.split(",")[0]
@@ -149,9 +149,9 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
             name = dict(enumerate(recording.fingers)).get(finger, "")
         own_sd = None if sd is None else sd[:, finger]
         if true is None:
-            series += _series(name, colour, felt[:, finger], own_sd)
+            series += _series(name, colour, estimated[:, finger], own_sd)
         else:
-            series += _series(f"{name} estimated", colour, felt[:, finger], own_sd)
+            series += _series(f"{name} estimated", colour, estimated[:, finger], own_sd)
             series += _series(f"{name} ground truth", colour, true[:, finger], dash=True)
     breaks = recording.notes.get("break_force_N")
     lines = []
@@ -209,7 +209,7 @@ def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
         "time": round(cycle.time, 4),
         "pictures": [_camera(image) for image in cycle.images],
         "scene": scene,
-        "felt": [_felt(touch, unit, view, k) for k, touch in enumerate(cycle.touch)],
+        "estimates": [_estimated(touch, unit, view, k) for k, touch in enumerate(cycle.touch)],
     }
 
 
@@ -223,7 +223,7 @@ def _jpeg(bgr: NDArray[np.uint8]) -> str:
     return data_uri("image/jpeg", cv2.imencode(".jpg", bgr, _JPEG)[1].tobytes())
 
 
-def _felt(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any] | None:
+def _estimated(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any] | None:
     """Return the estimated membrane of a finger.
 
     `z` (ny nx) holds integers in units of `unit` mm. Each arrow has its foot, mm, and the negative
@@ -241,11 +241,11 @@ def _felt(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str, Any
     shape = touch.shape
     if shape is not None:
         said += f"; {describe_shape(shape)}"
-    believed = [] if shape is None else lines_of(shape)
+    estimated_lines = [] if shape is None else lines_of(shape)
     true = [] if shape is None or view is None else true_lines(shape, view, finger)
     return {
         "z": base64.b64encode(z.tobytes()).decode("ascii"),
-        "body": [(1e3 * one).round(2).tolist() for one in believed],
+        "shape": [(1e3 * one).round(2).tolist() for one in estimated_lines],
         "true": [(1e3 * one).round(2).tolist() for one in true],
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
         "text": said,

@@ -13,10 +13,10 @@ function heights(text) {  // mm, from base64 of 16 bit whole numbers, the lower 
 }
 
 function drawMembrane(canvas, finger) {
-  const [c, width, height] = prepared(canvas), shot = data.shots[view.shot], felt = shot.felt[finger], grid = data.grids[finger];
+  const [c, width, height] = prepared(canvas), shot = data.shots[view.shot], estimate = shot.estimates[finger], grid = data.grids[finger];
   c.fillStyle = "#444";
-  if (!felt || !grid) { c.fillText(felt === null ? "no surface: see the status above" : "no surface", 10, 20); return; }
-  const z = heights(felt.z), nx = grid.x.length, ny = grid.y.length, [low, high] = data.z_range;
+  if (!estimate || !grid) { c.fillText(estimate === null ? "no surface: see the status above" : "no surface", 10, 20); return; }
+  const z = heights(estimate.z), nx = grid.x.length, ny = grid.y.length, [low, high] = data.z_range;
   const size = Math.hypot(grid.x[nx - 1] - grid.x[0], grid.y[ny - 1] - grid.y[0]);
   const tall = Math.max(1, Math.round(0.3 * size / Math.max(high - low, 1e-3)));  // heights are drawn larger
   const scale = 0.92 * view.zoom * Math.min(width, 1.2 * height) / size, [sy, cy] = [Math.sin(view.yaw), Math.cos(view.yaw)];
@@ -37,7 +37,7 @@ function drawMembrane(canvas, finger) {
     }
   }
   const reach = 0.25 * size / data.arrow_unit;  // mm drawn for a pascal
-  for (const [x, y, foot, sx, sy_, sz] of felt.arrows) {
+  for (const [x, y, foot, sx, sy_, sz] of estimate.arrows) {
     const tip = seen(x + reach * sx, y + reach * sy_, foot + reach * sz / tall), start = seen(x, y, foot);
     items.push([Math.max(start[2], tip[2]) + 0.5, [start, tip], null]);
   }
@@ -53,17 +53,17 @@ function drawMembrane(canvas, finger) {
     c.stroke();
   }
   const lines = (all, colour, wide) => all.forEach(one => line(c, one.map(([x, y, up]) => seen(x, y, up)), colour, wide));
-  lines(felt.true, "#e07b00", 2.2);  // ground truth
-  lines(felt.body, "#1b1b1b", 1.4);  // estimate: border and shape
-  if (felt.true.length) {
+  lines(estimate.true, "#e07b00", 2.2);  // ground truth
+  lines(estimate.shape, "#1b1b1b", 1.4);  // estimate: border and shape
+  if (estimate.true.length) {
     c.fillStyle = "#b86500";
     c.fillText("contact shape: ground truth (orange), estimated (black)", 8, 30);
   }
   c.fillStyle = "#222";
-  c.fillText(`${felt.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, heights times ${tall}` : ""),
+  c.fillText(`${estimate.text}; heights from ${low.toFixed(1)} to ${high.toFixed(1)} mm` + (tall > 1 ? `, heights times ${tall}` : ""),
              8, height - 24);
   c.fillStyle = "#c0221c";
-  if (felt.arrows.length) {
+  if (estimate.arrows.length) {
     line(c, [[8, height - 9], [8 + scale * 0.25 * size, height - 9]], "#c0221c", 2);
     c.fillText(`${data.arrow_unit / 1000} kPa of traction, sign inverted`, 14 + scale * 0.25 * size, height - 5);
   }

@@ -110,7 +110,7 @@ class CameraDriftFilter:
             grows by J, and the mean moves by P root^-T left^-1 found. If these cannot be computed,
             the image has no effect.
         """
-        nothing = CameraDriftFilter(self.mean, self.known, time)
+        empty = CameraDriftFilter(self.mean, self.known, time)
         try:
             back = np.linalg.inv(root[:, :MODES])
             after = np.linalg.inv(left[:MODES, :MODES])
@@ -118,10 +118,10 @@ class CameraDriftFilter:
             remains = np.linalg.inv(np.eye(MODES) + self.known.T @ information @ self.known)
             known = self.known @ np.linalg.cholesky((remains + remains.T) / 2)
         except np.linalg.LinAlgError:
-            return nothing
+            return empty
         moved = known @ (known.T @ (back.T @ (after @ found[:MODES])))
         if not np.isfinite(known).all() or not np.isfinite(moved).all():
-            return nothing
+            return empty
         return CameraDriftFilter(self.mean + weight * moved, known, time)
 
 
@@ -129,8 +129,8 @@ def drift_of(found: Array, seen: Array) -> float:
     """Return the mean square drift relative to its expected value; 1 means as assumed. `found` is
     the estimated drift in standard deviations (gas, then the camera's modes). `seen` is the
     fraction of their variance that estimates have. Gas counts as one mode of four."""
-    share = found**2 / seen
-    return float((share[0] + 3 * share[1:].mean()) / 4)
+    fraction = found**2 / seen
+    return float((fraction[0] + 3 * fraction[1:].mean()) / 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,12 +193,12 @@ def tone_of(inside: Array, outside: Array, inside_then: Array, outside_then: Arr
     ratio = now[known] / then[known]
     if np.abs(ratio - 1).max() < _UNCHANGED_LEVELS:
         return Tone(float(ratio.mean()), 1.0, 0.0)
-    share = np.log(then[known] / _WHITE)
+    fraction = np.log(then[known] / _WHITE)
     level = now[known] / _WHITE
     power = 1.0
     for _ in range(_TONE_ROUNDS):
-        curve = np.exp(power * share)
-        columns = np.stack([np.ones_like(curve), curve, curve * share])
+        curve = np.exp(power * fraction)
+        columns = np.stack([np.ones_like(curve), curve, curve * fraction])
         normal = columns @ columns.T
         normal[2, 2] += 1e-12
         black, light, steeper = np.linalg.solve(normal, columns @ level)

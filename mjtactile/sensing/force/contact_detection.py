@@ -69,12 +69,12 @@ def detect_touch(
 @dataclass(frozen=True, eq=False)
 class RestTracker:
     """Tracked rest state. `apart` (N, 3), m, is the deviation of all markers from it, averaged over
-    about `ContactDetectionSettings.smooth` s. `share` is the last relative correction of its
+    about `ContactDetectionSettings.smooth` s. `fraction` is the last relative correction of its
     gas."""
 
     rest: InverseRest
     apart: Array
-    share: float = 0.0
+    fraction: float = 0.0
 
     @classmethod
     def of(cls, rest: InverseRest) -> RestTracker:
@@ -101,19 +101,19 @@ def follow(
     apart[ids] += blend * (markers.p_SM - seen - apart[ids])
     bulge = _of_gas(estimator, rest, shape)
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
-    share, local = _explain(apart[ids], moved[ids], markers.cov_p)
+    fraction, local = _explain(apart[ids], moved[ids], markers.cov_p)
     pace = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
-    share = float(np.clip(pace * share, -s.drift_rate * step, s.drift_rate * step))
+    fraction = float(np.clip(pace * fraction, -s.drift_rate * step, s.drift_rate * step))
     if rest.gas.constant is None:
         gas = rest.gas
     else:
-        gas = replace(rest.gas, constant=rest.gas.constant * (1 + share))
+        gas = replace(rest.gas, constant=rest.gas.constant * (1 + fraction))
     left = np.zeros_like(apart)
-    left[ids] = s.offset_fraction * pace * (apart[ids] - share * moved[ids])
+    left[ids] = s.offset_fraction * pace * (apart[ids] - fraction * moved[ids])
     return RestTracker(
-        replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left),
-        apart - share * moved - left,
-        share,
+        replace(rest, gas=gas, c=rest.c + fraction * bulge, offset=rest.offset + left),
+        apart - fraction * moved - left,
+        fraction,
     )
 
 

@@ -246,9 +246,9 @@ class _Grid:
             (1, 1, u * v),
         )
         looks = sparse.csr_array(shape)
-        for i, j, share in corners:
+        for i, j, fraction in corners:
             column = (cell[:, 0] + i) * self.inside.shape[1] + cell[:, 1] + j
-            looks = looks + sparse.csr_array((share, (rows, column)), shape=shape)
+            looks = looks + sparse.csr_array((fraction, (rows, column)), shape=shape)
         return looks
 
     def _bending(self) -> Any:

@@ -48,10 +48,10 @@ class GasState:
     zero: float = 0.0
     rest: float = math.nan
 
-    def corrected(self, share: float) -> GasState:
-        """Return the state with `zero` raised by `share`, as observed on the membrane at rest. The
+    def corrected(self, fraction: float) -> GasState:
+        """Return the state with `zero` raised by `fraction`, as observed on a membrane at rest. The
         cause is a drift of the pressure sensor's zero, or the weather."""
-        return replace(self, zero=self.zero + share)
+        return replace(self, zero=self.zero + fraction)
 
     def refine_estimate(self, volume: float) -> GasState:
         """The same with another volume, m^3, in the last image."""

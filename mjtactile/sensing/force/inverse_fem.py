@@ -217,7 +217,7 @@ class InverseMembrane(LoadedMembrane):
             self.membrane.numbers,
             stiffness.factor,
             stiffness.softened,
-            stiffness.share,
+            stiffness.fraction,
             (3 if tilts is None else 5) * len(ids),
             len(ids),
             self._seats[ids],
@@ -333,8 +333,8 @@ class InverseMembrane(LoadedMembrane):
             return sd, sd * state.gradient
         dent = self.membrane.state(rest.c).volume - state.volume
         drift = self.settings.drift_gas if lost is None else lost
-        share = float(np.hypot(drift, self.settings.dent_fraction * dent / volume))
-        pressure *= share if rest.gas.constant is not None else 0.0
+        fraction = float(np.hypot(drift, self.settings.dent_fraction * dent / volume))
+        pressure *= fraction if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 
     def traction(

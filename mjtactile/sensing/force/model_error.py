@@ -69,25 +69,25 @@ class ModelErrorVariance:
         self._area = frame.area
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
-    def variance(self, felt: FitDiagnostics) -> Array:
+    def variance(self, estimated: FitDiagnostics) -> Array:
         """Return the variance of force, N^2, and torque, (N m)^2, about the origin of S (6,)."""
-        size = float(np.linalg.norm(felt.force.sum(axis=1)))
-        sums = np.abs(felt.force)
+        size = float(np.linalg.norm(estimated.force.sum(axis=1)))
+        sums = np.abs(estimated.force)
         loads = np.array(
             [
                 [size * self._sparse],
                 [float(sums[:2].sum())],
-                *self._sharp_loads(felt.force, felt.excess),
+                *self._sharp_loads(estimated.force, estimated.excess),
                 [float((sums @ self._outside).sum())],
-                [_burst(float(np.linalg.norm(felt.change[:3])), size)],
+                [_burst(float(np.linalg.norm(estimated.change[:3])), size)],
             ]
         )
         variance = np.square(self._shares * loads).sum(axis=0) + np.square(
-            self._change * felt.change / self._unit
+            self._change * estimated.change / self._unit
         )
-        variance += np.square(self._lag * felt.lag * felt.change / self._unit)
-        variance[2] += (self._change[2] * self._area * felt.air_moved) ** 2
-        variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
+        variance += np.square(self._lag * estimated.lag * estimated.change / self._unit)
+        variance[2] += (self._change[2] * self._area * estimated.air_moved) ** 2
+        variance[:2] += (self._resistance * estimated.velocity[:2]) ** 2
         return self._unit**2 * variance
 
     def of_sharpness(self, force: Array, excess: float) -> Array:

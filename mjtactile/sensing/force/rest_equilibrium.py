@@ -115,8 +115,8 @@ class MarkedMembrane:
         nominal = self.design.membrane.pre_stretch
         strain = nominal - 1 + self.membrane.mean_strain(c)
         off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
-        share = off**2 / (off**2 + s.young_sd**2)
-        more = float(np.clip(strain * (scale**share - 1) / s.pre_stretch_sd, -3, 3))
+        fraction = off**2 / (off**2 + s.young_sd**2)
+        more = float(np.clip(strain * (scale**fraction - 1) / s.pre_stretch_sd, -3, 3))
         more *= s.pre_stretch_sd
         return scale / (1 + more / strain), 1 + more / nominal
 
@@ -188,8 +188,8 @@ def bulge_misfit(
     """Return the mean square misfit of the markers' heights to the best-fitting bulge's `z` (n,),
     m, over its variance. `flat_px` is the rms residual of the flat reference."""
     x, y = (markers.p_SM[:, :2] / (design.frame.length / 2, design.frame.width / 2)).T
-    share = s.lens_fraction_measured if lens_measured else s.lens_fraction
-    modes = share * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    fraction = s.lens_fraction_measured if lens_measured else s.lens_fraction
+    modes = fraction * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     lens = (s.lens_rest + s.lens_rest_per_px * flat_px) * z
     own = markers.cov_p[:, 2, 2] + s.bulge_floor**2 + lens**2
     off = markers.p_SM[:, 2] - z

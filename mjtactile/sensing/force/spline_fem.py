@@ -86,18 +86,18 @@ class State:
 @dataclass(frozen=True, eq=False)
 class Stiffness:
     """Factorized tangent stiffness of `membrane`. `factor` is the Cholesky factor of the band at
-    constant pressure. The gas changes the inverse by -`share` w w^T with w = `softened` (3 n,)."""
+    constant pressure. The gas adds -`fraction` w w^T to the inverse, w = `softened` (3 n,)."""
 
     membrane: SplineMembrane
     factor: Array
     softened: Array
-    share: float
+    fraction: float
 
     def solve(self, forces: Array) -> Array:
         """Displacements (3, n) m by generalised forces (3, n) N, to first order."""
         out = np.empty_like(forces)
         kernel("spline_solve")(
-            *self.membrane.shape, self.factor, self.softened, self.share, forces, out
+            *self.membrane.shape, self.factor, self.softened, self.fraction, forces, out
         )
         return out
 
@@ -321,8 +321,8 @@ class SplineMembrane:
                 f"sensor {self.design.name}: the membrane's stiffness is not finite; check "
                 "the sensor file, the pressure and the markers"
             ) from None
-        share = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
-        return Stiffness(self, band, softened, share)
+        fraction = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
+        return Stiffness(self, band, softened, fraction)
 
     def equilibrium(
         self,

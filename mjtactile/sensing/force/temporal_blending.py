@@ -41,17 +41,17 @@ class Blend:
     count: float = 0.0
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the previous image in each image; 0 if unknown or not significant."""
         if self.count < _ENOUGH or self.squares <= 0:
             return 0.0
-        share = 1 + 2 * self.products / self.squares
-        return min(share, 0.95) if share > _SURE else 0.0
+        fraction = 1 + 2 * self.products / self.squares
+        return min(fraction, 0.95) if fraction > _SURE else 0.0
 
     @property
     def images(self) -> float:
         """Delay of the measured motion, in images."""
-        return self.share / (1 - self.share)
+        return self.fraction / (1 - self.fraction)
 
 
 class BlendEstimator:

@@ -83,8 +83,8 @@ class LoadedMembrane(MarkedMembrane):
             inner = force.reshape(3, len(self.x) - 2, len(self.y) - 2)
             nodal[1:-1, 1:-1] = inner.transpose(2, 1, 0)
             return nodal
-        for rows, columns, share in self._shared:
-            np.add.at(nodal, (rows, columns), share[:, None] * force.T)
+        for rows, columns, fraction in self._shared:
+            np.add.at(nodal, (rows, columns), fraction[:, None] * force.T)
         return nodal
 
     def _sharing(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:

@@ -115,7 +115,7 @@ def _blurred_disc(
     A = f[0] * f[0] + f[1] * f[1] + np.float32(1e-9)
     F = np.zeros_like(A)
     phi = np.zeros_like(A)
-    for offset, share in _HERMITE:
+    for offset, fraction in _HERMITE:
         if offset:
             step = np.float32(offset) * sigma
             x = e[0] + step * d[0]
@@ -126,7 +126,7 @@ def _blurred_disc(
         under = B * B - A * (x * x + y * y - 1)
         root = np.sqrt(np.maximum(under, 0))
         near, slope = _normal_tail((B - root) / A * sharp)
-        hit = np.float32(share) * (under > 0)
+        hit = np.float32(fraction) * (under > 0)
         F = F + hit * (near - _normal_tail((B + root) / A * sharp)[0])
         phi = phi + hit * slope
     return F, phi

@@ -88,10 +88,10 @@ def measure_flat(
             "px (rms) from the layout; check the lens, [markers] layout and radius_mm in the "
             "sensor file, and that the membrane is flat"
         )
-    wanted = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
+    requested = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
     ratios = np.full((len(seen), count), np.nan)
     for row, markers in zip(ratios, seen, strict=True):
-        row[markers.ids] = wanted[markers.ids] / _apparent_depth(
+        row[markers.ids] = requested[markers.ids] / _apparent_depth(
             camera, markers.p_SM - design.camera.p_SC
         )
     scale = np.ones(count)

@@ -91,10 +91,10 @@ def _probability(
     for sd in _shared_sds(s):
         spread = _density(n, surface, _bounded(cov_n, s) + cov, sd)
         density = np.where(known, spread, 0.0)
-        share, evidence = _share_on_surface(density[:, ok], prior[:, ok], s)
+        fraction, evidence = _share_on_surface(density[:, ok], prior[:, ok], s)
         if evidence > best:
             best = evidence
-            q = np.where(known, share * density + (1 - share) * prior, prior)
+            q = np.where(known, fraction * density + (1 - fraction) * prior, prior)
     return q[0] / q.sum(axis=0)
 
 
@@ -110,16 +110,16 @@ def _share_on_surface(
     `density` and `prior` (2, N) are the densities of their normals."""
     of_surface = density.sum(axis=0)
     of_prior = prior.sum(axis=0)
-    share = 0.5
+    fraction = 0.5
     for _ in range(_ROUNDS if len(of_prior) else 0):
-        on = share * of_surface
+        on = fraction * of_surface
         # prior counts of circles on and off the surface, so that a few that agree by chance do not
         # decide for all
-        share = (1 + (on / (on + (1 - share) * of_prior)).sum()) / (
+        fraction = (1 + (on / (on + (1 - fraction) * of_prior)).sum()) / (
             1 + s.free_circles_prior + len(of_prior)
         )
-    likelihood = np.log(share * of_surface + (1 - share) * of_prior).sum()
-    return share, float(likelihood + s.free_circles_prior * np.log(1 - share))
+    likelihood = np.log(fraction * of_surface + (1 - fraction) * of_prior).sum()
+    return fraction, float(likelihood + s.free_circles_prior * np.log(1 - fraction))
 
 
 def _tilt_prior(n: Array, cov_n: Array, s: PoseDisambiguationSettings) -> Array:

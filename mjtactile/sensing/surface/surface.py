@@ -211,11 +211,11 @@ class SurfaceFitter:
             return np.ones((len(y.points), len(x.points)))
         places = np.stack(np.meshgrid(x.points, y.points), axis=-1).reshape(-1, 2)
         across = np.sqrt(x.length / len(x.points) * y.length / len(y.points))
-        share = np.clip(0.5 + frame.inside(places) / across, 0.0, 1.0)
-        share = share.reshape(len(y.points), len(x.points))
-        cut = share * (1 - share)
-        lacking = frame.area - float(y.weights @ share @ x.weights)
-        return share + cut * (lacking / float(y.weights @ cut @ x.weights))
+        fraction = np.clip(0.5 + frame.inside(places) / across, 0.0, 1.0)
+        fraction = fraction.reshape(len(y.points), len(x.points))
+        cut = fraction * (1 - fraction)
+        lacking = frame.area - float(y.weights @ fraction @ x.weights)
+        return fraction + cut * (lacking / float(y.weights @ cut @ x.weights))
 
     def _energy(self, weights: Array | None, *terms: tuple[tuple[int, int], ...]) -> Array:
         """Return the matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2. Each d is

@@ -169,12 +169,12 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     way = force + torque / _ROTATION_LIMIT * around
     speed = np.linalg.norm(way, axis=1)
     along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
-    share = weight * speed / max(float(weight @ speed), 1e-12)
-    mean = float(share @ along)
+    fraction = weight * speed / max(float(weight @ speed), 1e-12)
+    mean = float(fraction @ along)
     goes_straight = abs(torque) < _ROTATION_FRACTION * float(np.linalg.norm(force))
     if goes_straight or float(weight @ weight) * _ROTATION_NODES > 1:
         return np.inf, mean
-    return float(np.sqrt(share @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
+    return float(np.sqrt(fraction @ (along - mean) ** 2)) / max(abs(mean), 1e-9), mean
 
 
 def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:

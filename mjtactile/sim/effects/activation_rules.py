@@ -123,8 +123,10 @@ def large_deflection(s: Scene) -> tuple[bool, str]:
         max(frame.length, frame.width) / (2 * s.half_width), membrane.poisson
     )
     tension = max(membrane.pretension, 1e-9)
-    share = c2 / c1 * membrane.young * membrane.thickness / tension * (s.bulge / s.half_width) ** 2
-    return _over(share, 0.01, "cubic fraction of the stiffness")
+    fraction = (
+        c2 / c1 * membrane.young * membrane.thickness / tension * (s.bulge / s.half_width) ** 2
+    )
+    return _over(fraction, 0.01, "cubic fraction of the stiffness")
 
 
 def bending(s: Scene) -> tuple[bool, str]:
@@ -167,10 +169,10 @@ def follower(s: Scene) -> tuple[bool, str]:
 
 def hyperelastic(s: Scene) -> tuple[bool, str]:
     lower = analytical_solutions.stvk_height_error(s.design, s.design.chamber.supply_gauge)
-    share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown fraction"
+    fraction = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown fraction"
     return True, (
         "rubber softens as it stretches: without this effect, the bulge at the supply "
-        f"pressure is lower {share}"
+        f"pressure is lower {fraction}"
     )
 
 

@@ -60,8 +60,8 @@ class Light:
         """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
-        share = self._irradiance(self._asides, self._heights(p_SM)) / self._middle
-        field = 1 - self._falloff * (1 - share) / self._loss
+        fraction = self._irradiance(self._asides, self._heights(p_SM)) / self._middle
+        field = 1 - self._falloff * (1 - fraction) / self._loss
         return cv2.resize(
             np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR
         )
@@ -70,8 +70,8 @@ class Light:
         """The same (N,) at the markers themselves."""
         if self._even:
             return np.ones(len(p_SM))
-        share = self._irradiance(self._aside(p_SM[:, :2]), p_SM[:, 2]) / self._middle
-        return np.maximum(1 - self._falloff * (1 - share) / self._loss, 0.0)
+        fraction = self._irradiance(self._aside(p_SM[:, :2]), p_SM[:, 2]) / self._middle
+        return np.maximum(1 - self._falloff * (1 - fraction) / self._loss, 0.0)
 
     def _aside(self, xy: Array) -> Array:
         """Return the squared lateral distances (n, ...), m^2, of positions (..., 2) from the

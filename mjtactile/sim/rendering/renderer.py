@@ -255,9 +255,9 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
     d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS
     edge = np.stack([d + 0.5, d - 0.5, d - 1.5])
-    share = _below(edge / sd)
-    integral = edge * share + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
-    across = share[0] - share[1]
+    fraction = _below(edge / sd)
+    integral = edge * fraction + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
+    across = fraction[0] - fraction[1]
     down = integral[0] - 2 * integral[1] + integral[2]
     return (
         _BINS,

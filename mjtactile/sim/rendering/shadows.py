@@ -77,11 +77,11 @@ class ShadowedLight(Light):
         z = membrane.heights(p_SM)
         light = irradiance(membrane.xy, z, self._p_SL)
         total = light.sum(axis=0)
-        share = bilinear(total / self._middle, self._places(z, BLOCK_PX)).astype(np.float32)
-        field = self._grow(np.maximum(1 - self._falloff / float(self._loss) * (1 - share), 0.0))
+        fraction = bilinear(total / self._middle, self._places(z, BLOCK_PX)).astype(np.float32)
+        field = self._grow(np.maximum(1 - self._falloff / float(self._loss) * (1 - fraction), 0.0))
         blocked = self._blocked(z, light / np.maximum(total, 1e-12))
         if blocked is not None:
-            field -= np.minimum(self._direct * self._grow(share), field) * blocked
+            field -= np.minimum(self._direct * self._grow(fraction), field) * blocked
         return cv2.add(cv2.multiply(field, self._opening), self._wall)
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
@@ -97,11 +97,11 @@ class ShadowedLight(Light):
             return None
         column, row = np.moveaxis(self._places(z, _EDGE_PX).astype(np.float32), -1, 0)
         blocked = np.zeros(column.shape, np.float32)
-        for share, room in zip(light.astype(np.float32), clear.astype(np.float32), strict=True):
+        for fraction, room in zip(light.astype(np.float32), clear.astype(np.float32), strict=True):
             # the clearance is interpolated, not the light: edges are finer than the nodes
             if room.min() < 1:
                 hidden = 1 - visible(cv2.remap(room, column, row, cv2.INTER_LINEAR))
-                blocked += cv2.remap(share, column, row, cv2.INTER_LINEAR) * hidden
+                blocked += cv2.remap(fraction, column, row, cv2.INTER_LINEAR) * hidden
         return self._grow(blocked)
 
     def _grow(self, blocks: Array | Floats) -> Floats:

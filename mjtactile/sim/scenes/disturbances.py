@@ -56,7 +56,7 @@ class DisturbanceSchedule:
         self._path = path
         self._up = _UP * lift_height
         self._bodies = moving_bodies(model, PREFIX)
-        self._share = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
+        self._fraction = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
         self._lift_speed = world.rig.lift.speed
         self._start_height = float(world.data.xpos[world.start.gripper, 2])
         self._gravity = model.opt.gravity.copy()
@@ -100,7 +100,7 @@ class DisturbanceSchedule:
             elif event.kind == "pull":
                 force += self._pull(event, fraction)
         world.model.opt.gravity[:] = gravity
-        world.data.xfrc_applied[self._bodies, :3] = self._share[:, None] * force
+        world.data.xfrc_applied[self._bodies, :3] = self._fraction[:, None] * force
 
     def _change(self, started: Sequence[tuple[SampledDisturbance, float]]) -> None:
         """Set masses and positions by the fractions of the events that have passed."""
@@ -176,7 +176,7 @@ class DisturbanceSchedule:
         if not self.is_taken:
             return np.array(event.direction) * event.values["force"] * done
         mass = float(self._world.model.body_mass[self._bodies].sum())
-        velocity = self._share @ data.cvel[self._bodies, 3:]
+        velocity = self._fraction @ data.cvel[self._bodies, 3:]
         return -mass * (self._world.model.opt.gravity + velocity / _TAKEN_TIME)
 
     def _is_held(self) -> bool:

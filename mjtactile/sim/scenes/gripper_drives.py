@@ -207,7 +207,7 @@ class Jaws:
             (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.transmission)
             for jaw in rig.gripper.actuators
         ]
-        self._share = 2 / len(rig.fingers)
+        self._fraction = 2 / len(rig.fingers)
         self._closed = rig.gripper.opening[0]
         self._force_limit = rig.gripper.force_max
         self.limit_force(self._force_limit)
@@ -225,13 +225,13 @@ class Jaws:
     def force(self) -> float:
         """Return the closing force on each finger, as indicated by the servo currents, N."""
         forces = [actuator.force / law.slope(actuator.length) for actuator, law in self.actuators]
-        return -self._share * sum(forces) / len(forces)
+        return -self._fraction * sum(forces) / len(forces)
 
     def limit_force(self, force: float) -> None:
         """Limit the force on each finger to `force` N and to the actuators' maximum."""
         self._force_limit = force
         for actuator, law in self.actuators:
-            actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
+            actuator.limit_force(force / self._fraction * abs(law.slope(actuator.length)))
 
     def force_available(self, opening: float) -> float:
         """Return the maximum closing force of the actuators on each finger at rest, N.
@@ -244,11 +244,11 @@ class Jaws:
                 law.coordinate(x / len(self.actuators)) for x in (opening, self._closed)
             )
             forces.append(-actuator.force_towards(goal, length) / law.slope(length))
-        return self._share * sum(forces) / len(forces)
+        return self._fraction * sum(forces) / len(forces)
 
     def finger_force(self, work: float) -> float:
         """Return the force on each finger, N, of loads that do `work` J per m of closing."""
-        return self._share * work
+        return self._fraction * work
 
     def reach(self, speed: float) -> float:
         """Return the lead of a goal over the opening for the full force at `speed` m/s, m."""

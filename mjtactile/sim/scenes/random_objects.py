@@ -200,12 +200,12 @@ def _row(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _inertial(t: RandomObject, share: float) -> str:
-    """Return the inertial element of a solid, whose moments are `share` m (p^2 + q^2)."""
+def _inertial(t: RandomObject, fraction: float) -> str:
+    """Return the inertial element of a solid, whose moments are `fraction` m (p^2 + q^2)."""
     moments = (
-        share * (t.b**2 + t.c**2) * t.mass,
-        share * (t.a**2 + t.c**2) * t.mass,
-        share * (t.a**2 + t.b**2) * t.mass,
+        fraction * (t.b**2 + t.c**2) * t.mass,
+        fraction * (t.a**2 + t.c**2) * t.mass,
+        fraction * (t.a**2 + t.b**2) * t.mass,
     )
     return f'<inertial pos="0 0 0" mass="{t.mass:.6g}" diaginertia="{_row(moments)}"/>'
 

@@ -81,15 +81,15 @@ class ObjectOnStage:
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         """Add the object, without its free joint and other MuJoCo bodies, to `body` of `spec`."""
         held = read_spec(self.model)
-        thing = held.body("object")
+        item = held.body("object")
         for other in list(held.worldbody.bodies):
             if other.name != "object":
                 held.delete(other)
-        for joint in list(thing.joints):
+        for joint in list(item.joints):
             if joint.type == mujoco.mjtJoint.mjJNT_FREE:
                 held.delete(joint)
-        thing.pos = [0.0, 0.0, 0.0]
-        thing.quat = [1.0, 0.0, 0.0, 0.0]
+        item.pos = [0.0, 0.0, 0.0]
+        item.quat = [1.0, 0.0, 0.0, 0.0]
         frame = body.add_frame(pos=self._p_HO, quat=quaternion(self._R_HO))
         spec.attach(held, frame=frame, prefix=PREFIX)
 

@@ -134,9 +134,9 @@ def deepest(
     at = np.where(juts[kept], shifts[kept], 0.0)
     gaps = cells.gaps(entry, at[:, None])[:, 0]
     if hints is not None:  # at the end of a thin shape, the vertex would stay next to it
-        beside = gaps >= _MISSED
-        at[beside] = shifts[kept[beside]]
-        gaps[beside] = cells.of(np.flatnonzero(beside)).gaps(entry, at[beside, None])[:, 0]
+        missed = gaps >= _MISSED
+        at[missed] = shifts[kept[missed]]
+        gaps[missed] = cells.of(np.flatnonzero(missed)).gaps(entry, at[missed, None])[:, 0]
     return rows[kept], at, gaps
 
 

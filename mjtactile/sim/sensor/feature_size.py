@@ -107,14 +107,14 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     mesh = model.mesh(number)
     vertices = int(mesh.vertadr[0])
     faces = int(mesh.faceadr[0])
-    share = filled_fraction(
+    fraction = filled_fraction(
         np.asarray(model.mesh_vert[vertices : vertices + model.mesh_vertnum[number]], float),
         model.mesh_face[faces : faces + model.mesh_facenum[number]].astype(np.int64),
     )
-    if share >= CONVEX:
+    if fraction >= CONVEX:
         return None
     return (
-        f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and MuJoCo uses the hull "
+        f"mesh {mesh.name!r} fills {fraction:.0%} of its convex hull, and MuJoCo uses the hull "
         "for contact: split it into convex geoms, or use `press`, which splits it after pip "
         "install 'mjtactile[meshes]'"
     )
@@ -162,12 +162,12 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     # Compared with an independent solver, squares of 6 and 12 mm (ratios 0.75 and 0.37) give 0.3 to
     # 1.4 and 0.5 to 1.2 times the force, depending on position and on the touching part of the
     # membrane.
-    share = min(1.4 * mesh.spacing / half_width, 0.7)
+    fraction = min(1.4 * mesh.spacing / half_width, 0.7)
     return (
         f"a sharp edge is in contact, {half_width * 1e3:.2g} mm from the center of its face, "
         f"and the mesh has {mesh.spacing * 1e3:.2g} mm between vertices: the force may be off "
-        f"by {share:.0%} ({1 - share:.1f} to {1 + min(share, 0.4):.1f} times); a finer mesh "
-        "reduces this in proportion"
+        f"by {fraction:.0%} ({1 - fraction:.1f} to {1 + min(fraction, 0.4):.1f} times); a finer "
+        "mesh reduces this in proportion"
     )
 
 

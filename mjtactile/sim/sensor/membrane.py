@@ -188,19 +188,22 @@ class ContactStiffness:
         if remembers:
             depth = max(VERTEX_DEPTH, VERTEX_SPEED * step)
             spring = VERTEX_SPRING / step**2
-            share = VERTEX_IMPEDANCE
-            model.geom_solref[vertex_geom_ids] = (-share * spring, -share * VERTEX_DASHPOT / step)
-            model.geom_solimp[vertex_geom_ids] = (share, share, *SOLIMP[2:])
+            fraction = VERTEX_IMPEDANCE
+            model.geom_solref[vertex_geom_ids] = (
+                -fraction * spring,
+                -fraction * VERTEX_DASHPOT / step,
+            )
+            model.geom_solimp[vertex_geom_ids] = (fraction, fraction, *SOLIMP[2:])
         else:
             time = CONTACT_TIME * step
             depth = CONTACT_DEPTH
             spring = 1 / time**2
-            share = SOLIMP[1]
+            fraction = SOLIMP[1]
             model.geom_solref[vertex_geom_ids] = model.flex_solref[flex_id] = (time, 1.0)
         # kg/m^2
         inertia = SURFACE_ARMATURE + membrane.thickness * membrane.density / membrane.pre_stretch**2
         slowed = 1 + step * SURFACE_DAMPING * membrane_stiffness(membrane) / inertia
-        self._soft = share / (1 - share) * slowed * depth * spring / mesh.areas[mesh.interior]
+        self._soft = fraction / (1 - fraction) * slowed * depth * spring / mesh.areas[mesh.interior]
 
     def set_pressure(self, gauge_pressure: float) -> None:
         np.divide(

@@ -342,9 +342,9 @@ class SceneMonitor:
             velocity = velocities - self._velocities([sensor.body_id])
             speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
             near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
-            share = speed * (near & touching) * step / self._sizes
-            k = int(np.argmax(share))
-            if share[k] > _FAST:
+            fraction = speed * (near & touching) * step / self._sizes
+            k = int(np.argmax(fraction))
+            if fraction[k] > _FAST:
                 best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3
                 flags["speed"] = (
                     f"an object approaches at {speed[k]:.2g} m/s, more than half its size per "

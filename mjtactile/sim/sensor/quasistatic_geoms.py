@@ -84,11 +84,11 @@ class ContactGeoms:
 
         Raises InputError for soft objects and height fields.
         """
-        felt = np.intersect1d(
+        estimated = np.intersect1d(
             feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
         )
-        felt = felt[~np.isin(model.geom_bodyid[felt], own_links(model, body))]
-        self.ids: NDArray[np.int64] = felt.astype(np.int64)
+        estimated = estimated[~np.isin(model.geom_bodyid[estimated], own_links(model, body))]
+        self.ids: NDArray[np.int64] = estimated.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = obstacles.rows_and_pool(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)

@@ -289,9 +289,9 @@ class QuasistaticSensor(BaseSensor):
         normal = force[i, j]
         slots = owners[i, j] - 1
         totals = np.bincount(slots, normal, minlength=len(self._patches))
-        share = normal / totals[slots]
+        fraction = normal / totals[slots]
         shear = self._patches["wrench"][slots, :2]
-        return np.column_stack([share * shear[:, 0], share * shear[:, 1], -normal]), places
+        return np.column_stack([fraction * shear[:, 0], fraction * shear[:, 1], -normal]), places
 
     @property
     def p_SV(self) -> Array:

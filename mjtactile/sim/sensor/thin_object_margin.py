@@ -59,8 +59,8 @@ class ThinObjectMargin:
         if not self._thin:
             return
         speed = max((self._closing_speed(geom, p_SV) for geom in self._thin), default=0.0)
-        wanted = min(_STEPS * speed * self._step, _MOST)
-        margin = max(wanted, self._margin - _BACK, 0.0)
+        requested = min(_STEPS * speed * self._step, _MOST)
+        margin = max(requested, self._margin - _BACK, 0.0)
         if margin != self._margin:
             self._margin = margin
             self._model.flex_margin[self._flex] = self.skin + margin

@@ -68,9 +68,9 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Reasons:
     # a bulge of 0.1 % strain
     tension = max(membrane.pretension, 0.0) + 1e-3 * membrane.young * membrane.thickness
     if rigidity * wave > _BENDING * tension:
-        share = rigidity * wave / tension
+        fraction = rigidity * wave / tension
         flags["bending"] = (
-            f"bending, which the model omits, would add {share:.0%} to the stiffness of this "
+            f"bending, which the model omits, would add {fraction:.0%} to the stiffness of this "
             f"{membrane.thickness * 1e3:g} mm membrane; use a thinner or more stretched membrane"
         )
     return flags
@@ -104,10 +104,10 @@ def membrane_flags(
         )
     # over a modulus
     stresses = principal_stresses(np.maximum(stretches, 0.1), 1.0, membrane.poisson, membrane.law)
-    share = float(areas[stresses.min(axis=1) < -1e-3].sum() / areas.sum())
-    if share > WRINKLED:
+    fraction = float(areas[stresses.min(axis=1) < -1e-3].sum() / areas.sum())
+    if fraction > WRINKLED:
         flags["wrinkles"] = (
-            f"{share:.0%} of the membrane is under compression, where a real one wrinkles: "
+            f"{fraction:.0%} of the membrane is under compression, where a real one wrinkles: "
             "shape and force are those of a membrane without wrinkles; use pre_stretch above "
             "1 or more pressure"
         )

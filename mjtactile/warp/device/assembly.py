@@ -70,8 +70,8 @@ def _edge_spring(
                     low = middle
                 else:
                     high = middle
-            share = wp.min(low, _NEAREST_EDGE)
-            spring = wp.max(link, 0.0) * share / (1.0 - share)
+            fraction = wp.min(low, _NEAREST_EDGE)
+            spring = wp.max(link, 0.0) * fraction / (1.0 - fraction)
     return spring
 
 

@@ -61,7 +61,7 @@ def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
     rows = {
         "status": np.full(count, "ok"),
         "wrench": true,
-        "felt": true + error,
+        "estimated": true + error,
         "cov": np.tile(1e-4 * np.eye(6), (count, 1, 1)),
         "touching": np.ones(count, bool),
         "seed": np.repeat(np.arange(fingers), images),
@@ -70,7 +70,7 @@ def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
     }
     for name in ("area", "depth"):
         rows |= {name: np.full(count, 1e-3), f"felt_{name}": np.full(count, 1e-3)}
-    rows |= {"centroid": np.zeros((count, 2)), "felt_centroid": np.zeros((count, 2))}
+    rows |= {"centroid": np.zeros((count, 2)), "estimated_centroid": np.zeros((count, 2))}
     found = fit_error_model.fit(rows)
     at = int(np.flatnonzero(fit_error_model.LOADS == 0.5)[0])
     # the lasting error changes by 8 mN * sqrt(1 - kept^2) = 2.8 mN per image, a fifth of it in this

@@ -48,7 +48,7 @@ def test_the_table_has_medians_and_what_was_asked():
 def test_without_a_browser_it_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "CHROMIUM", None)
     with pytest.raises(InputError, match="apt-get install chromium"):
-        run.run(tmp_path, quick=True, say=lambda _: None)
+        run.run(tmp_path, quick=True, notify=lambda _: None)
 
 
 def test_grasps_alone_and_watched_are_compared(tmp_path, monkeypatch):
@@ -57,5 +57,5 @@ def test_grasps_alone_and_watched_are_compared(tmp_path, monkeypatch):
     monkeypatch.setattr(
         run, "_probe", lambda kind: alone if kind == "plain" else {**ROUND, "factor": 0.8}
     )
-    result = run.run(tmp_path, quick=True, say=lambda _: None)
+    result = run.run(tmp_path, quick=True, notify=lambda _: None)
     assert [one["ratio"] for one in result["rounds"]] == [0.8]

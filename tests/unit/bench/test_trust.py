@@ -37,7 +37,7 @@ def test_strengths_are_near_their_names_and_the_same_again():
     found = list(kinds(5))
     assert found == list(kinds(5)) and found != list(kinds(6))
     assert {kind.when for kind in found} == {ALWAYS, RUN, REFERENCES}
-    asked = {name: wanted for name, wanted, _ in TABLES}
+    asked = {name: requested for name, requested, _ in TABLES}
     for kind in found:
         zoom = kind.table.get("scale_percent")
         if zoom is not None:

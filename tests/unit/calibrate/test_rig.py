@@ -147,7 +147,7 @@ class Mechanism:
         self.play = play
         self.block = block
         self.stiffness = stiffness
-        self.share = torque_fraction
+        self.fraction = torque_fraction
         self.motor = self.jaw = RADIUS * ANGLE  # position of each jaw, m
         self.force = 0.0
         self._stop = scaled_clock.Event()
@@ -172,7 +172,7 @@ class Mechanism:
                 continue
             before = self.motor
             # maximum force on each finger, N
-            maximum = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS
+            maximum = self.fraction * sum(drive.torque_max for drive in drives) / 2 / RADIUS
             goal = RADIUS * drives[0].goal
             self.motor += float(np.clip(goal - self.motor, -4e-4, 4e-4))  # at 0.2 m/s
             # the block holds it up
@@ -185,7 +185,7 @@ class Mechanism:
                 servo.follow_load(
                     self.motor / RADIUS,
                     (self.motor - before) / 0.002 / RADIUS,
-                    -self.force * RADIUS / self.share,
+                    -self.force * RADIUS / self.fraction,
                     0.002,
                 )
 

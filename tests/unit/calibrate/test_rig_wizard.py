@@ -68,11 +68,11 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
                 ports=[ends["valve"], ends["servo"]],
                 cameras=streams[:1],
                 ask=ask,
-                say=said.append,
+                notify=said.append,
             )
         assert load_rig_file(path).bus.port == ends["servo"]  # results up to here are kept
         asked.clear()
-        rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, say=said.append)
+        rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, notify=said.append)
     finally:
         for board in pressed:
             board.close(quiet=True)

@@ -38,9 +38,9 @@ def run(command, touch_at, count, goal=None):
     the touches."""
     for k in range(count):
         state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
-        felt = touch_at(k, command)
+        estimated = touch_at(k, command)
         command = step(
-            Observation(k * PERIOD, PERIOD, felt, state, (), command, goal or TaskGoal())
+            Observation(k * PERIOD, PERIOD, estimated, state, (), command, goal or TaskGoal())
         )
     return command
 

@@ -37,13 +37,13 @@ def heavy(fx, fy):
     return replace(touch(0.6), traction=traction)
 
 
-def run(command, felt, count):
-    """Run `count` cycles with the touches `felt`, on a gripper that reaches every goal
+def run(command, estimated, count):
+    """Run `count` cycles with the touches `estimated`, on a gripper that reaches every goal
     immediately."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
         command = step(
-            Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command)
+            Observation(i * PERIOD, PERIOD, estimated, state, (ValveState(False),) * 2, command)
         )
     return command
 
@@ -54,9 +54,9 @@ def run(command, felt, count):
     [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
     ids=["nothing is felt", "it slid"],
 )
-def test_what_stays_behind_is_let_go_where_the_hand_is(phase, felt):
+def test_what_stays_behind_is_let_go_where_the_hand_is(phase, estimated):
     start = Command(0.04, 4.0, 0.02, phase)
-    command = run(start, felt, 12)  # 0.4 s
+    command = run(start, estimated, 12)  # 0.4 s
     assert command.phase == "release" and abs(command.lift_height - start.lift_height) < 0.02
     command = run(command, (touch(0.0),) * 2, 60)
     assert command.phase == "abort"  # and not "done", which means held
@@ -74,17 +74,17 @@ def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
     """A fallen strawberry between the frames: until now the approach went on until the time was
     over."""
     command = Command(0.08, 4.0, 0.0, "approach")
-    nothing = (touch(0.0),) * 2
+    empty = (touch(0.0),) * 2
     for i in range(120):  # 4 s at 25 mm/s would be 100 mm
         state = GripperState(max(command.opening, 0.0354), 0.0, 4.0, 0.0)
         command = step(
-            Observation(i * PERIOD, PERIOD, nothing, state, (ValveState(False),) * 2, command)
+            Observation(i * PERIOD, PERIOD, empty, state, (ValveState(False),) * 2, command)
         )
         if command.phase == "abort":
             break
     assert command.phase == "abort" and command.opening == pytest.approx(0.0354)
     # jaws that follow go on
-    assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"
+    assert run(Command(0.08, 4.0, 0.0, "approach"), empty, 60).phase == "approach"
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless", "adaptive"])
@@ -96,9 +96,9 @@ def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, minimum):
     command = Command(0.03, 0.0)
     for i in range(300):
         state = GripperState(command.opening, 0.0, 0.0, 0.0)
-        felt = () if controller == "touchless" else (touch(0.0),) * 2
-        wanted = its_step(Observation(i * PERIOD, PERIOD, felt, state, (), command))
-        command = limits.apply(wanted, command, PERIOD)
+        estimated = () if controller == "touchless" else (touch(0.0),) * 2
+        requested = its_step(Observation(i * PERIOD, PERIOD, estimated, state, (), command))
+        command = limits.apply(requested, command, PERIOD)
         if command.phase == "abort":
             break
     assert command.phase == "abort" and command.reason == "the jaws closed without contact"
@@ -120,9 +120,9 @@ def test_what_pushes_back_on_the_way_down_is_the_table(controller, up, stops):
     phases = []
     for i in range(30):
         shear = -0.3 if command.phase == "hold" or command.lift_height > 0.02 else up
-        felt = (heavy(shear, 0.0), heavy(0.0, shear))
+        estimated = (heavy(shear, 0.0), heavy(0.0, shear))
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
-        command = its_step(Observation(i * PERIOD, PERIOD, felt, state, (), command))
+        command = its_step(Observation(i * PERIOD, PERIOD, estimated, state, (), command))
         phases.append(command.phase)
     assert "lower" in phases and ("release" in phases) == stops
     assert not stops or command.lift_height > 0.015

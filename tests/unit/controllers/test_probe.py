@@ -10,10 +10,10 @@ probe = load_controller("probe")
 MEMORY = {"presses": 1.0, "touch_opening": 0.04}
 
 
-def opened(felt, seconds=20.0):
-    """Return the command after `seconds`, or at the end, with the force `felt` on both fingers."""
+def opened(estimated, seconds=20.0):
+    """Return the command after `seconds`, or at the end, with the force `estimated` on both fingers."""
     command = Command(0.038, 4.0, 0.0, "release", MEMORY)
-    touch = Touch(0.0, 0.01, felt, 0.01, felt > 0.05)
+    touch = Touch(0.0, 0.01, estimated, 0.01, estimated > 0.05)
     for k in range(round(seconds / PERIOD)):
         state = GripperState(command.opening, 0.0, 0.0, 0.0)
         command = probe.step(Observation(k * PERIOD, PERIOD, (touch, touch), state, (), command))

@@ -27,13 +27,13 @@ def touch(force, state: SlipState = "sticking"):
     return Touch(0.0, 0.01, force, 0.01, force > 0.08, slip=Slip(state, np.zeros(2), 0.0, 0.5))
 
 
-def run(command, felt, count=1):
-    """Run `count` cycles with the touches `felt`, on a gripper that reaches every goal
+def run(command, estimated, count=1):
+    """Run `count` cycles with the touches `estimated`, on a gripper that reaches every goal
     immediately."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
         command = controller.step(
-            Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command)
+            Observation(i * PERIOD, PERIOD, estimated, state, (ValveState(False),) * 2, command)
         )
     return command
 
@@ -54,8 +54,8 @@ def test_a_slip_of_one_finger_raises_the_force_closes_and_stops_the_lift():
 
 
 def test_it_grips_no_harder_than_its_limit():
-    felt = (touch(1.5, "slipping"), touch(1.5, "slipping"))
-    assert run(HELD, felt, 60).memory["target"] == MOST
+    estimated = (touch(1.5, "slipping"), touch(1.5, "slipping"))
+    assert run(HELD, estimated, 60).memory["target"] == MOST
 
 
 def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed():

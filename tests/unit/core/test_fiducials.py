@@ -48,8 +48,8 @@ def test_straight_walls_would_hide_the_rim():
     outside = np.abs(p_SF[:, 0]).max() + fiducials.radius + fiducials.ground
     depth = fiducials.groove(design)
     # on the line from the camera to the outermost point, at the groove's back
-    share = 1 - depth / (design.camera.distance - fiducials.lip)
-    assert share * outside == pytest.approx(design.frame.length / 2)
+    fraction = 1 - depth / (design.camera.distance - fiducials.lip)
+    assert fraction * outside == pytest.approx(design.frame.length / 2)
 
 
 def test_the_groove_is_gas():

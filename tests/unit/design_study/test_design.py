@@ -58,12 +58,14 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
 def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
     # the chain's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
-    felt = paper16.estimate_touch(pressed.state)
-    said = math.sqrt(paper16.noise(felt)[2, 2])
+    estimated = paper16.estimate_touch(pressed.state)
+    said = math.sqrt(paper16.noise(estimated)[2, 2])
     forces = []
     for number in range(40):
         seen = paper16._sampler.sample(*paper16.poses(pressed.state.x), 0.1)
-        touch, _ = paper16.pipeline.step(felt.state, replace(seen, time=0.1 + number), 0.1 + number)
+        touch, _ = paper16.pipeline.step(
+            estimated.state, replace(seen, time=0.1 + number), 0.1 + number
+        )
         forces.append(touch.traction.wrench[2])
     # a bound: forty numbers give their sd to 11 %; a chain that keeps the camera state between
     # images scatters by half of the value for one image alone
@@ -82,9 +84,9 @@ def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
         reacher = ResolutionPredictor(VirtualBench(design))
         edges = [reacher.edge_sd(np.array(place), 0.3) for place in PLACES]
         sds.append(np.sqrt(np.mean(np.square(edges))))
-    wanted = math.sqrt(many.markers.count / few.markers.count)
+    requested = math.sqrt(many.markers.count / few.markers.count)
     # the marker positions around an edge matter in addition to their number
-    assert sds[0] / sds[1] == pytest.approx(wanted, rel=0.35)
+    assert sds[0] / sds[1] == pytest.approx(requested, rel=0.35)
 
 
 def test_place_of_a_force():
@@ -314,11 +316,11 @@ def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
     place = np.array([5e-3, 2e-3])
     here, opposite = (reacher.at(at, 0.5) for at in (place, -place))
     # the layout is the same turned by half; the film's tolerance of 0.5 um is 1 mN
-    assert here.felt == pytest.approx(opposite.felt, abs=2e-3)
+    assert here.estimated == pytest.approx(opposite.estimated, abs=2e-3)
     assert here.force_sd == pytest.approx(opposite.force_sd, rel=0.02)
     assert here.edge_sd < 0.5e-3
-    assert here.felt == pytest.approx(0.5, rel=0.02)  # the error is 1 mN
+    assert here.estimated == pytest.approx(0.5, rel=0.02)  # the error is 1 mN
     outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
-    assert np.isnan([outside.felt, outside.force_sd, outside.edge_sd]).all()
+    assert np.isnan([outside.estimated, outside.force_sd, outside.edge_sd]).all()
     assert main(["design", "--sensor", "round30", "--detect-force-mN", "20"]) != 0
     assert "supports rectangles only" in capsys.readouterr().err

@@ -76,7 +76,7 @@ def test_devices_and_doctor_list_the_same_ports(monkeypatch):
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [adapter, built_in])
     seen = [f.text.split()[0] for f in _plugged_in() if f.what == "serial port"]
     asked = []
-    listed = serial_ports(say=asked.append)
+    listed = serial_ports(notify=asked.append)
     assert [port.path for port in listed] == seen == ["/dev/ttyS0", "/dev/ttyU0"]
     assert listed[0].problem == "built in: queried only with --port /dev/ttyS0"
     assert [text.split(":")[0] for text in asked] == ["/dev/ttyU0"]

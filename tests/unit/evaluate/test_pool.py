@@ -24,9 +24,9 @@ from tests.fake_run import fake_cycle
 COMMON = dict(scenario=Scenario(sensor="paper16", effects="-images"), count=1, objects=["vial"])
 
 
-def episode(controller, thing, seed, **fields):
+def episode(controller, item, seed, **fields):
     """The first of an evaluation."""
-    return Episode(0, Scenario(object=thing, controller=controller, seed=seed, **fields))
+    return Episode(0, Scenario(object=item, controller=controller, seed=seed, **fields))
 
 
 @pytest.fixture

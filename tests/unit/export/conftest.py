@@ -40,7 +40,7 @@ def press(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def felt(tmp_path_factory):
+def estimated(tmp_path_factory):
     """Record two fingers of a stationary simulated rig, with their touches."""
     folder = tmp_path_factory.mktemp("felt") / "recording"
     with (

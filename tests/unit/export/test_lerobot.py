@@ -158,8 +158,8 @@ def test_a_recording_without_images_is_exported_without_them(tmp_path, write):
     assert write([RecordedEpisode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
 
 
-def test_what_is_felt_again_is_what_was_felt(felt, tmp_path):
-    episode = RecordedEpisode(felt)
+def test_what_is_felt_again_is_what_was_felt(estimated, tmp_path):
+    episode = RecordedEpisode(estimated)
     lerobot.write([episode], tmp_path, images="none")
     kept = json.loads((tmp_path / "meta/mjtactile.json").read_text())["episodes"][0]
     # the same images, the same chain: bit for bit

@@ -86,14 +86,14 @@ def test_an_arrow_is_the_force(press):
 
 
 @needs_rerun
-def test_rerun_opens_a_recording(felt, tmp_path):
+def test_rerun_opens_a_recording(estimated, tmp_path):
     from mjtactile.export import rrd
 
-    assert rrd.write([RecordedEpisode(felt)], tmp_path)["episodes"] == 1
+    assert rrd.write([RecordedEpisode(estimated)], tmp_path)["episodes"] == 1
     found = read_rrd(tmp_path / "episode_000000.rrd")
-    recording = RecordedEpisode(felt).recording
+    recording = RecordedEpisode(estimated).recording
     sensor = "/world/gripper_start/gripper/left_sensor"
-    touch = list(RecordedEpisode(felt).cycles())[-1].touch[0]
+    touch = list(RecordedEpisode(estimated).cycles())[-1].touch[0]
     points = np.array(found[f"{sensor}/membrane"][-1]["Mesh3D:vertex_positions"])
     heights = touch.surface.z.ravel().astype(np.float32)
     np.testing.assert_array_equal(points[..., 2].ravel(), heights)

@@ -42,8 +42,8 @@ def test_the_print_has_each_circle_at_its_place():
     circles = re.findall(r'<circle cx="([-\d.]+)" cy="([-\d.]+)" r="([\d.]+)"', svg)
     found = [(float(x), float(y)) for x, y, r in circles if float(r) == 0.8]
     # to 1e-5 mm, as the file is written
-    wanted = [(round(1e3 * x, 5), round(1e3 * y, 5)) for x, y in DESIGN.fiducials.places]
-    assert sorted(found) == sorted(wanted)
+    requested = [(round(1e3 * x, 5), round(1e3 * y, 5)) for x, y in DESIGN.fiducials.places]
+    assert sorted(found) == sorted(requested)
 
 
 def test_a_sensor_without_them_has_no_step_and_no_page_more():

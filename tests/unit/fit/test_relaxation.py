@@ -63,7 +63,7 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     assert main([*command, "--out", str(tmp_path / "held")]) == 0
     found = fit_relaxation(tmp_path / "held", load_sensor(nominal), "left")
     begin, end = found.within
-    faded = sum(share * (np.exp(-begin / tau) - np.exp(-end / tau)) for share, tau in terms)
+    faded = sum(fraction * (np.exp(-begin / tau) - np.exp(-end / tau)) for fraction, tau in terms)
     assert found.is_finite_value
     # 2.5 sd; one sd is a tenth of the value
     assert found.faded == pytest.approx(faded, abs=2.5 * found.faded_sd)

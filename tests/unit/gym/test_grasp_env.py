@@ -156,9 +156,9 @@ def test_an_empty_hand_is_not_paid_for_letting_go():
 def test_a_hand_is_paid_for_how_far_it_lets_go():
     """The release reward is proportional to the opening: zero at a grip's goal 4 mm ahead of the
     jaws, one at 8 mm beyond them."""
-    for opening, share in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
+    for opening, fraction in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
         sent = Command(opening, 1.0, 0.0, "release", {"grip_opening": 0.040}, "", None)
-        assert fraction_released(sent) == pytest.approx(share)
+        assert fraction_released(sent) == pytest.approx(fraction)
 
 
 def test_random_things_are_those_of_the_seeds():

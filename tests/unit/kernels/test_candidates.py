@@ -90,11 +90,11 @@ def test_judgement(polarity):
                 fit_validation.implausible(*args), numpy_candidates.implausible(*args)
             )
             args = fit, found, polarity, SIZE, minimum, DEFAULTS.markers
-            (status, keep), (wanted, keep_requested) = (
+            (status, keep), (requested, keep_requested) = (
                 fit_validation.validate_fits(*args),
                 numpy_candidates.validate_fits(*args),
             )
-            np.testing.assert_array_equal(status, wanted)
+            np.testing.assert_array_equal(status, requested)
             np.testing.assert_array_equal(keep, keep_requested)
             seen |= set(status)
     assert polarity == "bright" or seen == set(fit_validation.STATUSES)

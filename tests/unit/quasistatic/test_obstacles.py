@@ -288,10 +288,10 @@ def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
                 found.append(str(error))
         return found
 
-    nothing = ends(0.0)
-    assert len({type(one) for one in nothing}) == 2  # some rest, some are refused
-    assert ends(np.nan) == nothing
-    assert ends(1e3) == nothing
+    empty = ends(0.0)
+    assert len({type(one) for one in empty}) == 2  # some rest, some are refused
+    assert ends(np.nan) == empty
+    assert ends(1e3) == empty
 
 
 def test_a_hull_has_each_face_once():

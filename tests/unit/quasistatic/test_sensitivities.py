@@ -176,5 +176,5 @@ def test_what_has_no_derivative_is_refused(monkeypatch):
             film.derivatives(pressed, shape, other)
     with pytest.raises(InputError, match="shape: None is not an obstacle"):
         film.derivatives(pressed, lambda numbers: None, [0.0])
-    nothing = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
-    assert not nothing.displacements.any() and not nothing.wrench.any()  # it touches nothing
+    empty = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
+    assert not empty.displacements.any() and not empty.wrench.any()  # it touches nothing

@@ -101,21 +101,26 @@ def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
 def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
     """Wrench, slip and contact of every finger are read back in their shape; unknown values are NaN
     in that shape."""
-    felt = fake_touch(0.5, 0.0)
+    estimated = fake_touch(0.5, 0.0)
     patch = replace(
-        felt.contact, force=np.array([0.1, 0.0, -0.5]), semi_axes=np.array([2e-3, 1e-3]), angle=0.3
+        estimated.contact,
+        force=np.array([0.1, 0.0, -0.5]),
+        semi_axes=np.array([2e-3, 1e-3]),
+        angle=0.3,
     )
-    felt = replace(
-        felt, slip=Slip("incipient", np.array([1e-3, -2e-3]), 3e-4, 0.4), patches=(patch, patch)
+    estimated = replace(
+        estimated,
+        slip=Slip("incipient", np.array([1e-3, -2e-3]), 3e-4, 0.4),
+        patches=(patch, patch),
     )
     blind = Touch(0.0, 0.3, math.nan, math.nan, False, status="dark")
     with Recorder(tmp_path, {}) as recorder:
-        recorder.add(replace(fake_cycle(0), touch=(felt, blind)))
-        recorder.add(replace(fake_cycle(1), touch=(felt, felt)))
+        recorder.add(replace(fake_cycle(0), touch=(estimated, blind)))
+        recorder.add(replace(fake_cycle(1), touch=(estimated, estimated)))
     recording = load_recording(tmp_path)
     wrench = recording.column("wrench")
     assert wrench.shape == (2, 2, 6) and np.isnan(wrench[0, 1]).all()
-    np.testing.assert_array_equal(wrench[1, 1], felt.traction.wrench)
+    np.testing.assert_array_equal(wrench[1, 1], estimated.traction.wrench)
     np.testing.assert_allclose(recording.column("wrench_sd")[0, 0], 0.02)  # value of fake_touch
     np.testing.assert_array_equal(
         recording.column("slip_velocity")[0], [[1e-3, -2e-3], [np.nan, np.nan]]

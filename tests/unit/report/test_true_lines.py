@@ -90,6 +90,6 @@ def test_a_section_shows_how_far_the_believed_body_is_off():
     # estimated shapes are plotted from their own lowest point: the true one is 1 mm lower
     assert lowest["right"] == pytest.approx(lowest["off"], abs=1)
     assert true["off"] - true["right"] == pytest.approx(240 / 18, abs=2)  # px in a mm
-    nothing = plot_section(None, np.zeros((0, 2, 3)), size)
-    assert not len(dark(nothing))
+    empty = plot_section(None, np.zeros((0, 2, 3)), size)
+    assert not len(dark(empty))
     assert len(lines_of(ball())) == 2

@@ -83,9 +83,11 @@ def test_a_value_depends_on_its_seed_and_its_name_alone():
 def test_distributions(spread, law):
     """2000 evenly spaced fractions give the stated distribution: Kolmogorov's distance is rounding
     alone."""
-    values = [spread.at(share) for share in (np.arange(2000) + 0.5) / 2000]
+    values = [spread.at(fraction) for fraction in (np.arange(2000) + 0.5) / 2000]
     assert kstest(values, law[0], law[1]).statistic < 1e-3
-    one_of = [Spread(choices=(0.0, 0.0, 1.0)).at(share) for share in (np.arange(300) + 0.5) / 300]
+    one_of = [
+        Spread(choices=(0.0, 0.0, 1.0)).at(fraction) for fraction in (np.arange(300) + 0.5) / 300
+    ]
     assert sum(one_of) == 100
 
 
@@ -193,8 +195,8 @@ def test_the_world_is_as_drawn_and_sensing_does_not_know():
             assert (
                 finger.design.membrane == DESIGN.membrane and finger.design.camera == DESIGN.camera
             )
-            share = 1 + world.as_built_sensor(finger.name).stiffness_fraction
-            assert sensor.design.membrane.young == pytest.approx(share * DESIGN.membrane.young)
+            fraction = 1 + world.as_built_sensor(finger.name).stiffness_fraction
+            assert sensor.design.membrane.young == pytest.approx(fraction * DESIGN.membrane.young)
         stands = load_object("egg").break_force * (1 + world.object.breaking)
         assert rig.scene.object.break_force == pytest.approx(stands) and rig.varied == world.values
         assert rig.limits.speed == FILE.gripper.speed != rig.scene.rig.gripper.speed

@@ -34,9 +34,11 @@ AIR = CommandLimits(pressure=(200.0, 2000.0), pressure_rate=600.0)
         (None, (1000.0,), 0.05, None),
     ],
 )
-def test_air_keeps_range_and_rate(wanted, last, period, sent):
-    wanted = Command(0.05, 1.0, gauge_pressure=wanted)
-    assert AIR.apply(wanted, Command(0.05, 1.0, gauge_pressure=last), period).gauge_pressure == sent
+def test_air_keeps_range_and_rate(requested, last, period, sent):
+    requested = Command(0.05, 1.0, gauge_pressure=requested)
+    assert (
+        AIR.apply(requested, Command(0.05, 1.0, gauge_pressure=last), period).gauge_pressure == sent
+    )
 
 
 class Chamber:
@@ -107,10 +109,10 @@ def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_hand_goes_down(
 
 def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
     last = replace(LAST, gauge_pressure=(900.0,))
-    wanted = replace(LAST, gauge_pressure=(2000.0,))
-    assert supervisor.decide(0.1, wanted, last, (BLIND,), ()).gauge_pressure == (900.0,)
+    requested = replace(LAST, gauge_pressure=(2000.0,))
+    assert supervisor.decide(0.1, requested, last, (BLIND,), ()).gauge_pressure == (900.0,)
     supervisor.make_safe("a fault", 0.2)
-    assert supervisor.decide(0.3, wanted, last, (OK,), ()).gauge_pressure == (900.0,)
+    assert supervisor.decide(0.3, requested, last, (OK,), ()).gauge_pressure == (900.0,)
 
 
 def test_a_valve_that_does_not_obey_leads_to_the_retreat():

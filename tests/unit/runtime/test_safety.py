@@ -27,8 +27,8 @@ def supervisor():
 
 
 def test_the_reason_of_a_command_passes_limits_and_processes():
-    wanted = Command(0.04, 9.0, 0.03, "abort", {"t": 1.0}, reason="closed on nothing")
-    sent = pickle.loads(pickle.dumps(CommandLimits(force=5.0).apply(wanted, LAST, PERIOD)))
+    requested = Command(0.04, 9.0, 0.03, "abort", {"t": 1.0}, reason="closed on nothing")
+    sent = pickle.loads(pickle.dumps(CommandLimits(force=5.0).apply(requested, LAST, PERIOD)))
     assert (sent.reason, sent.force_limit, sent.memory["t"]) == ("closed on nothing", 5.0, 1.0)
 
 
@@ -46,8 +46,8 @@ def test_the_retreat_ends_where_what_is_held_stands(supervisor, how, height):
     lowest = last.lift_height
     while not supervisor.is_over:
         up = 0.5 if how == "pushed" and last.lift_height < 0.01 else -0.5
-        felt = BLIND if how == "slid" else loaded(up)  # it slid off the membrane: no shape
-        last = supervisor.decide(now, last, last, (felt, felt), ())
+        estimated = BLIND if how == "slid" else loaded(up)  # it slid off the membrane: no shape
+        last = supervisor.decide(now, last, last, (estimated, estimated), ())
         lowest = min(lowest, last.lift_height)
         now += PERIOD
     # a step of the retreat is 1.5 mm
@@ -56,8 +56,8 @@ def test_the_retreat_ends_where_what_is_held_stands(supervisor, how, height):
 
 
 def test_known_forces_let_the_controller_through(supervisor):
-    wanted = Command(0.04, 4.0, 0.03, "hold")
-    assert supervisor.decide(0.1, wanted, LAST, (OK, OK), (SEALED, SEALED)) is wanted
+    requested = Command(0.04, 4.0, 0.03, "hold")
+    assert supervisor.decide(0.1, requested, LAST, (OK, OK), (SEALED, SEALED)) is requested
     assert supervisor.state == "running"
 
 

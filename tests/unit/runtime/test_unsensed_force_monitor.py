@@ -11,9 +11,9 @@ from mjtactile.runtime.unsensed_force_monitor import KIND, UnsensedForceMonitor
 PERIOD = 1 / 30
 
 
-def pushed(watch, effort, felt, seconds=1.0):
+def pushed(watch, effort, estimated, seconds=1.0):
     """Return the flags after a push of `seconds` with this servo effort and finger force."""
-    touch = SimpleNamespace(force_normal=felt, touching=felt > 0.05)
+    touch = SimpleNamespace(force_normal=estimated, touching=estimated > 0.05)
     start = watch.time
     for k in range(1, round(seconds / PERIOD) + 1):
         gripper = SimpleNamespace(effort=effort)
@@ -40,9 +40,9 @@ def watch():
         (0.4, 5.0, math.nan),  # no force
     ],
 )
-def test_what_gears_and_data_sheets_take_is_no_flag(watch, free, effort, felt):
+def test_what_gears_and_data_sheets_take_is_no_flag(watch, free, effort, estimated):
     assert not pushed(watch, free, 0.0)
-    assert not pushed(watch, effort, felt)
+    assert not pushed(watch, effort, estimated)
 
 
 def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):

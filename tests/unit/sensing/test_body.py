@@ -133,12 +133,12 @@ def test_gas_that_came_since_raises_the_markers(sensor):
     """The response to a share of gas against the sheet's own, solved with that much more."""
     chain, state, finder = sensor
     rest = state.reference.rest
-    share = 2e-3
-    gas = type(rest.gas)(rest.gas.gauge_pressure, (1 + share) * rest.gas.constant)
+    fraction = 2e-3
+    gas = type(rest.gas)(rest.gas.gauge_pressure, (1 + fraction) * rest.gas.constant)
     more = chain.inverse.membrane.equilibrium(gas, rest.stiffness_scale, start=rest.c)
     rise = (chain.inverse.positions(more) - chain.inverse.positions(rest.c))[:, 2]
     # the sheet's splines are 3 mm wide, and the response is linear to a per cent of it
-    assert finder.forward.by_gas * share == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
+    assert finder.forward.by_gas * fraction == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
 
 
 def follow(sensor, touches, rubber=None):
@@ -220,9 +220,14 @@ def test_two_balls_at_once_are_two_balls(sensor, fine_membrane):
         assert part.radius == pytest.approx(radius, rel=0.3)
         assert part.p_SO[:2] == pytest.approx([at, 1e-3], abs=0.3e-3)
     assert shape.area == pytest.approx(sum(part.area for part in shape.parts))
-    felt = attach_shape(touch, shape, found.load)
-    assert {patch.area_source for patch in felt.patches} <= {"ball", "cylinder", "disc", "block"}
-    assert felt.contact.area == shape.area
+    estimated = attach_shape(touch, shape, found.load)
+    assert {patch.area_source for patch in estimated.patches} <= {
+        "ball",
+        "cylinder",
+        "disc",
+        "block",
+    }
+    assert estimated.contact.area == shape.area
 
 
 def test_the_force_takes_up_what_the_body_bears(sensor, cases):
@@ -231,13 +236,13 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     for case in cases[2::3]:
         touch = touch_of(sensor, layout_places(case))
         found = follow(sensor, [touch])[0]
-        felt = attach_shape(touch, found.shape, found.load)
+        estimated = attach_shape(touch, found.shape, found.load)
         # a sticking contact carries 3 % more than a sliding one, and the load includes this
         true = 1.03 * case["force_N"]
-        off.append(felt.force_normal - true)
-        chi2.append((off[-1] / felt.force_normal_sd) ** 2)
-        assert felt.force_normal == pytest.approx(-felt.traction.wrench[2], abs=5e-3)
-        assert np.linalg.eigvalsh(felt.traction.wrench_cov).min() > 0
+        off.append(estimated.force_normal - true)
+        chi2.append((off[-1] / estimated.force_normal_sd) ** 2)
+        assert estimated.force_normal == pytest.approx(-estimated.traction.wrench[2], abs=5e-3)
+        assert np.linalg.eigvalsh(estimated.traction.wrench_cov).min() > 0
     # from single images; their markers also allow a ball between them that is twice as large
     assert max(np.abs(off)) < 0.015
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
@@ -253,7 +258,7 @@ def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
     before = touch.traction.wrench_cov
     sharpness = 0.5 * np.diag(before)
 
-    def felt(misfit):
+    def estimated(misfit):
         left = (max(misfit, 1.0) / DEFAULTS.contact_shape.misfit_max) ** 2
         load = replace(found.load, explained=1 - left)
         return attach_shape(touch, found.shape, load, sharpness).traction.wrench_cov
@@ -262,8 +267,8 @@ def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
     assert found.shape.probabilities["smooth"] > 0.9
     assert found.load.explained == pytest.approx(0.0, abs=0.1)
     # normal force and tilt determine none of the shear, to a hundredth
-    assert felt(1.0)[0, 0] / before[0, 0] == pytest.approx(1 - 0.5 * (1 - 1 / 144), abs=0.01)
-    assert felt(12.0)[0, 0] / before[0, 0] == pytest.approx(1.0, abs=0.01)
+    assert estimated(1.0)[0, 0] / before[0, 0] == pytest.approx(1 - 0.5 * (1 - 1 / 144), abs=0.01)
+    assert estimated(12.0)[0, 0] / before[0, 0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sensor, cases):
@@ -367,9 +372,9 @@ def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
     zero, none = np.zeros(2), np.zeros((2, 2))
     for spinning, said in ((0.0, "sticking"), (1.0, "slipping")):
         motion = RelativeMotion(zero, none, zero, none, zero, spinning, 0.05)
-        felt, after = chain.track_contact_shape(before, before, touch, KnownMotion(motion))
-        assert felt.slip.state == said
-        assert after.slip.distance == felt.slip.distance
+        estimated, after = chain.track_contact_shape(before, before, touch, KnownMotion(motion))
+        assert estimated.slip.state == said
+        assert after.slip.distance == estimated.slip.distance
 
 
 def test_rubber_that_turns_and_goes_is_told_apart():

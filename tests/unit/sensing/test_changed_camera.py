@@ -69,16 +69,16 @@ def test_a_change_after_the_references_is_no_force(clean, table, limit):
     first, *others = zip(touches(run=table), clean, strict=True)
     assert first[0].status == "ok"
     assert abs(first[0].force_normal - first[1]) < 5 * first[0].force_normal_sd
-    for touch, wanted in others:
+    for touch, requested in others:
         assert touch.status == "ok"
-        assert abs(touch.force_normal - wanted) < limit
+        assert abs(touch.force_normal - requested) < limit
 
 
 @pytest.mark.parametrize("table", BEFORE, ids=str)
 def test_a_change_that_ends_with_the_references_is_none_either(clean, table):
-    for touch, wanted in zip(touches(references=table), clean, strict=True):
+    for touch, requested in zip(touches(references=table), clean, strict=True):
         assert touch.status == "ok"
-        assert abs(touch.force_normal - wanted) < 0.05
+        assert abs(touch.force_normal - requested) < 0.05
 
 
 def test_modes_are_what_a_changed_camera_shows():
@@ -99,9 +99,9 @@ def test_modes_are_what_a_changed_camera_shows():
     assert modes[:, :2, 6] == pytest.approx(0)
     assert modes[:, 2, 6] / away[:, 2] == pytest.approx(-s.drift_zoom)
     # larger circles: nearer along their rays, by the share of their radius, 13 px
-    share = np.linalg.norm(modes[:, :, 7], axis=1) / np.linalg.norm(away, axis=1)
+    fraction = np.linalg.norm(modes[:, :, 7], axis=1) / np.linalg.norm(away, axis=1)
     radius = design.camera.fx * design.markers.radius / away[:, 2]
-    assert share == pytest.approx(s.drift_size / radius)
+    assert fraction == pytest.approx(s.drift_size / radius)
     assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
 
 

@@ -77,10 +77,10 @@ def test_it_recovers_within_an_image(clean, table):
     This is three sd of a clean image.
     """
     for now, then in zip(touches(faulty(table)), clean, strict=True):
-        for touch, wanted in zip(now, then, strict=True):
+        for touch, requested in zip(now, then, strict=True):
             assert touch.status == "ok"
             assert touch.camera.seen == 10
-            assert abs(touch.force_normal - wanted.force_normal) < 0.03
+            assert abs(touch.force_normal - requested.force_normal) < 0.03
 
 
 def test_what_has_changed_is_said():
@@ -123,13 +123,13 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     assert finder.correct_positions(shown, darker, camera) == pytest.approx(p_SM, abs=1e-12)
 
 
-def estimate_after_loss(sensor, share, load):
+def estimate_after_loss(sensor, fraction, load):
     """First and fourth touch, less the load, once a share of the gas has gone; without a gauge."""
     design = load_sensor(sensor)
     sheet = InverseMembrane(design).membrane
     rest = sheet.equilibrium(Gas(membrane_images.GAUGE))
     gas = sheet.seal(sheet.state(rest), membrane_images.GAUGE)
-    less = replace(gas, constant=(1 - share) * gas.constant)
+    less = replace(gas, constant=(1 - fraction) * gas.constant)
     c = sheet.equilibrium(less, load=membrane_images._load(sheet, 0.0, load), start=rest)
     images = membrane_images.sequence(sensor)
     chain = StatefulPipeline.of(design)
@@ -144,14 +144,14 @@ def estimate_after_loss(sensor, share, load):
 
 @pytest.mark.parametrize("load", [0.0, 0.4])
 @pytest.mark.parametrize("share", [0.01, 0.03])
-def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(share, load):
+def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(fraction, load):
     """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
     the first image after the loss is right; without, 3 % are half a newton."""
-    for off, sd in estimate_after_loss(SENSOR, share, load):
+    for off, sd in estimate_after_loss(SENSOR, fraction, load):
         assert abs(off) < 0.03
         assert abs(off) < 5 * sd
-    if (share, load) == (0.03, 0.0):
-        assert abs(estimate_after_loss("dense", share, load)[1][0]) > 0.3
+    if (fraction, load) == (0.03, 0.0):
+        assert abs(estimate_after_loss("dense", fraction, load)[1][0]) > 0.3
 
 
 def covered(*ids, of=DESIGN):
@@ -172,10 +172,10 @@ def test_dirty_fiducials_cost_themselves(clean):
     """With three of ten fiducials half covered, the others determine the camera, and no marker is
     lost or confused."""
     for now, then in zip(touches(covered(0, 4, 7)), clean, strict=True):
-        touch, wanted = now[-1], then[-1]
+        touch, requested = now[-1], then[-1]
         assert touch.status == "ok"
         assert len(touch.markers) == DESIGN.markers.count
-        assert abs(touch.force_normal - wanted.force_normal) < 0.02
+        assert abs(touch.force_normal - requested.force_normal) < 0.02
 
 
 def test_without_fiducials_the_camera_is_where_it_was_last(clean):
@@ -296,8 +296,8 @@ def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
     assert tone.light == pytest.approx(light, abs=1e-3)
     assert tone.gamma == pytest.approx(gamma, abs=1e-3)
     assert tone.black == pytest.approx(black, abs=0.1)
-    nothing = np.full(10, np.nan)
-    assert np.isnan(tone_of(nothing, nothing, *then).gamma)
+    empty = np.full(10, np.nan)
+    assert np.isnan(tone_of(empty, empty, *then).gamma)
 
 
 def test_a_calibration_keeps_where_they_were():

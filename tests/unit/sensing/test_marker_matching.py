@@ -44,14 +44,14 @@ def pressed(design, depth=4e-3, shear=1e-3):
 # of the pitch; beyond a half the next marker is nearer
 @pytest.mark.parametrize("share", [1 / 3, 0.45])
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_flat_membrane_seen_by_a_displaced_camera(sensor, share):
+def test_flat_membrane_seen_by_a_displaced_camera(sensor, fraction):
     design = load_sensor(sensor)
     layout = design.markers.p_SM
     markers = design.markers
     for seed in range(20):
         rng = np.random.default_rng(seed)
         p, ids = seen(layout, rng)
-        offset = rng.choice([-1, 1], 2) * share * np.array([markers.pitch_x, markers.pitch_y])
+        offset = rng.choice([-1, 1], 2) * fraction * np.array([markers.pitch_x, markers.pitch_y])
         turn = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
         np.testing.assert_array_equal(
             marker_matching.match(p @ turn.T + [*offset, 0], layout, layout), ids
@@ -153,7 +153,7 @@ def poses_of(design, p_SM, n_S, ids_bad=()):
 
 
 @pytest.mark.parametrize(("sensor", "share"), [("paper16", 0.9), ("dense", 1.0)])
-def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, share):
+def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, fraction):
     design = load_sensor(sensor)
     p, n = pressed(design)
     poses = poses_of(design, p, n)
@@ -165,7 +165,7 @@ def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, share):
     first_only = np.mean(np.linalg.norm(poses.n_C - n, axis=1)[clear] < 1e-9)
     # 16 markers see this bell with two or three points across: a slope's sign may be lost next to
     # its edge
-    assert np.mean(np.linalg.norm(markers.n_S - n, axis=1)[clear] < 1e-9) >= share
+    assert np.mean(np.linalg.norm(markers.n_S - n, axis=1)[clear] < 1e-9) >= fraction
     assert first_only < 0.8  # there was something to resolve
 
 

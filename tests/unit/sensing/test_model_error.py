@@ -24,8 +24,10 @@ NOTHING = DEFAULTS.override(
 AT_REST = FitDiagnostics(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
-def sd(felt, design=DENSE, nodes=NODES, **shares):
-    return np.sqrt(ModelErrorVariance(design, nodes, replace(NOTHING, **shares)).variance(felt))
+def sd(estimated, design=DENSE, nodes=NODES, **shares):
+    return np.sqrt(
+        ModelErrorVariance(design, nodes, replace(NOTHING, **shares)).variance(estimated)
+    )
 
 
 def loaded(*forces, **more):
@@ -33,17 +35,17 @@ def loaded(*forces, **more):
 
 
 def test_shares_are_of_the_force_and_torques_have_a_lever():
-    felt = loaded([0.0, 0.0, -2.0], [0.0, 0.0, 0.0])
-    assert sd(felt, sparse=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
+    estimated = loaded([0.0, 0.0, -2.0], [0.0, 0.0, 0.0])
+    assert sd(estimated, sparse=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
         [0.2, 0.2, 0.4, 0.6 * 3e-3, 0.6 * 3e-3, 0.8 * 3e-3]
     )
     sparse = replace(DENSE, markers=replace(DENSE.markers, pitch_x=2 * DENSE.markers.pitch_x))
-    assert sd(felt, sparse, sparse=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
+    assert sd(estimated, sparse, sparse=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
 
 
 def test_shear_that_cancels_itself_is_doubted_all_the_same():
-    felt = loaded([0.5, 0.0, 0.0], [-0.5, 0.0, 0.0])
-    assert sd(felt, lateral=(0.1, 0.0, 0.0, 0.0))[:2] == pytest.approx([0.1, 0.1])
+    estimated = loaded([0.5, 0.0, 0.0], [-0.5, 0.0, 0.0])
+    assert sd(estimated, lateral=(0.1, 0.0, 0.0, 0.0))[:2] == pytest.approx([0.1, 0.1])
 
 
 @pytest.mark.parametrize(("excess", "factor"), [(0.6, 0.0), (1.0, 0.0), (5.0, 2.0), (1e3, 19**0.5)])
@@ -54,8 +56,8 @@ def test_shear_of_edges_that_catch_the_sheet_is_doubted_and_that_of_smooth_bodie
 
     It grows with the root of the markers' excess noise beyond one, of which 20 count.
     """
-    felt = loaded([0.3, 0.0, -1.0], [-0.1, 0.0, 0.0], excess=excess)
-    found = sd(felt, caught=(0.1, 0.0, 0.2, 0.0))
+    estimated = loaded([0.3, 0.0, -1.0], [-0.1, 0.0, 0.0], excess=excess)
+    found = sd(estimated, caught=(0.1, 0.0, 0.2, 0.0))
     assert found == pytest.approx(
         np.array([0.04, 0.04, 0.0, 0.08 * 3e-3, 0.08 * 3e-3, 0.0]) * factor
     )
@@ -93,42 +95,46 @@ def test_a_force_that_comes_at_once_may_press_anywhere():
 
 
 def test_what_is_sharp_counts_up_to_a_limit():
-    felt = [
+    estimated = [
         sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], excess=mean), sharp=(0.0, 0.01, 0.0, 0.0))[2]
         for mean in (5, 20, 70)
     ]
-    assert felt == pytest.approx([0.05, 0.2, 0.2])
+    assert estimated == pytest.approx([0.05, 0.2, 0.2])
 
 
 def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_sides():
     """A shape explains the parts `sharp` and `caught`, and `lateral` for shear and spin; the rest
     of the variance remains."""
-    felt = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
+    estimated = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
     shares = {
         name: getattr(DEFAULTS.model_error, name) for name in ("sparse", "lateral", "outside")
     }
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
     doubt = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
-    left = doubt.variance(felt) - doubt.of_sharpness(felt.force, felt.excess)
+    left = doubt.variance(estimated) - doubt.of_sharpness(estimated.force, estimated.excess)
     tilts = [2, 3, 4]  # and the normal force, which has no `lateral` part
-    assert left[tilts] == pytest.approx(sd(felt, **shares)[tilts] ** 2)
+    assert left[tilts] == pytest.approx(sd(estimated, **shares)[tilts] ** 2)
     alone = {name: value for name, value in shares.items() if name != "lateral"}
     others = [0, 1, 5]
-    assert left[others] == pytest.approx(sd(felt, **alone)[others] ** 2)
+    assert left[others] == pytest.approx(sd(estimated, **alone)[others] ** 2)
 
 
 def test_a_sheet_that_moves_sideways_drags():
     """The simulated sheet's own drag: damping of 81 s/m^2 times its stiffness, on every m^2,
     against the frame."""
-    felt = replace(AT_REST, velocity=np.array([0.01, 0.0, 0.02]))
+    estimated = replace(AT_REST, velocity=np.array([0.01, 0.0, 0.02]))
     area = DENSE.frame.length * DENSE.frame.width
     stiffness = DENSE.membrane.young * DENSE.membrane.thickness
-    assert sd(felt, drag=81.0) == pytest.approx([81.0 * stiffness * area * 0.01, 0, 0, 0, 0, 0])
+    assert sd(estimated, drag=81.0) == pytest.approx(
+        [81.0 * stiffness * area * 0.01, 0, 0, 0, 0, 0]
+    )
 
 
 def test_a_wrench_that_changes_is_known_less():
-    felt = replace(AT_REST, change=np.array([0.1, 0.0, 0.4, 0.0, 1e-3, 2e-3]))
-    assert sd(felt, change=(0.1, 0.5, 0.2, 0.3)) == pytest.approx([0.01, 0, 0.2, 0, 2e-4, 6e-4])
+    estimated = replace(AT_REST, change=np.array([0.1, 0.0, 0.4, 0.0, 1e-3, 2e-3]))
+    assert sd(estimated, change=(0.1, 0.5, 0.2, 0.3)) == pytest.approx(
+        [0.01, 0, 0.2, 0, 2e-4, 6e-4]
+    )
 
 
 def test_nothing_felt_is_not_doubted():

@@ -91,8 +91,8 @@ def enlarged(image, at, radius):
     cover = np.zeros(image.pixels.shape, np.uint8)
     center = [round(16 * x) for x in at]
     cv2.circle(cover, center, round(16 * radius), 255, -1, shift=4)
-    share = cv2.GaussianBlur(cover, (0, 0), 0.8) / 255
-    spotted = image.pixels * (1 - share) + 45 * share
+    fraction = cv2.GaussianBlur(cover, (0, 0), 0.8) / 255
+    spotted = image.pixels * (1 - fraction) + 45 * fraction
     return Image(np.minimum(image.pixels, spotted).astype(np.uint8), image.time)
 
 

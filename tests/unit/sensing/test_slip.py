@@ -106,8 +106,10 @@ def ramp(before, rising, after=0):
 def test_states_that_need_no_history(sensor):
     mu = sensor[0].design.membrane.friction
     # beyond the file's friction, but it holds
-    for share, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):
-        assert states(verdicts(sensor, np.full(9, share * mu * NORMAL), np.zeros(9)))[-1] == state
+    for fraction, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):
+        assert (
+            states(verdicts(sensor, np.full(9, fraction * mu * NORMAL), np.zeros(9)))[-1] == state
+        )
     none, history = slip.classify(0.0, sensor[0], sensor[2], (), None)
     assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
 

@@ -17,12 +17,12 @@ STICKS = Slip("sticking", np.zeros(2), 0.0, 0.5)
 
 def motion(velocity=(0.0, 0.0), sd=1e-3, spinning=0.0, spinning_sd=0.05):
     """Return the motion of a shape with unknown rolling."""
-    nothing = np.full((2, 2), np.nan)
+    empty = np.full((2, 2), np.nan)
     return RelativeMotion(
         np.array(velocity),
         sd**2 * np.eye(2),
         np.full(2, np.nan),
-        nothing,
+        empty,
         np.zeros(2),
         spinning,
         spinning_sd,

@@ -12,8 +12,8 @@ from mjtactile.sensing.force.temporal_blending import BlendEstimator
 SD = 2e-6  # marker noise, m
 
 
-def pictures(design, share, count=60, motion=None, missing=(), seed=3):
-    """Yield the markers of `count` images. The fraction `share` of each is the previous image;
+def pictures(design, fraction, count=60, motion=None, missing=(), seed=3):
+    """Yield the markers of `count` images. The fraction `fraction` of each is the previous image;
     `motion` (N, 3) m is the displacement per image."""
     rng = np.random.default_rng(seed)
     p = design.markers.p_SM
@@ -21,29 +21,29 @@ def pictures(design, share, count=60, motion=None, missing=(), seed=3):
     last = p + SD * rng.standard_normal(p.shape)
     for k in range(count):
         there = p if motion is None else p + k * motion
-        last = share * last + (1 - share) * (there + SD * rng.standard_normal(p.shape))
+        last = fraction * last + (1 - fraction) * (there + SD * rng.standard_normal(p.shape))
         cov = np.broadcast_to(SD**2 * np.eye(3), (len(ids), 3, 3))
         yield Markers(ids, last[ids], np.tile([0.0, 0.0, 1.0], (len(ids), 1)), cov)
 
 
-def blend(design, share, **how):
+def blend(design, fraction, **how):
     found = None
     finder = BlendEstimator(design.markers.p_SM)
-    for markers in pictures(design, share, **how):
+    for markers in pictures(design, fraction, **how):
         found = finder.after(found, markers)
     return found
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
-def test_the_share_of_the_last_picture_is_found(sensor, share):
+def test_the_share_of_the_last_picture_is_found(sensor, fraction):
     """Five sd: one sd of a correlation is 1 over the root of 20 pictures' 60 or 13 markers' three
     coordinates, and half of the share's."""
     design = load_sensor(sensor)
     free = 60 if sensor == "dense" else 13
-    found = blend(design, share)
-    assert found.share == pytest.approx(share, abs=5 * 2 / np.sqrt(20 * 3 * free))
-    assert found.images == pytest.approx(found.share / (1 - found.share))
+    found = blend(design, fraction)
+    assert found.fraction == pytest.approx(fraction, abs=5 * 2 / np.sqrt(20 * 3 * free))
+    assert found.images == pytest.approx(found.fraction / (1 - found.fraction))
 
 
 @pytest.mark.parametrize("missing", [(), (3, 40)])
@@ -65,7 +65,7 @@ def test_what_moves_is_no_lag():
     found = blend(design, 0.5)
     for markers in pictures(design, 0.5, motion=dent, seed=4):
         found = finder.after(found, markers)
-    assert found.share == pytest.approx(0.5, abs=0.15)
+    assert found.fraction == pytest.approx(0.5, abs=0.15)
 
 
 def test_what_lags_is_as_doubtful_as_it_changes():

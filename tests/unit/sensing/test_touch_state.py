@@ -125,8 +125,8 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     # and a load is estimated correctly, since the correction was applied to the gas
     warm_rest = replace(rest, gas=warm, c=c)
     c_pressed, _ = pressed(estimator, warm_rest, np.array([0, 0, -0.5]))
-    felt = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
-    assert felt == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, asked 0.04
+    estimated = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
+    assert estimated == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, asked 0.04
 
 
 @pytest.mark.parametrize("kelvin", [0.0, 0.1])
@@ -140,7 +140,7 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
     assert state.reference is not None
     rest = state.reference.rest
     surface = state.reference.surface
-    felt = []
+    estimated = []
     for time in np.arange(0.0, 32.0, 0.25):
         warm = replace(
             rest.gas, constant=rest.gas.constant * (1 + kelvin * min(time / 10, 1.0) / 293.15)
@@ -150,11 +150,11 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
             estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3)
         )
         touch, state = chain.estimate_touch(state, seen(estimator, c, rng), surface, time)
-        felt.append(touch.force_normal)
+        estimated.append(touch.force_normal)
     # the noise of a mean of ten images is 2 mN; light touches are estimated a seventh too low; the
     # rate of the zero absorbed 30 mN before
-    assert np.mean(felt[-10:]) == pytest.approx(0.046, abs=0.012)
-    assert abs(np.mean(felt[64:80])) < 5e-3  # warmth alone is followed
+    assert np.mean(estimated[-10:]) == pytest.approx(0.046, abs=0.012)
+    assert abs(np.mean(estimated[64:80])) < 5e-3  # warmth alone is followed
 
 
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
@@ -253,18 +253,18 @@ def light_estimate(sensor, **settings):
     estimator, _ = sensor
     coarse = 5 * NOISE
     chain = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
-    nothing = estimator.membrane.equilibrium(Gas(SUPPLY))
+    empty = estimator.membrane.equilibrium(Gas(SUPPLY))
     state = chain.load_rest_reference(
-        chain.initial_state(), seen(estimator, nothing, noise=coarse), SUPPLY
+        chain.initial_state(), seen(estimator, empty, noise=coarse), SUPPLY
     )
     assert state.reference is not None
     rest = state.reference.rest
     light = pressed(estimator, rest, np.array([0, 0, -0.05]), (1e-3, 1e-3), 2.5e-3)[0]
-    surface = chain.fitter.fit(seen(estimator, nothing))
+    surface = chain.fitter.fit(seen(estimator, empty))
     rng = np.random.default_rng(3)
     found = []
     for k in range(20):
-        shown = seen(estimator, nothing if k < 10 else light, rng, coarse)
+        shown = seen(estimator, empty if k < 10 else light, rng, coarse)
         touch, state = chain.estimate_touch(state, shown, surface, k * FRAME)
         found.append((touch.force_normal, touch.force_normal_sd))
     return np.array(found).T

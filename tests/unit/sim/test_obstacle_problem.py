@@ -42,7 +42,7 @@ def ball(radius):
 def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force):
     found = film(4e-4, ball(radius), force)
     # the membrane leaves without a kink: the contact on the ball carries p + 2 T/R everywhere
-    visible_from_below = found.share.sum() * found.spacing**2
+    visible_from_below = found.fraction.sum() * found.spacing**2
     # of a contact 1.1 mm wide, in cells of 0.4 mm; it falls with the cells' square
     assert visible_from_below == pytest.approx(force / (PRESSURE + 2 * TENSION / radius), rel=0.02)
     assert found.force.sum() == pytest.approx(force, rel=1e-6)  # the linear solver's

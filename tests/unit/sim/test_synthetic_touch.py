@@ -45,8 +45,8 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     erring = SensingErrorSampler(errors)
     erring.begin(rng)
     count = 20000
-    felt = np.array([erring.felt(true, PERIOD, rng)[0].copy() for _ in range(count)])
-    z = (felt - true - errors.gain @ true - here.mean) / here.sd
+    estimated = np.array([erring.estimated(true, PERIOD, rng)[0].copy() for _ in range(count)])
+    z = (estimated - true - errors.gain @ true - here.mean) / here.sd
     alone = count / (1 + 2 * lasts * errors.slow_time / PERIOD)
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(alone)
     assert np.abs(z.T @ z / count - errors.correlation).max() < 4 * np.sqrt(2 / alone)
@@ -77,13 +77,13 @@ def test_the_kernel_draws_as_the_formula_does():
     untouched = np.minimum(lasts, errors.sd[0] ** 2 - errors.fresh[0] ** 2)
     sd = np.sqrt(untouched + factor**2 * (lasts - untouched))
     for _ in range(5):
-        felt, cov, _ = erring.felt(true, PERIOD, rng)
+        estimated, cov, _ = erring.estimated(true, PERIOD, rng)
         fresh, fast = again.standard_normal((2, 6)) @ spread.T
         slow = kept * slow + np.sqrt(1 - kept**2) * fresh
         size = errors.outlier_size if again.random() < 0.5 else 1.0
         error = sd * slow + size * here.fresh * fast
-        wanted = true + errors.gain @ true + gain * true + here.mean + error
-        np.testing.assert_allclose(felt, wanted, rtol=1e-11, atol=1e-14)
+        requested = true + errors.gain @ true + gain * true + here.mean + error
+        np.testing.assert_allclose(estimated, requested, rtol=1e-11, atol=1e-14)
         np.testing.assert_allclose(
             cov,
             np.outer(here.reported_sd, here.reported_sd) * errors.reported_correlation,

@@ -113,8 +113,8 @@ def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
     before = detect(pictures[1]).center_px
     camera = FaultyImage(faults(scale_percent=1, image_shift_px=[3, 2]))
     after = detect(camera(pictures[1])).center_px
-    wanted = middle + 1.01 * (before - middle) + [3, 2]
-    nearest = np.linalg.norm(after[:, None] - wanted, axis=2).min(axis=0)
+    requested = middle + 1.01 * (before - middle) + [3, 2]
+    nearest = np.linalg.norm(after[:, None] - requested, axis=2).min(axis=0)
     assert len(after) == len(before) and nearest.max() < 0.1
 
 

@@ -31,10 +31,10 @@ AXES = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
 @pytest.mark.parametrize("axes", [np.eye(3), AXES])
 def test_extents_of_an_ellipsoid(axes):
     true = 2 * np.linalg.norm(HALF[:, None] * axes, axis=0)
-    felt = surface("ellipsoid")
+    estimated = surface("ellipsoid")
     # the farthest of the points is 0.09 to 1 mm short of it
-    assert (np.ptp(felt.points @ axes, axis=0) < true - 5e-5).all()
-    assert felt.extents(axes) == pytest.approx(true, abs=1e-6)
+    assert (np.ptp(estimated.points @ axes, axis=0) < true - 5e-5).all()
+    assert estimated.extents(axes) == pytest.approx(true, abs=1e-6)
 
 
 def test_extents_of_a_box_are_those_of_its_faces_and_nearly_of_its_corners():

@@ -152,7 +152,7 @@ def test_creep_is_given_to_the_simulated_sheet():
     """
     design = true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 1))
     assert design.relaxation is not None
-    shares = [share for share, _ in design.relaxation.terms]
+    shares = [fraction for fraction, _ in design.relaxation.terms]
     assert shares == [0.1] * len(shares)
     assert (
         true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 0)).relaxation

@@ -48,18 +48,18 @@ class FakeGui:
         return bool(self._take(label))
 
     def Checkbox(self, label, value):
-        wanted = self._take(label)
-        return (False, value) if wanted is None else (True, wanted)
+        requested = self._take(label)
+        return (False, value) if requested is None else (True, requested)
 
     def SliderFloat(self, label, value, *_):
-        wanted = self._take(label)
-        return (False, value) if wanted is None else (True, wanted)
+        requested = self._take(label)
+        return (False, value) if requested is None else (True, requested)
 
     InputInt = SliderFloat
 
     def Combo(self, label, value, items):
-        wanted = self._take(label)
-        return (False, value) if wanted is None else (True, items.index(wanted))
+        requested = self._take(label)
+        return (False, value) if requested is None else (True, items.index(requested))
 
     def TextUnformatted(self, text):
         self.texts.append(text)

@@ -92,13 +92,13 @@ def build(plugin, cycle=None):
 
 def test_the_panels_numbers_are_the_sessions(gui, bridge):
     build(Panel(bridge))
-    for felt in bridge.snapshot().fingers:
-        touch = felt.touch
+    for estimated in bridge.snapshot().fingers:
+        touch = estimated.touch
         shear = np.hypot(*touch.traction.wrench[:2])
         for text in (
             f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
             f"shear  {shear:.3f} N",
-            f"ground truth {felt.true:+.3f} N",
+            f"ground truth {estimated.true:+.3f} N",
             f"area   {1e6 * touch.contact.area:.0f} mm2",
             "20.9 C",
         ):
@@ -156,9 +156,9 @@ def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_c
 
 def test_the_sheet_in_the_scene_is_the_felt_surface():
     touch = fake_touch(0.6, 0.0)
-    felt = FingerSnapshot("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
+    estimated = FingerSnapshot("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
     corners, rgb = surface_colormap.sheet(
-        felt, surface_colormap.field_of(felt, "indentation"), 0.0012
+        estimated, surface_colormap.field_of(estimated, "indentation"), 0.0012
     )
     s = touch.surface
     a, b, c = corners.swapaxes(0, 1)
@@ -167,10 +167,10 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     middle = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
     assert rgb[middle, 1] == rgb[:, 1].max()  # green grows along viridis
     pressed, _ = surface_colormap.sheet(
-        felt, surface_colormap.field_of(felt, "indentation"), 0.0012, minimum=0.04
+        estimated, surface_colormap.field_of(estimated, "indentation"), 0.0012, minimum=0.04
     )
     assert 0 < len(pressed) < len(corners)
-    quiet = replace(felt, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
+    quiet = replace(estimated, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
     assert [
         len(part)
         for part in surface_colormap.sheet(
@@ -212,11 +212,11 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     [geom] = brush.drawn
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # MuJoCo's triangle
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)
-    felt = FingerSnapshot(
+    estimated = FingerSnapshot(
         "left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3))
     )
     scene_overlays.draw(
-        brush, [felt], scene_overlays.OverlayOptions(surface="none", contacts=False)
+        brush, [estimated], scene_overlays.OverlayOptions(surface="none", contacts=False)
     )
     [arrow] = brush.drawn
     along = np.asarray(arrow.mat)[:, 2]

@@ -26,16 +26,16 @@ def test_image_touch_truth_and_curves_follow_the_time(tape):
         tape.at = number / 30 + 0.01  # 30 cycles a second
         snapshot = tape.snapshot()
         assert snapshot.number == number and snapshot.time == pytest.approx(number / 30)
-        for felt, image, true in zip(
+        for estimated, image, true in zip(
             snapshot.fingers,
             tape.recording.images_of(number),
             tape.recording.column("force_normal_true")[number],
             strict=True,
         ):
-            np.testing.assert_array_equal(felt.image.pixels, image.pixels)
-            assert felt.true == pytest.approx(true) and felt.touch.force_normal == pytest.approx(
-                true / 0.97, abs=0.02
-            )
+            np.testing.assert_array_equal(estimated.image.pixels, image.pixels)
+            assert estimated.true == pytest.approx(
+                true
+            ) and estimated.touch.force_normal == pytest.approx(true / 0.97, abs=0.02)
         curves = tape.history.curves()
         assert len(curves.time) == COUNT and curves.now == pytest.approx(tape.at)
 
@@ -56,5 +56,7 @@ def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeyp
 
 def test_a_tape_keeps_no_images(tape):
     assert all(
-        felt.image.pixels.size == 1 for snapshot in tape._snapshots for felt in snapshot.fingers
+        estimated.image.pixels.size == 1
+        for snapshot in tape._snapshots
+        for estimated in snapshot.fingers
     )

@@ -54,7 +54,7 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
 def test_a_grasp_waits_for_its_page(monkeypatch):
     """A grasp states that it waits for its page; Studio's end or a signal ends the wait."""
     text = []
-    bridge = SessionBridge(say=text.append)
+    bridge = SessionBridge(notify=text.append)
     looked = threading.Event()
     monkeypatch.setattr(serve, "checked_at", looked)
     threading.Timer(0.05, looked.set).start()

@@ -54,7 +54,7 @@ def test_a_cycle_is_shown_with_what_was_true():
 
 def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
     text = []
-    bridge = SessionBridge(say=text.append)
+    bridge = SessionBridge(notify=text.append)
     session = fake_session()
     session.flags = {"sharp_edge": "an edge presses"}
     bridge.begin(session)
@@ -193,10 +193,10 @@ def test_a_grasp_shows_its_scene_and_obeys():
     # pressure in Pa; an ideal valve
     assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)
     assert snapshots[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
-    felt = snapshots[5].fingers[0]
+    estimated = snapshots[5].fingers[0]
     # tracks of sensing, against an independent search
-    known = followed(felt.image, felt.tracks)
-    found = find_ellipses(felt.image)
+    known = followed(estimated.image, estimated.tracks)
+    found = find_ellipses(estimated.image)
     order = [
         int(np.argmin(np.linalg.norm(found.center_px - center, axis=1)))
         for center in known.center_px
@@ -204,7 +204,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
     assert sorted(order) == list(range(len(found)))
     # px: where a fit began is a tenth of its sd
     np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)
-    assert followed(snapshots[6].fingers[0].image, felt.tracks) is None  # another image's
+    assert followed(snapshots[6].fingers[0].image, estimated.tracks) is None  # another image's
     state = [snapshot.session for snapshot in snapshots]
     # 40 mm/s for half a second, less its start
     assert state[18].lift_height > 0.004 and state[18].phase == "approach"

@@ -21,8 +21,8 @@ def test_membranes_are_seen_from_aside_and_the_mouse_moves_what_weighs_grams(tur
     angle = np.radians(turned)
     closes = np.array([np.cos(angle), np.sin(angle), 0.0])
     R_WS = np.column_stack([[0, 0, 1], np.cross(closes, [0, 0, 1]), closes])
-    felt = [SimpleNamespace(pose=SimpleNamespace(p_WS=np.zeros(3), R_WS=R_WS))]
-    shown = displayed_model(model, felt)
+    estimated = [SimpleNamespace(pose=SimpleNamespace(p_WS=np.zeros(3), R_WS=R_WS))]
+    shown = displayed_model(model, estimated)
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultFreeCamera(shown, camera)
     look = np.radians(camera.azimuth)

@@ -56,13 +56,13 @@ def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
         assert tips.sensors.on_step(step)
         assert time.monotonic() - start < 60
     assert time.monotonic() - start > 0.5  # no faster than the clock
-    [felt] = tips.panel.source.snapshot().fingers
+    [estimated] = tips.panel.source.snapshot().fingers
     # the weight on it
-    assert felt.name == "fingertip" and felt.touch.force_normal == pytest.approx(
+    assert estimated.name == "fingertip" and estimated.touch.force_normal == pytest.approx(
         0.05 * 9.81, abs=0.05
     )
-    assert felt.rest is not None and felt.body == tips.sensors.fingers[0].sensor.body_id
-    assert felt.gauge_pressure > 1000 and felt.temperature == pytest.approx(293, abs=5)
+    assert estimated.rest is not None and estimated.body == tips.sensors.fingers[0].sensor.body_id
+    assert estimated.gauge_pressure > 1000 and estimated.temperature == pytest.approx(293, abs=5)
 
 
 def test_it_heeds_a_pause_and_a_reset(tips):

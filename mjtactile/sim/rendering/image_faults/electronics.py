@@ -32,8 +32,8 @@ def rolling(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
         return pixels
     height = pixels.shape[0]
     older = t.rolling / (shot.time - shot.last[0]) * (1 - np.arange(height) / height)
-    share = np.minimum(older, 1.0).astype(np.float32)[:, None]
-    return (1 - share) * pixels + share * shot.last[1]
+    fraction = np.minimum(older, 1.0).astype(np.float32)[:, None]
+    return (1 - fraction) * pixels + fraction * shot.last[1]
 
 
 def smeared(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
@@ -63,13 +63,13 @@ def with_dead_rows(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Float
 
 def mosaic(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Record one color per pixel and interpolate the others, with correct white balance."""
-    share = np.float32(1 - t.bayer)
+    fraction = np.float32(1 - t.bayer)
     raw = pixels.copy()
-    raw[::2, ::2] *= share
-    raw[1::2, 1::2] *= share
+    raw[::2, ::2] *= fraction
+    raw[1::2, 1::2] *= fraction
     eight = np.clip(np.rint(raw), 0, 255).astype(np.uint8)
     colour = cv2.cvtColor(eight, cv2.COLOR_BayerBG2BGR).astype(np.float32)
-    colour[..., [0, 2]] /= share
+    colour[..., [0, 2]] /= fraction
     return np.asarray(np.clip(colour, 0, 255).mean(axis=2), np.float32)
 
 

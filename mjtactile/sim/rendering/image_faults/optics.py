@@ -101,8 +101,8 @@ def fingerprinted(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats
     """Within a fingertip grease blurs, and its ridges take light."""
     tip, ridges = _fingertip(pixels.shape, int(shot.fixed.integers(2**31)))
     greasy = cv2.GaussianBlur(pixels, (0, 0), _GREASE_BLUR)
-    share = t.fingerprint * tip
-    return (pixels + share * (0.5 * (greasy - pixels))) * (1 - _RIDGE_TAKES * share * ridges)
+    fraction = t.fingerprint * tip
+    return (pixels + fraction * (0.5 * (greasy - pixels))) * (1 - _RIDGE_TAKES * fraction * ridges)
 
 
 def lit_aside(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
