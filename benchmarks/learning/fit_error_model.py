@@ -155,7 +155,9 @@ def fit(rows: Rows) -> SensingErrorModel:
         area_sd=area_sd[:, 0],
         centroid_sd=centroid_sd[:, 0],
         depth=float(
-            np.median((estimated["estimated_depth"] / np.maximum(estimated["depth"], 1e-6))[touching])
+            np.median(
+                (estimated["estimated_depth"] / np.maximum(estimated["depth"], 1e-6))[touching]
+            )
         ),
         slip_displacement=DEFAULTS.slip.min_displacement,
         incipient=DEFAULTS.slip.incipient,

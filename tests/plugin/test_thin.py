@@ -23,7 +23,9 @@ FILM = {
 }
 
 
-@pytest.mark.parametrize(("name", "film", "share"), [(name, *each) for name, each in FILM.items()])
+@pytest.mark.parametrize(
+    ("name", "film", "fraction"), [(name, *each) for name, each in FILM.items()]
+)
 def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, fraction):
     """A thin object has the force of the quasi-static membrane within the fraction `fraction`.
 

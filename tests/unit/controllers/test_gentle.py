@@ -50,7 +50,7 @@ def run(command, estimated, count):
 
 @pytest.mark.parametrize("phase", ["lift", "hold", "lower"])
 @pytest.mark.parametrize(
-    "felt",
+    "estimated",
     [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
     ids=["nothing is felt", "it slid"],
 )

@@ -26,7 +26,7 @@ def found():
 
 
 @pytest.mark.parametrize(
-    ("field", "true", "share"),
+    ("field", "true", "fraction"),
     [
         ("camera.blur_px", 0.9, 0.02),  # the design accuracy of the edge estimator
         (

@@ -119,14 +119,18 @@ def test_pictures_and_membranes_are_those_of_their_time(tmp_path):
         assert shot["scene"].startswith("data:image/jpeg")
         surface = cycle.touch[1].surface
         z = (
-            np.frombuffer(base64.b64decode(shot["estimates"][1]["z"]), "<i2").reshape(surface.z.shape)
+            np.frombuffer(base64.b64decode(shot["estimates"][1]["z"]), "<i2").reshape(
+                surface.z.shape
+            )
             * data["height_unit"]
         )
         # of rounding
         np.testing.assert_allclose(z, 1e3 * surface.z, atol=0.51 * data["height_unit"])
         foot, stress = arrows(cycle.touch[1], surface)
         np.testing.assert_allclose(
-            np.reshape(shot["estimates"][1]["arrows"], (-1, 6)), np.hstack([foot, -stress]), atol=0.51
+            np.reshape(shot["estimates"][1]["arrows"], (-1, 6)),
+            np.hstack([foot, -stress]),
+            atol=0.51,
         )
     assert len(data["grids"][0]["x"]) == 21 and data["grids"][0]["x"][-1] == pytest.approx(20.0)
 

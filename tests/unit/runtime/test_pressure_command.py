@@ -26,7 +26,7 @@ AIR = CommandLimits(pressure=(200.0, 2000.0), pressure_rate=600.0)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "last", "period", "sent"),
+    ("requested", "last", "period", "sent"),
     [
         ((1500.0, 900.0), (1000.0, 1000.0), 0.05, (1030.0, 970.0)),  # 600 Pa/s
         ((1500.0,), (1000.0,), 0.1, (1045.0,)),  # largest change per image

@@ -30,7 +30,7 @@ def watch():
 
 
 @pytest.mark.parametrize(
-    ("free", "effort", "felt"),
+    ("free", "effort", "estimated"),
     [
         (0.4, 0.9, 0.6),  # a grasp through gears
         (0.4, 2.6, 2.0),  # a data sheet that is 20 % off, and the same gears

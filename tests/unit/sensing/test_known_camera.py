@@ -143,7 +143,7 @@ def estimate_after_loss(sensor, fraction, load):
 
 
 @pytest.mark.parametrize("load", [0.0, 0.4])
-@pytest.mark.parametrize("share", [0.01, 0.03])
+@pytest.mark.parametrize("fraction", [0.01, 0.03])
 def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(fraction, load):
     """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
     the first image after the loss is right; without, 3 % are half a newton."""

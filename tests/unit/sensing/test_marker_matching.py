@@ -42,7 +42,7 @@ def pressed(design, depth=4e-3, shear=1e-3):
 
 
 # of the pitch; beyond a half the next marker is nearer
-@pytest.mark.parametrize("share", [1 / 3, 0.45])
+@pytest.mark.parametrize("fraction", [1 / 3, 0.45])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_flat_membrane_seen_by_a_displaced_camera(sensor, fraction):
     design = load_sensor(sensor)
@@ -152,7 +152,7 @@ def poses_of(design, p_SM, n_S, ids_bad=()):
     )
 
 
-@pytest.mark.parametrize(("sensor", "share"), [("paper16", 0.9), ("dense", 1.0)])
+@pytest.mark.parametrize(("sensor", "fraction"), [("paper16", 0.9), ("dense", 1.0)])
 def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, fraction):
     design = load_sensor(sensor)
     p, n = pressed(design)

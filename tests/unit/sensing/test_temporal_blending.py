@@ -35,7 +35,7 @@ def blend(design, fraction, **how):
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("fraction", [0.3, 0.5, 0.8])
 def test_the_share_of_the_last_picture_is_found(sensor, fraction):
     """Five sd: one sd of a correlation is 1 over the root of 20 pictures' 60 or 13 markers' three
     coordinates, and half of the share's."""
