@@ -69,7 +69,7 @@ def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_told_apart():
         "time": np.tile(period * np.arange(images), fingers),
     }
     for name in ("area", "depth"):
-        rows |= {name: np.full(count, 1e-3), f"felt_{name}": np.full(count, 1e-3)}
+        rows |= {name: np.full(count, 1e-3), f"estimated_{name}": np.full(count, 1e-3)}
     rows |= {"centroid": np.zeros((count, 2)), "estimated_centroid": np.zeros((count, 2))}
     found = fit_error_model.fit(rows)
     at = int(np.flatnonzero(fit_error_model.LOADS == 0.5)[0])
