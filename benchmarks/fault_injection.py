@@ -34,7 +34,7 @@ class Kind:
     """
 
     what: str
-    requested: str
+    required: str
     tests: Sequence[str]
     quick: bool = True
 
@@ -153,8 +153,8 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
         if kind.what in done:
             continue
         counts = count(_report(kind.tests, out / f"attacks_{number}.xml"))
-        done[kind.what] = {"what": kind.what, "wanted": kind.requested, **counts}
-        notify(f"{kind.what}: {counts['as_wanted']} of {counts['tried']}")
+        done[kind.what] = {"what": kind.what, "required": kind.required, **counts}
+        notify(f"{kind.what}: {counts['passed']} of {counts['cases']}")
         write_json(path, {"kinds": list(done.values())})
     rows = [done[kind.what] for kind in kinds]
     return {"stamp": stamp(), "system": platform.system(), "kinds": rows}
@@ -173,7 +173,7 @@ def _report(tests: Sequence[str], path: Path) -> ET.Element:
 
 
 def count(report: ET.Element) -> dict[str, Any]:
-    """Count the cases of a JUnit report: `tried`, `as_wanted`, and names of failures.
+    """Count the cases of a JUnit report: `cases`, `passed`, and names of failures.
 
     Skipped cases do not count.
     """
@@ -183,7 +183,7 @@ def count(report: ET.Element) -> dict[str, Any]:
         for case in cases
         if case.find("failure") is not None or case.find("error") is not None
     ]
-    return {"tried": len(cases), "as_wanted": len(cases) - len(wrong), "wrong": wrong}
+    return {"cases": len(cases), "passed": len(cases) - len(wrong), "wrong": wrong}
 
 
 def table(result: Mapping[str, Any]) -> str:
@@ -192,8 +192,8 @@ def table(result: Mapping[str, Any]) -> str:
     for row in result["kinds"]:
         came = "met in all cases"
         if row["wrong"]:
-            came = f"met in {row['as_wanted']} cases, not in: {', '.join(row['wrong'])}"
-        lines.append(f"| {row['what']} | {row['tried']} | {row['wanted']} | {came} |")
-    tried = sum(row["tried"] for row in result["kinds"])
-    requested = sum(row["as_wanted"] for row in result["kinds"])
-    return "\n".join(lines) + f"\n\n{requested} of {tried} cases meet the requirement.\n"
+            came = f"met in {row['passed']} cases, not in: {', '.join(row['wrong'])}"
+        lines.append(f"| {row['what']} | {row['cases']} | {row['required']} | {came} |")
+    cases = sum(row["cases"] for row in result["kinds"])
+    passed = sum(row["passed"] for row in result["kinds"])
+    return "\n".join(lines) + f"\n\n{passed} of {cases} cases meet the requirement.\n"

@@ -50,8 +50,8 @@ class GripperPath:
         ends: list[float] = []
         points: list[tuple[float, float, float, float]] = []
         for one in segments:
-            wanted = (one.x, one.y, one.z, one.tilt)
-            pairs = zip(wanted, last, strict=True)
+            requested = (one.x, one.y, one.z, one.tilt)
+            pairs = zip(requested, last, strict=True)
             x, y, z, tilt = (old if new is None else new for new, old in pairs)
             distance = math.dist((x, y, z), last[:3])
             duration = max(distance / one.speed, abs(tilt - last[3]) / one.tilt_speed)

@@ -194,7 +194,9 @@ class Task:
         self, seed: int, fingers: int, events: tuple[SampledDisturbance, ...]
     ) -> SampledTask:
         spans = self.object
-        breaking = None if spans.breaking is None else _at(spans.breaking, _fraction(seed, "breaking"))
+        breaking = (
+            None if spans.breaking is None else _at(spans.breaking, _fraction(seed, "breaking"))
+        )
         liquid = None if spans.liquid is None else _at(spans.liquid, _fraction(seed, "liquid"))
         path = self._path(lambda name, span: _at(span, _fraction(seed, name)))
         attempt = 0

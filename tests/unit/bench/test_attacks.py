@@ -16,9 +16,9 @@ REPORT = """<testsuites><testsuite>
 
 def test_what_was_skipped_was_not_tried_and_what_failed_is_named():
     counts = fault_injection.count(ET.fromstring(REPORT))
-    assert counts == {"tried": 3, "as_wanted": 1, "wrong": ["b[1]", "c"]}
-    good = {"tried": 5, "as_wanted": 5, "wrong": []}
-    rows = [{"what": "w", "wanted": "r", **some} for some in (counts, good)]
+    assert counts == {"cases": 3, "passed": 1, "wrong": ["b[1]", "c"]}
+    good = {"cases": 5, "passed": 5, "wrong": []}
+    rows = [{"what": "w", "required": "r", **some} for some in (counts, good)]
     said = fault_injection.table({"kinds": rows})
     assert (
         "| w | 3 | r | met in 1 cases, not in: b[1], c |\n| w | 5 | r | met in all cases |" in said
@@ -38,6 +38,6 @@ def test_a_report_is_read_back(tmp_path):
     test = tmp_path / "test_two.py"
     test.write_text("def test_good():\n    pass\ndef test_bad():\n    assert 0\n")
     report = fault_injection._report([str(test)], tmp_path / "report.xml")
-    assert fault_injection.count(report) == {"tried": 2, "as_wanted": 1, "wrong": ["test_bad"]}
+    assert fault_injection.count(report) == {"cases": 2, "passed": 1, "wrong": ["test_bad"]}
     with pytest.raises(fault_injection.InputError, match="pytest does not run the attacks"):
         fault_injection._report([str(tmp_path / "nothing.py")], tmp_path / "none.xml")

@@ -58,7 +58,7 @@ def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
     """Two balls that touch together press harder than one at the same depth, and not twice as hard:
     they share a dent."""
     press = BULGE.replace("[bulge]", "[press]").replace(
-        "height = [[1.0, 2.45]]", 'indenter = "balls.xml"\nforce = [[1.0, 0.1]]\nfelt = false'
+        "height = [[1.0, 2.45]]", 'indenter = "balls.xml"\nforce = [[1.0, 0.1]]\nestimate = false'
     )
     forces = []
     for places in ((0.0,), (-0.004, 0.004)):
