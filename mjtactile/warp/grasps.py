@@ -309,7 +309,7 @@ def _drive(rig: Rig, m: Any, worlds: int) -> Any:
     ).astype(np.float32)
     drive.force_range = wp.array(whole, dtype=wp.vec2)
     drive.forces = m.actuator_forcerange = wp.array(np.tile(whole, (worlds, 1, 1)), dtype=wp.vec2)
-    drive.share = 2 / len(rig.fingers)
+    drive.fraction = 2 / len(rig.fingers)
     drive.opening_max = float(rig.limits.opening[1])
     drive.lift_speed = float(rig.limits.lift_speed)
     lift = world.lift_joint

@@ -140,17 +140,17 @@ def _check(sampled: Sequence[SampledWorld], model: mujoco.MjModel, period: float
 def _moved(
     pose: Array,
     now: tuple[float, float, float],
-    wanted: Sequence[tuple[float, float, float]],
+    requested: Sequence[tuple[float, float, float]],
     scale: Array,
     world: Any,
 ) -> Array:
-    """Return a body's poses (n, 7) after the object moves from `now` to the `wanted` poses."""
+    """Return a body's poses (n, 7) after the object moves from `now` to the `requested` poses."""
     yaw = world.start.yaw
     centre = np.array([*world.start.centre[:2], 0.0])
     R_old, p_old = planar_pose(now, yaw, centre)
     table = world.rig.table_height
-    moved = np.zeros((len(wanted), 7))
-    for k, one in enumerate(wanted):
+    moved = np.zeros((len(requested), 7))
+    for k, one in enumerate(requested):
         R_new, p_new = planar_pose(one, yaw, centre)
         local = R_old.T @ (pose[:3] - p_old)
         local = scale[k] * (local - [0, 0, table]) + [0, 0, table]

@@ -90,8 +90,8 @@ def test_an_episode_that_is_over_starts_again_as_gymnasium_defines_it(mode):
             assert abs(np.asarray(info["final_obs"]) - np.asarray(observation)).max() > 0.001
         if len(ends) > 1 and ends[-2] and mode == "NextStep":
             np.testing.assert_allclose(np.asarray(observation)[:, 16], first[:, 16], atol=1e-6)
-    wanted = {"NextStep": [6, 13], "SameStep": [6, 12]}[mode]
-    assert [k + 1 for k, over in enumerate(ends) if over] == wanted
+    requested = {"NextStep": [6, 13], "SameStep": [6, 12]}[mode]
+    assert [k + 1 for k, over in enumerate(ends) if over] == requested
     assert many.unwrapped.truth()["seed"].tolist() == [9, 10]
     many.close()
 

@@ -67,8 +67,8 @@ def test_commands_and_phases_follow_command_from_action_through_whole_grasps():
         actions[:, 2] -= [2 * (c.phase == "lower") for c in last]
         seen = [observation(touching[w], measured[w], last[w]) for w in range(WORLDS)]
         wp.launch(grasp_phase.observe_all, WORLDS, [2, maximum, estimates, commands, observed])
-        wanted = np.array([policy.policy_observation(one) for one in seen])
-        np.testing.assert_allclose(observed.numpy(), wanted, atol=1e-5)  # single precision
+        requested = np.array([policy.policy_observation(one) for one in seen])
+        np.testing.assert_allclose(observed.numpy(), requested, atol=1e-5)  # single precision
         wp.launch(
             grasp_phase.command_all,
             WORLDS,
@@ -89,8 +89,8 @@ def test_commands_and_phases_follow_command_from_action_through_whole_grasps():
         found = np.column_stack(
             [commands.opening.numpy(), commands.force.numpy(), commands.lift.numpy()]
         )
-        wanted = [(c.opening, c.force_limit, c.lift_height) for c in last]
-        np.testing.assert_allclose(found, wanted, atol=2e-5)  # single precision
+        requested = [(c.opening, c.force_limit, c.lift_height) for c in last]
+        np.testing.assert_allclose(found, requested, atol=2e-5)  # single precision
         names = np.array(grasp_phase.NAMES)[commands.phase.numpy()]
         assert names.tolist() == [c.phase for c in last]
         phases |= set(names)
@@ -130,7 +130,7 @@ def test_the_distribution_of_sensing_errors_is_that_of_the_cpu(load):
     cpu = []
     for _ in range(count):
         sampler.begin(rng)
-        cpu.append([sampler.felt(true, elapsed, rng)[0].copy() for _ in range(images)])
+        cpu.append([sampler.estimated(true, elapsed, rng)[0].copy() for _ in range(images)])
     cpu = np.array(cpu).transpose(1, 0, 2)
     device = np.array(device)
     unknown = float(errors.at(load).unknown)

@@ -151,8 +151,8 @@ def command_all(
             action[k] = wp.clamp(actions[world, k], -1.0, 1.0)
     opening = commands.measured[world, 0]
     height = commands.measured[world, 3]
-    wanted = commands.opening[world] + _OPENING_SPEED * action[0] * limits.period
-    wanted = wp.max(wp.clamp(wanted, opening - _LEAD, opening + _LEAD), 0.0)
+    requested = commands.opening[world] + _OPENING_SPEED * action[0] * limits.period
+    requested = wp.max(wp.clamp(requested, opening - _LEAD, opening + _LEAD), 0.0)
     lift = commands.lift[world] + _LIFT_SPEED * action[2] * limits.period
     lift = wp.clamp(lift, 0.0, limits.lift_height)
     force = _FORCE_LIMIT * (action[1] + 1.0) / 2.0
@@ -185,17 +185,17 @@ def command_all(
     for k in range(fingers):
         known = known * estimates.known[world * fingers + k]
     if known == 0:
-        wanted = wp.max(wanted, commands.opening[world])
+        requested = wp.max(requested, commands.opening[world])
         lift = wp.min(lift, commands.lift[world])
         if commands.force[world] >= 0.0:
             force = commands.force[world]
     last = commands.opening[world]
     step = limits.speed * limits.period
-    wanted = _within(wanted, last, step, limits.opening_min, limits.opening_max)
+    requested = _within(requested, last, step, limits.opening_min, limits.opening_max)
     lift_step = limits.lift_speed * limits.period
     lift = _within(lift, commands.lift[world], lift_step, 0.0, limits.lift_max)
     force = wp.clamp(force, 0.0, limits.force)
-    commands.opening[world] = wanted
+    commands.opening[world] = requested
     commands.force[world] = force
     commands.lift[world] = lift
     state = commands.random[world]
@@ -203,7 +203,7 @@ def command_all(
     commands.random[world] = state
     goals.sent[world] = goals.next[world]
     goals.due[world] = goals.next_due[world]
-    goals.next[world] = wp.vec3(wanted, force, lift)
+    goals.next[world] = wp.vec3(requested, force, lift)
     goals.next_due[world] = time[world] + limits.period + late
 
 

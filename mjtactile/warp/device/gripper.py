@@ -11,8 +11,8 @@ wp.set_module_options({"enable_backward": False})
 class Drive:
     """Linear drive, as `mjtactile.sim.batched_quasistatic_step.Drive`.
 
-    `jaw` are actuator ids of the jaws. `forces` (worlds, actuators) are the force limits. `share`
-    is the force on a finger per mean force of the actuators.
+    `jaw` are actuator ids of the jaws. `forces` (worlds, actuators) are the force limits.
+    `fraction` is the force on a finger per mean force of the actuators.
     """
 
     opening: float
@@ -27,7 +27,7 @@ class Drive:
     force_range: wp.array(dtype=wp.vec2)
     stiffness: wp.array(dtype=float)
     damping: wp.array(dtype=float)
-    share: float
+    fraction: float
     lift_read: int
     lift_ratio: float
     lift_speed: float
@@ -81,7 +81,7 @@ def closing_force(drive: Drive, actuator_force: wp.array2d(dtype=float), world: 
     force = float(0.0)
     for k in range(drive.jaws.shape[0]):
         force += actuator_force[world, drive.jaws[k]] / drive.ratios[k]
-    return -drive.share * force / float(drive.jaws.shape[0])
+    return -drive.fraction * force / float(drive.jaws.shape[0])
 
 
 @wp.func
@@ -117,7 +117,7 @@ def limit_force(drive: Drive, world: int, force: float) -> None:
     """Limit the force on each finger, N."""
     for k in range(drive.jaws.shape[0]):
         jaw = drive.jaws[k]
-        own = force / drive.share * wp.abs(drive.ratios[k])
+        own = force / drive.fraction * wp.abs(drive.ratios[k])
         low = wp.max(-own, drive.force_range[jaw][0])
         drive.forces[world, jaw] = wp.vec2(low, wp.min(own, drive.force_range[jaw][1]))
 

@@ -62,9 +62,9 @@ def _at_load(model: ErrorModel, load: float, column: int) -> float:
     while right < model.loads.shape[0] - 1 and model.loads[right] < load:
         right += 1
     low = model.loads[right - 1]
-    share = wp.clamp((load - low) / (model.loads[right] - low), 0.0, 1.0)
+    fraction = wp.clamp((load - low) / (model.loads[right] - low), 0.0, 1.0)
     first = model.table[right - 1, column]
-    return first + share * (model.table[right, column] - first)
+    return first + fraction * (model.table[right, column] - first)
 
 
 @wp.func
