@@ -24,12 +24,14 @@ from mjtactile.report.figures import new_figure
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.grasp import run_grasp
 
-LEVELS = {"synthetic touch": "-mesh,-pipeline", "mesh": "-images"}
+SYNTHETIC, MESH = "synthetic touch", "mesh"
+LEVELS = {SYNTHETIC: "-mesh,-pipeline", MESH: "-images"}
 TASKS = ("wet", "weigh", "pour", "shake")
 CONTROLLERS = ("adaptive", "slip_aware")
 OBJECTS = ("vial", "egg", "random")
-EPISODES = 12
-QUICK = 1
+EPISODES = {SYNTHETIC: 12, MESH: 4}
+"""Grasps of each task and controller."""
+QUICK = {SYNTHETIC: 1, MESH: 0}
 SEED = 61_000
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)
 _NAMES = {SOME: "some fingers", ALL: "all fingers", CONFIRMED: "all, distance grows"}
@@ -76,22 +78,27 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
     Args:
         out: Gets friction.json and wet_posterior.png.
-        quick: One grasp for each task and controller.
+        quick: One grasp with synthetic touch for each task and controller; on the mesh the one of
+            the figure alone.
 
     Returns:
         The frequencies of the signs by utilization, and the answers, for each level.
     """
-    result: dict[str, Any] = {"episodes": QUICK if quick else EPISODES, "levels": {}}
+    counts = QUICK if quick else EPISODES
+    result: dict[str, Any] = {"episodes": counts, "levels": {}}
+    wet = _grasp("wet", "adaptive", _WET_SEED, "vial", LEVELS[MESH])
+    _draw(wet, out / "wet_posterior.png")
     for level, effects in LEVELS.items():
         grasps = [
             _grasp(task, controller, SEED + k, OBJECTS[k % len(OBJECTS)], effects).rows
             for task in TASKS
             for controller in CONTROLLERS
-            for k in range(result["episodes"])
+            for k in range(counts[level])
         ]
-        result["levels"][level] = frequencies(grasps)
+        if level == MESH:
+            grasps.append(wet.rows)
+        result["levels"][level] = frequencies(grasps) | {"grasps": len(grasps)}
         write_json(out / "friction.json", result)
-    _draw(_grasp("wet", "adaptive", _WET_SEED, "vial", "-images"), out / "wet_posterior.png")
     return result
 
 
@@ -165,6 +172,7 @@ def table(result: Mapping[str, Any]) -> str:
         for upper, count, row in zip(uppers, found["images"], found["signs"], strict=True):
             cells = " | ".join("" if np.isnan(chance) else f"{chance:.4f}" for chance in row)
             lines.append(f"| {upper} | {count} | {cells} |")
+        lines.append(f"\nGrasps: {found['grasps']}, seeds from {SEED}.")
         for name, quartiles in found["answers"].items():
             if quartiles is not None:
                 low, median, high = quartiles

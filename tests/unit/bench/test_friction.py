@@ -1,0 +1,36 @@
+"""Tests of the frequencies of slip signs by utilization."""
+
+import numpy as np
+import pytest
+
+from benchmarks.friction import EDGES, frequencies, table
+from mjtactile.grasp_estimation.friction_filter import CONFIRMED, NONE, SOME
+
+
+def row(used, sign, friction=0.5, harder=0.0, more=0.0):
+    """One image at a utilization `used` over the coefficient."""
+    found = {"used": used * friction, "friction": friction, "sign": sign}
+    return found | {"harder": harder, "more": more}
+
+
+def test_signs_are_counted_by_the_utilization_over_the_coefficient():
+    rows = [row(0.55, NONE)] * 3 + [row(0.55, SOME)] + [row(0.95, CONFIRMED)] + [row(0.95, NONE)]
+    found = frequencies([rows, []])
+    place = {upper: k for k, upper in enumerate(EDGES[1:])}
+    assert found["images"][place[0.6]] == 4 and found["images"][place[1.0]] == 2
+    assert found["signs"][place[0.6]] == pytest.approx([0.25, 0.0, 0.0])
+    assert found["signs"][place[1.0]] == pytest.approx([0.0, 0.0, 0.5])
+    assert np.isnan(found["signs"][place[0.7]]).all()
+
+
+def test_answers_need_ten_changes_of_the_grip():
+    """Sticking contacts keep their shear: the ratio of both changes is small."""
+    few = frequencies([[row(0.5, NONE, harder=0.2, more=0.02)] * 9])["answers"]
+    assert few == {"sticking": None, "sliding": None}
+    many = frequencies([[row(0.5, NONE, harder=0.2, more=0.02)] * 10])["answers"]
+    assert many["sticking"] == pytest.approx([0.1] * 3) and many["sliding"] is None
+
+
+def test_the_table_states_the_number_of_grasps():
+    found = frequencies([[row(0.55, NONE)]]) | {"grasps": 1}
+    assert "Grasps: 1, seeds from 61000." in table({"levels": {"mesh": found}})
