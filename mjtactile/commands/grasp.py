@@ -7,7 +7,7 @@ import argparse
 import contextlib
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,17 +59,20 @@ examples:
   mjtactile grasp --workers 0              all in one process: same results
 
 The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed", "fault"; on
-a rig without ground truth "not set down": the run ended with a loaded, raised gripper),
+a rig without ground truth "not set down": the run ended with a loaded, raised gripper, and
+"not held: set down": it ended early, and the object stood; "device_fault" if a device was the
+cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
 conditions that reduce the accuracy of the simulation, by kind
 (docs/reference/status_and_flags.md); a "reason" if known.
-exit codes: 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the
-simulation failed, or Ctrl-C.
+exit codes: 0 held, 1 dropped, crushed, not set down, or set down early, 2 bad input, 3 a device
+(also if the object was set down because of it) or the simulation failed, or Ctrl-C.
 """
-EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "not set down": 1, "fault": 3}
+EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "not set down": 1}
+EXIT_CODES |= {"not held: set down": 1, "fault": 3}
 _RESULTS = ("summary.json", "summary.png", "summary.html")
 _MEASURED = (
     "peak_force_N",
@@ -133,7 +136,12 @@ def run(options: argparse.Namespace) -> int:
             print_json(summary)
         else:
             _print_summary(summary, out)
-    return EXIT_CODES[summary["outcome"]]
+    return exit_code(summary)
+
+
+def exit_code(summary: Mapping[str, Any]) -> int:
+    """Return the exit code of a run; that of a device fault if one was the cause."""
+    return EXIT_CODES["fault" if summary.get("device_fault") else summary["outcome"]]
 
 
 @contextlib.contextmanager

@@ -21,10 +21,11 @@ from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import LoadedController, load_controller
 from mjtactile.runtime.cycle import Cycle
+from mjtactile.runtime.device_faults import DeviceFaults
 from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
 from mjtactile.runtime.retreat import may_hold
 from mjtactile.runtime.session import open_session
-from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SetDown
+from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SafeSetDown, SetDown
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,8 @@ class GraspResult:
     """False on a rig without ground truth: the outcome is then the controller's, or recorded."""
     success_criterion: str = ""
     """Criterion of the task."""
+    device_fault: str = ""
+    """Fault of a device during the run, for an object that was set down early; "": none."""
 
     def summary(self) -> dict[str, Any]:
         """Return the JSON object of `mjtactile grasp --json`; unknown values are NaN, and null in
@@ -89,6 +92,8 @@ class GraspResult:
         found |= self.measures
         if self.reason:
             found["reason"] = self.reason
+        if self.device_fault:
+            found["device_fault"] = self.device_fault
         found |= dict.fromkeys(self.left_out, False)
         found["outcome_from"] = self.outcome_from
         if self.recorded:
@@ -105,7 +110,9 @@ class GraspResult:
         return "ground truth" if self.has_truth else "estimates"
 
 
-OUTCOMES = ("held", "dropped", "crushed", "not set down", "fault")
+SET_DOWN = "not held: set down"
+"""Outcome on a rig without ground truth: the run ended early, and the object stood."""
+OUTCOMES = ("held", "dropped", "crushed", "not set down", SET_DOWN, "fault")
 """Outcomes of a grasp; recordings of other jobs have others."""
 
 
@@ -119,6 +126,8 @@ class _Log(Observer):
     def __init__(self, watching: Observer, score: Any, estimate: Any, place_height: float = 0.0):
         self._watching = watching
         self._set_down = SetDown(place_height)
+        self._safe = SafeSetDown(place_height)
+        self.devices = DeviceFaults()
         self.score = score
         self.estimate = estimate
         self.forces: list[tuple[float, ...]] = []
@@ -145,6 +154,8 @@ class _Log(Observer):
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self._set_down.watch(cycle.touch, cycle.sent)
+        self._safe.watch(cycle.touch, cycle.sent)
+        self.devices.watch(cycle)
         if cycle.sent.phase == "done" and self.phases[-1:] != ["done"]:
             self.left = "" if self._is_set_down(cycle) else _left(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
@@ -163,6 +174,11 @@ class _Log(Observer):
 
     def _is_set_down(self, cycle: Cycle) -> bool:
         return self._set_down.stood and not any(map(may_hold, cycle.touch))
+
+    @property
+    def was_set_down(self) -> bool:
+        """True if the object stood when the fingers opened, in a run that ended early."""
+        return self._safe.stood or (self._set_down.stood and "release" in self.phases)
 
     def hold_force(self) -> float:
         pairs = zip(self.forces, self.phases, strict=True)
@@ -302,8 +318,10 @@ def _result(
     if score is not None:
         outcome, reason = score.outcome(), score.reason()
     else:
-        outcome = (log.left or "held") if completed else "dropped"
+        early = SET_DOWN if log.was_set_down else "dropped"
+        outcome = (log.left or "held") if completed else early
         reason = "the controller ended (done) with the gripper raised" if log.left else ""
+    device_fault = log.devices.cause if outcome == SET_DOWN else ""
     return GraspResult(
         scenario,
         outcome,
@@ -315,7 +333,8 @@ def _result(
         factor,
         len(log.phases),
         parts,
-        reason="; ".join(filter(None, [reason, log.gave_up(period)])),
+        reason="; ".join(filter(None, [reason, log.gave_up(period), device_fault])),
+        device_fault=device_fault,
         left_out=() if score is None else disabled_effects(score.world.effects),
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,

@@ -67,6 +67,37 @@ class SuspendedLoad:
         return stands(float((shear(touch) * direction).sum()), float(held.sum()))
 
 
+class SafeSetDown:
+    """Decision whether a run that ended early has set the object down. Call `watch` once a cycle.
+
+    The retreat lowers the gripper and opens it. The object is set down if a finger was in contact
+    until then, and the object stood.
+    """
+
+    def __init__(self, place_height: float = 0.0):
+        self._place = place_height
+        self._load = SuspendedLoad()
+        self._opening = math.inf
+        self._is_gripped = False
+        self._is_open = False
+        self.stood = False
+        """True if the object stood when the fingers began to open."""
+
+    def watch(self, touch: Sequence[Touch], command: Command) -> None:
+        """Update with the touch of a cycle and the command that was sent in it."""
+        opens = command.phase in ENDS and command.opening > self._opening
+        self._opening = command.opening
+        if self._is_open:
+            return
+        if opens:
+            height = command.lift_height - self._place
+            self.stood = self._is_gripped and self._load.is_on_table(touch, height)
+            self._is_open = True
+            return
+        self._load.note(touch, command.lift_height)
+        self._is_gripped = any(one.touching for one in touch)
+
+
 class SetDown:
     """Decision about the set-down of one run. `watch` is called once a cycle."""
 

@@ -2,14 +2,17 @@
 the measurements."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from mjtactile.commands.grasp import EXIT_CODES, exit_code
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.types import Command, Touch
+from mjtactile.core.status import Status, StatusCode
+from mjtactile.core.types import Command, Touch, ValveState
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime.failure_causes import failure_causes
@@ -23,8 +26,8 @@ UNKNOWN = Touch(0.0, 0.0, math.nan, math.nan, False)
 
 def cycle(touch: Touch, command: Command) -> Any:
     times = {"camera_ms": 1.0, "perception_ms": 1.0, "controller_ms": 1.0}
-    gripper = SimpleNamespace(opening=0.04)
-    return SimpleNamespace(touch=(touch,), sent=command, gripper=gripper, **times)
+    facts = {"gripper": SimpleNamespace(opening=0.04), "valves": (), "time": 0.0}
+    return SimpleNamespace(touch=(touch,), sent=command, **facts, **times)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +37,9 @@ def cycle(touch: Touch, command: Command) -> Any:
         (UNKNOWN, 0.04, "done", "not set down"),
         (EMPTY, 0.04, "done", "dropped"),
         (EMPTY, 0.0, "done", "held"),
-        (HELD, 0.04, "abort", "dropped"),
+        (HELD, 0.04, "abort", "not held: set down"),  # by the retreat
+        (EMPTY, 0.04, "abort", "dropped"),
+        (UNKNOWN, 0.04, "abort", "dropped"),
     ],
 )
 def test_who_ends_with_the_hand_up_has_not_set_down(touch, height, phase, outcome):
@@ -45,6 +50,67 @@ def test_who_ends_with_the_hand_up_has_not_set_down(touch, height, phase, outcom
     found = _result(Scenario(), log, 1.0, completed=phase == "done", period=1 / 30)
     assert found.outcome == outcome
     assert bool(found.reason) == (outcome != "held")
+
+
+def aborted(*changes, touch=HELD, last=EMPTY, height=0.0):
+    """The result of a hold that the controller aborts; `changes` are of the cycle in between."""
+    log = _Log(Observer(), None, None)
+    first = cycle(HELD, Command(0.05, 4.0, 0.04, "hold"))
+    second = cycle(touch, Command(0.05, 4.0, 0.04, "hold"))
+    second.time = 0.03
+    first.valves = second.valves = (ValveState(False, 1000.0),)
+    for name, value in changes:
+        setattr(second, name, value)
+    ends = [
+        cycle(touch, Command(0.05, 4.0, 0.04, "abort")),
+        cycle(touch, Command(0.05, 4.0, height, "abort")),
+        cycle(last, Command(0.06, 4.0, height, "abort")),
+    ]
+    for number, one in enumerate([first, second, *ends]):
+        one.time = one.time or 0.03 * number
+        log.add(one)
+    return _result(Scenario(), log, 1.0, completed=False, period=1 / 30)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (("time", 0.9), "the loop was stopped for 0.90 s"),
+        (("gripper", SimpleNamespace(opening=math.nan)), "the gripper did not answer"),
+        (("valves", (ValveState(True, 0.0),)), "a valve opened by itself"),
+        (
+            ("touch", (replace(HELD, status=Status(StatusCode.NO_IMAGE, "no image for 1 s")),)),
+            "no image for 1 s",
+        ),
+    ],
+)
+def test_a_device_that_ended_a_grasp_is_its_cause(change, fault):
+    """The object stands, and the exit code is that of a device fault."""
+    found = aborted(change)
+    assert found.outcome == "not held: set down"
+    assert fault in found.device_fault and fault in found.reason
+    assert found.summary()["device_fault"] == found.device_fault
+    assert EXIT_CODES[found.outcome] == 1 and exit_code(found.summary()) == 3
+
+
+def test_an_abort_without_a_device_fault_is_the_controllers():
+    found = aborted()
+    assert (found.outcome, found.device_fault) == ("not held: set down", "")
+    assert exit_code(found.summary()) == 1
+    assert "device_fault" not in found.summary()
+    assert aborted(height=0.03).outcome == "dropped"  # it opened in the air
+    assert aborted(touch=EMPTY).outcome == "dropped"  # it had lost the object
+    regulated = ("sent", Command(0.05, 4.0, 0.04, "hold", gauge_pressure=(0.0,)))
+    opened = ("valves", (ValveState(True, 0.0),))
+    assert aborted(opened, regulated).device_fault == ""  # the controller vents
+
+
+def test_an_empty_gripper_has_set_nothing_down():
+    """It closed on nothing at the height of the table, and never held an object."""
+    log = _Log(Observer(), None, None)
+    for phase, opening in (("close", 0.05), ("abort", 0.05), ("abort", 0.06)):
+        log.add(cycle(EMPTY, Command(opening, 4.0, 0.0, phase)))
+    assert _result(Scenario(), log, 1.0, completed=False, period=1 / 30).outcome == "dropped"
 
 
 def loaded(*down: float) -> tuple[Touch, ...]:
