@@ -87,7 +87,7 @@ KINDS = (
     Kind(
         "arrays of another size, random settings, too coarse meshes",
         "rejected by name; no kernel accesses memory outside its arrays",
-        ("tests/unit/kernels/test_boundary.py", "tests/unit/kernels/test_drawn.py"),
+        ("tests/unit/kernels/test_boundary.py", "tests/unit/kernels/test_random_arguments.py"),
     ),
     Kind(
         "dark, overexposed or blurred images; specks, holes and unusual markers",
@@ -107,7 +107,7 @@ KINDS = (
         "DeviceError, no wrong reading",
         (
             "tests/unit/devices/test_dynamixel_bus.py",
-            "tests/unit/devices/test_dynamixel_trouble.py",
+            "tests/unit/devices/test_dynamixel_faults.py",
             "tests/unit/devices/test_valve.py",
             "tests/unit/devices/test_valve_protocol.py",
             "tests/unit/devices/test_valve_firmware.py",

@@ -1,7 +1,7 @@
 """`mjtactile bench quasistatic`: the quasi-static membrane against an independent solver and
 against itself, and its computing time.
 
-References (film_reference.json) come from an independent solver, with the same rubber and gas. No
+References (membrane_reference.json) come from an independent solver, same rubber and gas. No
 parameter of the quasi-static membrane was chosen on them. That solver's square faces are sets of
 nodes, 0.5 mm apart, so that their edges lie on lines of nodes. Their forces agree within 0.6 % on
 41 x 31 and 121 x 91 nodes. Its discs are sets of nodes as well, with steps of 0.5 mm along their
@@ -46,9 +46,9 @@ Notify = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
-    """Errors against the references, scatter over places, and times; draws `film.png`."""
+    """Errors against the references, scatter over places, and times; draws `quasistatic.png`."""
     notify = notify or Progress().message
-    path = Path(__file__).with_name("film_reference.json")
+    path = Path(__file__).with_name("membrane_reference.json")
     references = json.loads(path.read_text(encoding="utf-8"))
     cases = references["cases"]
     cases = cases[::20] if quick else cases
@@ -69,7 +69,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     ]
     narrow = quasistatic_discretization.run(GRIDS, quick)
     times = [quasistatic_times.times(grid, quick) for grid in TIMED]
-    _draw(out / "film.png", references["profiles"])
+    _draw(out / "quasistatic.png", references["profiles"])
     found = {"rows": rows, "sticking": sticking, "places": places}
     return found | {"narrow": narrow, "times": times}
 

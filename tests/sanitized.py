@@ -22,7 +22,7 @@ from mjtactile.kernels import build
 FLAGS = ["-std=c11", "-O1", "-g", "-fPIC", "-shared", "-fno-omit-frame-pointer", "-mavx2", "-mfma"]
 CHECKS = ["address", "undefined", "float-cast-overflow"]
 TESTS = [
-    "tests/unit/kernels/test_drawn.py",
+    "tests/unit/kernels/test_random_arguments.py",
     "tests/unit/kernels",
     "tests/unit/film",
     "tests/unit/sensing",

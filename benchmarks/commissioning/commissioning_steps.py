@@ -36,7 +36,7 @@ from mjtactile.rig.file import load_rig_file
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
 
-RIG = "emulated_first_day"
+RIG = "emulated_commissioning"
 ASKED = 0.04  # required force error, N
 SEEDS = (11, 12, 13)
 HOLD = 60  # images of each grasp's hold that are compared
@@ -57,7 +57,7 @@ class Day:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._out = out
         self._notify = notify
-        kept = out / "first_day.json"
+        kept = out / "commissioning.json"
         self.rows: list[dict[str, Any]] = read_json(kept)["steps"] if kept.exists() else []
         self.world = resources.find(RIG, "models/rigs", ".toml")
         self.file = self.folder / "my_gripper.toml"
@@ -79,7 +79,7 @@ class Day:
             row = {"step": name, "failed": str(error)}
         row.setdefault("seconds", _since(begin))
         self.rows = [*(one for one in self.rows if one["step"] != name), row]
-        write_json(self._out / "first_day.json", self.told())
+        write_json(self._out / "commissioning.json", self.told())
         self._notify(f"{name}: {row}")
 
     def told(self) -> dict[str, Any]:

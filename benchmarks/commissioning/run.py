@@ -1,7 +1,7 @@
 """`mjtactile bench commissioning`: a rehearsal of the first day with a rig, on an emulated one.
 
 The emulated rig has all deviations and faults of a real one together
-(models/rigs/emulated_first_day.toml).
+(models/rigs/emulated_commissioning.toml).
 
 Each step is the command that a user types, run in this process. A simulated operator at the
 terminal reads the instruments (`simulated_operator`). True forces of the emulated world serve only
@@ -45,11 +45,11 @@ def run(
     """Run the day, step by step.
 
     With `quick` there is one grasp before and one after, and no shadow comparison. Results so far
-    are stored in `out`/first_day.json. With `resume` an interrupted day continues.
+    are stored in `out`/commissioning.json. With `resume` an interrupted day continues.
     """
     if not resume:
         shutil.rmtree(out / "day", ignore_errors=True)
-        (out / "first_day.json").unlink(missing_ok=True)
+        (out / "commissioning.json").unlink(missing_ok=True)
     seeds = SEEDS[:1] if quick else SEEDS
     with _hurried():
         day = Day(out, notify)

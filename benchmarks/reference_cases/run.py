@@ -26,8 +26,10 @@ def run(
     *,
     cases: Path | None = None,
 ) -> dict[str, Any]:
-    """Measure every case of the folder `cases` (default: those that come along); `truth.png` into
-    `out`; the JSON."""
+    """Measure every case of the folder `cases` (default: the shipped ones).
+
+    Plots into `out`/references.png and returns the JSON object.
+    """
     notify = Progress().message if notify is None else notify
     known = load_cases(cases)
     rows = []
@@ -39,7 +41,7 @@ def run(
         "numbers": sum(len(row["numbers"]) for row in rows),
         "met": sum(n["is_met"] for row in rows for n in row["numbers"]),
     }
-    plots.save(out / "truth.png", rows)
+    plots.save(out / "references.png", rows)
     return result
 
 

@@ -1,4 +1,4 @@
-"""Balls on an independent solver's membrane (film_reference.json), with camera noise on the
+"""Balls on an independent solver's membrane (membrane_reference.json), with camera noise on the
 markers.
 
 The simulation of this package is not involved. That membrane is frictionless, and obstacles touch
@@ -40,7 +40,7 @@ def rows() -> list[dict[str, Any]]:
         chain.initial_state(), _seen(_at_rest(film)[order]), film.gauge_pressure
     )
     finder = chain.make_shape_estimator(state)
-    path = Path(benchmarks.__path__[0]) / "film_reference.json"
+    path = Path(benchmarks.__path__[0]) / "membrane_reference.json"
     found = []
     for seed, case in enumerate(json.loads(path.read_text(encoding="utf-8"))["cases"]):
         if "markers_um" not in case:

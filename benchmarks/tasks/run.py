@@ -61,7 +61,7 @@ def run(
 
     Args:
         out: Gets tasks_LEVEL/CONTROLLER/TASK/episodes.jsonl, the suite tasks_LEVEL/NAME.json,
-            tasks_LEVEL_harsh/CONTROLLER/TASK/episodes.jsonl, what_touch_buys.png.
+            tasks_LEVEL_harsh/CONTROLLER/TASK/episodes.jsonl, controller_comparison.png.
         quick: Three episodes each.
         resume: Continue with the stored results.
         episodes: Number for each task and controller.
@@ -102,7 +102,7 @@ def run(
     folder = out / folder_of(level)
     suite.with_results(*_kept(folder)).write(folder / f"{suite.name}.json")
     result = results(out, count, level)
-    draw(result, out / "what_touch_buys.png")
+    draw(result, out / "controller_comparison.png")
     return result
 
 

@@ -44,11 +44,12 @@ limit. All proposals pass the checks of `mjtactile fabricate` with its default o
 has a radius of 2.5 mm, spans the membrane and presses with --force-N, as does a ball of 4 mm. "-":
 the quasi-static membrane has no solution for this force.
 
-JSON, of a file: {"sensor", "force_N", "reaches": {"touch_mN", "touch_by_noise_mN", "force_sd_mN",
-"force_noise_mN", "position_sd_mm", "edge_sd_mm", "smallest_radius_mm", "force_max_N"}, "picture":
+JSON, of a file: {"sensor", "force_N", "performance": {"detection_mN",
+"detection_by_noise_mN", "force_sd_mN", "force_noise_mN", "position_sd_mm", "edge_sd_mm",
+"smallest_radius_mm", "force_max_N"}, "image":
 {"width_used", "height_used", "longest_lens"}, "face": [{"x_mm", "y_mm", ...}], "changes":
-[{"what", "reaches", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
-"initial", "candidates": [{"reaches", "missed", "meets", "on_front", "rows", "columns", ...}],
+[{"change", "performance", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
+"initial", "candidates": [{"performance", "missed", "meets", "on_front", "rows", "columns", ...}],
 "best": [{"file", ...}], "requirement_table": [{"requirement", "required", "limit", "met", "of"}],
 "checked": [{..., "range": {"claimed", "confirmed", "is_confirmed", ...}}]}.
 More: `mjtactile docs how-to/design`."""
@@ -240,7 +241,7 @@ def _print_file(result: dict[str, Any]) -> None:
 
     print(f"sensor {result['sensor']}, predicted for contacts of {result['force_N']:g} N:")
     for key, (words, unit) in plots.WORDS.items():
-        print(f"  {words:50s} {plots.number(result['reaches'][key]):>7s} {unit}")
+        print(f"  {words:50s} {plots.number(result['performance'][key]):>7s} {unit}")
     print(f"  {plots.image_quality_text(result['picture'])}")
     print("Effect of changes, as a factor on the present value:")
     print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
@@ -258,7 +259,7 @@ def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
         "touch mN  by noise  force mN   edge mm   range N  missed"
     )
     initial = result["initial"]
-    if initial["reaches"] is None:
+    if initial["performance"] is None:
         print(f"{result['sensor']:13s} cannot be used with this hardware: {initial['why_not']}")
     else:
         _print_design({"file": result["sensor"]} | initial)
@@ -298,8 +299,8 @@ def _print_design(one: dict[str, Any]) -> None:
             f"{one['thickness_mm']:9.2f} "
             f"{one['pre_stretch']:8.3f} {one['supply_pressure_kPa']:6.2f}"
         )
-    keys = ("touch_mN", "touch_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
-    values = (f"{plots.number(one['reaches'][key]):>9s}" for key in keys)
+    keys = ("detection_mN", "detection_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
+    values = (f"{plots.number(one['performance'][key]):>9s}" for key in keys)
     print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
 
 

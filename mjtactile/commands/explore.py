@@ -280,8 +280,8 @@ def _print(summary: dict[str, Any], out: Path | None) -> None:
     )
     if summary["stiffness_N_m"] == summary["stiffness_N_m"]:
         print(f"  stiffness    {summary['stiffness_N_m']:.0f} N/m at the touched positions")
-    elif summary["stiffness_least_N_m"] == summary["stiffness_least_N_m"]:
-        print(f"  stiffness    above {summary['stiffness_least_N_m']:.0f} N/m")
+    elif summary["stiffness_min_N_m"] == summary["stiffness_min_N_m"]:
+        print(f"  stiffness    above {summary['stiffness_min_N_m']:.0f} N/m")
     if "surface_error_mm_true" in summary:
         print(
             f"  true error   {summary['surface_error_mm_true']:.2f} mm, of the size "

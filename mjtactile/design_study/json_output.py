@@ -59,7 +59,7 @@ def from_requirements(
     Returns:
         The JSON's object, and the best sensors' files by name.
     """
-    notify(f"what {design.name} reaches")
+    notify(f"performance of {design.name}")
     initial = _initial(design, force, requirements)
     sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, notify=notify)
     notify("checking the best designs as `mjtactile fabricate` does")
@@ -93,8 +93,8 @@ def _initial(design: SensorDesign, force: float, requirements: Requirements) -> 
     try:
         reached = score(sensor_file_edit.rebuilt(design), force)
     except (InputError, MjtactileError) as error:
-        return {"reaches": None, "missed": None, "why_not": str(error)}
-    return {"reaches": reached.table(), "missed": requirements.missed(reached), "why_not": ""}
+        return {"performance": None, "missed": None, "why_not": str(error)}
+    return {"performance": reached.table(), "missed": requirements.missed(reached), "why_not": ""}
 
 
 def requirement_rows(
@@ -131,7 +131,7 @@ def requirement_rows(
 def _row(one: DesignCandidate) -> dict[str, Any]:
     design = one.design
     return {
-        "reaches": one.score.table(),
+        "performance": one.score.table(),
         "missed": list(one.missed),
         "meets": not one.missed,
         "on_front": one.on_front,

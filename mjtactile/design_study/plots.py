@@ -16,8 +16,8 @@ MAPS = (
     ("edge_sd_mm", "sd of an edge position", "mm"),
 )
 WORDS = {
-    "touch_mN": ("detection threshold of the pipeline", "mN"),
-    "touch_by_noise_mN": ("detection threshold by pixel noise alone", "mN"),
+    "detection_mN": ("detection threshold of the pipeline", "mN"),
+    "detection_by_noise_mN": ("detection threshold by pixel noise alone", "mN"),
     "force_sd_mN": ("sd of the force, all error sources included", "mN"),
     "force_noise_mN": ("sd of the force from image to image", "mN"),
     "position_sd_mm": ("sd of the force position", "mm"),
@@ -63,31 +63,31 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
     figure.suptitle(f"sensor {given['sensor']}: predicted performance at {given['force_N']:g} N")
 
 
-def page(given: Mapping[str, Any], picture: bytes | None) -> str:
+def page(given: Mapping[str, Any], image: bytes | None) -> str:
     """Write the page of one file.
 
     Args:
         given: The JSON's object of a study.
-        picture: The maps, PNG; None: not available.
+        image: The maps, PNG; None: not available.
 
     Returns:
         HTML.
     """
     title = f"Predicted performance of the sensor {given['sensor']}"
     body = [f"<h1>{title}</h1>", f"<p>Predicted at {given['force_N']:g} N.</p>"]
-    own = given["reaches"]
+    own = given["performance"]
     reached = [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()]
     body.append(html.table(("", "reached"), reached))
-    if picture is not None:
-        body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", picture)}">')
-    body.append(f"<p>{image_quality_text(given['picture'])}</p>")
+    if image is not None:
+        body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", image)}">')
+    body.append(f"<p>{image_quality_text(given['image'])}</p>")
     body.append("<h2>Effect of changes</h2><p>Factors relative to the present values.</p>")
     body.append(html.table(("change", *CHANGED.values()), change_rows(given)))
     return html.document(title, body)
 
 
 CHANGED = {
-    "touch_by_noise_mN": "touch by noise",
+    "detection_by_noise_mN": "touch by noise",
     "force_sd_mN": "force sd",
     "force_noise_mN": "its noise",
     "position_sd_mm": "position sd",
@@ -107,22 +107,22 @@ def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """
     rows = []
     for change in given["changes"]:
-        if change["reaches"] is None:
-            rows.append((change["what"], change["why_not"], *("" for _ in list(CHANGED)[1:])))
+        if change["performance"] is None:
+            rows.append((change["change"], change["why_not"], *("" for _ in list(CHANGED)[1:])))
             continue
-        factors = [change["reaches"][key] / given["reaches"][key] for key in CHANGED]
+        factors = [change["performance"][key] / given["performance"][key] for key in CHANGED]
         known = ["-" if not np.isfinite(factor) else f"{factor:.2f}" for factor in factors]
-        rows.append((change["what"], *known))
+        rows.append((change["change"], *known))
     return rows
 
 
-def image_quality_text(picture: Mapping[str, float]) -> str:
+def image_quality_text(image: Mapping[str, float]) -> str:
     """Describe the use of the camera image in a sentence."""
-    width = 100 * (1 - picture["width_used"])
-    height = 100 * (1 - picture["height_used"])
-    longer = 100 * (picture["longest_lens"] - 1)
+    width = 100 * (1 - image["width_used"])
+    height = 100 * (1 - image["height_used"])
+    longer = 100 * (image["longest_lens"] - 1)
     room = "a longer lens would lose markers"
-    if picture["longest_lens"] > 1.01:
+    if image["longest_lens"] > 1.01:
         room = f"a lens {longer:.0f} % longer would still show every marker, flat and inflated"
     return (
         f"{width:.0f} % of the image width and {height:.0f} % of its height lie outside the "
@@ -138,9 +138,11 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         swept: The JSON's object of a sweep.
     """
     axes = figure.subplots()
-    candidates = [one for one in swept["candidates"] if np.isfinite(one["reaches"]["edge_sd_mm"])]
-    x = np.array([one["reaches"]["force_sd_mN"] for one in candidates], float)
-    y = np.array([one["reaches"]["edge_sd_mm"] for one in candidates], float)
+    candidates = [
+        one for one in swept["candidates"] if np.isfinite(one["performance"]["edge_sd_mm"])
+    ]
+    x = np.array([one["performance"]["force_sd_mN"] for one in candidates], float)
+    y = np.array([one["performance"]["edge_sd_mm"] for one in candidates], float)
     markers = np.array([one["rows"] * one["columns"] for one in candidates], float)
     meets = np.array([one["meets"] for one in candidates], bool)
     for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
@@ -153,7 +155,7 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     on_front = np.array([one["on_front"] for one in candidates], bool)
     front = sorted(zip(x[on_front], y[on_front], strict=True))
     axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")
-    initial = swept["initial"]["reaches"]
+    initial = swept["initial"]["performance"]
     if initial is not None:
         axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
     required = swept["requirements"]["edge_mm"]

@@ -36,7 +36,7 @@ Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageUse:
     """Fractions of the image that the opening covers, and the maximum lens factor."""
 
     width_used: float
@@ -48,7 +48,7 @@ class Picture:
 class Change:
     """Change of a file and its score; None: it cannot be built or used, for `why_not`."""
 
-    what: str
+    change: str
     score: Score | None
     why_not: str = ""
 
@@ -61,7 +61,7 @@ class PredictionReport:
     force: float
     score: Score
     face: tuple[Resolution, ...]
-    picture: Picture
+    image_use: ImageUse
     changes: tuple[Change, ...]
 
 
@@ -91,15 +91,15 @@ def study(
         if number % 10 == 0:
             notify(f"sensing surface: {number} of {len(places)} positions")
         face.append(reacher.at(place, force))
-    picture = picture_of(stand)
+    image_use = picture_of(stand)
     changes = []
-    for what, variant in variants(design, picture.longest_lens):
+    for what, variant in variants(design, image_use.longest_lens):
         notify(f"effect of a change: {what}")
         try:
             changes.append(Change(what, score(rebuilt(variant), force)))
         except (InputError, MjtactileError) as error:
             changes.append(Change(what, None, str(error)))
-    return PredictionReport(design, force, own, tuple(face), picture, tuple(changes))
+    return PredictionReport(design, force, own, tuple(face), image_use, tuple(changes))
 
 
 def face_places(design: SensorDesign) -> list[Array]:
@@ -111,7 +111,7 @@ def face_places(design: SensorDesign) -> list[Array]:
     return [np.array([x, y]) for y in lines[1] for x in lines[0]]
 
 
-def picture_of(stand: VirtualBench) -> Picture:
+def picture_of(stand: VirtualBench) -> ImageUse:
     """Evaluate the use of the camera image."""
     design = stand.design
     camera = Camera.from_design(design.camera, design.glass)
@@ -125,7 +125,7 @@ def picture_of(stand: VirtualBench) -> Picture:
     size = np.array([design.camera.width, design.camera.height])
     inside = np.clip(uv, -0.5, size - 0.5)
     used = np.ptp(inside, axis=0) / size
-    return Picture(float(used[0]), float(used[1]), _longest_lens(stand))
+    return ImageUse(float(used[0]), float(used[1]), _longest_lens(stand))
 
 
 def _longest_lens(stand: VirtualBench) -> float:
@@ -197,14 +197,14 @@ def variants(design: SensorDesign, longest_lens: float) -> list[tuple[str, Senso
 def as_table(given: PredictionReport) -> dict[str, Any]:
     """Return the JSON object of `mjtactile design --json`; lengths in mm, forces in N and mN."""
     changes = [
-        asdict(change) | {"reaches": None if change.score is None else change.score.table()}
+        asdict(change) | {"performance": None if change.score is None else change.score.table()}
         for change in given.changes
     ]
     return {
         "sensor": given.design.name,
         "force_N": given.force,
-        "reaches": given.score.table(),
-        "picture": asdict(given.picture),
+        "performance": given.score.table(),
+        "image": asdict(given.image_use),
         "face": [
             {
                 "x_mm": 1e3 * at.x,
@@ -217,5 +217,7 @@ def as_table(given: PredictionReport) -> dict[str, Any]:
             }
             for at in given.face
         ],
-        "changes": [{key: own[key] for key in ("what", "reaches", "why_not")} for own in changes],
+        "changes": [
+            {key: own[key] for key in ("change", "performance", "why_not")} for own in changes
+        ],
     }

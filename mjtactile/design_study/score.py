@@ -43,9 +43,12 @@ class Score:
     The means are root mean squares over three positions near the center.
     """
 
-    touch: float = _number("touch_mN", 1e-3, "smallest touch that the pipeline detects", 1)
+    touch: float = _number("detection_mN", 1e-3, "smallest touch that the pipeline detects", 1)
     seen: float = _number(
-        "touch_by_noise_mN", 1e-3, "five sd of the running level: limit of the pixel noise alone", 1
+        "detection_by_noise_mN",
+        1e-3,
+        "five sd of the running level: limit of the pixel noise alone",
+        1,
     )
     force_sd: float = _number(
         "force_sd_mN", 1e-3, "sd of the force, as reported by the pipeline", 1
@@ -82,16 +85,16 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     reacher = ResolutionPredictor(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
     places = [half * fraction for fraction in _PLACES]
-    reaches = [reacher.at(place, force) for place in places]
+    resolutions = [reacher.at(place, force) for place in places]
     zero = stand.pipeline.settings.zero
     seen = zero.touch_sd * stand.level_noise()
     return Score(
         touch=max(zero.touch_min, seen),
         seen=seen,
-        force_sd=_rms([one.force_sd for one in reaches]),
-        noise=_rms([one.noise for one in reaches]),
-        position_sd=_rms([one.position_sd for one in reaches]),
-        edge_sd=_rms([one.edge_sd for one in reaches]),
+        force_sd=_rms([one.force_sd for one in resolutions]),
+        noise=_rms([one.noise for one in resolutions]),
+        position_sd=_rms([one.position_sd for one in resolutions]),
+        edge_sd=_rms([one.edge_sd for one in resolutions]),
         radius=smallest_radius(reacher, places, force),
         maximum=largest_force(stand),
     )

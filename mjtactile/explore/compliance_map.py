@@ -42,10 +42,10 @@ class ComplianceMap:
         return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))
 
     def summary(self) -> dict[str, Any]:
-        """Return `stiffness_N_m`, or a lower bound `stiffness_least_N_m` if it is unknown."""
+        """Return `stiffness_N_m`, or a lower bound `stiffness_min_N_m` if it is unknown."""
         if not math.isfinite(self.mean):
-            return {"stiffness_N_m": math.nan, "stiffness_least_N_m": math.nan}
+            return {"stiffness_N_m": math.nan, "stiffness_min_N_m": math.nan}
         if self.mean > _SIGNIFICANT * self.mean_sd:
-            return {"stiffness_N_m": 1 / self.mean, "stiffness_least_N_m": math.nan}
+            return {"stiffness_N_m": 1 / self.mean, "stiffness_min_N_m": math.nan}
         minimum = 1 / (max(self.mean, 0.0) + _SIGNIFICANT * self.mean_sd)
-        return {"stiffness_N_m": math.nan, "stiffness_least_N_m": minimum}
+        return {"stiffness_N_m": math.nan, "stiffness_min_N_m": minimum}

@@ -60,8 +60,8 @@ class ExplorationGoal:
 
 @dataclass(frozen=True, eq=False)
 class ExplorationResult:
-    """Result of an exploration. `outcome`: "accurate", "touches" (the requested number), "nothing
-    left", "nothing there" or "interrupted". `families` holds the probability of each shape
+    """Result of an exploration. `outcome`: "accurate", "touches" (the requested number), "no points
+    left", "no contact" or "interrupted". `families` holds the probability of each shape
     model."""
 
     patches: tuple[Patch, ...]
@@ -145,7 +145,7 @@ def explore(
         if patches and mesh.error() <= goal.accuracy:
             outcome = "accurate"
         elif missed >= _MAX_MISSED and not patches:
-            outcome = "nothing there"
+            outcome = "no contact"
         elif stopped():
             outcome = "interrupted"
         if outcome != "touches":
@@ -153,7 +153,7 @@ def explore(
         gain = size_information_gain(mesh, hypotheses[0])
         aim = next_aim(mesh, patches, targets, bench.reaches, gain)
         if aim is None:
-            outcome = "nothing left"
+            outcome = "no points left"
             break
         targets.append(aim)
         contacts: tuple[Pressed, ...] = ()
@@ -169,7 +169,7 @@ def explore(
         hypotheses = fuse(patches, hypotheses) if new else hypotheses
         notify(_line(completed + len(targets), new, hypotheses[0]))
     if not patches and outcome != "interrupted":
-        outcome = "nothing there"
+        outcome = "no contact"
     return explored(patches, outcome, completed + len(targets), bench.flags, failures)
 
 

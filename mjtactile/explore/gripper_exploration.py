@@ -92,7 +92,7 @@ def explore_by_gripper(
         kinds = ", ".join(patch.kind for patch in new)
         notify(f"grip {number}: {1e3 * grip[0].height:.0f} mm up: {kinds}")
     tried = before + len(heights)
-    return explored(patches, outcome if patches else "nothing there", tried, flags)
+    return explored(patches, outcome if patches else "no contact", tried, flags)
 
 
 def _heights(rig: Rig, count: int) -> tuple[float, ...]:

@@ -42,7 +42,7 @@ _FACTS = (
     ("volume_mL", "volume", "mL"),
     ("area_mm2", "area", "mm\u00b2"),
     ("stiffness_N_m", "stiffness", "N/m"),
-    ("stiffness_least_N_m", "minimum stiffness, estimated", "N/m"),
+    ("stiffness_min_N_m", "minimum stiffness, estimated", "N/m"),
 )
 
 

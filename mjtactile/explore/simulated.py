@@ -144,7 +144,7 @@ def explore_in_gripper(
             f"grip {number}: rotated {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
             f"{kinds}; surface sd {sd:.2f} mm"
         )
-    found = explored(patches, outcome if patches else "nothing there", number, flags)
+    found = explored(patches, outcome if patches else "no contact", number, flags)
     if not patches:
         return found, {}
     return found, score(found, TrueSurface.of(model), np.zeros(3), np.eye(3))

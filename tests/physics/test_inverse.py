@@ -15,7 +15,7 @@ from mjtactile.core.types import Markers
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas, SplineMembrane
 from mjtactile.sensing.touch.patches import find_patches, together
-from tests.numpy_chain.inverse import half_of, moments
+from tests.numpy_pipeline.inverse import half_of, moments
 
 SUPPLY = 1000.0  # gauge pressure, Pa
 OBLIQUE = np.array([0.15, -0.05, -0.6])

@@ -305,7 +305,7 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
     result = json.loads(capsys.readouterr().out)
     assert {"design.json", "design.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
     # the frame's corners are drawn 533 px apart of 640
-    assert result["picture"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
+    assert result["image"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
     middle = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
     rim = max(result["face"], key=lambda one: abs(one["x_mm"]) + abs(one["y_mm"]))
     assert middle["force_sd_mN"] < rim["force_sd_mN"]

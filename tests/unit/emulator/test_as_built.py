@@ -31,12 +31,12 @@ DESIGN = load_sensor("dense")
 @pytest.fixture
 def table():
     return copy.deepcopy(
-        tomllib.loads(resources.find("emulated_specimen", "models/rigs", ".toml").read_text())
+        tomllib.loads(resources.find("emulated_as_built", "models/rigs", ".toml").read_text())
     )
 
 
 def test_the_shipped_specimens_are_read_with_their_units():
-    emulator = load_rig_file("emulated_specimen").emulator
+    emulator = load_rig_file("emulated_as_built").emulator
     left = emulator.as_built_sensor("left")
     assert (left.focal_fraction, left.shift, left.valve_zero) == (
         pytest.approx(0.03),

@@ -14,7 +14,7 @@ from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.edge_fit import EdgeFit
 from mjtactile.sensing.image.ellipse_fit import as_ellipses
 from mjtactile.sensing.settings import DEFAULTS, MarkerSettings
-from tests.numpy_chain import candidates as numpy_candidates
+from tests.numpy_pipeline import candidates as numpy_candidates
 
 SIZE = (480, 640)
 

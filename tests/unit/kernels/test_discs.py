@@ -11,7 +11,7 @@ from mjtactile.core.optics import Camera
 from mjtactile.sim.rendering import renderer, shadows
 from mjtactile.sim.rendering.renderer import Effects, Renderer
 from tests.lenses import CAMERAS
-from tests.numpy_chain import discs as numpy_discs
+from tests.numpy_pipeline import discs as numpy_discs
 
 DESIGN = load_sensor("dense")
 

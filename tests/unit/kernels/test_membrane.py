@@ -9,7 +9,7 @@ import pytest
 from mjtactile.kernels import kernel
 from mjtactile.sim.fast_step import advance
 from mjtactile.sim.sensor.rubber_flex import stiffness_rows
-from tests.numpy_chain import membrane
+from tests.numpy_pipeline import membrane
 from tests.physics.test_step import scene
 
 ROUNDING = 1e-9  # sums in another order, some of which cancel by a few digits

@@ -10,7 +10,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.touch.patches import find_patches
-from tests.numpy_chain import patches as numpy_patches
+from tests.numpy_pipeline import patches as numpy_patches
 
 
 def pressed(estimator, rest, rng, count):

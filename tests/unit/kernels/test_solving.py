@@ -16,9 +16,9 @@ from mjtactile.sensing.force import spline_fem
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
 from mjtactile.sensing.surface import surface
-from tests.numpy_chain import sheet as numpy_membrane
-from tests.numpy_chain import surface as numpy_surface
-from tests.numpy_chain.inverse import DenseInverse
+from tests.numpy_pipeline import spline_membrane as numpy_membrane
+from tests.numpy_pipeline import surface as numpy_surface
+from tests.numpy_pipeline.inverse import DenseInverse
 
 
 def dented(design, rng):

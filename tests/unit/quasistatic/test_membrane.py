@@ -64,7 +64,7 @@ def test_a_ball_is_held_with_the_full_membrane_s_force(fine, press):
 
 def other_designs():
     """Return one reference case of each other membrane and pressure of the independent solver."""
-    path = Path(benchmarks.quasistatic.__file__).with_name("film_reference.json")
+    path = Path(benchmarks.quasistatic.__file__).with_name("membrane_reference.json")
     cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
     asked = {"kind": "ball", "size_mm": [16.0], "at_mm": [0.0, 0.0], "depth_mm": 2.0}
     usual = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}

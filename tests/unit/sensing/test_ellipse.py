@@ -3,7 +3,7 @@
 import numpy as np
 
 from mjtactile.sensing.image import ellipse
-from tests.numpy_chain.ellipse import conic_from_shape, covariance_of_moves
+from tests.numpy_pipeline.ellipse import conic_from_shape, covariance_of_moves
 
 
 def shapes(count=200):

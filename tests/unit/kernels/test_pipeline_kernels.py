@@ -13,9 +13,9 @@ from mjtactile.sensing.pose import circles, marker_matching
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.rendering.renderer import Renderer
 from tests.lenses import CAMERAS
-from tests.numpy_chain import circles as numpy_circles
-from tests.numpy_chain import identity as numpy_identity
-from tests.numpy_chain import profiles as numpy_profiles
+from tests.numpy_pipeline import circles as numpy_circles
+from tests.numpy_pipeline import identity as numpy_identity
+from tests.numpy_pipeline import profiles as numpy_profiles
 
 DESIGN = load_sensor("dense")
 

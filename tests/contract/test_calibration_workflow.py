@@ -1,7 +1,7 @@
 """Complete calibration of two fingers that differ from their sensor file: measure, calibrate,
 measure again.
 
-It runs on the as-built sensors of `models/rigs/emulated_specimen.toml`, over ptys and streams. The
+It runs on the as-built sensors of `models/rigs/emulated_as_built.toml`, over ptys and streams. The
 user has a printed board, a load cell, a caliper and a pressure of zero. The test simulates the
 person who reads the instruments, in the emulated world.
 """
@@ -43,7 +43,7 @@ ERROR_MAX = 0.03
 def write_rig(folder):
     """The emulated specimens with a calibration file for each finger and the gripper, patient with
     a busy computer."""
-    text = resources.find("emulated_specimen", "models/rigs", ".toml").read_text()
+    text = resources.find("emulated_as_built", "models/rigs", ".toml").read_text()
     text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
     for finger in FINGERS:
         text = text.replace(

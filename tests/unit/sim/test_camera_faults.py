@@ -159,7 +159,7 @@ def test_a_rig_file_and_a_variation_name_them():
     emulator = rig_from_table(table, Path("my.toml")).emulator
     assert emulator.as_built_sensor("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
     assert emulator.as_built_sensor("right").camera == UNTROUBLED
-    assert load_rig_file("emulated_specimen").emulator.as_built_sensor("left").camera == UNTROUBLED
+    assert load_rig_file("emulated_as_built").emulator.as_built_sensor("left").camera == UNTROUBLED
     table["emulator"]["as_built"]["left"]["camera"] = {"gama": 1.3}
     with pytest.raises(InputError, match=r"camera.gama: unknown field, did you mean 'gamma'"):
         rig_from_table(table, Path("my.toml"))

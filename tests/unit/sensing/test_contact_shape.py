@@ -1,5 +1,5 @@
 """Tests of contact shapes from the markers of an independent solver's membrane
-(benchmarks/film_reference.json), with a camera's noise."""
+(benchmarks/membrane_reference.json), with a camera's noise."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def shape_of(sensor, *touches):
 
 @pytest.fixture(scope="module")
 def cases():
-    path = Path(benchmarks.quasistatic.__file__).with_name("film_reference.json")
+    path = Path(benchmarks.quasistatic.__file__).with_name("membrane_reference.json")
     return [case for case in json.loads(path.read_text())["cases"] if "markers_um" in case]
 
 

@@ -27,7 +27,7 @@ from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.edge_fit import SOFTEN, SOFTEN_VARIANCE, EdgeFit
 from mjtactile.sensing.image.ellipse import middle
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
-from tests.numpy_chain.ellipse import covariance_of_moves
+from tests.numpy_pipeline.ellipse import covariance_of_moves
 
 # along a profile; of these, at either end, for the levels
 _SAMPLES = 17

@@ -17,7 +17,7 @@ from mjtactile.sensing.force.inverse_fem import STEP_LIMIT, InverseMembrane
 from mjtactile.sensing.force.linearization import NEAR, PlaneContact, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from tests.numpy_chain.sheet import SplineMembrane, State
+from tests.numpy_pipeline.spline_membrane import SplineMembrane, State
 
 
 @dataclass(frozen=True, eq=False)

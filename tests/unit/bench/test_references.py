@@ -71,7 +71,7 @@ def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
 def test_a_reference_that_is_missed_is_said(tmp_path):
     write(tmp_path, BULGE.replace("2.45", "2.9"))
     result = run.run(tmp_path, notify=lambda _: None, cases=tmp_path)
-    assert (result["met"], result["numbers"]) == (0, 1) and (tmp_path / "truth.png").exists()
+    assert (result["met"], result["numbers"]) == (0, 1) and (tmp_path / "references.png").exists()
     rows = [line.split("|") for line in run.table(result).splitlines() if "0 of 1" in line]
     assert [row[1].strip() for row in rows] == ["a bulge", "all"]
     # every row has as many cells as the head
