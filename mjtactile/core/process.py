@@ -128,7 +128,14 @@ def end_with_parent(grace: float) -> None:
     child that is importing modules does not read them.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = int(os.environ[_PARENT])
+    watch_parent(int(os.environ[_PARENT]), grace)
+
+
+def watch_parent(parent: int, grace: float = 0.0) -> None:
+    """End this process at most `grace` s after its parent process with the id `parent`.
+
+    A thread watches it. For processes that another library starts: a killed parent ends no child.
+    """
 
     def outlive() -> None:
         end = platform_support.watch_process(parent)

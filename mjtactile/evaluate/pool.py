@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, cast
 
+from mjtactile.core import process
 from mjtactile.core.errors import DeviceError, InputError, Interrupted
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.store import Store
@@ -96,12 +99,23 @@ def _dask(scheduler: str) -> Iterator[int]:
             yield threads
 
 
-def _line(episode: Episode, run: RunOne) -> dict[str, Any] | None:
-    """Return the line of one episode; None if its worker was stopped."""
+def _line(episode: Episode, run: RunOne, parent: int | None = None) -> dict[str, Any] | None:
+    """Return the line of one episode; None if its worker was stopped.
+
+    A worker process ends with the process `parent`, even if that is killed.
+    """
+    if parent is not None and parent != os.getpid():
+        _end_with(parent)
     try:
         return run(episode)
     except Interrupted:
         return None
+
+
+@cache
+def _end_with(parent: int) -> None:
+    """Watch the parent process, once a worker."""
+    process.watch_parent(parent)
 
 
 def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
@@ -126,6 +140,8 @@ def run_all(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     start = time.monotonic()
+    # workers of a cluster are not children of this process
+    parent = os.getpid() if pool.backend == PROCESSES else None
     try:
         with (
             warnings.catch_warnings(),
@@ -136,7 +152,7 @@ def run_all(
             warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)
             lines = cast(
                 Generator[dict[str, Any] | None, None, None],
-                jobs(delayed(_line)(episode, run) for episode in missing),
+                jobs(delayed(_line)(episode, run, parent) for episode in missing),
             )
             with contextlib.closing(lines):
                 for k, line in enumerate(lines, 1):

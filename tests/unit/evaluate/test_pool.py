@@ -5,7 +5,10 @@ import argparse
 import json
 import resource
 import shlex
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +21,7 @@ from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.pool import Pool, Running, _progress
 from mjtactile.evaluate.run import evaluate
+from tests.emulated import wait_for
 from tests.emulated_host import controller_text
 from tests.fake_run import fake_cycle
 
@@ -218,3 +222,42 @@ def test_what_was_crushed_before_the_simulation_failed_is_crushed(tmp_path, monk
     monkeypatch.setattr(episodes, "run_grasp", presses)
     line = run_episode(episode(quick[0], "vial", 3))
     assert line["outcome"] == "crushed" and "simulation failed at step 7" in line["reason"]
+
+
+HOST = """
+import os, sys, time
+from pathlib import Path
+from types import SimpleNamespace
+from mjtactile.evaluate.pool import Pool, run_all
+
+def run(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+
+run_all([sys.argv[1]] * 3, SimpleNamespace(add=print), Pool(workers=3), print, run)
+"""
+
+
+def test_the_workers_of_a_killed_evaluation_end(tmp_path):
+    """Workers watch their parent: SIGKILL leaves neither processes nor shared memory behind."""
+    workers = tmp_path / "workers"
+    workers.mkdir()
+    host = subprocess.Popen([sys.executable, "-c", HOST, str(workers)], stdout=subprocess.DEVNULL)
+    try:
+        assert wait_for(lambda: len(list(workers.iterdir())) == 3, 120)
+    finally:
+        host.kill()
+        host.wait()
+    pids = [int(one.name) for one in workers.iterdir()]
+    assert len(pids) == 3
+    assert wait_for(lambda: not any(map(is_running, pids)), 60)
+    assert wait_for(lambda: not list(Path("/dev/shm").glob(f"*loky-{host.pid}-*")), 60)
+
+
+def is_running(pid):
+    """Return True for a process that is neither gone nor a zombie."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
