@@ -137,7 +137,7 @@ static int all_zero(const Lanes *x) {
     return 1;
 }
 
-void band_solve_lanes(long n, long width, const double *L, Lanes *x, long wanted) {
+void band_solve_lanes(long n, long width, const double *L, Lanes *x, long requested) {
     const long stride = BAND_STRIDE(width);
     long first = 0;
     while (first < n && all_zero(x + first)) first++; /* leading zeros remain zero */
@@ -149,7 +149,7 @@ void band_solve_lanes(long n, long width, const double *L, Lanes *x, long wanted
         const Lanes x0 = x[j], x1 = x[j + 1], x2 = x[j + 2], x3 = x[j + 3];
         for (long i = j + 4; i < end; i++) x[i] -= l0[i - j] * x0 + l1[i - j] * x1 + l2[i - j] * x2 + l3[i - j] * x3;
     }
-    for (long j = (n - 1) / 4 * 4; j >= wanted / 4 * 4; j -= 4) {
+    for (long j = (n - 1) / 4 * 4; j >= requested / 4 * 4; j -= 4) {
         const long end = j + 4 + width < n ? j + 4 + width : n;
         const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
         if (end > j + 4) {

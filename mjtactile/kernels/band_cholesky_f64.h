@@ -13,8 +13,8 @@ typedef double Lanes __attribute__((vector_size(64), aligned(8)));
 int band_cholesky(long n, long width, double *a); /* factors in place; 1: not positive definite */
 void band_forward(long n, long width, const double *L, double *x);      /* x becomes L^-1 x */
 void band_backward(long n, long width, const double *L, double *x);     /* x becomes L^-T x */
-/* x becomes (L L^T)^-1 x, from row `wanted` on */
-void band_solve_lanes(long n, long width, const double *L, Lanes *x, long wanted);
+/* x becomes (L L^T)^-1 x, from row `requested` on */
+void band_solve_lanes(long n, long width, const double *L, Lanes *x, long requested);
 /* Z: the inverse of L L^T within the band */
 void band_inverse(long n, long width, const double *L, double *Z);
 

@@ -52,7 +52,7 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
             double x = here[0], y = here[1], x2 = next[0], y2 = next[1], cross = x * y2 - x2 * y, sx = x + x2, sy = y + y2;
             area += cross, mx += cross * sx, my += cross * sy;
             mxx += cross * (sx * sx - x * x2), myy += cross * (sy * sy - y * y2), mxy += cross * (sx * sy + x * y + x2 * y2);
-            room = least(room, least(least(x, y), least(width - 1 - x, height - 1 - y)));
+            room = min_of(room, min_of(min_of(x, y), min_of(width - 1 - x, height - 1 - y)));
         }
         area /= 2, mx /= 6, my /= 6, mxx /= 12, mxy /= 24, myy /= 12;
         /* a border one pixel wide has no area; it is not a marker, so any placeholder will do */
@@ -60,13 +60,13 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
         if (flat) area = 1;
         double cx = mx / area, cy = my / area;
         double xx = flat ? 0.01 : mxx / area - cx * cx, xy = flat ? 0 : mxy / area - cx * cy, yy = flat ? 0.01 : myy / area - cy * cy;
-        double root = sqrt(most(16 * (xx * yy - xy * xy), 0)), scale = 1 / sqrt(most(4 * (xx + yy) + 2 * root, 1e-12));
+        double root = sqrt(max_of(16 * (xx * yy - xy * xy), 0)), scale = 1 / sqrt(max_of(4 * (xx + yy) + 2 * root, 1e-12));
         /* half a pixel more: the polygon runs inside the blob's outline */
         shape[0] = (4 * xx + root) * scale + 0.5, shape[1] = 4 * xy * scale, shape[2] = (4 * yy + root) * scale + 0.5;
         double det = shape[0] * shape[2] - shape[1] * shape[1], inverse[3] = {shape[2] / det, -shape[1] / det, shape[0] / det};
         double farthest = 0;
         for (int64_t k = 0; k < counts[i]; k++)
-            farthest = most(distance(points[2 * k] - cx, points[2 * k + 1] - cy, inverse), farthest);
+            farthest = max_of(distance(points[2 * k] - cx, points[2 * k + 1] - cy, inverse), farthest);
         centers[2 * i] = cx, centers[2 * i + 1] = cy, misfit[i] = flat ? INFINITY : farthest, cut[i] = room <= 0;
     }
     return 0;
@@ -108,7 +108,7 @@ int64_t check_borders(int64_t n, const double *shapes, const double *misfit, con
 /* One fit and the candidate from which it started. */
 typedef struct {
     const double *center, *shape, *cov, *start, *start_shape;
-    double a, b, contrast, noise, doubt, residual, blur, lost, motion, misfit;
+    double a, b, contrast, noise, shape_sd, residual, blur, lost, motion, misfit;
     int cut;
 } Fit;
 
@@ -122,15 +122,15 @@ static Fit fit_of(int64_t i, int64_t n, const double *centers, const double *sha
              .cut = (int)cut[i]};
     axes_of(f.shape, &f.a, &f.b);
     f.noise = f.residual < 1e-3 ? 1e-3 : f.residual;
-    f.doubt = sqrt(c[12] + c[18] + c[24]) / f.b;
+    f.shape_sd = sqrt(c[12] + c[18] + c[24]) / f.b;
     return f;
 }
 
 static int trust(const Fit *f, double usual, const MarkerSettings *s) {
     int status = OK;
-    if (f->contrast < s->min_contrast * f->noise || f->doubt > s->max_shape_sd) status = LOW_CONTRAST;
+    if (f->contrast < s->min_contrast * f->noise || f->shape_sd > s->max_shape_sd) status = LOW_CONTRAST;
     if (f->residual > s->max_residual * f->contrast) status = NOT_ELLIPSE;
-    int covered = f->residual > most(s->covered_fraction * f->contrast, s->covered_residuals * usual) && f->b > s->profile_min_radius;
+    int covered = f->residual > max_of(s->covered_fraction * f->contrast, s->covered_residuals * usual) && f->b > s->profile_min_radius;
     if (f->lost > s->max_lost_weight || covered) status = GLARE;
     return f->motion > s->min_motion ? MOTION : status;
 }
@@ -148,7 +148,7 @@ static int check_fit(const Fit *f, int status, double common, int64_t height, in
     if (f->b < s->min_blurs * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
     if (f->blur < s->sharper_ratio * common && common > 1 && f->b < s->sure_blurs * common) status = BLURRED;
     double changed = 0, odd_b, odd_a;
-    for (int k = 0; k < 3; k++) changed = most(fabs(f->shape[k] - f->start_shape[k]), changed);
+    for (int k = 0; k < 3; k++) changed = max_of(fabs(f->shape[k] - f->start_shape[k]), changed);
     if (changed > s->max_border_misfit + s->max_shape_change * f->b) status = NOT_ELLIPSE;
     if (f->b < min_radius) status = SMALL;
     int cut = reaches_border(f, height, width, s->min_edge_distance) || f->cut;
@@ -160,7 +160,7 @@ static int check_fit(const Fit *f, int status, double common, int64_t height, in
     int drop = 0;
     if (way > 1 + s->max_move * f->b && !cut && !odd) status = MOVED, drop = 1;
     if (f->contrast < s->min_contrast_any * f->noise) status = LOW_CONTRAST, drop = 1;
-    if (f->doubt > s->max_shape_sd_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
+    if (f->shape_sd > s->max_shape_sd_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
     if (f->b < s->min_fit_axes * f->a) status = LONG, drop = 1;
     if (f->b < s->shrunk_fraction * min_radius) status = SMALL, drop = 1;
     *keep = !drop;
@@ -181,7 +181,7 @@ static void flag_crowded(const Fit *fits, int64_t n, double close, int64_t *stat
             if (status[j] != OK && status[j] != TOUCHING) continue;
             double x = fits[j].center[0] - fits[i].center[0], y = fits[j].center[1] - fits[i].center[1];
             if (!(x * x + y * y < square(fits[i].a + fits[j].a + close))) continue;
-            double length = most(hypot(x, y), 1e-9);
+            double length = max_of(hypot(x, y), 1e-9);
             x /= length, y /= length;
             if (length < reach(fits + i, x, y) + reach(fits + j, x, y) + close) status[i] = status[j] = TOUCHING;
         }
@@ -226,7 +226,7 @@ void ellipse_axes(int64_t n, const double *shapes, const double *cov, double *se
         double a, b, angle = 0.5 * atan2(2 * shape[1], shape[0] - shape[2]), c = cos(angle), s = sin(angle);
         axes_of(shape, &a, &b);
         /* below, the angle is meaningless; the floor keeps its variance finite */
-        double over = 1 / most(a - b, 1e-6 * a);
+        double over = 1 / max_of(a - b, 1e-6 * a);
         double J[5][5] = {{1, 0, 0, 0, 0}, {0, 1, 0, 0, 0}, {0, 0, c * c, 2 * c * s, s * s}, {0, 0, s * s, -2 * c * s, c * c},
                           {0, 0, -c * s * over, (c * c - s * s) * over, c * s * over}};
         semi_axes[2 * i] = a, semi_axes[2 * i + 1] = b, angles[i] = angle;

@@ -9,7 +9,7 @@
    harmonics */
 #define POINTS 8
 /* tilt, rad, below which the normal's derivative vanishes and only its bound remains */
-#define LEAST_TILT 1e-3
+#define MIN_TILT 1e-3
 #define FIT_STEPS 30
 /* tolerance of a conic's coefficients; the error after such a step is 1e-10 */
 #define FIT_TOLERANCE 1e-8
@@ -69,7 +69,7 @@ static Affine fit_cone(const Circle *e, const Boundary *b, double Q[3][3]) {
         }
         mean /= POINTS, c1 /= POINTS, s1 /= POINTS, c2 *= 2.0 / POINTS, s2 *= 2.0 / POINTS;
         double step[5] = {mean + c2, s2, mean - c2, c1, s1}, largest = 0;
-        for (int j = 0; j < 5; j++) conic[j] -= step[j], largest = most(fabs(step[j]), largest);
+        for (int j = 0; j < 5; j++) conic[j] -= step[j], largest = max_of(fabs(step[j]), largest);
         if (!(largest > FIT_TOLERANCE)) break;
     }
     cone(&m, conic, Q);
@@ -114,7 +114,7 @@ static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] 
 /* Compute a pose behind the glass from `pose`, which is the pose without glass. The glass shifts
    each ray along z by its own amount. Relative to a center of projection with the mean shift, each
    boundary point is rescaled by the ratio of its depths. */
-static Pose through_pane(const Camera *camera, const Circle *e, const Boundary *b, const Pose *pose, double r) {
+static Pose through_glass(const Camera *camera, const Circle *e, const Boundary *b, const Pose *pose, double r) {
     double shift[POINTS], middle = 0, away = dot(pose->n, pose->p), Q[3][3];
     Boundary seen;
     Pose both[2];
@@ -141,11 +141,11 @@ static Pose through_pane(const Camera *camera, const Circle *e, const Boundary *
 static void tilted(const Pose *pose, double *n) {
     double far = sqrt(dot(pose->p, pose->p)), view[3];
     memcpy(n, pose->n, 3 * sizeof *n);
-    if (!(-dot(pose->n, pose->p) > cos(LEAST_TILT) * far)) return;
+    if (!(-dot(pose->n, pose->p) > cos(MIN_TILT) * far)) return;
     for (int i = 0; i < 3; i++) view[i] = pose->p[i] / far;
     double sign = copysign(1, view[2]), a = -1 / (sign + view[2]);
     double tangent[3] = {1 + sign * view[0] * view[0] * a, sign * view[0] * view[1] * a, -sign * view[0]};
-    for (int i = 0; i < 3; i++) n[i] = LEAST_TILT * tangent[i] - view[i];
+    for (int i = 0; i < 3; i++) n[i] = MIN_TILT * tangent[i] - view[i];
 }
 
 /* Solve A X = B for X in place of B (5, m), by Gaussian elimination with pivoting. */
@@ -209,7 +209,7 @@ static void derivative(const Camera *camera, const Circle *e, const Boundary *bo
     }
     for (int i = 0; i < parts; i++) X[i][i] = 1;
     solve5(D, X, parts);  /* X^T: the first rows of D^-1 */
-    double turn = most(a - b, ROUND * a) * (a + b) / (2 * a * b);
+    double turn = max_of(a - b, ROUND * a) * (a + b) / (2 * a * b);
     for (int i = 0; i < parts; i++) {
         G[i][0] = X[0][i] * du[0][0] + X[1][i] * du[0][1], G[i][1] = X[0][i] * du[1][0] + X[1][i] * du[1][1];
         G[i][2] = X[2][i] / a, G[i][3] = X[3][i] / b, G[i][4] = X[4][i] * turn;
@@ -251,7 +251,7 @@ void circle_poses(int64_t n, const double *centers, const double *semi_axes, con
         Affine m = look(&camera, &e, centers + 2 * i, axes, &bound, Q);
         both_circles(Q, radii[i], both);
         if (camera.thickness != 0)
-            for (int k = 0; k < 2; k++) both[k] = through_pane(&camera, &e, &bound, both + k, radii[i]);
+            for (int k = 0; k < 2; k++) both[k] = through_glass(&camera, &e, &bound, both + k, radii[i]);
         int first = both[1].n[2] < both[0].n[2];  /* the pose more face-on to the camera axis */
         for (int k = 0; k < 3; k++) {
             poses[3 * i + k] = both[first].p[k], poses[3 * (n + i) + k] = both[first].n[k];

@@ -17,8 +17,8 @@
 /* change of the shape, px, below which the coarse rounds end; offsets by area are correct within
    2 px */
 #define NEAR 1.5
-#define LEAST 32         /* minimum and (MOST) maximum number of profiles per marker */
-#define MOST 160
+#define PROFILES_MIN 32         /* minimum and (MOST) maximum number of profiles per marker */
+#define PROFILES_MAX 160
 #define SOFTEN_VARIANCE 0.4
 /* variance of linear interpolation, px^2, mean over all positions */
 #define BILINEAR_VARIANCE (1.0 / 6)
@@ -40,13 +40,13 @@ typedef struct { const float *pixels; long height, width; } Image;
 
 /* Directions (K) on the unit circle. A move of an ellipse is a combination of the functions c, s,
    c^2, 2 c s and s^2 of the direction. */
-typedef struct { int count; double c[MOST], s[MOST], c2[MOST], s2[MOST]; } Fan;
+typedef struct { int count; double c[PROFILES_MAX], s[PROFILES_MAX], c2[PROFILES_MAX], s2[PROFILES_MAX]; } Fan;
 
 typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, rest_blur; Eight by_sample[SAMPLES]; } Filters;
 
 /* Profiles of one marker: outward normals, |S^-1 e| = g, arc length per profile, and filter
    results. */
-typedef struct { double det, mx[MOST], my[MOST], g[MOST], arc[MOST], read[FILTERS][MOST], inside[MOST], outside[MOST],
+typedef struct { double det, mx[PROFILES_MAX], my[PROFILES_MAX], g[PROFILES_MAX], arc[PROFILES_MAX], read[FILTERS][PROFILES_MAX], inside[PROFILES_MAX], outside[PROFILES_MAX],
                  spread_in, spread_out; } Lines;
 
 /* Values of all markers that are kept while the common values are estimated: KEPT rows of K numbers
@@ -86,7 +86,7 @@ static void make_fan(Fan *fan, int count) {
    F(o) + delta phi + dsigma psi, with F = Phi(-o / sigma), phi = -dF/do and psi = dF/dsigma. One is
    even and the other is odd, so that they are independent. */
 static void make_filters(Filters *f, double step, double sigma) {
-    double narrow = sqrt(most(sigma * sigma - 2 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE), 0.45 * 0.45)), along = 0, across = 0;
+    double narrow = sqrt(max_of(sigma * sigma - 2 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE), 0.45 * 0.45)), along = 0, across = 0;
     memset(f, 0, sizeof *f);
     f->step = step;
     for (int j = 0; j < SAMPLES; j++) {
@@ -140,7 +140,7 @@ static void read_within(const Image *image, double u, double v, double du, doubl
     int place[WHOLE];
     float across[WHOLE], down[WHOLE];
     for (int j = 0; j < WHOLE; j++) {
-        float x = most_float(x0 + j * dx, 0), y = most_float(y0 + j * dy, 0);
+        float x = max_float(x0 + j * dx, 0), y = max_float(y0 + j * dy, 0);
         int column = (int)x, row = (int)y;
         place[j] = row * w + column, across[j] = x - column, down[j] = y - row;
     }
@@ -162,8 +162,8 @@ static void read_beyond(const Image *image, double u, double v, double du, doubl
     *out = (Eight){0};
     for (int j = 0; j < SAMPLES; j++) {
         double x = u + (j - (SAMPLES - 1) / 2.0) * du, y = v + (j - (SAMPLES - 1) / 2.0) * dv;
-        x = x > 0 ? least(x, w - 1) : 0, y = y > 0 ? least(y, h - 1) : 0;  /* NaN becomes 0 */
-        long i = (long)least(x, w - 2), k = (long)least(y, h - 2);
+        x = x > 0 ? min_of(x, w - 1) : 0, y = y > 0 ? min_of(y, h - 1) : 0;  /* NaN becomes 0 */
+        long i = (long)min_of(x, w - 2), k = (long)min_of(y, h - 2);
         const float *at = image->pixels + k * w + i;
         float a = (float)(x - i), b = (float)(y - k), upper = at[0] + a * (at[1] - at[0]);
         *out += (upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper)) * f->by_sample[j];
@@ -239,7 +239,7 @@ static void apply_move(double *center, double *shape, const double *move) {
     double a = 1 + m[2], b = m[3], c = 1 + m[4];
     double A = p * a + q * b, B = p * b + q * c, C = q * a + s * b, D = q * b + s * c;
     double xx = A * A + B * B, xy = A * C + B * D, yy = C * C + D * D;
-    double root = sqrt(most(xx * yy - xy * xy, 0)), scale = 1 / sqrt(most(xx + yy + 2 * root, 1e-12));
+    double root = sqrt(max_of(xx * yy - xy * xy, 0)), scale = 1 / sqrt(max_of(xx + yy + 2 * root, 1e-12));
     center[0] += p * m[0] + q * m[1], center[1] += q * m[0] + s * m[1];
     shape[0] = (xx + root) * scale, shape[1] = xy * scale, shape[2] = (yy + root) * scale;
 }
@@ -274,7 +274,7 @@ static double approach(const Image *image, long n, double *centers, double *shap
             work[i] = squared / COARSE;
             solve_even(scaled, fan, move);
             apply_move(centers + 2 * i, shape, move);
-            for (int j = 0; j < 3; j++) farthest = most(fabs(shape[j] - before[j]), farthest);
+            for (int j = 0; j < 3; j++) farthest = max_of(fabs(shape[j] - before[j]), farthest);
         }
         /* 1/6: reduction of a smooth step's second moment by sampling, samples squared */
         sigma = sqrt(clip((upper_median(work, n) + 1.0 / 6) * square(*step), 0.75 * 0.75, 16));
@@ -312,7 +312,7 @@ static void blur_tensor(long count, const double *normals, const double *blurs, 
     double N[3][3] = {{1e-9, 0, 0}, {0, 1e-9, 0}, {0, 0, 1e-9}}, r[3] = {0, 0, 0};
     for (long i = 0; i < count; i++) {
         double x = normals[2 * i], y = normals[2 * i + 1], a[3] = {x * x, 2 * x * y, y * y};
-        double variance = least(square(blurs[i]), bound);
+        double variance = min_of(square(blurs[i]), bound);
         for (int j = 0; j < 3; j++) {
             r[j] += a[j] * variance;
             for (int k = 0; k < 3; k++) N[j][k] += a[j] * a[k];
@@ -337,14 +337,14 @@ static void blur_tensor(long count, const double *normals, const double *blurs, 
 static void settle(const Lines *l, const Fan *fan, const Settings *s, const double *delta, const Common *common,
                    double blur_variance, double *center, double *shape, double *cov, double *found, long n) {
     int K = fan->count;
-    double scaled[MOST], left[MOST], weight[MOST], move[5], mean = 0, A[5][5] = {{0}}, r[5] = {0}, inverse[5][5];
+    double scaled[PROFILES_MAX], left[PROFILES_MAX], weight[PROFILES_MAX], move[5], mean = 0, A[5][5] = {{0}}, r[5] = {0}, inverse[5][5];
     for (int k = 0; k < K; k++) scaled[k] = delta[k] * l->g[k];
     solve_even(scaled, fan, move);  /* unweighted: only to find outliers */
     for (int k = 0; k < K; k++) {
         left[k] = delta[k] - offset_of(move, l, fan, k);
         mean += fabs(left[k]);
     }
-    double bound = most(s->outlier_offsets * mean / K, s->outlier_min);
+    double bound = max_of(s->outlier_offsets * mean / K, s->outlier_min);
     for (int k = 0; k < K; k++) {
         double c = fan->c[k], si = fan->s[k], b[5] = {c, si, c * c, 2 * c * si, si * si};
         weight[k] = l->arc[k] / (1 + square(square(left[k] / bound)));
@@ -364,7 +364,7 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
         double over = 1 / (l->inside[k] - l->outside[k]), rest = delta[k] - offset_of(move, l, fan, k);
         total += weight[k], squares += weight[k] * rest * rest, arc += l->arc[k], size += l->g[k];
         in += l->inside[k], out += l->outside[k], over2 += over * over;
-        kappa = most(0.5 / (square(l->det) * l->g[k] * l->g[k] * l->g[k]), kappa);
+        kappa = max_of(0.5 / (square(l->det) * l->g[k] * l->g[k] * l->g[k]), kappa);
     }
     apply_move(center, shape, move);
     arc /= K, size /= K, in /= K, out /= K, over2 /= K;
@@ -374,22 +374,22 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
        all neighbors. */
     double shared = 1, variance = squares / total * (K / (K - 5.0));
     for (int j = 1; j < 5; j++) shared += 2 * exp(-square(arc * j) / (4 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE)));
-    variance *= (K - 5) / most(K - 5 * shared, 1);
+    variance *= (K - 5) / max_of(K - 5 * shared, 1);
     /* effect of level noise on an offset: d(delta)/d(inside), d(delta)/d(outside), px per unit of
        contrast */
     double gain_in = common->rest_edge, gain_out = common->sum_edge - common->rest_edge;
     double level = (square(gain_in * l->spread_in) + square(gain_out * l->spread_out)) * over2 * shared / K * size * size;
-    double doubt = square(s->motion_sd_fraction * motion * size);
+    double motion_variance = square(s->motion_sd_fraction * motion * size);
     for (int i = 0; i < 5; i++)
         for (int j = 0; j < 5; j++) inverse[i][j] *= s->covariance_factor * variance * shared * arc;
     /* a level error moves all offsets together, V = I g; an error of its gradient moves the center,
        w = g */
     inverse[0][0] += 2 * level, inverse[1][1] += 2 * level;
-    inverse[2][2] += level + doubt, inverse[4][4] += level + doubt, inverse[2][4] += level, inverse[4][2] += level;
-    inverse[3][3] += doubt;
+    inverse[2][2] += level + motion_variance, inverse[4][4] += level + motion_variance, inverse[2][4] += level, inverse[4][2] += level;
+    inverse[3][3] += motion_variance;
     covariance_of_moves(inverse, shape, cov);
-    double sd = sqrt(most(blur_variance, 0.3));
-    found[0] = sqrt(most(sd * sd - SOFTEN_VARIANCE - BILINEAR_VARIANCE, square(s->sharpest)));
+    double sd = sqrt(max_of(blur_variance, 0.3));
+    found[0] = sqrt(max_of(sd * sd - SOFTEN_VARIANCE - BILINEAR_VARIANCE, square(s->sharpest)));
     /* gray levels at the slope of the edge */
     found[n] = sqrt(variance) * fabs(in - out) / (sqrt(2 * PI) * sd);
     found[2 * n] = K, found[3 * n] = 1 - total / (arc * K), found[4 * n] = motion;
@@ -402,7 +402,7 @@ static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Comm
     for (int k = 0; k < fan->count; k++) {
         double over = 1 / (l->inside[k] - l->outside[k]), x = l->mx[k], y = l->my[k];
         double off = ((l->read[EDGE][k] - f->sums[EDGE] * l->outside[k]) * over - f->rest_edge) / common->gain;
-        double along = most(common->uu * y * y - common->uv * 2 * x * y + common->vv * x * x + defocus, 0.3);
+        double along = max_of(common->uu * y * y - common->uv * 2 * x * y + common->vv * x * x + defocus, 0.3);
         delta[k] = clip(off, -2, 2) + along * 0.5 / (square(l->det) * l->g[k] * l->g[k] * l->g[k]);
     }
 }
@@ -417,7 +417,7 @@ static void look(const Image *image, long n, const double *centers, const double
         levels(l, fan, s->level_outlier);
         for (int k = 0; k < fan->count; k += 4) {
             double over = 1 / (l->inside[k] - l->outside[k]);
-            *blurs++ = most((l->read[BLUR][k] - f->sums[BLUR] * l->outside[k]) * over + sigma - f->rest_blur, 0.5);
+            *blurs++ = max_of((l->read[BLUR][k] - f->sums[BLUR] * l->outside[k]) * over + sigma - f->rest_blur, 0.5);
             *normals++ = l->mx[k], *normals++ = l->my[k];
         }
         keep(l, fan->count, kept + i * (KEPT * fan->count + 3));
@@ -430,38 +430,38 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     Fan fan;
     Filters f;
     Common common;
-    Image picture = {image, height, width};
+    Image view = {image, height, width};
     memcpy(&s, settings, sizeof s);
     if (height < 2 || width < 2) return REFUSED;
     if (n == 0) return 0;
     Lines lines;
     double *work = malloc(n * sizeof *work);
     if (!work) return NO_MEMORY;
-    double step, sigma = approach(&picture, n, centers, shapes, &s, &lines, &fan, work, &step);
+    double step, sigma = approach(&view, n, centers, shapes, &s, &lines, &fan, work, &step);
     for (long i = 0; i < n; i++) {  /* perimeters, accurate to a percent */
         const double *a = shapes + 3 * i;
         work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
     }
     double profiles = 8 * ceil(upper_median(work, n) / s.spacing / 8);
     /* NaN also gives LEAST */
-    make_fan(&fan, profiles > LEAST ? (int)least(profiles, MOST) : LEAST);
-    make_filters(&f, s.step * most(1, sigma / s.start_blur), sigma);
+    make_fan(&fan, profiles > PROFILES_MIN ? (int)min_of(profiles, PROFILES_MAX) : PROFILES_MIN);
+    make_filters(&f, s.step * max_of(1, sigma / s.start_blur), sigma);
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;
     work = malloc(n * (4 * per + size) * sizeof *work);
     if (!work) return NO_MEMORY;
     double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per, *kept = work + 4 * n * per;
-    look(&picture, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
+    look(&view, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);
     double middle = upper_median(sorted, n * per), bound = s.max_blur_variance * middle * middle;
     common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);
     blur_tensor(n * per, normals, blurs, bound, &common);
     for (long i = 0; i < n; i++) {
-        double delta[MOST], variance = 0, shared = 0, in = 0, out = 0;
+        double delta[PROFILES_MAX], variance = 0, shared = 0, in = 0, out = 0;
         recall(&lines, fan.count, kept + i * size);
         for (int k = 0; k < per; k++) {
             double x = normals[2 * (i * per + k)], y = normals[2 * (i * per + k) + 1];
-            variance += least(square(blurs[i * per + k]), bound);
+            variance += min_of(square(blurs[i * per + k]), bound);
             shared += common.uu * x * x + common.uv * 2 * x * y + common.vv * y * y;
         }
         offsets(&lines, &fan, &f, &common, (variance - shared) / per, delta);

@@ -130,7 +130,7 @@ static void half_of(const SplineMembrane *s, const Nodes *nodes, const double *p
     }
 }
 
-int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double share,
+int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double fraction,
                      int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *bulge, double *half, double *bulge_seen) {
@@ -154,7 +154,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
             for (int k = 0; k < PRODUCTS; k++)
                 for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i][l] = row[k][i];
             bulge_seen[first + l] = see(&s, &observed, first + l, motion);
-            along[l] = share * see(&s, &observed, first + l, softened);
+            along[l] = fraction * see(&s, &observed, first + l, softened);
         }
         band_solve_lanes(dofs, s.width, factor, x, 0);
         for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
@@ -195,17 +195,17 @@ static void solve_dense(long n, const double *L, double *x) {
    loads, P Load^T x. */
 static void tractions(const SplineMembrane *s, const Nodes *nodes, const double *prior, const double *x, double *work, double *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
-    double *told = work, *half = told + count, *room = half + count;
+    double *response = work, *half = response + count, *room = half + count;
     for (int k = 0; k < 3; k++, out += count) {
-        sandwich_transposed(jx, s->nx, s->ny, jy, nodes->load_x, x + k * s->n, nodes->load_y, room, told);
-        for (long i = 0; i < count; i++) told[i] *= prior[k * count + i];
-        sandwich_transposed(jx, jx, jy, jy, nodes->root_x, told, nodes->root_y, room, half);
+        sandwich_transposed(jx, s->nx, s->ny, jy, nodes->load_x, x + k * s->n, nodes->load_y, room, response);
+        for (long i = 0; i < count; i++) response[i] *= prior[k * count + i];
+        sandwich_transposed(jx, jx, jy, jy, nodes->root_x, response, nodes->root_y, room, half);
         sandwich(jx, jx, jy, jy, nodes->root_x, half, nodes->root_y, room, out);
         for (long i = 0; i < count; i++) out[i] *= prior[k * count + i];
     }
 }
 
-int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double share,
+int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double fraction,
                      int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *innovation, int64_t modes, const double *drift, const double *gas_load, const double *c,
@@ -213,7 +213,7 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
                      double *misfit, double *noise, double *drift_found) {
     if (!has_enough_splines(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off) || modes < 1) return REFUSED;
     SplineMembrane s = membrane_of(nx, ny, numbers);
-    Stiffness K = {factor, softened, share};
+    Stiffness K = {factor, softened, fraction};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;
     Seat *seats = malloc((markers + 1) * sizeof *seats);

@@ -78,12 +78,12 @@ int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers /* 8 */, in
    positive definite. */
 int64_t factor_definite(int64_t n, int64_t width, double *band /* n, BAND_STRIDE(width) */);
 /* Compute `softened`, w: the solution of a factored stiffness for the gas's `gradient`. Returns the
-   factor `share` of the gas's change of the inverse, -share w w^T. */
+   factor `fraction` of the gas's change of the inverse, -share w w^T. */
 double soften(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */,
               const double *gradient /* 3, nx, ny */, double gas_stiffness, double *softened /* 3, nx, ny */);
 /* Compute displacements `out` due to `forces`. */
 int64_t spline_solve(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */,
-                    const double *softened /* 3, nx, ny */, double share, const double *forces /* 3, nx, ny */,
+                    const double *softened /* 3, nx, ny */, double fraction, const double *forces /* 3, nx, ny */,
                     double *out /* 3, nx, ny */);
 
 /* Linearize r observations of the membrane (sensing/force/inverse_fem.py): the positions of
@@ -92,7 +92,7 @@ int64_t spline_solve(int64_t nx, int64_t ny, const double *factor /* 3 * nx * ny
    observations of a `bulge`. */
 int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers /* 8 */,
                      const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
-                     double share, int64_t r, int64_t markers, const double *material /* markers, 2 */,
+                     double fraction, int64_t r, int64_t markers, const double *material /* markers, 2 */,
                      const double *weights /* markers, 3, 3 */, const double *tilts /* 2, markers, 2, 3 or NULL */, int64_t jx,
                      int64_t jy, const double *load_x /* nx, jx */, const double *load_y /* ny, jy */,
                      const double *root_x /* jx, jx */, const double *root_y /* jy, jy */, const double *prior /* 3, jx, jy */,
@@ -102,7 +102,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers /* 8 */,
    `noise`, and `drift_found` in standard deviations. */
 int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers /* 8 */,
                      const double *factor /* 3 * nx * ny, BAND_STRIDE(SPLINE_BAND_WIDTH(ny)) */, const double *softened /* 3, nx, ny */,
-                     double share, int64_t r, int64_t markers, const double *material /* markers, 2 */,
+                     double fraction, int64_t r, int64_t markers, const double *material /* markers, 2 */,
                      const double *weights /* markers, 3, 3 */, const double *tilts /* 2, markers, 2, 3 or NULL */, int64_t jx,
                      int64_t jy, const double *load_x /* nx, jx */, const double *load_y /* ny, jy */,
                      const double *root_x /* jx, jx */, const double *root_y /* jy, jy */, const double *prior /* 3, jx, jy */,
@@ -206,9 +206,9 @@ int64_t chamber_volume(int64_t n, const double *p /* n, 3 */, int64_t m, const i
                        double *gradient /* n, 3 */, double *volume /* 1 */);
 /* Apply a gas of this pressure and stiffness to k vertices with displacements `moved`. Out: the
    tendon's `coefficients`, its `spring` and its length at `rest`; `forces`. The length is offset by
-   `offset_fraction` of its absolute terms' sum plus `least`. */
+   `offset_fraction` of its absolute terms' sum plus `min_offset`. */
 void apply_gas_load(int64_t k, const double *gradient /* k, 3 */, const double *moved /* k, 3 */, double offset_fraction,
-                    double least, double pressure, double stiffness, double *coefficients /* k */, double *spring /* 1 */,
+                    double min_offset, double pressure, double stiffness, double *coefficients /* k */, double *spring /* 1 */,
                     double *rest /* 2 */, double *forces /* k, 3 */);
 /* MuJoCo's `contacts`, here and below: their number, the address `list` of the first one's `dist`,
    and the byte `layout` of the list (sim/sensor/contact_list.py). `rows`: number of its constraint
@@ -228,14 +228,14 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, 
 /* Update the relaxed stress of m triangles of n vertices `p` (sim/sensor/rubber_flex.py).
    `inverse`, of the edges, and `section`, area times thickness, are those of the flat membrane.
    `law`: mu, Poisson's ratio, squared pre-stretch, softening and its energy. `thin`: from
-   rubber_stiffness at the same `p`. Each term has a fraction in `shares` and a decay factor in
-   `kept`. In and out: `memory`, the previous stress and the relaxed part of each term; `most`, the
+   rubber_stiffness at the same `p`. Each term has a fraction in `fractions` and a decay factor in
+   `kept`. In and out: `memory`, the previous stress and the relaxed part of each term; `max_energy`, the
    maximum energy; `rows`, scaled to the instantaneous rubber; `forces` on k `interior` vertices, to
    which those that subtract the relaxed stress are added. `work` is workspace. */
 int64_t rubber_remembers(int64_t m, const int64_t *triangles /* m, 3 */, int64_t n, const double *p /* n, 3 */,
                          const double *inverse /* m, 2, 2 */, const double *section /* m */, const double *law /* 5 */,
-                         const double *thin /* m or NULL */, int64_t terms, const double *shares /* terms */,
-                         const double *kept /* terms */, double *memory /* terms + 1, 3, m */, double *most /* m */,
+                         const double *thin /* m or NULL */, int64_t terms, const double *fractions /* terms */,
+                         const double *kept /* terms */, double *memory /* terms + 1, 3, m */, double *max_energy /* m */,
                          double *work /* 12 * m + 3 * n */, int64_t k, const int64_t *interior /* k */,
                          double *rows /* m, 21 or NULL */, double *forces /* 3 * k */);
 /* Compute sums of the principal curvatures `out`, 1/m, of MuJoCo geoms of `kinds` and `sizes` where
@@ -342,7 +342,7 @@ int64_t qs_push(const double *given /* 8 */, int64_t slots, const double *patche
 int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, nv */, int64_t held, const double *holds /* held, 43 */,
                  double step, const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */,
                  double *left /* nv */, double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
-/* Run up to `count` steps (sim/batched_quasistatic_step.py). `told`: number of steps done; number
+/* Run up to `count` steps (sim/batched_quasistatic_step.py). `events`: number of steps done; number
    of steps in which the solver ran out of iterations; 1 if a degree of freedom is too fast; 1 if a
    membrane did not converge. The last two end the run. `mujoco`: addresses of mj_kinematics,
    mj_step, model and data. `follows`: arguments of qs_follow and the address of its flag for
@@ -356,18 +356,18 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco /* 4 */, double time, doub
                    const double *qpos /* nq */, int64_t drives, const int64_t *control /* drives */,
                    const double *affine /* drives, 3 */, int64_t nu, double *ctrl /* nu */, int64_t nv, const double *qvel /* nv */,
                    int64_t movers, const int64_t *mover /* movers */, const double *hurry /* movers */, int64_t iterations,
-                   const int32_t *solver_iterations /* 20 */, double *wrenches /* count, membranes, 6 */, int64_t *told /* 4 */);
-/* Sample the wrench `felt` that a sensing chain would estimate for a true `wrench`, and its
+                   const int32_t *solver_iterations /* 20 */, double *wrenches /* count, membranes, 6 */, int64_t *events /* 4 */);
+/* Sample the wrench `estimated` that a sensing chain would estimate for a true `wrench`, and its
    covariance `cov` (sim/synthetic_touch.py). `table` at each `load`: mean, standard deviation, that
    of the independent part and the reported one (6 each); fractions of outliers and of unknown
    images; area and its standard deviation; standard deviation of the centroid; spread between
    grasps. `row`: the same at this load. `settings`: time constant of the persistent part, s;
    standard normal number of the grasp; its shear gain; time since the previous image, s; a uniform
    random number. In and out: `slow`, the persistent part. */
-int64_t draw_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 30 */, const double *gain /* 6, 6 */,
+int64_t sample_errors(int64_t loads, const double *load /* loads */, const double *table /* loads, 30 */, const double *gain /* 6, 6 */,
                     const double *spread /* 6, 6 */, const double *reported_correlation /* 6, 6 */, const double *settings /* 5 */,
                     const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
-                    double *felt /* 6 */, double *cov /* 6, 6 */);
+                    double *estimated /* 6 */, double *cov /* 6, 6 */);
 int64_t qs_sensitivities_size(const double *numbers /* 19 */);
 /* Compute the derivatives of an equilibrium `x`, `force` by `changes` of its obstacles. `body`: the
    present obstacles, then those after each change, by `steps`. Out: derivatives of displacements,

@@ -24,7 +24,7 @@ static double squared_distance(const double *a, const double *b) { return square
 static double median(double *values, int64_t n) {
     double high = upper_median(values, n), low = -INFINITY;
     if (n % 2) return high;
-    for (int64_t i = 0; i < n / 2; i++) low = most(low, values[i]);
+    for (int64_t i = 0; i < n / 2; i++) low = max_of(low, values[i]);
     return (low + high) / 2;
 }
 
@@ -74,7 +74,7 @@ static void mutual_nearest(const Scene *scene, const double *shift, double gate,
    is the densest point among the offsets of every circle to its nearest marker. `offsets` (n, 2),
    `work` (n). */
 static void common_shift(const Scene *scene, double same, double *out, double *offsets, double *work) {
-    int64_t count = 0, densest = -1, most_near = 0;
+    int64_t count = 0, densest = -1, max_near = 0;
     out[0] = out[1] = 0;
     for (int64_t i = 0; i < scene->n; i++) {
         double best = INFINITY;
@@ -90,7 +90,7 @@ static void common_shift(const Scene *scene, double same, double *out, double *o
     for (int64_t i = 0; i < count; i++) {
         int64_t near = 0;
         for (int64_t j = 0; j < count; j++) near += squared_distance(offsets + 2 * i, offsets + 2 * j) < square(scene->pitch / same);
-        if (near > most_near) most_near = near, densest = i;
+        if (near > max_near) max_near = near, densest = i;
     }
     for (int axis = 0; axis < 2 && densest >= 0; axis++) {
         int64_t near = 0;
@@ -122,8 +122,8 @@ static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, d
                   int64_t *back, double *offsets) {
     int64_t m = scene->m, n = scene->n, fewest = n < m ? n : m, all = n > m ? n : m;
     memset(shift, 0, 2 * m * sizeof *shift);
-    for (int tried = 0; tried <= ROUNDS; tried++) {
-        if (tried == 1) {
+    for (int round_ = 0; round_ <= ROUNDS; round_++) {
+        if (round_ == 1) {
             double common[2];
             common_shift(scene, s->shift_resolution, common, offsets, work);
             for (int64_t j = 0; j < m; j++) shift[2 * j] = common[0], shift[2 * j + 1] = common[1];
@@ -133,7 +133,7 @@ static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, d
         for (int64_t i = 0; i < n; i++) matched += ids[i] >= 0;
         /* no common offset is needed if all are at their expected positions and none is left over:
            a whole grid cannot hide a shift */
-        if (!wrong && matched == (tried ? fewest : all)) break;
+        if (!wrong && matched == (round_ ? fewest : all)) break;
         if (wrong) smooth(scene, moved, shift, work);
     }
 }
@@ -151,7 +151,7 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
         free(own), free(back);
         return NO_MEMORY;
     }
-    const int64_t neighbours = (int64_t)least(most(s.neighbours, 0), k);
+    const int64_t neighbours = (int64_t)min_of(max_of(s.neighbours, 0), k);
     Scene scene = {n, m, k, neighbours, found, own, order, pitch};
     for (int64_t j = 0; j < m; j++)
         for (int axis = 0; axis < 2; axis++) moved[2 * j + axis] = expected[2 * j + axis] - layout[2 * j + axis];

@@ -38,7 +38,7 @@ int64_t chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tri
     return 0;
 }
 
-void apply_gas_load(int64_t k, const double *gradient, const double *moved, double offset_fraction, double least, double pressure,
+void apply_gas_load(int64_t k, const double *gradient, const double *moved, double offset_fraction, double min_offset, double pressure,
                     double stiffness, double *coefficients, double *spring, double *rest, double *forces) {
     double length = 0, size = 0;
     for (int64_t v = 0; v < k; v++) {
@@ -46,7 +46,7 @@ void apply_gas_load(int64_t k, const double *gradient, const double *moved, doub
         coefficients[v] = normal, length += term, size += fabs(term);
         for (int i = 0; i < 3; i++) forces[3 * v + i] = pressure * gradient[3 * v + i];
     }
-    double offset = offset_fraction * (size + least);
+    double offset = offset_fraction * (size + min_offset);
     for (int64_t v = 0; v < k; v++) forces[3 * v + 2] += stiffness * offset * coefficients[v];
     spring[0] = stiffness, rest[0] = rest[1] = length - offset;
 }
@@ -104,7 +104,7 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
                          const double *metric, const double *law, const double *by_mu, const double *by_lambda, double *thin,
                          double *rows) {
     if (!are_below(e, 3 * m, edges) || !are_below(n, 2 * e, ends)) return REFUSED;
-    double shear = law[0], poisson = law[1], first = law[2], least = law[3], most = law[4];
+    double shear = law[0], poisson = law[1], first = law[2], min_ratio = law[3], max_ratio = law[4];
     for (int64_t t = 0; t < m; t++) {
         double C[3] = {0}, mu, lambda = first;
         for (int side = 0; side < 3; side++) {
@@ -120,7 +120,7 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64
         thin[t] = thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
         mu = shear * thin[t];
         if (!(fabs(trace) < UNSTRAINED))
-            lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, least * mu), most * first);
+            lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, min_ratio * mu), max_ratio * first);
         for (int i = 0; i < 6; i++) rows[ROW * t + i] = mu * by_mu[6 * t + i] + lambda * by_lambda[6 * t + i];
     }
     return 0;
@@ -135,7 +135,7 @@ static double energy(const double *C, double q, double poisson) {
 
 int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const double *p, const double *inverse,
                          const double *section, const double *law, const double *thin, int64_t terms, const double *shares,
-                         const double *kept, double *memory, double *most, double *work, int64_t k, const int64_t *interior,
+                         const double *kept, double *memory, double *max_energy, double *work, int64_t k, const int64_t *interior,
                          double *rows, double *forces) {
     if (!are_below(n, 3 * m, triangles) || !are_below(n, k, interior)) return REFUSED;
     double shear = law[0], poisson = law[1], stretch2 = law[2], softening = law[3], softening_energy = law[4], quick = 1;
@@ -153,7 +153,7 @@ int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const d
         double q = thin ? thin[t] : thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
         if (softening > 0) { /* the energy is needed only for softening */
             double W = shear * energy(C, q, poisson);
-            most[t] = fmax(most[t], W), by *= 1 - softening * erf((most[t] - W) / softening_energy);
+            max_energy[t] = fmax(max_energy[t], W), by *= 1 - softening * erf((max_energy[t] - W) / softening_energy);
         }
         stress[t] = by * (1 - q * C[1]), stress[m + t] = by * (1 - q * C[0]), stress[2 * m + t] = by * q * C[2];
         if (rows)
@@ -239,7 +239,7 @@ static double dot(Plane a, Plane b) { return a.x * b.x + a.y * b.y; }
 
 static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * b.x, a.y + scale * b.y}; }
 
-static Plane shorten(Plane a, double most) { return add((Plane){0}, fmin(most / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
+static Plane shorten(Plane a, double limit) { return add((Plane){0}, fmin(limit / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
 
 int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *force,
                         const double *kbip, const double *softness, const double *velocity, const double *travel,

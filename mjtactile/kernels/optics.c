@@ -71,10 +71,10 @@ Lens distort(const Camera *c, double x, double y) {
 static inline __attribute__((always_inline)) void invert(Model lens, const Camera *c, double x_d, double y_d, double *x, double *y) {
     double u, v, residual = INFINITY, det = 0;
     if (lens == equidistant) {
-        double angle = hypot(x_d, y_d), theta = least(angle, ANGLE_MAX), by_theta;
+        double angle = hypot(x_d, y_d), theta = min_of(angle, ANGLE_MAX), by_theta;
         for (int i = 0; i < ANGLE_STEPS; i++) {
             double now = distorted_angle(c->k, theta, &by_theta);
-            theta = most(0, least(theta - (now - angle) / by_theta, ANGLE_MAX));
+            theta = max_of(0, min_of(theta - (now - angle) / by_theta, ANGLE_MAX));
         }
         double scale = angle > 0 ? tan(theta) / angle : 1;
         u = x_d * scale, v = y_d * scale;
@@ -87,7 +87,7 @@ static inline __attribute__((always_inline)) void invert(Model lens, const Camer
         double x_off = l.x - x_d, y_off = l.y - y_d;
         det = l.xx * l.yy - l.xy * l.xy;
         u -= (l.yy * x_off - l.xy * y_off) / det, v -= (l.xx * y_off - l.xy * x_off) / det;
-        residual = most(fabs(x_off), fabs(y_off));
+        residual = max_of(fabs(x_off), fabs(y_off));
         if (!(residual > UNDISTORT_NEAR)) break;  /* the last step squares it */
     }
     int good = residual <= UNDISTORT_NEAR && det > 0 && isfinite(u) && isfinite(v);

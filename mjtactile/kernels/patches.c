@@ -37,7 +37,7 @@ static double cell(const Grid *g, int64_t at) {
     }
     double aa = 0, ab = 0, bb = 0;
     for (int k = 0; k < 3; k++) aa += square(along[k]), ab += along[k] * across[k], bb += square(across[k]);
-    return sqrt(most(aa * bb - ab * ab, 0)) / 4;
+    return sqrt(max_of(aa * bb - ab * ab, 0)) / 4;
 }
 
 /* Estimate the area of a patch that carries `force`, N, over a chamber at `gauge`, Pa. It combines
@@ -51,14 +51,14 @@ static double area_of(const Grid *g, const double *pressing, const double *node_
         for (int64_t i = 1; i < g->nx - 1; i++)
             for (int64_t j = 1; j < g->ny - 1; j++) {
                 int64_t node = (i - 1) * inner + j - 1, at = fine_of(g, i, j);
-                double share = most(pressing[node] - core, 0) * node_area[node];
-                if (share <= 0 || !is_mine(g, at)) continue;
+                double fraction = max_of(pressing[node] - core, 0) * node_area[node];
+                if (fraction <= 0 || !is_mine(g, at)) continue;
                 double x = g->position[at], y = g->position[all + at];
-                if (round == 0) total += share, mean[0] += share * x, mean[1] += share * y;
-                else variance += share * (square(x - mean[0] / total) + square(y - mean[1] / total)) / total;
+                if (round == 0) total += fraction, mean[0] += fraction * x, mean[1] += fraction * y;
+                else variance += fraction * (square(x - mean[0] / total) + square(y - mean[1] / total)) / total;
             }
-    double disc = 4 * PI * most(variance / 2, node_variance), seen = s->area_disc * pow(disc / s->area_disc, s->area_power);
-    double carrying = force / (most(gauge, 0) + s->area_pressure);
+    double disc = 4 * PI * max_of(variance / 2, node_variance), seen = s->area_disc * pow(disc / s->area_disc, s->area_power);
+    double carrying = force / (max_of(gauge, 0) + s->area_pressure);
     return pow(pow(seen, -s->area_blend) + pow(carrying, -s->area_blend), -1 / s->area_blend);
 }
 
@@ -97,16 +97,16 @@ static void axes_of_cells(const Grid *g, const int64_t *places, int64_t count, d
     double total = 0, x = 0, y = 0, xx = 0, xy = 0, yy = 0;
     int64_t all = g->na * g->nb;
     for (int64_t k = 0; k < count; k++) {
-        double share = cell(g, places[k]);
-        total += share, x += share * g->position[places[k]], y += share * g->position[all + places[k]];
+        double fraction = cell(g, places[k]);
+        total += fraction, x += fraction * g->position[places[k]], y += fraction * g->position[all + places[k]];
     }
     for (int64_t k = 0; k < count && count > 2; k++) {
-        double share = cell(g, places[k]) / total, dx = g->position[places[k]] - x / total;
+        double fraction = cell(g, places[k]) / total, dx = g->position[places[k]] - x / total;
         double dy = g->position[all + places[k]] - y / total;
-        xx += share * dx * dx, xy += share * dx * dy, yy += share * dy * dy;
+        xx += fraction * dx * dx, xy += fraction * dx * dy, yy += fraction * dy * dy;
     }
     double mean = (xx + yy) / 2, half = hypot((xx - yy) / 2, xy);
-    found[0] = total, found[1] = 2 * sqrt(mean + half), found[2] = 2 * sqrt(most(mean - half, 0));
+    found[0] = total, found[1] = 2 * sqrt(mean + half), found[2] = 2 * sqrt(max_of(mean - half, 0));
     found[3] = 0.5 * atan2(2 * xy, xx - yy);
 }
 
@@ -127,17 +127,17 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_
     }
     for (int64_t node = 0; node < nodes; node++) {
         int64_t at = fine_of(&g, node / inner + 1, node % inner + 1);
-        pressing[node] = most(-traction[2 * nodes + node], 0);
-        strongest_node = most(strongest_node, pressing[node]), total -= traction[2 * nodes + node] * node_area[node];
+        pressing[node] = max_of(-traction[2 * nodes + node], 0);
+        strongest_node = max_of(strongest_node, pressing[node]), total -= traction[2 * nodes + node] * node_area[node];
         if (is_mine(&g, at))
             for (int k = 0; k < 3; k++) force[k] += traction[k * nodes + node] * node_area[node];
     }
-    int counts = -force[2] >= s.min_fraction * most(total, 1e-9);
+    int counts = -force[2] >= s.min_fraction * max_of(total, 1e-9);
     if (counts) {
         double area = area_of(&g, pressing, node_area, s.core_fraction * strongest_node, -force[2], gauge, node_variance, &s);
         int64_t count = strongest(&g, fine, area, heap, &positive, inside);
         double weights = 0, x = 0, y = 0, deep = 0, deepest = 0;
-        for (int64_t at = 0; at < all; at++) peak = most(peak, fine[at]);
+        for (int64_t at = 0; at < all; at++) peak = max_of(peak, fine[at]);
         for (int64_t at = 0; at < all; at++) {
             double weight = fine[at] - s.core_fraction * peak;
             if (weight <= 0 || !is_mine(&g, at)) continue;
@@ -150,8 +150,8 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_
                 int border = i == 0 || j == 0 || i == nx - 1 || j == ny - 1, here = is_mine(&g, at) && inside[at];
                 double sink = border ? 0 : sunk[(i - 1) * inner + j - 1];
                 mask[j * nx + i] = (uint8_t)here, any |= here;
-                if (here) deep = most(deep, sink);
-                if (is_mine(&g, at)) deepest = most(deepest, sink);
+                if (here) deep = max_of(deep, sink);
+                if (is_mine(&g, at)) deepest = max_of(deepest, sink);
             }
         memcpy(found, force, sizeof force);
         found[3] = x / weights, found[4] = y / weights, found[5] = any ? deep : deepest;

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #define NEAR_SINGULAR 1e-7
-#define MOST_LEARNT 10 /* maximum coefficient of a previous step; above it, steps are not mixed */
+#define MAX_LEARNT 10 /* maximum coefficient of a previous step; above it, steps are not mixed */
 
 long qs_anderson_size(long all) { return (2 * MEMORY + 2) * all; }
 
@@ -40,16 +40,16 @@ static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
 }
 
 static int mix(Learnt *l) {
-    double A[MEMORY][MEMORY], share[MEMORY];
+    double A[MEMORY][MEMORY], fraction[MEMORY];
     for (long a = 0; a < l->known; a++) {
-        share[a] = dot(l->changes + a * l->all, l->now, l->places);
+        fraction[a] = dot(l->changes + a * l->all, l->now, l->places);
         for (long b = 0; b <= a; b++) A[a][b] = A[b][a] = dot(l->changes + a * l->all, l->changes + b * l->all, l->places);
     }
-    solve_small(l->known, A, share);
+    solve_small(l->known, A, fraction);
     for (long a = 0; a < l->known; a++)
-        if (!(fabs(share[a]) < MOST_LEARNT)) return 0;
+        if (!(fabs(fraction[a]) < MAX_LEARNT)) return 0;
     for (long a = 0; a < l->known; a++) {
-        const float by = (float)share[a], *step = l->steps + a * l->all, *change = l->changes + a * l->all;
+        const float by = (float)fraction[a], *step = l->steps + a * l->all, *change = l->changes + a * l->all;
         for (long k = 0; k < l->all; k++) l->now[k] -= by * (step[k] + change[k]);
     }
     return 1;

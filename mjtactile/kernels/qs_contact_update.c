@@ -31,7 +31,7 @@ Seen qs_lowest_before(const Membrane *f, double **room) {
     s.along_x = qs_take(room, n), s.along_y = qs_take(room, n), s.cell = qs_take(room, n);
     s.planes = qs_take(room, QS_FLOORS * QS_PLANES);
     /* lines are multiples of eight */
-    s.touching = (uint8_t *)qs_take(room, n / 8), s.wanted = (uint8_t *)qs_take(room, n / 8);
+    s.touching = (uint8_t *)qs_take(room, n / 8), s.requested = (uint8_t *)qs_take(room, n / 8);
     return s;
 }
 
@@ -55,7 +55,7 @@ void qs_unpad(const Membrane *f, long fields, const double *from, double *to) {
 
 static int any_thin(const Membrane *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
-        if (qs_obstacle_at(bodies, b)->least < most(f->dx, f->dy)) return 1;
+        if (qs_obstacle_at(bodies, b)->min_width < max_of(f->dx, f->dy)) return 1;
     return 0;
 }
 
@@ -136,7 +136,7 @@ static int see_ridge(const Membrane *f, const Bodies *bodies, double x, double y
             if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
         }
         if (isinf(low) || abs(where) > THIN + 1) continue;
-        *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
+        *height = min_of(*height, low), slope[axis] = 0, found |= 1 << axis;
     }
     return found;
 }
@@ -181,20 +181,20 @@ static void drop_ends(const Membrane *f, Seen *seen) {
         }
 }
 
-static void see_nothing(const Membrane *f, Seen *seen) {
+static void clear_seen(const Membrane *f, Seen *seen) {
     memset(seen->edge, 0, f->count * sizeof *seen->edge);
     for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
 }
 
-void look_narrowly(const Membrane *f, const Bodies *bodies, Seen *seen) {
+void narrow_view(const Membrane *f, const Bodies *bodies, Seen *seen) {
     const long ends[4] = {0, f->columns, 0, f->rows};
     /* a sharp obstacle is also thin */
     if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return;
     for (int k = 0; k < 4; k += 2) {
-        seen->box[k] = (long)most(seen->box[k] - ROUND_ABOUT, ends[k]);
-        seen->box[k + 1] = (long)least(seen->box[k + 1] + ROUND_ABOUT, ends[k + 1]);
+        seen->box[k] = (long)max_of(seen->box[k] - ROUND_ABOUT, ends[k]);
+        seen->box[k + 1] = (long)min_of(seen->box[k + 1] + ROUND_ABOUT, ends[k + 1]);
     }
-    see_nothing(f, seen);
+    clear_seen(f, seen);
     seen->narrow = 1;
 }
 
@@ -208,10 +208,10 @@ static void place_nodes(const Membrane *f, const double *x, const Seen *seen, lo
 
 /* Mark the nodes at which obstacles are evaluated: nodes in contact, nodes that may soon be, and
    their neighbors, for curvature and edges. */
-static void want_nodes(const Membrane *f, const double *x, Seen *seen) {
+static void request_nodes(const Membrane *f, const double *x, Seen *seen) {
     double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
     const double *z = x + 2 * f->count;
-    memset(seen->wanted, 0, f->count);
+    memset(seen->requested, 0, f->count);
     for (long i = seen->box[0]; i < seen->box[1]; i++) {
         place_nodes(f, x, seen, i, at_x, at_y);
         floor_at(seen, seen->box[3] - seen->box[2], at_x + seen->box[2], at_y + seen->box[2], floor + seen->box[2]);
@@ -219,7 +219,7 @@ static void want_nodes(const Membrane *f, const double *x, Seen *seen) {
             if (!seen->touching[i * f->line + j] && floor[j] > z[i * f->line + j] + NEARBY) continue;
             const long from = j > 0 ? j - 1 : 0, to = j < f->rows - 1 ? j + 1 : j;
             for (long near = i > 0 ? i - 1 : 0; near <= i + 1 && near < f->columns; near++)
-                memset(seen->wanted + near * f->line + from, 1, to - from + 1);
+                memset(seen->requested + near * f->line + from, 1, to - from + 1);
         }
     }
 }
@@ -228,15 +228,15 @@ static void want_nodes(const Membrane *f, const double *x, Seen *seen) {
 void see_bodies(const Membrane *f, const Bodies *bodies, const double *x, Seen *seen) {
     const int thin = any_thin(f, bodies);
     int sharp = 0;
-    for (long b = 0; b < bodies->count; b++) sharp |= qs_obstacle_at(bodies, b)->least == 0;
+    for (long b = 0; b < bodies->count; b++) sharp |= qs_obstacle_at(bodies, b)->min_width == 0;
     for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, qs_obstacle_at(bodies, b), seen->box);
-    if (!seen->narrow) see_nothing(f, seen);
+    if (!seen->narrow) clear_seen(f, seen);
     const int all = thin || seen->floors < 0; /* thin obstacles may be between nodes */
-    if (!all) want_nodes(f, x, seen);
+    if (!all) request_nodes(f, x, seen);
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
-            if (!all && !seen->wanted[k]) continue;
+            if (!all && !seen->requested[k]) continue;
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
@@ -329,10 +329,10 @@ double find_springs(const Membrane *f, const double *z, Seen *seen) {
         if (!seen->touching[k]) continue;
         const double links[4] = {seen->along_x[k], seen->along_x[k - f->line], seen->along_y[k], seen->along_y[k - 1]};
         for (int side = 0; side < 4; side++) {
-            const double share = least(seen->edge[side * f->count + k], NEAREST_EDGE);
+            const double fraction = min_of(seen->edge[side * f->count + k], NEAREST_EDGE);
             /* the membrane leaves the face before the edge */
-            if (share <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue;
-            seen->spring[side * f->count + k] = most(links[side], 0) * share / (1 - share);
+            if (fraction <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue;
+            seen->spring[side * f->count + k] = max_of(links[side], 0) * fraction / (1 - fraction);
             which += 4. * k + side;
         }
     }
@@ -353,8 +353,8 @@ void lower_round_bodies(const Membrane *f, Seen *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
     memset(seen->lower, 0, f->count * sizeof *seen->lower);
-    for (long i = most(seen->box[0], 1); i < least(seen->box[1], f->columns - 1); i++)
-        for (long j = most(seen->box[2], 1); j < least(seen->box[3], f->rows - 1); j++) {
+    for (long i = max_of(seen->box[0], 1); i < min_of(seen->box[1], f->columns - 1); i++)
+        for (long j = max_of(seen->box[2], 1); j < min_of(seen->box[3], f->rows - 1); j++) {
             const long k = i * rows + j;
             if (!isfinite(h[k])) continue;
             double bend = 0;
@@ -362,7 +362,7 @@ void lower_round_bodies(const Membrane *f, Seen *seen) {
             if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
             const double steep = 1 + square(seen->slope[k]) + square(seen->slope[f->count + k]);
             /* surface curvature: independent of the slope */
-            seen->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep));
+            seen->lower[k] = CORRECTION * max_of(bend, 0) / (steep * sqrt(steep));
         }
 }
 
@@ -410,19 +410,19 @@ void add_up(const Membrane *f, const double *x, const double *force,
             }
             const double cell = seen->cell[k];
             const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
-            double share;
+            double fraction;
             if (isfinite(flanks)) {
                 const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
                 const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
                 const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
-                share = whole > 0 ? least(force[k] / whole, 1) : 1;
+                fraction = whole > 0 ? min_of(force[k] / whole, 1) : 1;
             } else {
                 double wide[4];
                 for (int side = 0; side < 4; side++) wide[side] = seen->edge[side * f->count + k] >= 0 ? seen->edge[side * f->count + k] : 0.5;
                 /* up to the edges, because there are no nodes beyond */
-                share = (wide[0] + wide[1]) * (wide[2] + wide[3]);
+                fraction = (wide[0] + wide[1]) * (wide[2] + wide[3]);
             }
-            found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
+            found[AREA] += fraction * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
         }
 }
 

@@ -1,4 +1,4 @@
-/* Elastic forces of the membrane on its grid, in the number type REAL (qs_sheet.c includes this
+/* Elastic forces of the membrane on its grid, in the number type REAL (qs_elasticity.c includes this
    file for each type). A cell is evaluated at its four corners. The tangents of a corner are the
    two edges of the cell that meet there. Contributions of the corners are summed on edges; a node's
    force is a difference of edges. Loops run along a line of nodes in whole vectors: lines are
@@ -31,7 +31,7 @@ INLINE REAL TYPE(law_at)(const TYPE(Numbers) *o, REAL root) {
 INLINE TYPE(Strained) TYPE(strained)(const TYPE(Numbers) *o, REAL C11, REAL C22, REAL C12, int neo_hookean) {
     TYPE(Strained) s = {.C11 = C11, .C22 = C22, .C12 = C12};
     const REAL det = C11 * C22 - C12 * C12, M = o->modulus, nu = o->poisson;
-    s.root = 1 / SQRT(det > (REAL)LEAST_DET ? det : (REAL)LEAST_DET);
+    s.root = 1 / SQRT(det > (REAL)MIN_DET ? det : (REAL)MIN_DET);
     if (neo_hookean) {
         const REAL q = TYPE(law_at)(o, s.root);
         s.S11 = M - M * q * C22, s.S22 = M - M * q * C11, s.S12 = M * q * C12;
@@ -106,7 +106,7 @@ INLINE TYPE(Corner) TYPE(see_corner)(const TYPE(Numbers) *o, const REAL g1[3], c
     c.tension = (c.S11 * C11 + c.S22 * C22 + 2 * c.S12 * C12) * s.root / 2;
     c.area = weight / s.root, c.root = s.root;
     if (parts & QS_LINKS) {
-        const REAL fair = (REAL)LEAST_TENSION * (c.tension > 0 ? c.tension : 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
+        const REAL fair = (REAL)MIN_TENSION * (c.tension > 0 ? c.tension : 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
         c.xx = by * (c.S11 > fair ? c.S11 : fair) * o->over_x * o->over_x;
         c.yy = by * (c.S22 > fair ? c.S22 : fair) * o->over_y * o->over_y;
     }
@@ -212,7 +212,7 @@ INLINE TYPE(Vector) TYPE(vector_of)(const double *from) {
 }
 
 INLINE void TYPE(see_group)(const Membrane *f, const TYPE(Numbers) *o, const CutGroup *cut, const double *x, int parts, TYPE(Borne) *to,
-                            SheetSums *sums, double *tension, double *area) {
+                            MembraneSums *sums, double *tension, double *area) {
     const TYPE(Vector) weight = TYPE(vector_of)(cut->area);
     TYPE(Vector) bx[3], by[3], g1[3], g2[3], mean = 0 * weight, root;
     for (int k = 0; k < 3; k++) g1[k] = 0 * weight + (REAL)(k == 0), g2[k] = 0 * weight + (REAL)(k == 1);
@@ -229,7 +229,7 @@ INLINE void TYPE(see_group)(const Membrane *f, const TYPE(Numbers) *o, const Cut
     const TYPE(Vector) C22 = o->lambda2 * (g2[0] * g2[0] + g2[1] * g2[1] + g2[2] * g2[2]);
     const TYPE(Vector) C12 = o->lambda2 * (g1[0] * g2[0] + g1[1] * g2[1] + g1[2] * g2[2]);
     const TYPE(Vector) det = C11 * C22 - C12 * C12, M = weight * o->modulus, turn = g1[0] * g2[1] - g1[1] * g2[0];
-    for (int n = 0; n < LANES; n++) root[n] = 1 / SQRT(det[n] > (REAL)LEAST_DET ? det[n] : (REAL)LEAST_DET);
+    for (int n = 0; n < LANES; n++) root[n] = 1 / SQRT(det[n] > (REAL)MIN_DET ? det[n] : (REAL)MIN_DET);
     TYPE(Vector) S11, S22, S12;
     if (f->numbers.neo_hookean != 0) {
         const TYPE(Vector) t = (root - o->middle) * o->per_unit;
@@ -242,8 +242,8 @@ INLINE void TYPE(see_group)(const Membrane *f, const TYPE(Numbers) *o, const Cut
     }
     const TYPE(Vector) stressed = (S11 * C11 + S22 * C22 + 2 * S12 * C12) * root / 2, bulge = weight * turn * mean;
     for (int n = 0; n < LANES; n++) {
-        if (weight[n] > 0) sums->least_turn = least(sums->least_turn, (double)turn[n]);
-        if (weight[n] > 0) sums->least_root = least(sums->least_root, (double)root[n]);
+        if (weight[n] > 0) sums->min_turn = min_of(sums->min_turn, (double)turn[n]);
+        if (weight[n] > 0) sums->min_root = min_of(sums->min_root, (double)root[n]);
         *tension += (double)stressed[n], *area += (double)(weight[n] / root[n]), sums->volume += (double)bulge[n];
     }
     for (int a = 0; a < 3; a++) {
@@ -257,15 +257,15 @@ INLINE void TYPE(see_group)(const Membrane *f, const TYPE(Numbers) *o, const Cut
     const TYPE(Vector) flat = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
     TYPE(Vector) xx, yy;
     for (int n = 0; n < LANES; n++) {
-        const REAL fair = (REAL)LEAST_TENSION * (stressed[n] > 0 ? stressed[n] : 0);
+        const REAL fair = (REAL)MIN_TENSION * (stressed[n] > 0 ? stressed[n] : 0);
         xx[n] = S11[n] > fair ? S11[n] : fair, yy[n] = S22[n] > fair ? S22[n] : fair;
     }
     for (int a = 0; a < 3; a++) /* link of the side from a corner to the next */
         to->link[a] = -flat * (xx * bx[a] * bx[(a + 1) % 3] + yy * by[a] * by[(a + 1) % 3]);
 }
 
-static void TYPE(see_cuts)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to,
-                           SheetSums *sums, double *tension, double *area) {
+static void TYPE(see_cuts)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(MembraneFields) *to,
+                           MembraneSums *sums, double *tension, double *area) {
     const TYPE(Numbers) o = TYPE(numbers_of)(f);
     const long count = f->count;
     const int low = parts & QS_PLANE ? 0 : 2, high = parts & QS_HEIGHTS ? 3 : 2;
@@ -286,7 +286,7 @@ static void TYPE(see_cuts)(const Membrane *f, const double *x, int parts, long f
     }
 }
 
-SheetSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(SheetFields) *to) {
+MembraneSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, long first, long last, const TYPE(MembraneFields) *to) {
     const long line = f->line, count = f->count;
     REAL numbers[LINES * (QS_MAX_LINE + 16)];
     TYPE(Room) room = {numbers, line};
@@ -302,7 +302,7 @@ SheetSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, long f
     const double *at[3] = {x, x + count, x + 2 * count};
     const double *above[3] = {x + 1, x + count + 1, x + 2 * count + 1};
     const REAL lambda2 = (REAL)f->numbers.lambda2;
-    SheetSums sums = {.least_turn = INFINITY, .least_root = INFINITY};
+    MembraneSums sums = {.min_turn = INFINITY, .min_root = INFINITY};
     TYPE(see_edges)(at, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
     for (long i = 0; i < f->columns - 1; i++) {
         if (f->whole)
@@ -349,8 +349,8 @@ SheetSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, long f
     if (f->groups) TYPE(see_cuts)(f, x, parts, first, last, to, &sums, &tension, &area);
     for (long j = 0; j < line; j++) {
         tension += (double)l.tension[j], area += (double)l.area[j];
-        if ((double)l.turn[j] < sums.least_turn) sums.least_turn = (double)l.turn[j];
-        if ((double)l.root[j] < sums.least_root) sums.least_root = (double)l.root[j];
+        if ((double)l.turn[j] < sums.min_turn) sums.min_turn = (double)l.turn[j];
+        if ((double)l.root[j] < sums.min_root) sums.min_root = (double)l.root[j];
     }
     sums.tension = tension / f->numbers.opening, sums.area = area / f->numbers.lambda2;
     return sums;

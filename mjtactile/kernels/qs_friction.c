@@ -165,7 +165,7 @@ static int find_grip(const Membrane *f, const double *x, const double *complianc
         for (long c = 0; c <= a; c++) {
             double sum = A[a * n + c];
             for (long k = 0; k < c; k++) sum -= A[a * n + k] * A[c * n + k];
-            A[a * n + c] = c < a ? sum / A[c * n + c] : sqrt(most(sum, 1e-30));
+            A[a * n + c] = c < a ? sum / A[c * n + c] : sqrt(max_of(sum, 1e-30));
         }
         for (long c = 0; c < loads; c++) {
             double sum = b[loads * a + c];
@@ -281,9 +281,9 @@ static long find_loads(const Membrane *f, const Seen *seen, long line, const dou
 }
 
 /* Return the stiffness against indentation, N/m: tension of the membrane about a disc, plus gas and
-   bulge in series for the displaced volume. `share`: fraction of the contact area. */
-static double normal_stiffness(const Given *g, const double *found, double share, Patch *p) {
-    const double radius = sqrt(most(found[AREA] * share, square(g->spacing)) / PI), wide = log(most(g->half / radius, 1.2));
+   bulge in series for the displaced volume. `fraction`: fraction of the contact area. */
+static double normal_stiffness(const Given *g, const double *found, double fraction, Patch *p) {
+    const double radius = sqrt(max_of(found[AREA] * fraction, square(g->spacing)) / PI), wide = log(max_of(g->half / radius, 1.2));
     const double lifted = PI * (square(g->half) - square(radius)) / (2 * wide);
     const double gas = g->gas > 0 ? 1 / (1 / g->gas + 1 / g->bulge) : 0;
     p->tension = 2 * PI * found[TENSION] / wide, p->lifted = lifted;
@@ -294,7 +294,7 @@ static double normal_stiffness(const Given *g, const double *found, double share
    are above its highest node. */
 static int is_clear(const Membrane *f, const double *x, long geoms, const double *body, const double *bounds) {
     double top = 0;
-    for (long k = 0; k < f->count; k++) top = most(top, x[2 * f->count + k]);
+    for (long k = 0; k < f->count; k++) top = max_of(top, x[2 * f->count + k]);
     for (long k = 0; k < geoms; k++) {
         const double *row = body + QS_OBSTACLE * k, *up = row + 10, *box = bounds + BOUNDS * k + 1;
         if (row[13] >= AWAY) continue;
@@ -356,7 +356,7 @@ static int64_t solve(const Solution *c, const Scene *s, const double *settings, 
    latter is updated if enough nodes differ from those of `touched` (3, count): patches of the nodes
    at the last sticking stiffness and at the last solution, and workspace. `shift` (slots, 2): see
    `find_middle`. Returns 1 if memory runs out. */
-static int hold_anew(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const Given *g, const double *x,
+static int hold_again(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const Given *g, const double *x,
                      const double *force, const double *found, const double *compliance, double *x_before, int32_t *touched, Memory *m,
                      Patch *patches, double *grip, double *shift) {
     int32_t *was = touched + f->count, *owner = was + f->count;
@@ -392,7 +392,7 @@ static void stick(const Given *g, long slots, const double *pressed, const doubl
             for (long t = 0; t < slots; t++)
                 for (int j = 0; j < 3 && t != s && patches[t].touching; j++) load[i] += K[3 * t + j] * patches[t].strain[j];
         }
-        const double carried = hypot(hypot(load[0], load[1]), load[2] / most(p->radius, g->spacing / 4)), limit = g->friction * pressed[s];
+        const double carried = hypot(hypot(load[0], load[1]), load[2] / max_of(p->radius, g->spacing / 4)), limit = g->friction * pressed[s];
         p->slides = carried > limit;
         p->left = p->slides ? limit / carried : 1;
         for (int i = 0; i < 3; i++) p->shear[i] = load[i] * p->left;
@@ -413,7 +413,7 @@ static void sum_patches(const Membrane *f, const double *x, const double *force,
         const Patch *p = patches + s;
         if (!p->touching) continue;
         for (int i = 0; i < 6; i++) m->wrench[i] += p->wrench[i];
-        m->slides = most(m->slides, p->slides), m->slid = most(m->slid, p->slid);
+        m->slides = max_of(m->slides, p->slides), m->slid = max_of(m->slid, p->slid);
         if (m->touching == 1) memcpy(m->middle, p->middle, sizeof m->middle), m->radius = p->radius;
     }
     double unused[2];
@@ -482,7 +482,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
             }
             const Bodies bodies = {geoms, body, pool, 0};
             const Seen seen = qs_lowest_before(&padded, &room);
-            if (hold_anew(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, shift))
+            if (hold_again(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, shift))
                 return free(own), NO_MEMORY;
         } else {
             for (long k = 0; k < slots; k++)
@@ -500,7 +500,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         if (!p->touching) continue;
         double added = p->normal * further[k];
         if (m->touching > 1) added += gas * p->lifted * (displaced - p->lifted * further[k]);
-        pressed[k] = most(-p->carried[2] - added, 0);
+        pressed[k] = max_of(-p->carried[2] - added, 0);
         if (m->lost > 0) m->uncertain += fabs(pressed[k] + p->carried[2]);
         for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
         along[3 * k + 2] = moved[6 * k + 5];

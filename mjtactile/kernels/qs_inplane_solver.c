@@ -25,19 +25,19 @@ long qs_inplane_size(const Membrane *f) {
     return 2 * h.panels * PANEL * h.height;
 }
 
-static long apart_of(const Halves *h) { return h->panels * PANEL + h->height; }
+static long stride_of(const Halves *h) { return h->panels * PANEL + h->height; }
 
 long qs_inplane_workspace_size(const Membrane *f) {
     const Halves h = halves_of(f);
-    return 2 * apart_of(&h);
+    return 2 * stride_of(&h);
 }
 
 /* Return the index of a node's displacement along `axis` among the unknowns of the even or odd
-   part. `share` is its factor. */
-static long unknown_of(const Membrane *f, const Halves *h, long node, int axis, int kind, double *share) {
+   part. `fraction` is its factor. */
+static long unknown_of(const Membrane *f, const Halves *h, long node, int axis, int kind, double *fraction) {
     const long i = node / f->line, j = node % f->line, mirrored = f->lopsided ? f->rows : f->rows - 1 - j;
     const int odd = axis == 0 ? kind == ODD : kind == EVEN;
-    *share = f->lopsided ? kind == EVEN : j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
+    *fraction = f->lopsided ? kind == EVEN : j == mirrored ? !odd : j > mirrored && odd ? -(double)HALF : (double)HALF;
     return ((i - 1) * h->half + (j < mirrored ? j : mirrored) - 1) * 2 + axis;
 }
 
@@ -47,10 +47,10 @@ static void add_pair(const Membrane *f, const Halves *h, const Stencil *s, int p
     for (int end = 0; end < (pair == PAIR_OWN ? 1 : 2); end++)
         for (int k = 0; k < 2; k++)
             for (int l = 0; l < 2; l++) {
-                double share[2];
-                const long row = unknown_of(f, h, ends[end], end ? l : k, kind, share);
-                const long column = unknown_of(f, h, ends[pair == PAIR_OWN ? 0 : !end], end ? k : l, kind, share + 1);
-                const double value = share[0] * share[1] * (double)qs_block(s, pair, k, l, node);
+                double fraction[2];
+                const long row = unknown_of(f, h, ends[end], end ? l : k, kind, fraction);
+                const long column = unknown_of(f, h, ends[pair == PAIR_OWN ? 0 : !end], end ? k : l, kind, fraction + 1);
+                const double value = fraction[0] * fraction[1] * (double)qs_block(s, pair, k, l, node);
                 if (row >= column) factor[column * h->height + row - column / PANEL * PANEL] += (float)value;
             }
 }
@@ -73,11 +73,11 @@ int qs_inplane_factor(const Membrane *f, const Stencil *s, float *factor) {
     return panels_factor(h.panels, 0, h.height, factor) || panels_factor(h.panels, 0, h.height, factor + size);
 }
 
-static void solve_whole(const Membrane *f, const Halves *h, const float *factor, float *residual, float *x) {
+static void solve_full(const Membrane *f, const Halves *h, const float *factor, float *residual, float *x) {
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < f->rows - 1; j++)
             for (int axis = 0; axis < 2; axis++) x[2 * ((i - 1) * h->half + j - 1) + axis] = residual[axis * f->count + i * f->line + j];
-    panels_forward(h->panels, h->height, factor, 1, apart_of(h), x), panels_backward(h->panels, h->height, factor, 1, apart_of(h), x);
+    panels_forward(h->panels, h->height, factor, 1, stride_of(h), x), panels_backward(h->panels, h->height, factor, 1, stride_of(h), x);
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < f->rows - 1; j++)
             for (int axis = 0; axis < 2; axis++) residual[axis * f->count + i * f->line + j] = x[2 * ((i - 1) * h->half + j - 1) + axis];
@@ -85,12 +85,12 @@ static void solve_whole(const Membrane *f, const Halves *h, const float *factor,
 
 void qs_inplane_solve(const Membrane *f, const float *factor, float *residual, float *room) {
     const Halves h = halves_of(f);
-    const long size = h.panels * PANEL * h.height, apart = apart_of(&h), count = f->count;
+    const long size = h.panels * PANEL * h.height, apart = stride_of(&h), count = f->count;
     const int middle = f->inner_rows % 2;
     float *even = room, *odd = room + apart;
     memset(room, 0, 2 * apart * sizeof *room);
     if (f->lopsided) {
-        solve_whole(f, &h, factor, residual, room);
+        solve_full(f, &h, factor, residual, room);
         return;
     }
     for (long i = 1; i < f->columns - 1; i++) {

@@ -12,7 +12,7 @@
 #define LONGEST_SHIFT 5e-4 /* maximum in-plane step, m */
 /* steps that evaluate the obstacles; later ones follow their slopes, otherwise nodes at an edge
    alternate */
-#define LOOKS 3
+#define CHECKS 3
 #define EDGE_HALVES 20
 #define SHORT 2e-4         /* height step below which nodes may be released, m */
 #define FINE 1e-8          /* tolerance below which double precision is used, m */
@@ -69,7 +69,7 @@ static double dot(const float *a, const float *b, long n) {
     return (double)sum;
 }
 
-void see_sheet(const Membrane *f, const Settings *set, int parts, Work *w) {
+void update_membrane(const Membrane *f, const Settings *set, int parts, Work *w) {
     const long n = f->count, first = w->heights.first, last = w->heights.last, line = f->line;
     const long from = parts == QS_PLANE ? 0 : 2 * n, to = parts == QS_PLANE ? 2 * n : 3 * n;
     const int fine = set->tolerance < FINE;
@@ -90,11 +90,11 @@ void see_sheet(const Membrane *f, const Settings *set, int parts, Work *w) {
     }
     if (fine) return;
     for (long k = first * line; k < last * line; k++) w->seen.along_x[k] = (double)w->fast.along_x[k];
-    for (long k = first * line; first < last && k < most(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
+    for (long k = first * line; first < last && k < max_of(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
 }
 
 void check_image(const Membrane *f, const Bodies *bodies, double lifted, int step, Work *w) {
-    if (step < LOOKS) {
+    if (step < CHECKS) {
         see_bodies(f, bodies, w->x, &w->seen);
         for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)
             if (w->seen.touching[k]) find_edges(f, bodies, w->x, k, EDGE_HALVES, &w->seen);
@@ -145,7 +145,7 @@ void stiffen_edges(const Membrane *f, const double *z, double by, Work *w) {
 
 int prepare_heights(const Membrane *f, const double *z, Work *w) {
     Whole *all = &w->whole;
-    const float over_tension = (float)(1 / most(w->sums.tension, 1e-3));
+    const float over_tension = (float)(1 / max_of(w->sums.tension, 1e-3));
     for (long k = 0; k < f->count; k++) all->area_by[k] = w->pulls[k] * over_tension, all->volume_by[k] = w->swells[k];
     all->tension = f->numbers.tension_slope / f->numbers.opening, all->gas = w->gas_stiffness;
     w->heights.scale = (float)w->sums.tension / *w->heights.rest->tension;
@@ -187,7 +187,7 @@ double largest_of(const float *values, long n) {
             const float size = fabsf(values[k + l]);
             largest[l] = size > largest[l] ? size : largest[l], nothing[l] += 0 * size;
         }
-    for (long l = 1; l < 8; l++) largest[0] = most_float(largest[0], largest[l]), nothing[0] += nothing[l];
+    for (long l = 1; l < 8; l++) largest[0] = max_float(largest[0], largest[l]), nothing[0] += nothing[l];
     return (double)(largest[0] + nothing[0]);
 }
 
@@ -198,7 +198,7 @@ static int decide_contact(const Membrane *f, const Bodies *bodies, double loose,
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
     Seen *s = &w->seen;
     int changed = 0;
-    for (long i = most(s->box[0], 1); i < least(s->box[1], f->columns - 1); i++)
+    for (long i = max_of(s->box[0], 1); i < min_of(s->box[1], f->columns - 1); i++)
         for (long k = i * f->line + s->box[2]; k < i * f->line + s->box[3]; k++) {
             if (!qs_free(f, i, k % f->line)) continue;
             const double over = z[k] + (after_step ? (double)w->moved[k] : 0) - s->obstacle[k] + s->lower[k];
@@ -211,12 +211,12 @@ static int decide_contact(const Membrane *f, const Bodies *bodies, double loose,
     return changed;
 }
 
-int settle_heights(const Membrane *f, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *w,
+int settle_heights(const Membrane *f, const Settings *set, const Bodies *bodies, double loose, int first, int max_sets, Work *w,
                           int *changed) {
     const double *z = w->x + 2 * f->count;
     int other = decide_contact(f, bodies, loose, 0, 1, w);
-    for (int sets = 0; sets < most_sets; sets++) {
-        if (widen_window(f, 0, w)) see_sheet(f, set, QS_HEIGHTS, w), first = 1;
+    for (int sets = 0; sets < max_sets; sets++) {
+        if (widen_window(f, 0, w)) update_membrane(f, set, QS_HEIGHTS, w), first = 1;
         const double pulling = find_springs(f, z, &w->seen);
         stiffen_edges(f, z, 1, w);
         const int fresh = first || other || pulling != w->pulled;
@@ -225,7 +225,7 @@ int settle_heights(const Membrane *f, const Settings *set, const Bodies *bodies,
             if (prepare_heights(f, z, w)) return 1;
         }
         step_heights(f, z, fresh, w);
-        if (sets == most_sets - 1) return 0;
+        if (sets == max_sets - 1) return 0;
         /* after a long step, forces do not indicate the nodes to release */
         if (!(other = decide_contact(f, bodies, loose, 1, largest_of(w->moved, f->count) < SHORT, w))) return 0;
         stiffen_edges(f, z, -1, w);

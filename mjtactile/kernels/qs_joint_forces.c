@@ -45,7 +45,7 @@ static void apply(long body, double sign, const double *F, const double *T, cons
 static void hold_of(const Given *g, const Patch *m, const double *grip, long wide, long dof, const double *R_SB, const double *p_SB,
                     double *hold, const double *R) {
     double G[36] = {0}, K[6] = {0, 0, m->normal, 0, 0, 0}, r[3], off[3], swing[3], moved[3];
-    const double tilt = TILT * m->normal * square(most(m->radius, g->spacing / 4));
+    const double tilt = TILT * m->normal * square(max_of(m->radius, g->spacing / 4));
     K[3] = K[4] = tilt, K[5] = tilt;
     if (!m->slides && m->gripped > 0) K[0] = grip[0], K[1] = grip[wide + 1], K[5] = grip[2 * wide + 2];
     for (int i = 0; i < 3; i++) r[i] = m->middle[i] - p_SB[i], off[i] = p_SB[i] - m->p[i];

@@ -8,12 +8,12 @@
 
 /* Prepare a height step of a membrane in equilibrium on obstacles: everything except the change of
    the obstacles. */
-static int begin_answer(const Membrane *f, const Settings *set, const Bodies *bodies, Work *w) {
+static int start_response(const Membrane *f, const Settings *set, const Bodies *bodies, Work *w) {
     const double *z = w->x + 2 * f->count;
-    see_touch(f, w->force, &w->seen), look_narrowly(f, bodies, &w->seen);
+    see_touch(f, w->force, &w->seen), narrow_view(f, bodies, &w->seen);
     w->heights.first = f->lopsided ? 0 : f->columns, w->heights.last = f->lopsided ? f->columns - 1 : -1;
     check_image(f, bodies, 0, 0, w), widen_window(f, 0, w);
-    see_sheet(f, set, QS_HEIGHTS, w);
+    update_membrane(f, set, QS_HEIGHTS, w);
     find_springs(f, z, &w->seen), stiffen_edges(f, z, 1, w);
     memset(w->residual + 2 * f->count, 0, f->count * sizeof *w->residual);
     return prepare_heights(f, z, w);
@@ -33,7 +33,7 @@ int64_t qs_approximate_sensitivities(const double *numbers, const double *law, i
     Work w = qs_work_in(&f, &at_rest, kept + qs_normal_size(&f), room);
     Seen *s = &w.seen;
     qs_pad(&f, 3, x, w.x), qs_pad(&f, 1, force, w.force);
-    if (begin_answer(&f, (const Settings *)settings, &base, &w)) return NOT_DEFINITE;
+    if (start_response(&f, (const Settings *)settings, &base, &w)) return NOT_DEFINITE;
     const double *z = w.x + 2 * n;
     double *was = w.fine.elastic;
     for (long k = 0; k < n; k++) was[k] = s->obstacle[k] - s->lower[k];

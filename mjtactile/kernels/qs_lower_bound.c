@@ -56,8 +56,8 @@ void floor_at(const Seen *seen, long count, const double *x, const double *y, do
         if (isinf(p[0]) && p[0] > 0) continue;
         for (long k = 0; k < count; k++) {
             double own = p[0];
-            for (int t = 1; t <= QS_TANGENTS; t++) own = most(own, p[3 * t] + p[3 * t + 1] * x[k] + p[3 * t + 2] * y[k]);
-            floor[k] = least(floor[k], own);
+            for (int t = 1; t <= QS_TANGENTS; t++) own = max_of(own, p[3 * t] + p[3 * t + 1] * x[k] + p[3 * t + 2] * y[k]);
+            floor[k] = min_of(floor[k], own);
         }
     }
 }

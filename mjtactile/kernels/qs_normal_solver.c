@@ -7,7 +7,7 @@
 #include "small_linalg.h"
 
 #define SHELL 0.3
-#define LEAST_SCALE 0.1f
+#define MIN_SCALE 0.1f
 
 /* a line is a whole number of panels, and reaches the next */
 static long height_of(const Membrane *f) { return f->line + PANEL; }
@@ -46,7 +46,7 @@ static int is_free(const Membrane *f, const uint8_t *touching, long i, long j) {
     return qs_free(f, i, j) && !touching[i * f->line + j];
 }
 
-static void put_line(const Membrane *f, const double *z, const Seen *seen, long i, Shares share, int last, float *block) {
+static void put_line(const Membrane *f, const double *z, const Seen *seen, long i, Shares fraction, int last, float *block) {
     const long line = f->line, height = height_of(f);
     memset(block, 0, line * height * sizeof *block);
     for (long j = 0; j < line; j++) {
@@ -57,18 +57,18 @@ static void put_line(const Membrane *f, const double *z, const Seen *seen, long 
             continue;
         }
         const double sides = seen->along_y[k] + seen->along_y[k - 1] + shell_at(f, z, k);
-        column[j - down] = (float)(share.before * seen->along_x[k - line] + share.behind * seen->along_x[k] + share.own * sides);
-        if (is_free(f, seen->touching, i, j + 1)) column[j + 1 - down] = (float)(-share.own * seen->along_y[k]);
+        column[j - down] = (float)(fraction.before * seen->along_x[k - line] + fraction.behind * seen->along_x[k] + fraction.own * sides);
+        if (is_free(f, seen->touching, i, j + 1)) column[j + 1 - down] = (float)(-fraction.own * seen->along_y[k]);
         if (!last && is_free(f, seen->touching, i + 1, j)) column[line + j - down] = (float)-seen->along_x[k];
     }
 }
 
-int qs_normal_remainder(const Membrane *f, const double *x, const SheetFields *fields, RestHeights *rest) {
+int qs_normal_remainder(const Membrane *f, const double *x, const MembraneFields *fields, RestHeights *rest) {
     const long line = f->line, height = height_of(f), per_line = line / PANEL;
     const double *z = x + 2 * f->count;
-    uint8_t nothing_touches[f->count];
-    memset(nothing_touches, 0, f->count);
-    const Seen seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = nothing_touches};
+    uint8_t no_contact[f->count];
+    memset(no_contact, 0, f->count);
+    const Seen seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = no_contact};
     memset(fields->along_x, 0, f->count * sizeof *fields->along_x), memset(fields->along_y, 0, f->count * sizeof *fields->along_y);
     *rest->tension = (float)qs_elastic(f, x, QS_ALL, 0, f->columns - 1, fields).tension;
     for (long i = 0; i < f->columns; i++) put_line(f, z, &seen, i, (Shares){1, 1, 1}, i == f->columns - 1, rest->factor + i * line * height);
@@ -76,7 +76,7 @@ int qs_normal_remainder(const Membrane *f, const double *x, const SheetFields *f
         float *block = rest->factor + i * line * height, *left = rest->left + i * line * line;
         memset(left, 0, line * line * sizeof *left);
         for (long j = 0; j < line; j++) {
-            if (!is_free(f, nothing_touches, i, j)) continue;
+            if (!is_free(f, no_contact, i, j)) continue;
             const long k = i * line + j, down = j / PANEL * PANEL;
             for (long r = j; r < line; r++) left[j * line + r] = block[j * height + r - down];
             left[j * line + j] -= (float)(fields->along_x[k] + (fields->along_y[k] + fields->along_y[k - 1] + shell_at(f, z, k)) / 2);
@@ -93,11 +93,11 @@ int qs_normal_remainder(const Membrane *f, const double *x, const SheetFields *f
 int qs_normal_factor(const Membrane *f, const double *z, const Seen *seen, Heights *h) {
     const long line = f->line, height = height_of(f), first = h->first, last = h->last;
     const int at_left = first > 0, at_right = last < f->columns - 1;
-    h->scale = h->scale > LEAST_SCALE ? h->scale : LEAST_SCALE;
+    h->scale = h->scale > MIN_SCALE ? h->scale : MIN_SCALE;
     for (long i = first; i <= last; i++) {
         const int left = at_left && i == first, right = at_right && i == last;
-        const Shares share = {.before = !left, .behind = !right, .own = 1};
-        put_line(f, z, seen, i, share, i == last, h->window + (i - first) * line * height);
+        const Shares fraction = {.before = !left, .behind = !right, .own = 1};
+        put_line(f, z, seen, i, fraction, i == last, h->window + (i - first) * line * height);
     }
     for (int side = 0; side < 2; side++) {
         if (!(side ? at_right : at_left)) continue;
@@ -151,7 +151,7 @@ void qs_normal_solve(const Membrane *f, int many, Heights *h) {
 
 void qs_normal_times(const Membrane *f, const double *z, const Seen *seen, const Heights *h, int touching, const float *what, float *out) {
     const long line = f->line;
-    for (long i = most(h->first, 1); i <= least(h->last, f->columns - 2); i++)
+    for (long i = max_of(h->first, 1); i <= min_of(h->last, f->columns - 2); i++)
         for (long k = i * line + 1; k < i * line + f->rows - 1; k++) {
             if (seen->touching[k] != touching || (f->inside && !qs_free(f, i, k - i * line))) continue;
             double sum = shell_at(f, z, k) * what[k];

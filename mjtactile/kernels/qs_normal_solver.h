@@ -14,7 +14,7 @@ long qs_normal_size(const Membrane *membrane);
 RestHeights qs_heights_at(const Membrane *membrane, float *kept);
 /* Factor the stiffness at `x`; `fields` is workspace for `qs_elastic`. Returns 1 if it is not
    positive definite. */
-int qs_normal_remainder(const Membrane *membrane, const double *x, const SheetFields *fields, RestHeights *rest);
+int qs_normal_remainder(const Membrane *membrane, const double *x, const MembraneFields *fields, RestHeights *rest);
 
 /* Window: lines `first` to `last`, between which links in `along_x` and `along_y` of Seen apply.
    `scale`: tension over that without contact. `solved` (3, apart): right-hand sides over all nodes,

@@ -11,7 +11,7 @@
 #define FAR 1.0          /* start of the lines below everything, m */
 #define SHARP 1.0 /* slope at which a rim counts as an edge if its radius is below the spacing */
 #define FLANK 2.0
-#define MOST_APPROACHES 50
+#define MAX_APPROACHES 50
 #define NEAR 1e-13 /* distance from the surface at which the iteration ends, m */
 #define TIP 1e-12  /* tolerance of a cone's tip, m */
 #define LANES 4
@@ -128,7 +128,7 @@ static int cone(const Obstacle *b, const Line *line, double *t, double *n) {
     const double c = o[0] * o[0] + o[1] * o[1] - w2 * o[2] * o[2], inside = h * h - a * c;
     if (inside >= -LEVEL * h * h)
         for (int sign = -1; sign <= 1; sign += 2) {
-            t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(most(inside, 0))) / a : -c / (2 * h);
+            t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(max_of(inside, 0))) / a : -c / (2 * h);
             const double z = o[2] + t_part * d[2];
             if (!(z >= -TIP && z <= b->sizes[1])) continue; /* rounding puts a tip on either side */
             n_part[0] = o[0] + t_part * d[0], n_part[1] = o[1] + t_part * d[1], n_part[2] = -w2 * z;
@@ -157,7 +157,7 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
             const double towards = row[4 * k] * d[0] + row[4 * k + 1] * d[1] + row[4 * k + 2] * d[2];
             const double left = row[4 * k + 3] - (row[4 * k] * o[0] + row[4 * k + 1] * o[1] + row[4 * k + 2] * o[2]);
             const double way = left / towards, in = towards < -LEVEL ? way : -INFINITY, out = towards > LEVEL ? way : INFINITY;
-            beside[k] = fabs(towards) <= LEVEL ? least(beside[k], left) : beside[k];
+            beside[k] = fabs(towards) <= LEVEL ? min_of(beside[k], left) : beside[k];
             which[k] = in > enter[k] ? (double)first : which[k];
             enter[k] = in > enter[k] ? in : enter[k];
             leave[k] = out < leave[k] ? out : leave[k];
@@ -166,7 +166,7 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
     int lane = 0;
     for (int k = 1; k < LANES; k++) {
         if (enter[k] > enter[lane]) lane = k;
-        leave[0] = least(leave[0], leave[k]), beside[0] = least(beside[0], beside[k]);
+        leave[0] = min_of(leave[0], leave[k]), beside[0] = min_of(beside[0], beside[k]);
     }
     const long last = (long)which[lane] + lane;
     for (int k = 0; k < 3; k++) n[k] = rows[4 * (last < count ? last : count - 1) + k];
@@ -199,10 +199,10 @@ static int quadric(const Obstacle *b, const Line *line, double *t, double *n) {
 static double rounded_disc(const Obstacle *b, const double *x, double *n) {
     const double r = hypot(x[0], x[1]), round = b->sizes[2];
     const double across = r - (b->sizes[0] - b->sizes[2]), up = fabs(x[2]) - (b->sizes[1] - b->sizes[2]);
-    const double out_r = most(across, 0), out_z = most(up, 0), out = hypot(out_r, out_z);
+    const double out_r = max_of(across, 0), out_z = max_of(up, 0), out = hypot(out_r, out_z);
     const double radial = out > 0 ? out_r / out : across > up, axial = out > 0 ? out_z / out : !(across > up);
     n[0] = r > 0 ? radial * x[0] / r : 0, n[1] = r > 0 ? radial * x[1] / r : 0, n[2] = x[2] < 0 ? -axial : axial;
-    return out + least(most(across, up), 0) - round;
+    return out + min_of(max_of(across, up), 0) - round;
 }
 
 /* Intersect a line with the disc. The distance along a line is convex: Newton steps from outside
@@ -211,7 +211,7 @@ static int disc(const Obstacle *b, const Line *line, double *t, double *n) {
     const double reach = b->sizes[0] + b->sizes[1];
     double x[3];
     *t = -dot3(line->from, line->along) - reach;
-    for (int step = 0; step < MOST_APPROACHES; step++) {
+    for (int step = 0; step < MAX_APPROACHES; step++) {
         for (int k = 0; k < 3; k++) x[k] = line->from[k] + *t * line->along[k];
         const double left = rounded_disc(b, x, n), falls = -dot3(n, line->along);
         if (left < NEAR) return 0;
@@ -267,7 +267,7 @@ static int heights(const Membrane *membrane, const double *field, double x, doub
    at its edge, and at a rim whose radius is below the spacing. */
 static double steepest_of(const Membrane *membrane, const Obstacle *b) {
     switch ((int)b->kind) {
-    case BODY_DISC: return b->sizes[2] < most(membrane->dx, membrane->dy) ? SHARP : INFINITY;
+    case BODY_DISC: return b->sizes[2] < max_of(membrane->dx, membrane->dy) ? SHARP : INFINITY;
     case BODY_BOX: case BODY_CYLINDER: return FLANK;
     default: return INFINITY;
     }
@@ -316,7 +316,7 @@ int64_t qs_obstacle_heights(const double *numbers, int64_t bodies, const double 
             double height, slope[2];
             const Obstacle *one = (const Obstacle *)(body + k * QS_OBSTACLE);
             if (!qs_obstacle_height(&membrane, one, pool, places[2 * i], places[2 * i + 1], &height, slope))
-                out[i] = least(out[i], height);
+                out[i] = min_of(out[i], height);
         }
     }
     return 0;

@@ -18,7 +18,7 @@
 /* distance from an obstacle, m, at which a membrane is not in equilibrium on it */
 #define ELSEWHERE 1e-4
 /* factor on this distance behind a thin obstacle, which is moved under nodes */
-#define BEHIND_MOST 10
+#define MAX_BEHIND 10
 
 int64_t qs_sensitivities_size(const double *numbers) {
     const Membrane f = qs_membrane(numbers, 0);
@@ -66,9 +66,9 @@ static int is_elsewhere(const Membrane *f, const double *x, const double *force,
     double total = 0, off = ELSEWHERE * missed, deepest = 0;
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
         total += force[k], off += force[k] * fabs(t->base[3 * f->count + k]) / 2;
-        deepest = most(deepest, z[k] - t->seen.obstacle[k]);
+        deepest = max_of(deepest, z[k] - t->seen.obstacle[k]);
     }
-    return off > ELSEWHERE / 2 * total || deepest > (total > 0 ? BEHIND_MOST : 1) * ELSEWHERE;
+    return off > ELSEWHERE / 2 * total || deepest > (total > 0 ? MAX_BEHIND : 1) * ELSEWHERE;
 }
 
 /* Move the membrane near obstacles by `step` of the change found so far in lane `lane`. */
@@ -145,7 +145,7 @@ static void sweep(const Membrane *f, Tangent *t, int last) {
     }
     memset(t->given, 0, 3 * count * sizeof *t->given);
     solve(f, t);
-    const long from = last ? (long)most(first - 1, 0) : 0, to = last ? (long)least(behind + 1, f->columns) : f->columns;
+    const long from = last ? (long)max_of(first - 1, 0) : 0, to = last ? (long)min_of(behind + 1, f->columns) : f->columns;
     qs_stencil_times(f, &t->stiffness, from, to, t->given, t->borne), qs_tangent_springs(f, t, t->given, t->residual);
     const Eight last_gas = __builtin_convertvector(t->gas_stiffness * t->swells, Eight);
     for (long k = first * f->line; k < behind * f->line; k++) {
@@ -207,9 +207,9 @@ static void handover(const Membrane *f, const Eight *found, long many, double *b
    Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
 static int begin(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
-    see_touch(f, force, &t->seen), look_narrowly(f, bodies, &t->seen);
+    see_touch(f, force, &t->seen), narrow_view(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
-    const SheetSums sums = qs_elastic(f, x, QS_ALL, 0, f->columns - 1, &t->fields);
+    const MembraneSums sums = qs_elastic(f, x, QS_ALL, 0, f->columns - 1, &t->fields);
     t->tension = sums.tension;
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
     /* default for nodes in contact exactly at the edge of their obstacle */

@@ -15,24 +15,24 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-/* Steps after which RELEASED and ATTACHED (qs_iteration.c) grow, up to MOST_LOOSE times: on flat
+/* Steps after which RELEASED and ATTACHED (qs_iteration.c) grow, up to MAX_LOOSE times: on flat
    faces, nodes alternate for negligible differences. */
 #define PATIENCE 8
-#define MOST_LOOSE 10
-#define MOST_SETS 4        /* maximum number of contact sets tried in a step */
+#define MAX_LOOSE 10
+#define MAX_SETS 4        /* maximum number of contact sets tried in a step */
 #define QUICK 3            /* steps that try several sets */
 #define FAR 2e-4           /* height change in a first step from far away, m */
 #define NEAR 2e-4          /* distance of nodes that may soon be in contact, m */
 #define FIRST_STEP 1e-4    /* assumed size of the step before the first one, m */
-#define MOST_TREND 2.0
+#define MAX_TREND 2.0
 /* minimum explained fraction of the squared gaps between obstacles and membrane */
-#define LEAST_EXPLAINED 0.5
+#define MIN_EXPLAINED 0.5
 /* assumed minimum shrink ratio of the steps; it tends to 0.3, which is reached sooner far from
    equilibrium */
-#define LEAST_SHARE 0.05
-#define LEAST_SHARE_FAR 0.3
+#define MIN_FRACTION 0.05
+#define MIN_FRACTION_FAR 0.3
 /* minimum ratio of a cell's projected area; below, the membrane is inverted */
-#define LEAST_TURN 0.05
+#define MIN_TURN 0.05
 #define JUMPS 16
 
 /* Extrapolate the last change of the membrane, `trend` (4, nodes) of displacements and forces, by
@@ -49,14 +49,14 @@ static void go_on(const Membrane *f, const double *trend, Work *w) {
             const double went = trend[2 * nodes + node] - s->slope[k] * trend[node] - s->slope[n + k] * trend[nodes + node];
             along += gap * went, trends += square(went), gaps += square(gap);
         }
-    const double share = along / trends; /* not finite without a previous change */
-    if (!(fabs(share) < MOST_TREND && along * share > LEAST_EXPLAINED * gaps)) return;
+    const double fraction = along / trends; /* not finite without a previous change */
+    if (!(fabs(fraction) < MAX_TREND && along * fraction > MIN_EXPLAINED * gaps)) return;
     for (long i = 0; i < 3 * f->columns; i++)
-        for (long j = 0; j < f->rows; j++) w->x[i * f->line + j] += share * trend[i * f->rows + j];
+        for (long j = 0; j < f->rows; j++) w->x[i * f->line + j] += fraction * trend[i * f->rows + j];
     for (long i = 0; i < f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
             const long k = i * f->line + j;
-            w->force[k] = s->touching[k] ? most(w->force[k] + share * trend[3 * nodes + i * f->rows + j], 0) : 0;
+            w->force[k] = s->touching[k] ? max_of(w->force[k] + fraction * trend[3 * nodes + i * f->rows + j], 0) : 0;
         }
     follow_bodies(f, w->x, &w->seen);
 }
@@ -75,8 +75,8 @@ static void handover(const Membrane *f, long fields, const double *from, double 
 static double step_both(const Membrane *f, const Settings *set, const Bodies *bodies, int step, int wider, Work *w, double *lift,
                         int *changed) {
     const long n = f->count;
-    const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
-    if (settle_heights(f, set, bodies, loose, wider, step < QUICK ? MOST_SETS : 1, w, changed)) return NAN;
+    const double loose = step < PATIENCE ? 1 : min_of(step - PATIENCE + 1, MAX_LOOSE);
+    if (settle_heights(f, set, bodies, loose, wider, step < QUICK ? MAX_SETS : 1, w, changed)) return NAN;
     double *z = w->x + 2 * n;
     float *now = w->learnt.now;
     for (long k = 0; k < n; k++) {
@@ -84,10 +84,10 @@ static double step_both(const Membrane *f, const Settings *set, const Bodies *bo
         z[k] += (double)w->moved[k], w->force[k] = (double)w->pushed[k];
     }
     *lift = largest_of(w->moved, n);
-    see_sheet(f, set, QS_PLANE, w);
+    update_membrane(f, set, QS_PLANE, w);
     const double shift = step_plane(f, w);
     for (long k = 0; k < 2 * n; k++) now[k] = w->plane[k], w->x[k] += (double)w->plane[k];
-    return isfinite(*lift) && isfinite(shift) ? most(*lift, shift) : NAN;
+    return isfinite(*lift) && isfinite(shift) ? max_of(*lift, shift) : NAN;
 }
 
 /* Iterate to equilibrium. Returns a status. */
@@ -110,8 +110,8 @@ static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bo
         /* the window of a first step has no factor yet, even if it is complete and nothing is in
            contact */
         const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
-        see_sheet(f, set, QS_HEIGHTS, w);
-        if (w->sums.least_turn < LEAST_TURN) return INVERTED;
+        update_membrane(f, set, QS_HEIGHTS, w);
+        if (w->sums.min_turn < MIN_TURN) return INVERTED;
         if (!isfinite(w->sums.area)) return NUMERICAL_FAILURE;
         int changed = 0;
         const double last = step_both(f, set, bodies, step, wider, w, &lift, &changed);
@@ -121,7 +121,7 @@ static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bo
         /* the last two steps give the shrink ratio; the remaining error is the sum of all following
            steps */
         if (!step) far = lift > FAR;
-        const double shrinks = clip(last / last_before, far ? LEAST_SHARE_FAR : LEAST_SHARE, 0.9);
+        const double shrinks = clip(last / last_before, far ? MIN_FRACTION_FAR : MIN_FRACTION, 0.9);
         if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
         last_before = last;
         if (!qs_anderson_update(l, changed)) continue;
@@ -139,7 +139,7 @@ static int come_from_rest(const Membrane *f, const Settings *set, const Bodies *
     see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
-    for (long k = 0; k < f->count; k++) deep = most(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
+    for (long k = 0; k < f->count; k++) deep = max_of(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
     for (int jump = JUMPS - 1; jump >= 0; jump--) {
         status = come_to_rest(f, set, bodies, deep * jump / JUMPS, 0, found, w);
         if (status != CONVERGED && status != NOT_CONVERGED) break;
@@ -149,12 +149,12 @@ static int come_from_rest(const Membrane *f, const Settings *set, const Bodies *
 
 /* Check that a result is within the model's range. Returns a status. */
 static int can_be(const Membrane *f, const Bodies *bodies, const Work *w) {
-    if (f->numbers.neo_hookean != 0 && (w->sums.least_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
+    if (f->numbers.neo_hookean != 0 && (w->sums.min_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
     return goes_through(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
 }
 
 /* Return the maximum number of face values of a hull, for obstacles `from` to `to` - 1. */
-static long most_faces(const double *body, long from, long to) {
+static long max_faces(const double *body, long from, long to) {
     long found = 0;
     for (long b = from; b < to; b++) {
         const long own = qs_faces_of((const Obstacle *)body + b);
@@ -174,7 +174,7 @@ int64_t qs_solve(const double *numbers, const double *law, int64_t columns, int6
     const long n = f.count, nodes = columns * rows;
     const RestHeights at_rest = qs_heights_at(&f, (float *)kept);
     Work w = qs_work_in(&f, &at_rest, kept + qs_normal_size(&f), room);
-    const long faced = bodies * most_faces(body, begin * bodies, end * bodies);
+    const long faced = bodies * max_faces(body, begin * bodies, end * bodies);
     double *faces = faced ? malloc(faced * sizeof *faces) : 0;
     if (faced && !faces) return NO_MEMORY;
     for (long e = begin; e < end; e++) {

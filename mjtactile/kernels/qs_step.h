@@ -13,8 +13,8 @@ typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } Wh
 typedef struct {
     Seen seen;
     double *x, *force;                   /* (3, count), (count); x has room behind it */
-    SheetFields fine;
-    SheetFieldsFloat fast;
+    MembraneFields fine;
+    MembraneFieldsFloat fast;
     float *residual;                     /* (3, count): elastic forces minus those of the gas */
     float *pulls, *swells; /* (count): elastic forces, and the volume's gradient by heights */
     float *moved, *pushed, *plane, *plane_room;
@@ -24,13 +24,13 @@ typedef struct {
     const float *plane_factor;
     double pulled;                       /* identifies the edge springs in the factor */
     double pressure, gas_stiffness;
-    SheetSums sums;
+    MembraneSums sums;
 } Work;
 
 long qs_workspace_size_of(const Membrane *membrane); /* number of doubles of workspace */
 Work qs_work_in(const Membrane *membrane, const RestHeights *rest, const float *plane_factor, double *room);
 /* Compute the forces on the nodes, of heights or in the plane, and related quantities. */
-void see_sheet(const Membrane *membrane, const Settings *set, int parts, Work *work);
+void update_membrane(const Membrane *membrane, const Settings *set, int parts, Work *work);
 /* Evaluate the obstacles at the nodes, shifted up by `lifted` m. */
 void check_image(const Membrane *membrane, const Bodies *bodies, double lifted, int step, Work *work);
 /* Extend the window to the lines around nodes that are, or will soon be, in contact. Returns 0 if
@@ -45,7 +45,7 @@ int prepare_heights(const Membrane *membrane, const double *z, Work *work);
 void step_heights(const Membrane *membrane, const double *z, int fresh, Work *work);
 /* Update heights and contact with the present stiffness of the membrane; repeat while the nodes in
    contact change. */
-int settle_heights(const Membrane *membrane, const Settings *set, const Bodies *bodies, double loose, int first, int most_sets, Work *work,
+int settle_heights(const Membrane *membrane, const Settings *set, const Bodies *bodies, double loose, int first, int max_sets, Work *work,
                    int *changed);
 /* Return the largest absolute value of `n` values, a multiple of eight; NaN if any is not
    finite. */

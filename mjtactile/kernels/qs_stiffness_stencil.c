@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#define LEAST_DET 1e-2f
+#define MIN_DET 1e-2f
 
 /* One corner of eight cells: its tangents and height, its inverse edge lengths, and the energy's
    derivatives by tangents. */
@@ -54,7 +54,7 @@ static void strain(const Membrane *f, Corner *c, Eight weight) {
     Eight C[3] = {0}, S[3], D[3][3], root;
     for (int k = 0; k < 3; k++) C[0] += l * c->g[0][k] * c->g[0][k], C[1] += l * c->g[1][k] * c->g[1][k], C[2] += l * c->g[0][k] * c->g[1][k];
     const Eight det = C[0] * C[1] - C[2] * C[2];
-    for (int n = 0; n < LANES; n++) root[n] = 1 / sqrtf(det[n] > LEAST_DET ? det[n] : LEAST_DET);
+    for (int n = 0; n < LANES; n++) root[n] = 1 / sqrtf(det[n] > MIN_DET ? det[n] : MIN_DET);
     const Eight det_by[3] = {2 * l * C[1], 2 * l * C[0], -2 * l * C[2]}, root_by = -root * root * root / 2;
     memset(D, 0, sizeof D);
     if (f->numbers.neo_hookean != 0) {

@@ -8,7 +8,7 @@
 #include "qs_friction.h"
 
 typedef void (*OfMuJoCo)(const void *model, void *data);
-enum { FOLLOW = 38, PUSH = 22, HOLD = 43, TOLD = 4 };
+enum { FOLLOW = 38, PUSH = 22, HOLD = 43, EVENTS = 4 };
 enum { RAN, UNSOLVED, HURRIES, BROKE };
 enum { OPENING_GOAL, OPENING, LIFT_GOAL, LIFT, JAW_STEP, REACH, LIFT_STEP, OFFSET };
 
@@ -37,7 +37,7 @@ static int64_t add(const int64_t *w) {
                     AT(double, 10), AT(double, 11), AT(double, 12));
 }
 
-static double nearer(double start, double goal, double most) { return start + fmin(fmax(goal - start, -most), most); }
+static double nearer(double start, double goal, double limit) { return start + fmin(fmax(goal - start, -limit), limit); }
 
 static void drive(double *goals, int64_t reads, const int64_t *read, const double *per, const double *qpos, int64_t drives,
                   const int64_t *control, const double *affine, double *ctrl) {
@@ -54,10 +54,10 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step,
                    const int64_t *pushes, const int64_t *adds, double *goals, int64_t reads, const int64_t *read, const double *per,
                    int64_t nq, const double *qpos, int64_t drives, const int64_t *control, const double *affine, int64_t nu,
                    double *ctrl, int64_t nv, const double *qvel, int64_t movers, const int64_t *mover, const double *hurry,
-                   int64_t iterations, const int32_t *solver_iterations, double *wrenches, int64_t *told) {
+                   int64_t iterations, const int32_t *solver_iterations, double *wrenches, int64_t *events) {
     void *const model = (void *)(intptr_t)mujoco[2], *const data = (void *)(intptr_t)mujoco[3];
     const OfMuJoCo kinematics = (OfMuJoCo)(intptr_t)mujoco[0], advance = (OfMuJoCo)(intptr_t)mujoco[1];
-    memset(told, 0, TOLD * sizeof *told);
+    memset(events, 0, EVENTS * sizeof *events);
     (void)nu;
     for (int64_t i = 0; i < count; i++) {
         drive(goals, reads, read, per, qpos, drives, control, affine, ctrl);
@@ -71,7 +71,7 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step,
             if (code < 0) return code;
             const Memory *memory = (const Memory *)(intptr_t)w[32];
             memcpy(wrenches + 6 * (membranes * i + f), memory->wrench, 6 * sizeof *wrenches);
-            if (memory->lost > 0) told[BROKE] = 1;
+            if (memory->lost > 0) events[BROKE] = 1;
             const int64_t now = push(p);
             int64_t *const pushing = AT(int64_t, 37);
             if (now || *pushing) adding = 1;
@@ -82,13 +82,13 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step,
         if (adding) add(adds);
         advance(model, data);
         time += step;
-        told[RAN] = i + 1;
-        told[UNSOLVED] += solver_iterations[0] >= iterations;
+        events[RAN] = i + 1;
+        events[UNSOLVED] += solver_iterations[0] >= iterations;
         double sum = 0;
         for (int64_t k = 0; k < nq; k++) sum += qpos[k] * qpos[k];
         for (int64_t k = 0; k < nv; k++) sum += qvel[k] * qvel[k];
-        for (int64_t k = 0; k < movers; k++) told[HURRIES] |= fabs(qvel[mover[k]]) > hurry[k];
-        if (!isfinite(sum) || told[BROKE] || told[HURRIES]) break;
+        for (int64_t k = 0; k < movers; k++) events[HURRIES] |= fabs(qvel[mover[k]]) > hurry[k];
+        if (!isfinite(sum) || events[BROKE] || events[HURRIES]) break;
     }
     return 0;
 }

@@ -87,7 +87,7 @@ static void add_bends(const Membrane *f, const Bodies *bodies, const double *x, 
         for (long k = from; k < to; k++)
             /* the node slid off the obstacle */
             if (isinf(t->seen.obstacle[k])) bend[2 * axis * count + k] = bend[(2 * axis + 1) * count + k] = 0;
-        memcpy(moved + from, x + axis * count + from, most(to - from, 0) * sizeof *x);
+        memcpy(moved + from, x + axis * count + from, max_of(to - from, 0) * sizeof *x);
     }
     for (long k = from; k < to; k++) {
         if (!t->seen.touching[k]) continue;

@@ -18,7 +18,7 @@
 static int is_behind(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2], double floor,
                      double behind) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
-    const double spacing = most(f->dx, f->dy);
+    const double spacing = max_of(f->dx, f->dy);
     double height, slope[2], z = 0;
     int touches = 0;
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
@@ -37,9 +37,9 @@ static int is_behind(const Membrane *f, const Bodies *bodies, const double *x, c
 
 /* Check the centers of the cells. */
 static int goes_through_a_cell(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
-    const long first = seen->box[2], last = (long)least(seen->box[3], f->rows - 1);
+    const long first = seen->box[2], last = (long)min_of(seen->box[3], f->rows - 1);
     double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
-    for (long i = seen->box[0]; i < least(seen->box[1], f->columns - 1); i++) {
+    for (long i = seen->box[0]; i < min_of(seen->box[1], f->columns - 1); i++) {
         for (long j = first; j < last; j++) {
             const double *x0 = x + i * f->line + j, *x1 = x0 + f->line, *y0 = x0 + f->count, *y1 = x1 + f->count;
             at_x[j] = ((double)i + 0.5) * f->dx - f->numbers.length_x / 2 + (x0[0] + x0[1] + x1[0] + x1[1]) / 4;
@@ -63,7 +63,7 @@ static int goes_through_at_an_end(const Membrane *f, const Bodies *bodies, const
             const double at[2] = {one->p[0] + end * half * one->R[2], one->p[1] + end * half * one->R[5]};
             const double i = floor((at[0] + f->numbers.length_x / 2) / f->dx), j = floor((at[1] + f->numbers.length_y / 2) / f->dy);
             if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
-            const double tip = BEHIND_TIP + f->numbers.half_thickness / most(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
+            const double tip = BEHIND_TIP + f->numbers.half_thickness / max_of(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
             double below;
             floor_at(seen, 1, at, at + 1, &below);
             if (is_behind(f, bodies, x, seen, (long)i * f->line + (long)j, at, below, behind)) return 1;

@@ -3,7 +3,7 @@
 #ifndef MJTACTILE_QS_WORKSPACE_H
 #define MJTACTILE_QS_WORKSPACE_H
 #include "quasistatic.h"
-#include "qs_sheet.h"
+#include "qs_elasticity.h"
 
 enum { CONVERGED, NOT_CONVERGED, RIM_CONTACT, GLASS_CONTACT, INVERTED, NUMERICAL_FAILURE, TUNNELLING, OVERSTRETCHED };
 
@@ -43,12 +43,12 @@ typedef struct {
     double *obstacle, *level, *slope, *lower;
     double *away; /* (2, count), m: from a node to a thin obstacle that was moved under it */
     double *edge, *spring;                    /* (4, count): see `find_edges` and `find_springs` */
-    double *along_x, *along_y;                /* links of the membrane, see qs_sheet.h */
+    double *along_x, *along_y;                /* links of the membrane, see qs_elasticity.h */
     double *cell;                             /* projected area of a node's cell, m^2 */
     double *planes;                           /* (QS_FLOORS, QS_PLANES), see `find_floors` */
     long floors; /* number of obstacles with lower bounds; -1: unknown */
     uint8_t *touching;
-    uint8_t *wanted; /* 1 if an obstacle may soon be at the membrane here, or at a neighbor */
+    uint8_t *requested; /* 1 if an obstacle may soon be at the membrane here, or at a neighbor */
     /* lines and nodes on them beyond which there is no obstacle: first, last plus one, for each */
     long box[4];
     int narrow;                               /* 1 if obstacles are not evaluated beyond the box */
@@ -75,7 +75,7 @@ void qs_unpad(const Membrane *membrane, long fields, const double *from, double 
 void see_touch(const Membrane *membrane, const double *force, Seen *seen);
 /* Restrict the evaluation of obstacles to nodes near the contact, if they are neither thin nor
    sharp. */
-void look_narrowly(const Membrane *membrane, const Bodies *bodies, Seen *seen);
+void narrow_view(const Membrane *membrane, const Bodies *bodies, Seen *seen);
 /* Compute planes below all obstacles, by tangents about the contact. They are valid while the
    obstacles stay in place, or are lifted. */
 void find_floors(const Membrane *membrane, const Bodies *bodies, Seen *seen);

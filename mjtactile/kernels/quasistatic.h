@@ -54,7 +54,7 @@ typedef struct {
     double kind, sizes[3], R[9], p[3]; /* kind, sizes, R_SO by rows and p_SO */
     /* first entry and number of entries in the pool: planes, triangles, heights */
     double first, number;
-    double least;                      /* minimum width, m */
+    double min_width;                      /* minimum width, m */
     double reach;                      /* maximum distance from p, m */
 } Obstacle;
 #define QS_OBSTACLE 20

@@ -16,10 +16,10 @@ void paint_triangles(int64_t n, const double *corners, const double *rgb, int64_
         }
         double area = (u[1] - u[0]) * (v[2] - v[0]) - (v[1] - v[0]) * (u[2] - u[0]);
         if (!(fabs(area) >= 1e-9)) continue;
-        int64_t c0 = within(ceil(least(u[0], least(u[1], u[2]))), width);
-        int64_t r0 = within(ceil(least(v[0], least(v[1], v[2]))), height);
-        int64_t c1 = within(floor(most(u[0], most(u[1], u[2]))) + 1, width);
-        int64_t r1 = within(floor(most(v[0], most(v[1], v[2]))) + 1, height);
+        int64_t c0 = within(ceil(min_of(u[0], min_of(u[1], u[2]))), width);
+        int64_t r0 = within(ceil(min_of(v[0], min_of(v[1], v[2]))), height);
+        int64_t c1 = within(floor(max_of(u[0], max_of(u[1], u[2]))) + 1, width);
+        int64_t r1 = within(floor(max_of(v[0], max_of(v[1], v[2]))) + 1, height);
         for (int64_t r = r0; r < r1; r++)
             for (int64_t c = c0; c < c1; c++) {
                 double x = c - u[0], y = r - v[0];

@@ -9,9 +9,9 @@
 
 #define RIM 32          /* points of a circle that are projected through glass and lens */
 #define HARMONICS 15    /* harmonics that these points determine */
-#define NOTHING_PX 1e-6 /* amplitude below which a harmonic is neglected, px */
+#define NEGLIGIBLE_PX 1e-6 /* amplitude below which a harmonic is neglected, px */
 /* maximum number of nodes of a rim: more than the full length of the largest image needs */
-#define NODES_MOST 1e5
+#define MAX_NODES 1e5
 #define FAR_PX 1e5      /* distance or size that is outside of every image, px */
 
 /* Contribution of a curve point to the pixels around it, (bins, taps) and (bins, taps + 1): the
@@ -19,7 +19,7 @@
    `down` the increase of its integral from row to row. */
 typedef struct { long bins, taps; const float *across, *down; } Brush;
 
-typedef struct { float *pixels; long height, width; } Picture;
+typedef struct { float *pixels; long height, width; } Canvas;
 
 /* Part of the image that a curve can change, and in it the increase of coverage from each row to
    the next. */
@@ -43,15 +43,15 @@ static long whole(double place, long bins, long *bin) {
 
 /* Allocate the patch of a curve within these bounds, which may have no pixels. Returns 1 if memory
    runs out. */
-static int open_patch(Patch *patch, const Picture *image, const Brush *brush, double x0, double x1, double y0, double y1) {
+static int open_patch(Patch *patch, const Canvas *image, const Brush *brush, double x0, double x1, double y0, double y1) {
     double reach = brush->taps / 2 + 2, low_x = floor(x0 - reach), low_y = floor(y0 - reach);
     double high_x = ceil(x1 + reach), high_y = ceil(y1 + reach);
     patch->width = patch->height = 0;
     /* also for NaN */
     if (!(high_x > 0 && high_y > 0 && low_x < image->width && low_y < image->height)) return 0;
-    patch->left = (long)most(low_x, 0), patch->top = (long)most(low_y, 0);
-    patch->width = (long)least(high_x, image->width) - patch->left;
-    patch->height = (long)least(high_y, image->height) - patch->top;
+    patch->left = (long)max_of(low_x, 0), patch->top = (long)max_of(low_y, 0);
+    patch->width = (long)min_of(high_x, image->width) - patch->left;
+    patch->height = (long)min_of(high_y, image->height) - patch->top;
     long size = patch->width * patch->height;
     if (size > patch->room) {
         free(patch->rise);
@@ -92,7 +92,7 @@ static void add_point(const Patch *patch, const Brush *brush, double x, double y
 }
 
 /* Add the coverage, of either sign, to the image. */
-static void close_patch(const Patch *patch, const Picture *image) {
+static void close_patch(const Patch *patch, const Canvas *image) {
     for (long v = 0; v < patch->height; v++) {
         const float *restrict rise = patch->rise + v * patch->width;
         float *restrict sum = patch->rise + (v + 1 < patch->height ? v + 1 : v) * patch->width;
@@ -106,11 +106,11 @@ static void close_patch(const Patch *patch, const Picture *image) {
 int64_t fill_curve(int64_t count, const double *nodes, const double *weights, int64_t bins, int64_t taps, const float *across,
                    const float *down, int64_t height, int64_t width, float *coverage) {
     Brush brush = {bins, taps, across, down};
-    Picture image = {coverage, height, width};
+    Canvas image = {coverage, height, width};
     Patch patch = {0};
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (int64_t k = 0; k < 2 * count; k++)
-        low[k % 2] = least(nodes[k], low[k % 2]), high[k % 2] = most(nodes[k], high[k % 2]);
+        low[k % 2] = min_of(nodes[k], low[k % 2]), high[k % 2] = max_of(nodes[k], high[k % 2]);
     if (open_patch(&patch, &image, &brush, low[0], high[0], low[1], high[1])) return NO_MEMORY;
     if (patch.height > 0) {
         for (int64_t k = 0; k < count; k++) add_point(&patch, &brush, nodes[2 * k], nodes[2 * k + 1], (float)weights[k]);
@@ -142,7 +142,7 @@ static Rim look(const Camera *camera, const Waves *w, const double *p, const dou
         double at[3] = {p[0] + c * a[0] + s * b[0], p[1] + c * a[1] + s * b[1], p[2] + c * a[2] + s * b[2]};
         project(camera, at, uv);
         rim.x[j] = uv[0], rim.y[j] = uv[1];
-        rim.x0 = least(uv[0], rim.x0), rim.x1 = most(uv[0], rim.x1), rim.y0 = least(uv[1], rim.y0), rim.y1 = most(uv[1], rim.y1);
+        rim.x0 = min_of(uv[0], rim.x0), rim.x1 = max_of(uv[0], rim.x1), rim.y0 = min_of(uv[1], rim.y0), rim.y1 = max_of(uv[1], rim.y1);
         if (!isfinite(uv[0]) || !isfinite(uv[1])) return (Rim){.x0 = NAN};
     }
     if (rim.x1 - rim.x0 > FAR_PX || rim.y1 - rim.y0 > FAR_PX) return (Rim){.x0 = NAN};
@@ -158,7 +158,7 @@ static Series harmonics(const Waves *w, const Rim *rim) {
             f.y_cos[m] += w->c[m][j] * rim->y[j], f.y_sin[m] += w->s[m][j] * rim->y[j];
         }
         f.x_cos[m] *= scale, f.x_sin[m] *= scale, f.y_cos[m] *= scale, f.y_sin[m] *= scale;
-        if (fabs(f.x_cos[m]) + fabs(f.x_sin[m]) + fabs(f.y_cos[m]) + fabs(f.y_sin[m]) > NOTHING_PX && m > 0) f.last = m;
+        if (fabs(f.x_cos[m]) + fabs(f.x_sin[m]) + fabs(f.y_cos[m]) + fabs(f.y_sin[m]) > NEGLIGIBLE_PX && m > 0) f.last = m;
     }
     return f;
 }
@@ -182,7 +182,7 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
                    int64_t bins, int64_t taps, const float *across, const float *down, int64_t height, int64_t width,
                    float *coverage) {
     Brush brush = {bins, taps, across, down};
-    Picture image = {coverage, height, width};
+    Canvas image = {coverage, height, width};
     Patch patch = {0};
     Camera camera;
     Waves waves = make_waves();
@@ -193,8 +193,8 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
         if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;
         if (patch.height <= 0) continue;
         Series f = harmonics(&waves, &rim);
-        double nodes = most(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px;
-        add_rim(&patch, &brush, &f, 8 * (long)ceil(most(least(nodes, NODES_MOST), 0) / 8) + 16);
+        double nodes = max_of(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px;
+        add_rim(&patch, &brush, &f, 8 * (long)ceil(max_of(min_of(nodes, MAX_NODES), 0) / 8) + 16);
         close_patch(&patch, &image);
     }
     free(patch.rise);
@@ -203,7 +203,7 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
 
 void shade(int64_t count, double marker, double gain, const float *contrast, const float *light, float *coverage) {
     for (int64_t i = 0; i < count; i++) {
-        float bare = 1 - least_float(coverage[i], 1);
+        float bare = 1 - min_float(coverage[i], 1);
         coverage[i] = ((float)marker + contrast[i] * bare) * (light[i] * (float)gain);
     }
 }
@@ -212,7 +212,7 @@ void expose(int64_t count, const float *gray, const float *noise, double noise_d
     float scale = (float)noise_dn;
     for (int64_t i = 0; i < count; i++) {
         float level = gray[i] + scale * noise[i];
-        level = level > 0 ? least_float(level, 255) : 0;
+        level = level > 0 ? min_float(level, 255) : 0;
         pixels[i] = (uint8_t)(int)(level + 0.5f);
     }
 }
@@ -222,7 +222,7 @@ int64_t bilinear(int64_t rows, int64_t columns, int64_t channels, const double *
     if (rows < 2 || columns < 2) return REFUSED;
     for (int64_t i = 0; i < count; i++) {
         const double u = clip(places[2 * i], 0, columns - 1), v = clip(places[2 * i + 1], 0, rows - 1);
-        const int64_t left = (int64_t)least(u, columns - 2), top = (int64_t)least(v, rows - 2);
+        const int64_t left = (int64_t)min_of(u, columns - 2), top = (int64_t)min_of(v, rows - 2);
         const double right = u - left, down = v - top, *upper = grid + (top * columns + left) * channels;
         const double *lower = upper + columns * channels;
         for (int64_t k = 0; k < channels; k++) {

@@ -5,10 +5,10 @@
 
 #define PI 3.14159265358979323846
 
-static inline double least(double a, double b) { return a < b ? a : b; }
-static inline double most(double a, double b) { return a > b ? a : b; }
-static inline float least_float(float a, float b) { return a < b ? a : b; }
-static inline float most_float(float a, float b) { return a > b ? a : b; }
+static inline double min_of(double a, double b) { return a < b ? a : b; }
+static inline double max_of(double a, double b) { return a > b ? a : b; }
+static inline float min_float(float a, float b) { return a < b ? a : b; }
+static inline float max_float(float a, float b) { return a > b ? a : b; }
 static inline double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 static inline double square(double x) { return x * x; }
 static inline double cube(double x) { return x * x * x; }

@@ -81,10 +81,10 @@ static int fit_heights(const System *s, long n, Marker *markers, const Settings 
         for (long i = 0; i < n; i++) {
             Marker *m = markers + i;
             if (!m->used) continue;
-            double rest = most(1 - variance_of(s, m, m->z, s->inverse) * square(m->weight), 1e-6);
+            double rest = max_of(1 - variance_of(s, m, m->z, s->inverse) * square(m->weight), 1e-6);
             /* leave-one-out residual, m */
             double off = fabs(m->p[2] - dot(s, m, m->z, s->c)) / rest;
-            double excess = least(off / o->outlier_min, off * m->weight * sqrt(rest) / o->outlier_sd);
+            double excess = min_of(off / o->outlier_min, off * m->weight * sqrt(rest) / o->outlier_sd);
             if (excess > worst) worst = excess, out = m;
         }
         if (!out || left <= o->outliers_leave * n) return 0;
@@ -98,8 +98,8 @@ static double slope_sd(const Marker *m, double z_x, double z_y, const Settings *
     double over = 1 / sqrt(1 + z_x * z_x + z_y * z_y), z = m->p[2] + o->distance;
     double far = sqrt(square(m->p[0]) + square(m->p[1]) + z * z);
     double aspect_sd = sqrt(8.0 / 3) * sqrt(m->variance) / far, cosine = (z_x * m->p[0] + z_y * m->p[1] - z) * over / far;
-    double sine2 = most(1 - cosine * cosine, most(aspect_sd, 1e-12));
-    return hypot(o->slope_model_sd, aspect_sd / sqrt(sine2) / most(over * over, 1e-6));
+    double sine2 = max_of(1 - cosine * cosine, max_of(aspect_sd, 1e-12));
+    return hypot(o->slope_model_sd, aspect_sd / sqrt(sine2) / max_of(over * over, 1e-6));
 }
 
 /* Add the slopes that are accurate enough and near the prediction of the heights; return the number
@@ -179,7 +179,7 @@ int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const
         /* features that the splines cannot follow (the edge of a contact) give residuals larger
            than their noise: Birge 1932 */
         double sum = failed ? 0 : squares(&s, good, markers, tilted ? weights : NULL, slopes);
-        found[0] = most(1, sum / most(used + 2 * tilted, 1)), found[1] = used;
+        found[0] = max_of(1, sum / max_of(used + 2 * tilted, 1)), found[1] = used;
     }
     free(work), free(markers);
     return failed;

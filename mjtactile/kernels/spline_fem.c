@@ -10,7 +10,7 @@
 
 #define GAUSS 2    /* points in each interval */
 #define LOCAL 16   /* splines on a cell */
-#define LEAST_DET 1e-3
+#define MIN_DET 1e-3
 /* increment, fraction of the mean diagonal, for an indefinite stiffness (wrinkles); tenfold until
    it is definite */
 #define NUDGE 1e-3
@@ -30,7 +30,7 @@ typedef struct { double x_by_X, x_by_Y, y_by_X, y_by_Y, area; } Turn;
 _Static_assert(sizeof(Turn) == 5 * sizeof(double), "as in kernels.h");
 
 /* A deformation at the Gauss points, y fastest. */
-typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } Look;
+typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } Sampling;
 
 int has_enough_splines(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
 
@@ -82,7 +82,7 @@ static void turn(const Turn *t, Point *p) {
 }
 
 /* Evaluate the deformation `c` (3, n) at the Gauss points. Returns 1 if memory runs out. */
-static int look(const SplineMembrane *s, const double *c, const Turn *turns, Look *l) {
+static int look(const SplineMembrane *s, const double *c, const Turn *turns, Sampling *l) {
     l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
     double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
@@ -113,7 +113,7 @@ static int look(const SplineMembrane *s, const double *c, const Turn *turns, Loo
     return failed;
 }
 
-static void forget(Look *l) { free(l->x), free(l->points); }
+static void forget(Sampling *l) { free(l->x), free(l->points); }
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -127,9 +127,9 @@ static void strain(const SplineMembrane *s, const Point *p, double *C) {
    constant beyond its ends. */
 static double law(const SplineMembrane *s, const double *C, int row) {
     const SplineNumbers *o = &s->numbers;
-    double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;
+    double at = (log(max_of(C[0] * C[1] - C[2] * C[2], MIN_DET)) - o->table_first) * o->table_per_unit;
     double place = clip(at, 0, (double)s->entries - 1);
-    long i = (long)least(place, (double)s->entries - 2);
+    long i = (long)min_of(place, (double)s->entries - 2);
     const double *table = s->law + row * s->entries;
     return table[i] + (place - i) * (table[i + 1] - table[i]);
 }
@@ -170,7 +170,7 @@ int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entr
     if (!has_enough_splines(nx, ny) || entries < 2) return REFUSED;
     SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
-    Look l;
+    Sampling l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
     int failed = look(&s, c, (const Turn *)turns, &l) || !along;
     memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
@@ -262,7 +262,7 @@ static void add_cell(const SplineMembrane *s, long first_x, long first_y, double
 }
 
 /* Assemble the tangent at constant pressure. */
-static void assemble(const SplineMembrane *s, const Look *l, double scale, double pressure, double *band) {
+static void assemble(const SplineMembrane *s, const Sampling *l, double scale, double pressure, double *band) {
     memset(band, 0, 3 * s->n * BAND_STRIDE(s->width) * sizeof *band);
     for (long cx = 0; cx < s->nx - 1; cx++)
         for (long cy = 0; cy < s->ny - 1; cy++) {
@@ -300,7 +300,7 @@ int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t en
     if (!has_enough_splines(nx, ny) || entries < 2) return REFUSED;
     SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
-    Look l;
+    Sampling l;
     int failed = look(&s, c, (const Turn *)turns, &l);
     if (!failed) assemble(&s, &l, scale, pressure, band);
     forget(&l);
@@ -316,7 +316,7 @@ int64_t factor_definite(int64_t n, int64_t width, double *band) {
     for (long i = 0; i < n; i++) trace += band[i * stride];
     int failed = !isfinite(trace);
     while (!failed && band_cholesky(n, width, band)) {
-        push = most(10 * push, NUDGE * fabs(trace) / n);
+        push = max_of(10 * push, NUDGE * fabs(trace) / n);
         failed = !isfinite(push);
         memcpy(band, kept, n * stride * sizeof *kept);
         for (long i = 0; i < n; i++) band[i * stride] += push;
@@ -329,7 +329,7 @@ void solve_stiffness(const SplineMembrane *s, const Stiffness *K, double *x) {
     double along = 0;
     for (long i = 0; i < 3 * s->n; i++) along += K->softened[i] * x[i];
     band_forward(3 * s->n, s->width, K->factor, x), band_backward(3 * s->n, s->width, K->factor, x);
-    for (long i = 0; i < 3 * s->n; i++) x[i] -= K->share * along * K->softened[i];
+    for (long i = 0; i < 3 * s->n; i++) x[i] -= K->fraction * along * K->softened[i];
 }
 
 double soften(int64_t nx, int64_t ny, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
@@ -342,10 +342,10 @@ double soften(int64_t nx, int64_t ny, const double *factor, const double *gradie
     return gas_stiffness / (1 + gas_stiffness * along);
 }
 
-int64_t spline_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double share, const double *forces,
+int64_t spline_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double fraction, const double *forces,
                     double *out) {
     SplineMembrane s = membrane_of(nx, ny, NULL);
-    Stiffness K = {factor, softened, share};
+    Stiffness K = {factor, softened, fraction};
     double *x = malloc(3 * s.n * sizeof *x);
     if (!x) return NO_MEMORY;
     together(&s, forces, x), solve_stiffness(&s, &K, x), apart(&s, x, out);

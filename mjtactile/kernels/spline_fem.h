@@ -1,8 +1,8 @@
 /* Membrane as a spline finite element model. Equations: sensing/force/spline_fem.py. Displacements
    and forces are (3, n), component by component, n = nx * ny splines with y fastest. Internally,
    for narrow bands, the three components of a spline are together. */
-#ifndef MJTACTILE_SHEET_H
-#define MJTACTILE_SHEET_H
+#ifndef MJTACTILE_SPLINE_FEM_H
+#define MJTACTILE_SPLINE_FEM_H
 
 typedef struct { double length_x, length_y, lambda2, neo_hookean, modulus, poisson, table_first, table_per_unit; } SplineNumbers;
 
@@ -11,7 +11,7 @@ typedef struct { long nx, ny, n, width, entries; SplineNumbers numbers; const do
 
 /* Factored stiffness K0 + s g g^T: the factor of the band, and the gas's change of the inverse,
    -share w w^T. */
-typedef struct { const double *factor, *softened; double share; } Stiffness;
+typedef struct { const double *factor, *softened; double fraction; } Stiffness;
 
 SplineMembrane membrane_of(long nx, long ny, const double *numbers); /* NULL: shape only */
 int has_enough_splines(long nx, long ny);                          /* 0: too few splines */

@@ -18,9 +18,9 @@ Local splines_at(double length, long spans, double x) {
         double saved = 0;
         if (degree == 3) memcpy(two, n, sizeof two);
         for (int r = 0; r < degree; r++) {
-            double right = knot(k + r + 1, spans) - u, left = u - knot(k + 1 + r - degree, spans), share = n[r] / (right + left);
-            n[r] = saved + right * share;
-            saved = left * share;
+            double right = knot(k + r + 1, spans) - u, left = u - knot(k + 1 + r - degree, spans), fraction = n[r] / (right + left);
+            n[r] = saved + right * fraction;
+            saved = left * fraction;
         }
         n[degree] = saved;
     }

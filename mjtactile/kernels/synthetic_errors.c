@@ -5,14 +5,14 @@
 #include "small_linalg.h"
 
 enum { SLOW_TIME, GRASP, SHEAR_GAIN, ELAPSED, UNIFORM };
-enum { MEAN, SD = 6, FRESH = 12, SAID = 18, OUTLIERS = 24, BETWEEN = 29, COLUMNS = 30 };
+enum { MEAN, SD = 6, FRESH = 12, REPORTED = 18, OUTLIERS = 24, BETWEEN = 29, COLUMNS = 30 };
 
 static void at_load(int64_t loads, const double *load, const double *table, double here, double *row) {
     int64_t right = 1;
     while (right < loads - 1 && load[right] < here) right++;
     const double *low = table + COLUMNS * (right - 1), *high = low + COLUMNS;
-    const double share = clip((here - load[right - 1]) / (load[right] - load[right - 1]), 0, 1);
-    for (int k = 0; k < COLUMNS; k++) row[k] = low[k] + share * (high[k] - low[k]);
+    const double fraction = clip((here - load[right - 1]) / (load[right] - load[right - 1]), 0, 1);
+    for (int k = 0; k < COLUMNS; k++) row[k] = low[k] + fraction * (high[k] - low[k]);
 }
 
 /* lower triangle */
@@ -24,30 +24,30 @@ static void spread_out(const double *spread, const double *normals, double *out)
 }
 
 static double lasting(const double *row, int part) { /* variance of the persistent part */
-    return most(square(row[SD + part]) - square(row[FRESH + part]), 0);
+    return max_of(square(row[SD + part]) - square(row[FRESH + part]), 0);
 }
 
-int64_t draw_errors(int64_t loads, const double *load, const double *table, const double *gain, const double *spread,
+int64_t sample_errors(int64_t loads, const double *load, const double *table, const double *gain, const double *spread,
                     const double *reported_correlation, const double *settings, const double *outlier_size, const double *normals, const double *wrench, double *slow,
-                    double *row, double *felt, double *cov) {
+                    double *row, double *estimated, double *cov) {
     if (loads < 2) return REFUSED;
-    at_load(loads, load, table, most(-wrench[2], 0), row);
+    at_load(loads, load, table, max_of(-wrench[2], 0), row);
     double fresh[6], fast[6];
     spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
-    const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(most(1 - kept * kept, 0));
+    const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(max_of(1 - kept * kept, 0));
     /* the mean of its square is one */
     const double factor = exp(row[BETWEEN] * (settings[GRASP] - row[BETWEEN]));
     const int out = settings[UNIFORM] < row[OUTLIERS];
     for (int i = 0; i < 6; i++) {
         slow[i] = kept * slow[i] + new *fresh[i];
-        const double lasts = lasting(row, i), untouched = least(lasts, lasting(table, i));
+        const double lasts = lasting(row, i), untouched = min_of(lasts, lasting(table, i));
         const double sd = sqrt(untouched + square(factor) * (lasts - untouched));
         const double new_sd = row[FRESH + i] * (out ? outlier_size[i] : 1);
-        felt[i] = wrench[i] + row[MEAN + i] + sd * slow[i] + new_sd * fast[i];
-        if (i < 2) felt[i] += settings[SHEAR_GAIN] * wrench[i];
+        estimated[i] = wrench[i] + row[MEAN + i] + sd * slow[i] + new_sd * fast[i];
+        if (i < 2) estimated[i] += settings[SHEAR_GAIN] * wrench[i];
         for (int k = 0; k < 6; k++) {
-            felt[i] += gain[6 * i + k] * wrench[k];
-            cov[6 * i + k] = row[SAID + i] * row[SAID + k] * reported_correlation[6 * i + k];
+            estimated[i] += gain[6 * i + k] * wrench[k];
+            cov[6 * i + k] = row[REPORTED + i] * row[REPORTED + k] * reported_correlation[6 * i + k];
         }
     }
     return 0;

@@ -54,7 +54,7 @@ class SensingErrorSampler:
         settings = (errors.reported_correlation, self._settings, errors.outlier_size)
         state = (self._normals, self._true, self._slow)
         results = (self._row, self._wrench, self._cov)
-        self._draw = bound("draw_errors", *model, *settings, *state, *results)
+        self._sample = bound("sample_errors", *model, *settings, *state, *results)
 
     def begin(self, rng: np.random.Generator) -> None:
         """Sample the persistent errors again."""
@@ -72,7 +72,7 @@ class SensingErrorSampler:
         self._true[:] = true
         rng.standard_normal(out=self._normals)
         self._settings[_ELAPSED:] = elapsed, rng.random()
-        self._draw()
+        self._sample()
         return self._wrench, self._cov, ErrorsAtLoad.of(self._row)
 
 

@@ -1,6 +1,6 @@
 /* The membrane: elastic forces (qs_elastic_forces.h), in double and in single precision, and its
    link stiffness. */
-#include "qs_sheet.h"
+#include "qs_elasticity.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -17,9 +17,9 @@
 #else
 #define VECTORS _Pragma("GCC ivdep")
 #endif
-#define LEAST_DET 1e-2
+#define MIN_DET 1e-2
 /* minimum stress in the stiffness of the steps, fraction of the mean of both directions */
-#define LEAST_TENSION 0.3
+#define MIN_TENSION 0.3
 
 Membrane qs_membrane(const double *numbers, const double *law) {
     Membrane membrane = {.law = law};
