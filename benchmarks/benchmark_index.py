@@ -64,6 +64,12 @@ ENTRIES = (
         "**shipped",
         "surface error, rms (95 %), mm",
     ),
+    Entry(
+        "benchmarks/sliding-faces",
+        "standard deviation of the force, largest: {}",
+        "largest standard deviation",
+        "result",
+    ),
     Entry("benchmarks/wide-faces", "plates within 3 %: {}", "with", "plates within"),
     Entry(
         "benchmarks/outline",

@@ -43,6 +43,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "quasistatic": ("quasistatic", "quasi-static membrane against an independent solver: error"),
     "thin-objects": ("thin_objects.run", "blades, wires, pins and small faces: force"),
     "shape": ("shape.run", "contact shape from images: area, kind, radius and edge direction"),
+    "sliding-faces": ("sliding_faces", "steadiness of the force of a face that slides"),
     "wide-faces": ("wide_faces", "plates wider than the frame: force error by pressure sensor"),
     "sensors": ("sensors", "marker layouts on one membrane: accuracy and cost of more markers"),
     "outline": ("outline", "round and elliptic sensors: bulge against theory, force error"),

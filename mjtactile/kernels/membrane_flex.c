@@ -241,60 +241,104 @@ static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * 
 
 static Plane shorten(Plane a, double limit) { return add((Plane){0}, fmin(limit / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
 
+/* State of a vertex: its contact sticks, slides, or does not exist while others slide. */
+enum { STICKS, SLIDES, JOINS };
+
+typedef struct { double step, mend, kept, excess, on_cone, give, slower; } StictionSettings;
+
+/* Return the vertex of a contact, or -1 if it is not one of `count` spheres from `first` on. */
+static int64_t vertex_of(const Contact *c, int64_t first, int64_t count) {
+    int64_t second = c->geoms[1] - first, v = second >= 0 && second < count ? second : c->geoms[0] - first;
+    return v >= 0 && v < count && c->row >= 0 ? v : -1;
+}
+
+/* Return the mean speed of the sliding contacts along their surfaces, m/s; 0 without any. */
+static double slide_speed(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *velocity,
+                          int64_t first, int64_t count, const uint8_t *states) {
+    double sum = 0;
+    int64_t sliding = 0;
+    for (int64_t k = 0; k < contacts; k++) {
+        const Contact c = contact_of(k, list, layout);
+        int64_t v = vertex_of(&c, first, count);
+        if (v < 0 || states[v] != SLIDES || c.dim < 3 || c.row + 3 > rows) continue;
+        sum += hypot(velocity[c.row + 1], velocity[c.row + 2]), sliding++;
+    }
+    return sliding ? sum / sliding : 0;
+}
+
 int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *force,
                         const double *kbip, const double *softness, const double *velocity, const double *travel,
-                        const double *R_WS, int64_t first, int64_t count, const double *settings, double *goal, double *memory,
-                        uint8_t *slides, double *surface) {
-    double step = settings[0], mend = settings[1], kept = settings[2], beyond = settings[3], on_cone = settings[4];
-    int64_t found = 0;
-    double *after = calloc(6 * count + 1, sizeof *after);
-    uint8_t *slides_after = calloc(count + 1, 1);
-    int refused = 0, failed = !after || !slides_after;
-    memset(goal, 0, count * sizeof *goal), memset(surface, 0, 3 * count * sizeof *surface);
+                        const double *R_WS, int64_t first, int64_t count, const double *settings, double *give, double *memory,
+                        uint8_t *states, double *surface, double *slide) {
+    const StictionSettings set = {settings[0], settings[1], settings[2], settings[3],
+                                  settings[4], settings[5], settings[6]};
+    int64_t found = 0, sliding = 0;
+    double *after = calloc(6 * count + 1, sizeof *after), *goal = calloc(count + 1, sizeof *goal), slip[3] = {0};
+    uint8_t *states_after = malloc(count + 1);
+    int refused = 0, failed = !after || !goal || !states_after;
+    double speed_after = failed ? 0 : slide_speed(contacts, list, layout, rows, velocity, first, count, states);
+    int slows = speed_after < set.slower * slide[0];
+    memset(surface, 0, 3 * count * sizeof *surface);
+    if (!failed) memset(states_after, JOINS, count);
     for (int64_t k = 0; k < contacts && !failed; k++) {
         const Contact c = contact_of(k, list, layout);
-        int64_t numbers[2] = {c.geoms[0] - first, c.geoms[1] - first}, row = c.row;
-        int second = numbers[1] >= 0 && numbers[1] < count;
-        int64_t v = numbers[second];
-        if (v < 0 || v >= count || row < 0) continue;
+        int64_t v = vertex_of(&c, first, count), row = c.row;
+        if (v < 0) continue;
         if (row + force_rows(&c) > rows) {
             refused = 1;
             break;
         }
-        found++;
-        goal[v] = fmax(c.margin - c.dist, 0);
+        found++, states_after[v] = STICKS;
+        double depth = c.margin - c.dist;
+        goal[v] = fmax(fmax(depth, 0), give[v] - fmax(depth - set.step * velocity[row], 0));
         if (c.dim < 3) continue;
         /* axes in S; MuJoCo's signs are those of the second geom */
-        double axes[2][3], sign = second ? 1 : -1;
+        double axes[2][3], sign = c.geoms[1] == first + v ? 1 : -1;
         for (int a = 0; a < 2; a++)
             for (int i = 0; i < 3; i++) {
                 const double *W = c.frame + 3 + 3 * a;
                 axes[a][i] = sign * (W[0] * R_WS[i] + W[1] * R_WS[3 + i] + W[2] * R_WS[6 + i]);
             }
-        Plane held = {force[row + 1], force[row + 2]}, speed = {velocity[row + 1], velocity[row + 2]};
-        Plane moved = {step * travel[row + 1], step * travel[row + 2]}, was = {0}, shift = {0};
+        Plane held = {force[row + 1], force[row + 2]}, moving = {velocity[row + 1], velocity[row + 2]};
+        Plane moved = {set.step * travel[row + 1], set.step * travel[row + 2]}, was = {0}, shift = {0};
         for (int i = 0; i < 3; i++) {
             double f = memory[6 * v + i], s = memory[6 * v + 3 + i];
             was.x += axes[0][i] * f, was.y += axes[1][i] * f, shift.x += axes[0][i] * s, shift.y += axes[1][i] * s;
         }
-        double coefficient = c.friction[0], limit = coefficient * force[row];
-        double excess = beyond * force[row] / fmax(coefficient, SMALLEST), mass = 1 / softness[row + 1];
-        double damping = step * kbip[4 * (row + 1) + 1], drag = damping / (1 + damping);
-        int slips = dot(held, held) >= on_cone * on_cone * limit * limit && dot(held, speed) <= 0;
-        if (slides[v] && !slips) held = shorten(was, limit);
-        shift = slips ? add((Plane){0}, kept, shift) : add(shift, 1, moved);
-        held = shorten(add(held, -mend / (step * step) * mass, shift), limit + excess);
-        Plane belt = add(add((Plane){0}, 1 - drag, speed), -step / mass, held);
-        if (slips)
-            belt = add(belt, -fmax(1 - excess * step / (mass * sqrt(fmax(dot(speed, speed), SMALLEST))), 0), speed);
-        slides_after[v] = slips;
+        double limit = c.friction[0] * force[row], target = (1 + set.excess) * limit, mass = 1 / softness[row + 1];
+        double damping = set.step * kbip[4 * (row + 1) + 1], drag = damping / (1 + damping);
+        int slid = states[v] == SLIDES, slips;
+        Plane next = add(slid ? was : held, -mass / set.step, moving); /* friction if it stuck */
+        if (slid)
+            slips = dot(was, moving) < 0 && !slows;
+        else if (states[v] == JOINS)
+            slips = dot(next, next) >= limit * limit;
+        else
+            slips = dot(held, held) >= set.on_cone * set.on_cone * limit * limit && dot(held, moving) <= 0;
+        if (slid && !slips) held = shorten(was, limit);
+        shift = slips ? add((Plane){0}, set.kept, shift) : add(shift, 1, moved);
+        held = slips ? add((Plane){0}, target / sqrt(fmax(dot(next, next), SMALLEST)), next)
+                     : shorten(add(held, -set.mend / (set.step * set.step) * mass, shift), target);
+        Plane belt = add(add((Plane){0}, slips ? -drag : 1 - drag, moving), -set.step / mass, held);
+        if (slips) states_after[v] = SLIDES, sliding++;
         for (int i = 0; i < 3; i++) {
+            if (slips) slip[i] += axes[0][i] * moving.x + axes[1][i] * moving.y;
             after[6 * v + i] = axes[0][i] * held.x + axes[1][i] * held.y;
             after[6 * v + 3 + i] = axes[0][i] * shift.x + axes[1][i] * shift.y;
             surface[3 * v + i] = (axes[0][i] * belt.x + axes[1][i] * belt.y) / drag;
         }
     }
-    if (found && !refused) memcpy(memory, after, 6 * count * sizeof *after), memcpy(slides, slides_after, count);
-    free(after), free(slides_after);
+    if (found && !refused) {
+        slide[0] = speed_after;
+        for (int i = 0; i < 3; i++) slide[1 + i] = sliding ? slip[i] / sliding : 0;
+        for (int64_t v = 0; v < count; v++) {
+            give[v] += set.give * (goal[v] - give[v]);
+            if (states_after[v] != JOINS) continue;
+            if (!sliding) states_after[v] = STICKS;
+            for (int i = 0; i < 3; i++) surface[3 * v + i] = -slide[1 + i];
+        }
+        memcpy(memory, after, 6 * count * sizeof *after), memcpy(states, states_after, count);
+    }
+    free(after), free(goal), free(states_after);
     return failed ? NO_MEMORY : refused ? REFUSED : found;
 }

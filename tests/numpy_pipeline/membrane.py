@@ -61,13 +61,16 @@ def stiffness(
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# Limit of the friction target beyond its cone, times the coefficient, as a fraction of the normal
-# force. At 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding along it
-# is also sliding up it). At 0.1 friction drops below the cone's edge whenever sliding slows down.
-_EXCESS = 0.25
+# Friction target of a sliding contact beyond its cone, as a fraction of the limit. The solver's
+# cone is convex: an excess also lifts the vertex. Without it, friction is 2 % too small.
+_EXCESS = 0.1
 _WAIT = 5e-3  # time step, s; two longer steps are too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
 _LEAST = 1e-24  # in place of zero in a denominator or under a root
+# a slide stops when the mean speed of the sliding contacts falls below this fraction in one step
+_SLOWER = 0.9
+_LAPSE = 0.02  # time without any contact, s, after which the slide is forgotten
+_STICKS, _SLIDES, _JOINS = range(3)
 _TWO = np.array([[1], [2]])  # the rows of friction after that of the normal
 
 
@@ -81,7 +84,6 @@ class _Contacts(NamedTuple):
     velocity: Array  # relative velocity after the step (2, n), m/s
     travel: Array  # displacement since the last update (2, n), m
     limit: Array  # (n,) N, of friction
-    excess: Array  # (n,) N beyond it, see `_EXCESS`
     mass: Array  # (n,) kg: friction changes by this times a change of velocity over a step's length
     drag: Array  # (n,): the share of a velocity against the surface that a step takes away
 
@@ -121,7 +123,10 @@ class Stiction:
         self._held = np.zeros((3, self._count))  # friction on the vertex, N, frame S
         # displacement relative to the touched surface since sticking started, m
         self._shift = np.zeros((3, self._count))
-        self._slides = np.zeros(self._count, bool)
+        self._states = np.zeros(self._count, np.int64)
+        self._speed = 0.0  # mean speed of the sliding contacts, m/s
+        self._slip = np.zeros(3)  # their mean velocity in S, m/s
+        self._touched = np.nan  # time of the last contact, s
         model.flg_surfacevel = True
         self._forget()
 
@@ -135,7 +140,7 @@ class Stiction:
         self._time = time
         self._travel += self._data.qvel
         self._waits = (
-            self._may_wait and not self._waits and time > before and not self._slides.any()
+            self._may_wait and not self._waits and time > before and not self._states.any()
         )
         if self._waits:
             return
@@ -144,6 +149,7 @@ class Stiction:
         rows, sides, vertices = self._find()
         if len(rows):
             self._empty = False
+            self._touched = time
             self._take_normal(rows, vertices)
             rough = self._data.contact.dim[rows] >= 3
             if rough.all():
@@ -152,6 +158,11 @@ class Stiction:
                 self._take_friction(self._contacts(rows[rough], sides[rough], vertices[rough]))
             else:
                 self._clear()
+        elif self._states.any() and time - self._touched < _LAPSE:
+            self._give[:] = 0
+            self._clear()
+            self._states[:] = _JOINS
+            self._surface[:] = -self._slip
         else:
             self._forget()
         np.add(stand_off, self._give, out=self._margins)
@@ -169,10 +180,16 @@ class Stiction:
 
     def _take_normal(self, rows: NDArray[np.int64], vertices: NDArray[np.int64]) -> None:
         """Advance the margins by the depths of the contacts, so that vertices come to lie where
-        they should touch."""
+        they should touch. They retract by a part of the depth that is left at most."""
         contact = self._data.contact
         goal = np.zeros(self._count)
-        goal[vertices] = np.maximum(contact.includemargin[rows] - contact.dist[rows], 0.0)
+        velocity = np.empty(self._data.nefc)
+        mujoco.mj_mulJacVec(self._model, self._data, velocity, self._data.qvel)
+        depth = contact.includemargin[rows] - contact.dist[rows]
+        left = depth - self._step * velocity[contact.efc_address[rows]]
+        goal[vertices] = np.maximum(
+            np.maximum(depth, 0.0), self._give[vertices] - np.maximum(left, 0.0)
+        )
         self._give += _GIVE_FRACTION * (goal - self._give)
 
     def _contacts(
@@ -200,7 +217,6 @@ class Stiction:
             velocity[rows_along],
             self._step * travel[rows_along],
             coefficient * normal,
-            _EXCESS * normal / np.maximum(coefficient, _LEAST),
             1 / data.efc_R[normal_rows + 1],
             damping / (1 + damping),
         )
@@ -211,27 +227,41 @@ class Stiction:
         A row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and
         v' after the step, and s of the surface. A sticking vertex should have v' = 0 and a friction
         force that also returns it to its initial sticking point. A sliding vertex should nearly
-        keep its velocity, with friction on the edge of the cone.
+        keep its velocity, with friction on the edge of the cone. A vertex that joins a slide moves with its
+        mean velocity.
         """
         step = self._step
-        slides = (_dot(c.friction, c.friction) >= (_ON_CONE * c.limit) ** 2) & (
-            _dot(c.friction, c.velocity) <= 0
+        states = self._states[c.vertices]
+        slid = states == _SLIDES
+        was = _in_plane(self._held, c)
+        speeds = np.sqrt(_dot(c.velocity, c.velocity))[slid]
+        speed = float(speeds.mean()) if len(speeds) else 0.0
+        slows = speed < _SLOWER * self._speed
+        # friction if it stuck
+        tried = np.where(slid, was, c.friction) - c.mass / step * c.velocity
+        on_cone = _dot(c.friction, c.friction) >= (_ON_CONE * c.limit) ** 2
+        starts = np.where(
+            states == _JOINS,
+            _dot(tried, tried) >= c.limit**2,
+            on_cone & (_dot(c.friction, c.velocity) <= 0),
         )
-        stops = self._slides[c.vertices] & ~slides
-        held = c.friction
-        # friction while sliding: the predicted velocity was too large, and friction came out too
-        # small
-        if stops.any():
-            held = np.where(stops, _shorten(_in_plane(self._held, c), c.limit), held)
+        slides = np.where(slid, (_dot(was, c.velocity) < 0) & (not slows), starts)
+        held = np.where(slid & ~slides, _shorten(was, c.limit), c.friction)
         shift = _in_plane(self._shift, c)
         shift = np.where(slides, _KEPT * shift, shift + c.travel)
-        held = _shorten(held - (_SHIFT_FRACTION / step**2 * c.mass) * shift, c.limit + c.excess)
-        surface = (1 - c.drag) * c.velocity - (step / c.mass) * held
-        if slides.any():
-            speed = np.sqrt(np.maximum(_dot(c.velocity, c.velocity), _LEAST))
-            surface -= slides * np.maximum(1 - c.excess * step / (c.mass * speed), 0.0) * c.velocity
+        target = (1 + _EXCESS) * c.limit
+        back = held - (_SHIFT_FRACTION / step**2 * c.mass) * shift
+        along = target / np.sqrt(np.maximum(_dot(tried, tried), _LEAST)) * tried
+        held = np.where(slides, along, _shorten(back, target))
+        surface = np.where(slides, -c.drag, 1 - c.drag) * c.velocity - (step / c.mass) * held
         self._clear()
-        self._slides[c.vertices] = slides
+        self._speed = speed
+        self._slip = np.zeros(3)
+        if slides.any():
+            self._slip = _in_space(c.velocity, c)[:, slides].mean(axis=1)
+            self._states[:] = _JOINS
+            self._surface[:] = -self._slip
+        self._states[c.vertices] = np.where(slides, _SLIDES, _STICKS)
         self._held[:, c.vertices] = _in_space(held, c)
         self._shift[:, c.vertices] = _in_space(shift, c)
         self._surface[c.vertices] = _in_space(surface / c.drag, c).T
@@ -239,12 +269,14 @@ class Stiction:
     def _clear(self) -> None:
         self._held[:] = 0
         self._shift[:] = 0
-        self._slides[:] = False
+        self._states[:] = _STICKS
         self._surface[:] = 0
 
     def _forget(self) -> None:
         if not self._empty:
             self._give[:] = 0
+            self._speed = 0.0
+            self._slip = np.zeros(3)
             self._clear()
         self._empty = True
 

@@ -27,13 +27,17 @@ from mjtactile.sim.sensor.contact_list import listed
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# Limit of the friction target beyond its cone, as a fraction of the normal force times the
-# coefficient. At 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
-# along it also means sliding up it). At 0.1 friction drops below the cone's edge whenever sliding
-# slows down.
-_EXCESS = 0.25
+# Friction target of a sliding contact beyond its cone, as a fraction of the limit. The solver's
+# cone is convex: an excess also lifts the vertex. Without it, friction is 2 % too small.
+_EXCESS = 0.1
 _WAIT = 5e-3  # limit of the step, s, for updates every other step
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
+# A slide stops when the mean speed of the sliding contacts falls below this fraction in one step.
+# Friction of a single vertex varies in a steady slide; a vertex that then sticks for a step is
+# lifted out of contact.
+_SLOWER = 0.9
+_LAPSE = 0.02  # time without any contact, s, after which the slide is forgotten
+_JOINS = 2  # as in kernels/membrane_flex.c
 
 
 class Stiction:
@@ -42,8 +46,9 @@ class Stiction:
     A friction row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocity v before
     the step, v' after it, and s of the surface. A sticking vertex should have v' = 0. Its friction
     also returns it to its initial sticking position. A sliding vertex should nearly keep its
-    velocity, with friction on the edge of the cone. A vertex that touches two objects at the same
-    time remembers the force of one.
+    velocity, with friction on the edge of the cone. A vertex that makes contact while others slide
+    moves with their mean velocity. A vertex that touches two objects at the same time remembers the
+    force of one.
     """
 
     def __init__(
@@ -73,15 +78,18 @@ class Stiction:
         self._travel = np.zeros(model.nv)
         # advance of the margin, m
         self._give = np.zeros(self._count)
-        self._goal = np.zeros(self._count)
         # per vertex: friction force on it in S, N; displacement relative to the sticking surface
         # since sticking started, m
         self._memory = np.zeros((self._count, 6))
-        self._slides = np.zeros(self._count, np.uint8)
+        self._states = np.zeros(self._count, np.uint8)
+        # mean speed and velocity (3,) in S of the sliding contacts, m/s
+        self._slide = np.zeros(4)
+        self._touched = np.nan  # time of the last contact, s
         self._belt = np.zeros((self._count, 3))
-        settings = np.array([self._step, _SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE])
+        fractions = (_SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE, _GIVE_FRACTION, _SLOWER)
+        settings = np.array([self._step, *fractions])
         vertices = (data.xmat[body_id], self._first, self._count)
-        state = (self._goal, self._memory, self._slides, self._belt)
+        state = (self._give, self._memory, self._states, self._belt, self._slide)
         self._advance = bound("update_stiction", *[...] * 9, *vertices, settings, *state)
         model.flg_surfacevel = True
         self._forget()
@@ -96,7 +104,7 @@ class Stiction:
         self._time = time
         self._travel += self._data.qvel
         self._waits = (
-            self._may_wait and not self._waits and time > before and not self._slides.any()
+            self._may_wait and not self._waits and time > before and not self._states.any()
         )
         if self._waits:
             return
@@ -104,6 +112,9 @@ class Stiction:
             self._forget()
         if self._data.ncon and self._take():
             self._empty = False
+            self._touched = time
+        elif self._states.any() and time - self._touched < _LAPSE:
+            self._lift()
         else:
             self._forget()
         np.add(stand_off, self._give, out=self._margins)
@@ -122,14 +133,21 @@ class Stiction:
         )
         if not found:
             return False
-        self._give += _GIVE_FRACTION * (self._goal - self._give)
         self._surface[:] = self._belt
         return True
+
+    def _lift(self) -> None:
+        """Keep only the velocity of the slide, for an object that is lifted for a short time."""
+        self._give[:] = 0
+        self._memory[:] = 0
+        self._states[:] = _JOINS
+        self._surface[:] = -self._slide[1:]
 
     def _forget(self) -> None:
         if not self._empty:
             self._give[:] = 0
             self._memory[:] = 0
-            self._slides[:] = 0
+            self._states[:] = 0
+            self._slide[:] = 0
             self._surface[:] = 0
         self._empty = True
