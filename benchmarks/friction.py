@@ -73,18 +73,21 @@ class _Signs(Observer):
         self.filters.append(self._filter)
 
 
-def run(out: Path, quick: bool = False) -> dict[str, Any]:
+def run(out: Path, quick: bool = False, episodes: int | None = None) -> dict[str, Any]:
     """Run the grasps of each level.
 
     Args:
         out: Gets friction.json and wet_posterior.png.
         quick: One grasp with synthetic touch for each task and controller; on the mesh the one of
             the figure alone.
+        episodes: Grasps with synthetic touch of each task and controller; a third on the mesh.
 
     Returns:
         The frequencies of the signs by utilization, and the answers, for each level.
     """
     counts = QUICK if quick else EPISODES
+    if episodes is not None:
+        counts = {SYNTHETIC: episodes, MESH: episodes // 3}
     result: dict[str, Any] = {"episodes": counts, "levels": {}}
     wet = _grasp("wet", "adaptive", _WET_SEED, "vial", LEVELS[MESH])
     _draw(wet, out / "wet_posterior.png")

@@ -111,7 +111,8 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     frames = _stored(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
     )
-    slip_time = 0.0 if slip_sign(touch) == 2 else memory["slip_time"] + observation.period
+    is_slipping = friction.grows or slip_sign(touch) == 2
+    slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
     inertia = load.worst * goal.acceleration / GRAVITY
     worst, minimum = hypot(load.worst, goal.push / len(touch), inertia), MIN_FORCE

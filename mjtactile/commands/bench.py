@@ -65,6 +65,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "relaxation": ("relaxation", "grasps of ten minutes on relaxing rubber: force error and cost"),
     "commissioning": ("commissioning.run", "setup, calibration, fit, grasp of a faulty rig"),
     "tasks": ("tasks.run", "benefit of touch: tasks with and without touch, same episodes"),
+    "suite-v2": ("tasks.suite_v2", "ten tasks, controllers with touch, paired differences"),
     "friction": ("friction", "likelihoods of the signs of the friction filter, grasps"),
     "bubble": ("real.bubble", "recorded data of a real air-filled bubble sensor"),
     "dots": ("real.dots", "recorded data of a real dot-marker sensor"),
@@ -105,6 +106,7 @@ OPTIONS = {
         "camera-faults",
         "commissioning",
         "outline",
+        "suite-v2",
     ),
     "parts": ("rig", "slip", "tasks"),
     "level": ("tasks",),
@@ -114,7 +116,7 @@ OPTIONS = {
     "data": ("bubble", "dots"),
     "baseline": ("speed",),
     "pairs": ("no-images", "learning", "meshless"),
-    "episodes": ("tasks", "slip", "emulated"),
+    "episodes": ("tasks", "slip", "emulated", "suite-v2", "friction"),
     "sensor": ("error-model",),
 }
 """Options that apply to some benchmarks only."""
@@ -154,7 +156,8 @@ ARGUMENTS = (
     arg.option("--pairs N", "no-images, learning, meshless: number of pairs of episodes", type=int),
     arg.option(
         "--episodes N",
-        "tasks, slip: episodes of each kind (default: 200); emulated: grasps (default: 20)",
+        "tasks, slip: episodes of each kind (default: 200; suite-v2: 24, friction: 12); emulated: "
+        "grasps (default: 20)",
         type=int,
     ),
     arg.option("--rate HZ", "slip: camera rate, 30 or 60 (default: 30)", type=float),

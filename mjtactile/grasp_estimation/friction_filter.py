@@ -62,7 +62,7 @@ NONE, SOME, ALL, CONFIRMED = range(4)
 class Signs(NamedTuple):
     """Evidence of one image: mean `press` and `drag`, N, utilizations of the last `_REPORT_TIME`,
     slip distances, m, sign of slip, ages of the reports, s, and relative changes of grip and shear
-    (NaN: unknown)."""
+    (NaN: unknown). `grows`: the distance of a finger that reports slip grows."""
 
     press: float
     drag: float
@@ -72,6 +72,7 @@ class Signs(NamedTuple):
     ages: list[float]
     harder: float
     more: float
+    grows: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,7 @@ class FrictionFilter:
         distances: Slip distance of each finger, m.
         slip: Sign of slip in the last image.
         ages: Time since each finger's last slip report, s.
+        grows: The distance of a finger that reports slip grew in the last image.
     """
 
     weights: Sequence[float] = ()
@@ -97,6 +99,7 @@ class FrictionFilter:
     distances: Sequence[float] = ()
     slip: int = NONE
     ages: Sequence[float] = ()
+    grows: bool = False
 
     def after(
         self, touch: Sequence[Touch], period: float, *, is_test: bool = False
@@ -125,6 +128,7 @@ class FrictionFilter:
             signs.distances,
             signs.slip,
             signs.ages,
+            signs.grows,
         )
 
     def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
@@ -146,13 +150,16 @@ class FrictionFilter:
         if slip == SOME and max(ages) < _REPORT_TIME:
             slip = ALL  # one after the other
         pairs = zip(distances, self.distances, strict=False)
-        if slip == ALL and self.distances and all(new - old > _GROWTH for new, old in pairs):
+        growing = [new - old > _GROWTH for new, old in pairs]
+        if slip == ALL and growing and all(growing):
             slip = CONFIRMED
+        pairs = zip(states, growing, strict=False)
+        grows = any(state == "slipping" and is_growing for state, is_growing in pairs)
         if min(self.press, self.drag) > 0:
             changes = press / self.press - 1, drag / self.drag - 1
         else:
             changes = math.nan, math.nan
-        return Signs(press, drag, recent, distances, slip, ages, *changes)
+        return Signs(press, drag, recent, distances, slip, ages, *changes, grows)
 
     def density(self) -> Array:
         """Return the probability (n,) of each value of `GRID`."""
@@ -245,6 +252,8 @@ def _likelihood(signs: Signs, before: int = NONE, is_test: bool = False) -> Arra
     weight = _WEIGHTS[signs.slip][before >= signs.slip]
     if is_test and signs.slip == NONE:
         weight = _TEST_WEIGHT
+    elif signs.grows:
+        weight = 1.0  # it moves now: a new event
     return (possible * answer) ** _INDEPENDENT * sign**weight
 
 

@@ -119,16 +119,17 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     kept: Any = command.memory
     grip = kept["target"]
 
-    def report(*states):
+    def report(*states, way=1e-3):
         def touch_at(k, now):
             slips = [finger(0.2, normal=grip, state=state) for state in states]
-            moved = [replace(one.slip, distance=1e-3 * (k + 1)) for one in slips]
+            moved = [replace(one.slip, distance=way * (k + 1)) for one in slips]
             return tuple(replace(one, slip=slip) for one, slip in zip(slips, moved, strict=True))
 
         return touch_at
 
     alone = run(command, report("slipping", "sticking"), 3, goal)
-    assert alone.memory["target"] < 1.5 * grip  # it may roll
+    still = run(command, report("slipping", "sticking", way=0.0), 3, goal)
+    assert still.memory["target"] < 1.5 * grip  # a report lasts for several images
     one = run(command, report("slipping", "slipping"), 1, goal)
     more = one.memory["target"] - grip
     # within a cycle it closes by the compression of two membranes under that force
@@ -137,7 +138,8 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     way = min(more / stiffness, 0.006)
     assert one.opening == pytest.approx(command.opening - way, abs=1.2e-4)
     both = run(command, report("slipping", "slipping"), 3, goal)
-    assert both.memory["target"] > 1.3 * alone.memory["target"]
+    # an object that moves along one finger may roll
+    assert both.memory["target"] > 1.1 * alone.memory["target"] > 1.5 * grip
 
 
 def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
