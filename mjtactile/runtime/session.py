@@ -35,6 +35,7 @@ from mjtactile.runtime.slowness_monitor import SlownessMonitor
 from mjtactile.runtime.stepwise_control import StepwiseControl
 from mjtactile.runtime.supervisor import Supervisor
 from mjtactile.runtime.unsensed_force_monitor import UnsensedForceMonitor
+from mjtactile.sensing.contact_shape.start_files import ensure_start
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
@@ -244,6 +245,9 @@ class Session:
             require_effects((), source, **asked)
         for perception in self.perceptions:
             perception.contact_shapes = asks
+        if asks:
+            for finger in self.rig.fingers:
+                ensure_start(finger.design, self.settings.contact_shape, self._say)
 
     @validated()
     def make_safe(self, reason: str) -> None:

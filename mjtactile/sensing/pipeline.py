@@ -40,6 +40,7 @@ from mjtactile.sensing.apply_contact_shape import (
 )
 from mjtactile.sensing.contact_decision import ContactDecision
 from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
+from mjtactile.sensing.contact_shape.start_files import load_start
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, require_bulge
 from mjtactile.sensing.force.stress_relaxation import RelaxationState
@@ -270,8 +271,10 @@ class SensingPipeline:
             DeviceError: The rest reference is missing.
         """
         reference = state.required(self.design.name, "a shape")
+        gauge_pressure = finder_gauge(reference)
+        start = load_start(self.design, gauge_pressure, self.settings.contact_shape)
         return ContactShapeEstimator(
-            self.design, reference.first, finder_gauge(reference), self.settings
+            self.design, reference.first, gauge_pressure, self.settings, start
         )
 
     def estimate_contact_shape(

@@ -29,11 +29,11 @@ def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[fl
     """Return the contact area of each part of the shape, m^2."""
     family = found.family
     if not family.parts:
-        return [_area(forward, found, family, found.theta, found.hint, 1.0, s)]
+        return [state_area(forward, found.state, family, found.theta, found.hint, s)]
     carried = shares(forward, found)
     thetas = family.split(found.theta)
     return [
-        _area(forward, found, part, theta, hint, share, s)
+        state_area(forward, found.state, part, theta, hint, s, share)
         for part, theta, hint, share in zip(
             family.parts, thetas, found.hint.parts, carried, strict=True
         )
@@ -64,19 +64,21 @@ def _places(forward: ForwardModel, found: Fit) -> tuple[Array, Array]:
     return forward.nodes[0] + moved[0], forward.nodes[1] + moved[1]
 
 
-def _area(
+def state_area(
     forward: ForwardModel,
-    found: Fit,
+    state: MembraneSolution,
     family: ShapeModel,
     theta: Array,
     hint: InitialGuess,
-    share: float,
     s: ContactShapeSettings,
+    share: float = 1.0,
 ) -> float:
-    """Return the contact area of one part, m^2. For a flat face, use the fraction of the face with
-    touching nodes. For a round shape, use the area of the membrane model, which has uniform
-    tension. Correct it for the stretch of the membrane."""
-    state = found.state
+    """Return the contact area of one part, m^2, that carries the fraction `share` of the force.
+
+    For a flat face, use the fraction of the face with touching nodes. For a round shape, use
+    the area of the membrane model, which has uniform tension. Correct it for the stretch of the
+    membrane.
+    """
     if family.name in FACES:
         off, whole = face_of(family, theta, hint, state.displacements[:2])
         within = np.clip(0.5 - off / forward.spacing, 0.0, 1.0)

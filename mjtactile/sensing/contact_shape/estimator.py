@@ -9,26 +9,34 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
+from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
-from mjtactile.sensing.contact_shape.hypotheses import PressHistory
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory, ReportedKind
+from mjtactile.sensing.contact_shape.initial_search import Suggestions
 from mjtactile.sensing.contact_shape.press_tracker import follow
-from mjtactile.sensing.contact_shape.primitives import InitialGuess, feasible_half_extents
+from mjtactile.sensing.contact_shape.primitives import (
+    EDGE,
+    ROUNDING,
+    InitialGuess,
+    feasible_half_extents,
+)
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
+from mjtactile.sensing.contact_shape.shape_models import kinds_of
 from mjtactile.sensing.contact_shape.shape_result import build_shape
+from mjtactile.sensing.contact_shape.start_files import reference_guess
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
 
-_EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
-_ROUNDING = 0.5  # rounding of the rims, in node spacings of the membrane
 _MAX_PARTS = 3  # simultaneous contacts
 _PART_FRACTION = 0.12  # minimum force fraction of a separate part; nearly all patches exceed it
 
@@ -45,7 +53,8 @@ class Found:
 
 class ContactShapeEstimator:
     """Contact shape estimator of one sensor, made once per rest reference. `gauge_pressure` is the
-    approximate gauge pressure at rest, Pa; None: taken from `rest`."""
+    approximate gauge pressure at rest, Pa; None: taken from `rest`. `start` estimates the start of
+    the fits; None: it is searched."""
 
     def __init__(
         self,
@@ -53,9 +62,11 @@ class ContactShapeEstimator:
         rest: InverseRest,
         gauge_pressure: float | None = None,
         settings: Settings = DEFAULTS,
+        start: AmortizedStart | None = None,
     ):
         self.settings = settings
-        self._frame = feasible_half_extents(design.frame, _EDGE)
+        self.start = start
+        self._frame = feasible_half_extents(design.frame, EDGE)
         self.forward = ForwardModel(design, rest, settings.contact_shape.spacing, gauge_pressure)
 
     def find(self, touches: Sequence[Touch], p_rest: Array) -> ContactShape:
@@ -87,13 +98,17 @@ class ContactShapeEstimator:
         raised = p_rest[:, 2] - self.forward.rest_heights
         data = Data.of(touch, raised, self.forward.by_gas, s, drift)
         track = () if press is None else press.track
-        press = follow(self.forward, press, self._hint(touch), data, s)
+        before = None if press is None else press.reported
+        suggest = None if self.start is None else self._suggest
+        press = follow(self.forward, press, self._hint(touch), data, s, suggest)
         if press is None:
             text = "no shape model fits"
             return Found(_unknown(Status(StatusCode.FIT_FAILED, text)), None, None)
         scale = max(s.noise_min, press.now.misfit)
         track = tracked(track, press.now, touch.time, rubber, scale, s)
-        press = replace(press, track=track)
+        assert touch.contact is not None
+        place = np.array(touch.contact.centroid)
+        press = replace(press, track=track, reported=self._kind(press, before, data.force, place))
         shape = self._said(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
@@ -101,17 +116,43 @@ class ContactShapeEstimator:
             shape, contact_load(self.forward, press, touch.traction.wrench, scale, s), press
         )
 
+    def _suggest(self, data: Data) -> Suggestions:
+        """Return the starts of the shape models for an image."""
+        assert self.start is not None
+        raised = data.heights - self.forward.rest_heights[data.ids]
+        return Suggestions(self.start.propose(raised, data.ids), self.reference)
+
+    @cached_property
+    def reference(self) -> InitialGuess:
+        """Guess that suggested parameters are relative to."""
+        return reference_guess(self.forward)
+
+    def _kind(
+        self, press: PressHistory, before: ReportedKind | None, force: float, place: Array
+    ) -> ReportedKind:
+        """Return the kind to report. It is that of `before` while the contact is held, if the
+        fitted model allows it."""
+        probabilities = press.kinds((*SHAPES,))
+        if before is not None and before.holds(force, place):
+            own = kinds_of(press.now.family, press.now.theta, press.now.cov_with(press.noise))
+            if before.kind in (*own, "unknown"):
+                return before
+        kind = max(probabilities, key=lambda name: probabilities[name])
+        unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
+        return ReportedKind("unknown" if unexplained else kind, force, place)
+
     def _said(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
-        if misfit > s.misfit_max:
+        assert press.reported is not None
+        kind = press.reported.kind
+        if kind == "unknown":
             text = (
-                f"no shape model explains the markers: misfit {misfit:.1f}, maximum "
+                f"no shape model explains the markers of this load: misfit {misfit:.1f}, maximum "
                 f"{s.misfit_max:g}"
             )
             return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
-        kind = max(probabilities, key=lambda name: probabilities[name])
         weighed = []
         for probability, found in press.bodies():
             whole = sum(areas(self.forward, found, s))
@@ -151,7 +192,7 @@ class ContactShapeEstimator:
             angle,
             self._frame,
             forward.nodes,
-            _ROUNDING * forward.spacing,
+            ROUNDING * forward.spacing,
             force,
             round=design.frame.outline is not None,
         )

@@ -30,27 +30,31 @@ SUM_AREA = 7
 
 class ForwardModel:
     """Quasi-static membrane model of one sensor, with the heights of its markers. `spacing` is the
-    approximate node spacing, m, and `gauge_pressure` that at rest, Pa (None: taken from `rest`)."""
+    approximate node spacing, m, and `gauge_pressure` that at rest, Pa (None: taken from `rest`).
+    Without `rest` it is that of the sensor file, sealed."""
 
     def __init__(
         self,
         design: SensorDesign,
-        rest: InverseRest,
+        rest: InverseRest | None,
         spacing: float,
         gauge_pressure: float | None = None,
     ):
+        young, stretch = (1.0, 1.0) if rest is None else (rest.young, rest.stretch)
         stretched = replace(
             design.membrane,
-            young=rest.young * design.membrane.young,
-            pre_stretch=rest.stretch * design.membrane.pre_stretch,
+            young=young * design.membrane.young,
+            pre_stretch=stretch * design.membrane.pre_stretch,
         )
+        if rest is not None and gauge_pressure is None:
+            gauge_pressure = rest.gas.gauge_pressure
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / spacing) + 1, 9) for side in sides)
         self.membrane = QuasistaticMembrane(
             replace(design, membrane=stretched),
             (columns, rows),
-            rest.gas.gauge_pressure if gauge_pressure is None else gauge_pressure,
-            sealed=rest.gas.constant is not None,
+            gauge_pressure,
+            sealed=rest is None or rest.gas.constant is not None,
         )
         self.spacing = float(self.membrane.x[1] - self.membrane.x[0])
         x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")

@@ -21,7 +21,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _DAMPING = (1e-2, 1e-8, 1e2)  # first, minimum, maximum
 _GOOD = 0.4  # fraction of the promised gain above which damping decreases
-_POLISHED = 2  # times, with exact slopes,
+_POLISHED = 1  # times, with exact slopes,
 _POLISHING = 2  # membrane solutions in each refinement
 _POLISH = 0.05
 # Thresholds of the cost relative to its noise: gain that does not separate two shapes; promised
@@ -185,11 +185,11 @@ class _Enough:
     behind: float
 
     @classmethod
-    def of(cls, settled: float, known: float, noise: float, count: int) -> _Enough:
+    def of(cls, settled: float, far: float, known: float, noise: float, count: int) -> _Enough:
         if np.isinf(known):
-            return cls(settled * noise, _FAR * noise, known, known)
+            return cls(settled * noise, far * noise, known, known)
         noise = max(noise, known / count)
-        return cls(2 * settled * noise, _FAR * noise, known, known + _BEHIND * noise)
+        return cls(2 * settled * noise, far * noise, known, known + _BEHIND * noise)
 
     def is_reached(self, cost: float, step: Step, damping: float) -> bool:
         """Return True if the fit should stop at this cost instead of taking the step. A short or
@@ -208,6 +208,7 @@ def refine(
     known: float = np.inf,
     noise: float,
     settled: float = _SETTLED,
+    far: float = _FAR,
 ) -> Fit:
     """Fit the parameters to the markers, starting from `at`; the fit's Jacobian may be approximate.
 
@@ -220,9 +221,10 @@ def refine(
         known: Sum of squares that another model reached; a fit far above it is stopped.
         noise: Factor on the marker variances that even the best fit leaves.
         settled: Cost relative to the noise below which a step is not worthwhile.
+        far: Promised gain relative to the noise that requires a fresh Jacobian.
     """
     family = problem.family
-    enough = _Enough.of(settled, known, noise, len(at.residual))
+    enough = _Enough.of(settled, far, known, noise, len(at.residual))
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
     fresh = slopes is not None and slopes.theta is at.theta
     if slopes is None or slopes.worn(family, at.theta):

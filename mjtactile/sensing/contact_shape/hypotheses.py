@@ -19,6 +19,9 @@ from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
+_CLOSE = 2.5  # log evidence behind the best: a fit is refined before it is weighted
+_HELD_FORCE = 1.15  # force ratio within which a contact is held
+_HELD_PLACE = 5e-4  # motion of the contact within which it is held, m
 _BEHIND = 10.0  # log evidence behind the best: the model is not searched again in this episode
 
 
@@ -58,8 +61,26 @@ class Evaluation:
 
     def with_noise(self, noise: float) -> Candidate:
         """Return the candidate for marker variances multiplied by `noise`."""
+        if not self.share:
+            return Candidate(self.fit.family, self.fit, self.image_log, self.common)
         log = self.image_log + self.share * self.fit.log_evidence_with(noise)
         return Candidate(self.fit.family, self.fit, log, self.common.with_observation(self.fit))
+
+
+@dataclass(frozen=True, eq=False)
+class ReportedKind:
+    """Kind of a contact, with force, N, and position (2,), m, at the image that chose it."""
+
+    kind: str
+    force: float
+    place: Array
+
+    def holds(self, force: float, place: Array) -> bool:
+        """Return True if neither force nor position has changed since then: an image of a hold adds
+        noise and no evidence."""
+        ratio = force / max(self.force, 1e-9)
+        moved = float(np.hypot(*(place - self.place)))
+        return 1 / _HELD_FORCE < ratio < _HELD_FORCE and moved < _HELD_PLACE
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +97,7 @@ class PressHistory:
         search_misfit: Mean square misfit at the last search over all models.
         track: Poses of the shape in the last images.
         dropped: Models that were dropped, in their last state.
+        reported: Reported kind, and the load with which it was chosen.
     """
 
     candidates: tuple[Candidate, ...]
@@ -87,6 +109,7 @@ class PressHistory:
     search_misfit: float
     track: Track = ()
     dropped: tuple[Candidate, ...] = ()
+    reported: ReportedKind | None = None
 
     @property
     def probabilities(self) -> Array:
@@ -134,8 +157,14 @@ def weigh(
     roughly = [one.with_noise(noise) for one in found]
     maximum = max(one.log for one in roughly)
     minimum = maximum - s.log_lost
-    likely = [one for one, rough in zip(found, roughly, strict=True) if rough.log > minimum]
-    kept = [one.exactly(forward, data, noise).with_noise(noise) for one in likely]
+    both = zip(found, roughly, strict=True)
+    likely = [(one, rough) for one, rough in both if rough.log > minimum]
+    kept = [
+        (one.exactly(forward, data, noise) if rough.log > maximum - _CLOSE else one).with_noise(
+            noise
+        )
+        for one, rough in likely
+    ]
     kept.sort(key=lambda one: -one.log)
     best = _most_likely(kept, noise)
     dropped = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
@@ -144,9 +173,11 @@ def weigh(
         before = (*past.dropped, *past.candidates)
         dropped += [one for one in before if one.family.name not in seen]
     kept.remove(best)
+    now = exactly(forward, best.fit, data, noise, times=0)
+    best = replace(best, fit=now)
     return PressHistory(
         (best, *kept),
-        best.fit,
+        now,
         noise,
         data.force,
         0,

@@ -14,11 +14,13 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import AREA
+from mjtactile.sensing.contact_shape.amortized_start import Proposal
 from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, principal
-from mjtactile.sensing.contact_shape.shape_models import ShapeModel
+from mjtactile.sensing.contact_shape.random_presses import GROUPS
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, ShapeModel
 
 _APPROACH = (1.2, 0.7, 0.3, 0.0)  # heights above the start, mm: the membrane is indented in steps
 _WIDE = (0.75, 1.05)  # radius of a start disc relative to a disc with the contact's area
@@ -26,6 +28,8 @@ _FORCE_STEPS = 3
 _FORCE_NEAR = 0.1  # tolerance relative to the estimated force
 _STIFFNESS = (0.05, 0.12, 2.0)  # contact stiffness, N/mm: minimum, first, maximum
 _HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
+_ENOUGH = 0.9  # probability of the suggested models together
+_ROUNDS = 8  # membrane solutions of a fit from a suggested start
 _FIRST_CURVATURE = 80.0  # 1/m
 _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
@@ -55,6 +59,64 @@ def search(
     minimum = min(one.chi2 for one in found)
     noise = max(noise, minimum / len(data.heights))
     return [one for one in found if one.chi2 <= minimum + _HOPELESS * noise]
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestions:
+    """Start parameters of shape models for one image. They are relative to `reference`."""
+
+    proposal: Proposal
+    reference: InitialGuess
+
+    def names(self, count: int) -> list[str]:
+        """Return the names of the likeliest shape models: at least two, at most `count`."""
+        probabilities = self.proposal.probabilities[: len(FAMILIES)]
+        order = np.argsort(-probabilities, kind="stable")
+        share = np.cumsum(probabilities[order]) / probabilities.sum()
+        enough = max(int(np.searchsorted(share, _ENOUGH)) + 1, 2)
+        return [GROUPS[index] for index in order[: min(count, enough)]]
+
+    def probability(self, name: str) -> float:
+        """Return the probability of a shape model."""
+        return float(self.proposal.probabilities[GROUPS.index(name)])
+
+    def fit(
+        self,
+        forward: ForwardModel,
+        family: ShapeModel,
+        hint: InitialGuess,
+        data: Data,
+        noise: float,
+        near: MembraneSolution | None = None,
+        known: float = math.inf,
+    ) -> Fit | None:
+        """Fit a model from its start; None: the solver did not converge. `near`, `known` and
+        `noise` are those of `search`."""
+        theta = family.rebased(self.proposal.theta(family.name), self.reference, hint)
+        problem = Problem(forward, family, hint, data, Prior.of(family, theta))
+        at = replace_shape(problem, theta, near) or problem.begin(theta, None)
+        if at is None:
+            return None
+        return refine(problem, at, rounds=_ROUNDS, known=known, noise=noise)
+
+
+def suggested(
+    forward: ForwardModel,
+    suggestions: Suggestions,
+    hint: InitialGuess,
+    data: Data,
+    noise: float,
+    count: int,
+) -> list[Fit]:
+    """Fit the `count` likeliest models, each from its start."""
+    found: list[Fit] = []
+    for name in suggestions.names(count):
+        best = min(found, key=lambda one: one.chi2, default=None)
+        near, known = (None, math.inf) if best is None else (best.state, best.chi2)
+        fit = suggestions.fit(forward, FAMILIES[name], hint, data, noise, near, known)
+        if fit is not None:
+            found.append(fit)
+    return found
 
 
 def _reuse_curvature(

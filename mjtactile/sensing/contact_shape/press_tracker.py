@@ -7,19 +7,22 @@ evaluated when an image has new information (docs/theory/contact_shape.md, Eq. F
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
 from mjtactile.sensing.contact_shape.hypotheses import Evaluation, PressHistory, weigh
-from mjtactile.sensing.contact_shape.initial_search import search
+from mjtactile.sensing.contact_shape.initial_search import Suggestions, search, suggested
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.refit import (
     FOLLOWED,
+    FOLLOWING,
     LOOKED,
     other_parts,
     restart_fit,
+    restart_suggested,
     warm_start,
 )
 from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
@@ -27,9 +30,15 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _WORSE = 1.5  # misfit ratio to the last search over all models above which they are searched again
-_BAD = 0.25  # fraction of misfit_max above which every evaluation with grown force searches all
+# fraction of misfit_max above which every evaluation with grown force searches all, and above which
+# the suggested models are not enough
+_BAD = 0.25
 _BETTER = 0.8  # misfit ratio below which a newly fitted shape replaces the tracked one
 _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
+Suggest = Callable[[Data], Suggestions]
+_SUGGESTED = 3  # models fitted in the first image of a contact episode
+_SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
+_LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
 _SINGLE = tuple(FAMILIES.values())
 
 
@@ -39,10 +48,12 @@ def follow(
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
+    suggest: Suggest | None = None,
 ) -> PressHistory | None:
-    """Update the shape history with the next image; None: no model converged."""
+    """Update the shape history with the next image; None: no model converged. `suggest` returns the
+    starts of the models. None: they are searched."""
     if press is None:
-        return _search_all(forward, hint, data, s)
+        return _search_all(forward, hint, data, s, None, suggest)
     grown = data.force > s.check_force * press.force
     changed = grown or data.force < press.force / s.check_force
     new = None
@@ -50,9 +61,10 @@ def follow(
         new = _refit_best(forward, press, hint, data)
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):
-        new = _evaluate_candidates(forward, press, hint, data, s)
+        share = s.log_again if changed or new is not None else 0.0
+        new = _evaluate_candidates(forward, press, hint, data, s, share, suggest, grown)
     if new is None:
-        return _search_all(forward, hint, data, s)
+        return _search_all(forward, hint, data, s, None, suggest)
     worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
     if grown and (worse or new.now.misfit > _BAD * s.misfit_max):
@@ -74,12 +86,16 @@ def _search_all(
     data: Data,
     s: ContactShapeSettings,
     rejected: PressHistory | None = None,
+    suggest: Suggest | None = None,
 ) -> PressHistory | None:
-    """Fit all models without a prior, or from the membrane solution on the `rejected` shape. Then
-    models far behind in this contact episode are skipped, and fits that explain no more than the
-    rejected one are stopped."""
+    """Fit all models without a prior. The suggested ones are enough if one explains the markers.
+
+    With a `rejected` shape, the fits start from its membrane solution. Then models far behind are
+    skipped. Fits that explain no more than the rejected one are stopped.
+    """
     if rejected is None:
-        fits = search(forward, _SINGLE, hint, data, s.noise_min)
+        fits = [] if suggest is None else _suggested_fits(forward, suggest(data), hint, data, s)
+        fits = fits or search(forward, _SINGLE, hint, data, s.noise_min)
     else:
         now = rejected.now
         near = rejected.near(_SINGLE)
@@ -93,6 +109,19 @@ def _search_all(
             fits += other_parts(forward, both[0], data, s)
     new = [Evaluation(fit, -_penalty(fit, s), ShapeFilter.of(fit.family), 1.0) for fit in fits]
     return weigh(forward, new, hint, data, s)
+
+
+def _suggested_fits(
+    forward: ForwardModel,
+    suggestions: Suggestions,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+) -> list[Fit]:
+    """Fit the suggested models; empty: none explains the markers."""
+    fits = suggested(forward, suggestions, hint, data, s.noise_min, _SUGGESTED)
+    minimum = min((fit.misfit for fit in fits), default=math.inf)
+    return fits if minimum < _BAD * s.misfit_max or len(hint.parts) > 1 else []
 
 
 def _penalty(fit: Fit, s: ContactShapeSettings) -> float:
@@ -130,9 +159,14 @@ def _evaluate_candidates(
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
+    share: float,
+    suggest: Suggest | None,
+    grown: bool,
 ) -> PressHistory | None:
-    """Refit all candidates, each from its last fit."""
+    """Refit all candidates, each from its last fit. Their evidence is weighted by `share`, zero in
+    a hold. If the force has grown, a suggested model that is not among them is added."""
     found: list[Evaluation] = []
+    suggestions = None if suggest is None else suggest(data)
     for number, one in enumerate(press.candidates):
         start = press.now if number == 0 else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
@@ -141,17 +175,54 @@ def _evaluate_candidates(
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state
-            fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
+            if suggestions is not None and not one.family.parts:
+                fit = restart_suggested(
+                    forward, one, fit, press.noise, hint, data, known, suggestions, near
+                )
+            else:
+                fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
         if fit is not None:
-            found.append(Evaluation(fit, one.image_log, one.common, s.log_again))
+            found.append(Evaluation(fit, one.image_log, one.common, share))
+    if grown and suggestions is not None and found:
+        found += _added(forward, press, found, suggestions, hint, data, s)
     new = weigh(forward, found, hint, data, s, press)
     return None if new is None else replace(new, search_misfit=press.search_misfit)
+
+
+def _added(
+    forward: ForwardModel,
+    press: PressHistory,
+    found: list[Evaluation],
+    suggestions: Suggestions,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+) -> list[Evaluation]:
+    """Fit the suggested models that are not candidates. A model without history gets that of the
+    best one."""
+    past = {one.family.name: one for one in press.dropped}
+    tried = {one.family.name for one in press.candidates}
+    best = min((each.fit for each in found), key=lambda fit: fit.chi2)
+    added = []
+    for name in suggestions.names(_SUGGESTED_AGAIN):
+        if name in tried or (name in past and suggestions.probability(name) < _LIKELY_AGAIN):
+            continue
+        family = FAMILIES[name]
+        fit = suggestions.fit(forward, family, hint, data, press.noise, best.state, best.chi2)
+        if fit is None:
+            continue
+        log, common = press.candidates[0].log, ShapeFilter.of(family)
+        if name in past:
+            log, common = past[name].image_log, past[name].common
+        added.append(Evaluation(fit, log, common, s.log_again))
+    return added
 
 
 def _refit_best(
     forward: ForwardModel, press: PressHistory, hint: InitialGuess, data: Data
 ) -> PressHistory | None:
-    fit = warm_start(forward, press.candidates[0], press.now, press.noise, hint, data, FOLLOWED)
+    best = press.candidates[0]
+    fit = warm_start(forward, best, press.now, press.noise, hint, data, FOLLOWED, limits=FOLLOWING)
     if fit is None:
         return None
     fit = exactly(forward, fit, data, press.noise, times=0)

@@ -17,6 +17,8 @@ from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
 from mjtactile.quasistatic.obstacles import unchecked_obstacle
 
+EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
+ROUNDING = 0.5  # rounding of the rims, in node spacings of the membrane
 _FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
 _RIM_SLOPE = 2.0  # of the flank beyond a rim
 _RIM = 360  # number of points on an outline

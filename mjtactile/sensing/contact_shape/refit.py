@@ -4,6 +4,7 @@ for one of several contacts (docs/theory/contact_shape.md, Eq. F19)."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +15,19 @@ from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.hypotheses import Candidate
-from mjtactile.sensing.contact_shape.initial_search import approach, replace_shape, search
+from mjtactile.sensing.contact_shape.initial_search import (
+    Suggestions,
+    approach,
+    replace_shape,
+    search,
+)
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, several
 from mjtactile.sensing.settings import ContactShapeSettings
 
 FOLLOWED = 3  # rounds of a fit that is followed
+# Thresholds of such a fit: the pose changes little, and the next image continues it
+FOLLOWING = {"settled": 0.5, "far": 25.0}
 LOOKED = 5  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
@@ -34,10 +42,12 @@ def warm_start(
     data: Data,
     rounds: int,
     known: float = math.inf,
+    limits: Mapping[str, float] | None = None,
 ) -> Fit | None:
     """Refit one shape model to a new image. The prior comes from earlier images. The start is the
     last pose, shifted in depth by the force change divided by the contact stiffness. The fit stops
-    early when its cost stays far above `known`, the cost of a competing model."""
+    early when its cost stays far above `known`, the cost of a competing model. `limits` are
+    thresholds of `refine`."""
     family = candidate.family
     hint = _matched(newest.hint, hint)
     prior = candidate.common.prior(candidate.fit, noise, hint)
@@ -57,7 +67,9 @@ def warm_start(
     )
     if at is None:
         return None
-    return refine(problem, at, slopes=newest.slopes, rounds=rounds, known=known, noise=noise)
+    return refine(
+        problem, at, slopes=newest.slopes, rounds=rounds, known=known, noise=noise, **(limits or {})
+    )
 
 
 def restart_fit(
@@ -80,6 +92,28 @@ def restart_fit(
     if other is None or (stuck is not None and stuck.chi2 < other.chi2):
         return stuck
     return other
+
+
+def restart_suggested(
+    forward: ForwardModel,
+    candidate: Candidate,
+    stuck: Fit | None,
+    noise: float,
+    hint: InitialGuess,
+    data: Data,
+    known: float,
+    suggestions: Suggestions,
+    near: MembraneSolution,
+) -> Fit | None:
+    """Return the fit `stuck`, or one from the suggested start of its model if it is better."""
+    fit = suggestions.fit(forward, candidate.family, hint, data, noise, near, known)
+    if fit is None:
+        return stuck
+    prior = candidate.common.prior(replace(candidate.fit, at=fit.at, hint=hint), noise, hint)
+    problem = Problem(forward, candidate.family, hint, data, prior)
+    at = problem.state(fit.theta, fit.state)
+    fit = refine(problem, at, slopes=fit.slopes, rounds=FOLLOWED, known=known, noise=noise)
+    return stuck if stuck is not None and stuck.chi2 < fit.chi2 else fit
 
 
 def _restart_from_search(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mjtactile.sensing.contact_shape.gauss_newton import Prior
+from mjtactile.sensing.contact_shape.hypotheses import ReportedKind
 from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
@@ -79,3 +80,12 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
 def test_one_look_does_not_drift():
     fit, _ = look(100.0, np.random.default_rng(1).normal(size=(81, 4)))
     assert ShapeFilter.of(BALL).with_observation(fit).drift == 0.0
+
+
+def test_a_kind_stays_while_the_contact_is_held():
+    """Noise moves a force by some per cent and a position by 0.1 mm; a new load is more."""
+    place = np.array([1e-3, 2e-3])
+    chosen = ReportedKind("smooth", 0.3, place)
+    assert chosen.holds(0.32, place + 1e-4)
+    assert not chosen.holds(0.4, place) and not chosen.holds(0.2, place)
+    assert not chosen.holds(0.3, place + 6e-4)
