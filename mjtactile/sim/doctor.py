@@ -27,6 +27,7 @@ _ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test,
 _INWARD = math.cos(math.radians(60))
 _ASKEW = math.cos(math.radians(10))
 _LEANING = math.sin(math.radians(5))  # of a site's z from the horizontal
+_Y_MAX = 20.0  # maximum angle between y of two sites, degrees
 _UNEVEN = 2e-3  # tolerance of the height difference between fingertips, m
 _OPENING_WRONG = 1e-3  # tolerance of the opening law against the fingertip positions, m
 _MOVES = 1e-3  # minimum fingertip motion, m
@@ -69,7 +70,7 @@ def _findings(rig: SimRigFile, designs: Sequence[SensorDesign]) -> Iterator[Find
         remedy = "correct this first; it prevents all further checks"
         yield _bad(error.field or "rig", str(error), remedy)
         return
-    yield from [*_fingers(world), *_carriers(world), *_arm(world)]
+    yield from [*_fingers(world), *_frames(world), *_carriers(world), *_arm(world)]
     try:
         yield from [*_motions(world), *_force(world)]
     except SimulationError as error:
@@ -125,6 +126,21 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
             )
         else:
             yield _ok(what, f"site {finger.site!r} faces the center of the fingertips")
+
+
+def _frames(world: GripperWorld) -> Iterator[Finding]:
+    """Check that y of two fingers has one direction, which loads from their shears require."""
+    if len(world.sensors) != 2:
+        return
+    first, second = (world.data.xmat[one.body_id].reshape(3, 3)[:, 1] for one in world.sensors)
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, float(first @ second)))))
+    if angle > _Y_MAX:
+        names = " and ".join(repr(finger.site) for finger in world.rig.fingers)
+        yield _warn(
+            "frames",
+            f"y of the sites {names} differs by {angle:.0f} degrees",
+            "rotate a site about its z: 'adaptive' takes internal forces for load otherwise",
+        )
 
 
 def _arm(world: GripperWorld) -> Iterator[Finding]:

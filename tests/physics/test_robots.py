@@ -362,6 +362,12 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
             ["warn force: the actuators close each finger with at most 5 N, force_max_N says 8"],
         ),
         ("sim_arm", [], [("travel_mm = 150.0", "travel_mm = 900.0")], ["bad lift.travel_mm"]),
+        (
+            "sim",
+            [('xyaxes="0 -1 0 0 0 1"', 'xyaxes="0 1 0 0 0 -1"')],
+            [],
+            ["warn frames: y of the sites 'left_fingertip' and 'right_fingertip' differs by 180"],
+        ),
     ],
 )
 def test_the_doctor_says_what_is_wrong(tmp_path, name, model, rig, found):
