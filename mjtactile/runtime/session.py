@@ -247,7 +247,7 @@ class Session:
             perception.contact_shapes = asks
         if asks:
             for finger in self.rig.fingers:
-                ensure_start(finger.design, self.settings.contact_shape, self._say)
+                ensure_start(finger.design, self.settings.contact_shape, self._notify)
 
     @validated()
     def make_safe(self, reason: str) -> None:
