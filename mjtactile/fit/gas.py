@@ -15,14 +15,17 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.fit.gauss_newton import Scale, differences, gauss_newton
+from mjtactile.fit.gauss_newton import Scale, Solution, gauss_newton
 from mjtactile.fit.measurements import Evidence
 from mjtactile.fit.membrane_fit import Simulated, is_fast
 from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less
 SHIFT_SD = 5.0  # standard deviation of a constant pressure error of a run, Pa
-SHARED = 5.0  # neighbouring pressures that are wrong alike, by the volume's errors
+# minimum number of neighboring pressures with the same error, by the volume's errors; more if the
+# residuals are correlated over a longer time
+SHARED = 5.0
+_UNCORRELATED = 0.05  # autocorrelation below which residuals count as independent
 PRIOR = 0.1  # 1/sd of the scaled parameters without measurements
 _ML = 1e-6
 NAMES = ("extra_volume", "polytropic_exponent", "heat_exchange", "leak_conductance")
@@ -120,13 +123,13 @@ def fit_gas(
     *,
     known: Mapping[str, float],
     models: Sequence[Model] = (),
-    modes: Sequence[Array] = (),
+    modes: Sequence[Sequence[Array]] = (),
     iterations: int = 8,
 ) -> GasFit:
     """Fit the parameters in NAMES that are not `known` (SI values by name), starting at `design`.
 
-    `models` replaces `predict` for each run. `modes` (k, time) are further pressure errors, each
-    scaled to one sd, Pa.
+    `models` replaces `predict` for each run. `modes` are further pressure errors, each scaled to
+    one sd, Pa: an array for each run, (time,). Errors of one mode are common to its runs.
     """
     chamber = replace(design.chamber, **known)
     names = tuple(
@@ -140,7 +143,6 @@ def fit_gas(
         "heat_exchange": min(chamber.heat_exchange, 1.0),
     }
     chamber = replace(chamber, **{name: value for name, value in begin.items() if name in names})
-    modes = modes or [np.empty((0, len(run.time))) for run in runs]
     return _Problem(
         replace(design, chamber=chamber), runs, names, models or [predict] * len(runs), modes
     ).solve(iterations)
@@ -150,7 +152,7 @@ class _Problem:
     """Least-squares problem of the gas fit.
 
     The first unknowns x are the gas parameters (see `Scale`). The others are the amplitudes, in sd,
-    of each run's pressure error modes. These modes are a constant and the given modes.
+    of the pressure error modes. These modes are a constant of each run and the given modes.
     """
 
     def __init__(
@@ -159,17 +161,17 @@ class _Problem:
         runs: Sequence[Sealed],
         names: tuple[str, ...],
         models: Sequence[Model],
-        modes: Sequence[Array],
+        modes: Sequence[Sequence[Array]],
     ):
         self.design = design
         self.runs = runs
         self.names = names
         self._models = models
-        self._modes = [
-            np.vstack([np.full(len(run.time), SHIFT_SD), more])
-            for run, more in zip(runs, modes, strict=True)
+        self._ends = np.cumsum([len(run.time) for run in runs])
+        constants = [
+            [np.full(len(run.time), SHIFT_SD * (run is one)) for run in runs] for one in runs
         ]
-        self._mode_count = sum(len(mode) for mode in self._modes)
+        self._modes = np.array([np.concatenate(mode) for mode in (*constants, *modes)])
         empty = design.chamber_volume_flat - design.chamber.extra_volume
         scales = {
             "extra_volume": Scale(-0.95 * empty, 1e3 * empty, 0.1 * empty, 0.1),
@@ -179,25 +181,25 @@ class _Problem:
         }
         self._scales = [scales[name] for name in names]
         self._nominal = [getattr(design.chamber, name) for name in names]
-        self._sd = [1.0] * len(runs)
-        self._last = (np.empty(0), [np.empty(0)])
+        self._noise = [1.0] * len(runs)
+        self._sd = np.ones(self._ends[-1])
+        self._known: dict[bytes, list[Array]] = {}
 
     def solve(self, iterations: int) -> GasFit:
         ends = [
             (s.scaled(s.low, v), s.scaled(s.high, v))
             for s, v in zip(self._scales, self._nominal, strict=True)
         ]
-        low, high = np.array([*ends, *[(-np.inf, np.inf)] * self._mode_count]).reshape(-1, 2).T
-        steps = np.array([*(s.step for s in self._scales), *[1.0] * self._mode_count])
+        count = len(self._modes)
+        low, high = np.array([*ends, *[(-np.inf, np.inf)] * count]).reshape(-1, 2).T
         n = len(self.names)
         x = np.zeros(len(low))
         rounds = 2 if iterations > 3 else 1
         for _ in range(rounds):  # repeated with the estimated noise
-            pairs = zip(self.pressures(x), self.runs, strict=True)
-            self._sd = [_noise(pressure - run.pressure) for pressure, run in pairs]
+            self._noise, self._sd = self._errors(x)
             found = gauss_newton(
                 self.residuals,
-                differences(self.residuals, steps),
+                self.jacobian,
                 x,
                 low=low,
                 high=high,
@@ -208,10 +210,41 @@ class _Problem:
         slopes = np.array(
             [s.slope(values[name]) for s, name in zip(self._scales, self.names, strict=True)]
         )
-        cov = np.linalg.inv(found.information)[:n, :n] * np.outer(slopes, slopes)  # pyright: ignore[reportPossiblyUnboundVariable]
+        cov = self._covariance(found)[:n, :n] * np.outer(slopes, slopes)  # pyright: ignore[reportPossiblyUnboundVariable]
+        noise, _ = self._errors(x)
         return GasFit(
-            values, cov, self.names, tuple(self._sd), tuple(self.runs), tuple(self._moved(x))
+            values, cov, self.names, tuple(noise), tuple(self.runs), tuple(self._moved(x))
         )
+
+    def _errors(self, x: Array) -> tuple[list[float], Array]:
+        """Return the noise of each run, Pa, and the sd of each pressure, (time of all runs,) Pa.
+
+        The sd is that of an independent pressure: it has the effect of the correlated ones.
+        """
+        noise = []
+        sds = []
+        for pressure, run in zip(self._moved(x), self.runs, strict=True):
+            left = pressure - run.pressure
+            noise.append(_noise(left))
+            sd = noise[-1] * math.sqrt(_correlated_count(_limited(left / noise[-1])))
+            sds.append(np.full(len(left), sd))
+        return noise, np.concatenate(sds)
+
+    def _covariance(self, found: Solution) -> Array:
+        """Return the covariance of the unknowns, with the errors of the final residuals.
+
+        A misfit above these errors scales it.
+        """
+        _, sd = self._errors(found.x)
+        jacobian = found.jacobian.copy()
+        jacobian[: len(sd)] *= (self._sd / sd)[:, None]
+        left = np.concatenate(self._moved(found.x)) - np.concatenate(
+            [run.pressure for run in self.runs]
+        )
+        parts = np.split(left, self._ends[:-1])
+        z = np.concatenate([_limited(part / _noise(part)) for part in parts])
+        misfit = max(1.0, float(np.mean(z**2)))
+        return misfit * np.linalg.inv(jacobian.T @ jacobian)
 
     def values(self, x: Array) -> dict[str, float]:
         return {
@@ -221,35 +254,67 @@ class _Problem:
 
     def pressures(self, x: Array) -> list[Array]:
         n = len(self.names)
-        if not np.array_equal(self._last[0], x[:n]) or not len(self._last[1]):
+        key = x[:n].tobytes()
+        if key not in self._known:
             made = replace(self.design, chamber=replace(self.design.chamber, **self.values(x)))
-            self._last = (
-                x[:n].copy(),
-                [model(made, run) for model, run in zip(self._models, self.runs, strict=True)],
-            )
-        return self._last[1]
+            self._known[key] = [
+                model(made, run) for model, run in zip(self._models, self.runs, strict=True)
+            ]
+        return self._known[key]
 
     def _moved(self, x: Array) -> list[Array]:
         """Pressures with the modes' parts."""
-        parts = np.split(x[len(self.names) :], np.cumsum([len(mode) for mode in self._modes])[:-1])
-        return [
-            p + part @ mode
-            for p, part, mode in zip(self.pressures(x), parts, self._modes, strict=True)
-        ]
+        moved = np.concatenate(self.pressures(x)) + x[len(self.names) :] @ self._modes
+        return np.split(moved, self._ends[:-1])
 
     def residuals(self, x: Array) -> Array:
-        """Return the residuals in sd, with Huber weights.
+        """Return the residuals in sd, with Huber weights."""
+        n = len(self.names)
+        runs = zip(self._moved(x), self.runs, self._noise, strict=True)
+        z = np.concatenate([_limited((p - run.pressure) / noise) for p, run, noise in runs])
+        noise = np.repeat(self._noise, np.diff(self._ends, prepend=0))
+        return np.concatenate([z * noise / self._sd, PRIOR * x[:n], x[n:]])
 
-        Neighboring pressures have a common model error. The residuals are therefore divided by
-        sqrt(SHARED).
+    def jacobian(self, x: Array, _: Array) -> Array:
+        """Return the derivative of `residuals`.
+
+        Differences of pressures, which are smooth, times the slope of Huber's loss: differences of
+        limited residuals would contain their noise, and count it as information.
         """
         n = len(self.names)
-        runs = zip(self._moved(x), self.runs, self._sd, strict=True)
-        z = np.concatenate([(pressure - run.pressure) / sd for pressure, run, sd in runs])
-        z = np.sign(z) * np.sqrt(
-            np.where(np.abs(z) < _OUTLIER, z**2, _OUTLIER * (2 * np.abs(z) - _OUTLIER))
-        )
-        return np.concatenate([z / math.sqrt(SHARED), PRIOR * x[:n], x[n:]])
+        pressures = np.concatenate(self.pressures(x))
+        columns = []
+        for i, scale in enumerate(self._scales):
+            moved = x.copy()
+            moved[i] += scale.step
+            columns.append((np.concatenate(self.pressures(moved)) - pressures) / scale.step)
+        noise = np.repeat(self._noise, np.diff(self._ends, prepend=0))
+        recorded = np.concatenate([run.pressure for run in self.runs])
+        size = np.abs(_limited((np.concatenate(self._moved(x)) - recorded) / noise))
+        slope = np.where(size < _OUTLIER, 1.0, _OUTLIER / np.maximum(size, _OUTLIER))
+        rows = (slope / self._sd)[:, None] * np.column_stack([*columns, self._modes.T])
+        priors = np.diag([PRIOR] * n + [1.0] * len(self._modes))
+        return np.vstack([rows, priors])
+
+
+def _limited(z: Array) -> Array:
+    """Return residuals, in sd, whose squares are Huber's loss."""
+    size = np.abs(z)
+    return np.sign(z) * np.sqrt(np.where(size < _OUTLIER, z**2, _OUTLIER * (2 * size - _OUTLIER)))
+
+
+def _correlated_count(z: Array) -> float:
+    """Return the number of neighboring residuals that count as one: the integrated
+    autocorrelation."""
+    z = z - z.mean()
+    variance = float(z @ z)
+    count = 1.0
+    for lag in range(1, len(z) // 4):
+        rho = float(z[lag:] @ z[:-lag]) / max(variance, 1e-12)
+        if rho < _UNCORRELATED:
+            break
+        count += 2 * rho
+    return max(count, SHARED)
 
 
 def _noise(left: Array) -> float:

@@ -95,19 +95,3 @@ def gauss_newton(
             break
     # the loop runs at least once
     return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable]
-
-
-def differences(
-    residuals: Callable[[Array], Array], steps: Array
-) -> Callable[[Array, Array], Array]:
-    """A Jacobian by differences of these absolute steps."""
-
-    def jacobian(x: Array, now: Array) -> Array:
-        return np.column_stack(
-            [
-                (residuals(x + step * unit) - now) / step
-                for step, unit in zip(steps, np.eye(len(x)), strict=True)
-            ]
-        )
-
-    return jacobian

@@ -9,14 +9,16 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
+from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
-from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
+from mjtactile.fit.gas import GasFit, Sealed, fit_gas, predict, sealed_runs
 from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
 from mjtactile.fit.membrane_fit import (
@@ -31,8 +33,11 @@ from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
 from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.recording.reader import load_recording
+from mjtactile.sim.attach import default_mesh
 
 # order in which undetermined parameters are fixed: those closest to their design value first
+_HEAT = ("heat_exchange", "polytropic_exponent")
+_FINER = 4 / 3  # mesh refinement for the discretization error
 _HELD_FIRST = ("friction", "pre_stretch", "young")
 
 
@@ -178,32 +183,57 @@ def _gas(
     runs = sealed_runs([evidence[i] for i in with_pressure], holds)
     if not runs:
         return None
-    found = fit_gas(membrane.design, runs, known=known)
-    held = dict(known)
-    chamber = membrane.design.chamber
-    heat = ("heat_exchange", "polytropic_exponent")
-    if _first_undetermined(found.names, found.values, found.cov, "chamber", heat) is not None:
-        held |= {name: getattr(chamber, name) for name in heat if name not in known}
-        found = fit_gas(membrane.design, runs, known=held)
-    volume_sd_max = GAS_FRACTION * membrane.design.chamber_volume_flat
-    if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > volume_sd_max:
-        held |= {"extra_volume": chamber.extra_volume}
-        found = fit_gas(membrane.design, runs, known=held)
-    options.notify(_report_gas(found))
-    start = replace(membrane.design, chamber=replace(membrane.design.chamber, **found.values))
+    start, _ = _fit_determined(membrane.design, runs, known)
+    options.notify(_report_gas(start))
+    design = replace(membrane.design, chamber=replace(membrane.design.chamber, **start.values))
     models = [
         _replayed(evidence[i], membrane.offsets[i], options.mesh)
         if _can_replay(evidence[i])
         else predict
         for i in with_pressure
     ]
-    modes = [
-        _touch_mode(start, evidence[i], membrane, membrane.offsets[i], options.mesh)
-        for i in with_pressure
-    ]
-    found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
+    recordings = [(evidence[i], membrane.offsets[i]) for i in with_pressure]
+    modes = _modes(design, recordings, membrane, options.mesh or default_mesh(design))
+    file_values = membrane.design.chamber
+    found, held = _fit_determined(
+        design, runs, known, file_values, models=models, modes=modes, iterations=2
+    )
     options.notify(_report_gas(found))
+    for name in held.keys() - known.keys():
+        options.notify(f"gas: the recordings do not determine {name}; it keeps the file's value")
     return found
+
+
+def _fit_determined(
+    design: SensorDesign,
+    runs: Sequence[Sealed],
+    known: Mapping[str, float],
+    file_values: Chamber | None = None,
+    **options: Any,
+) -> tuple[GasFit, dict[str, float]]:
+    """Fit the gas, and again with the file's values of what the recordings do not determine.
+
+    Args:
+        design: Start of the fit.
+        runs: Recordings with the valve closed.
+        known: Known values by name, SI.
+        file_values: Chamber of the sensor file; None: that of `design`.
+        options: Further arguments of `fit_gas`.
+
+    Returns:
+        The fit, and the known and held values by name.
+    """
+    chamber = file_values or design.chamber
+    held = dict(known)
+    found = fit_gas(design, runs, known=held, **options)
+    if _first_undetermined(found.names, found.values, found.cov, "chamber", _HEAT) is not None:
+        held |= {name: getattr(chamber, name) for name in _HEAT if name not in known}
+        found = fit_gas(design, runs, known=held, **options)
+    volume_sd_max = GAS_FRACTION * design.chamber_volume_flat
+    if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > volume_sd_max:
+        held |= {"extra_volume": chamber.extra_volume}
+        found = fit_gas(design, runs, known=held, **options)
+    return found, held
 
 
 def _report_gas(found: GasFit) -> str:
@@ -221,24 +251,77 @@ def _can_replay(evidence: Evidence) -> bool:
     )
 
 
-def _touch_mode(
+def _modes(
     design: SensorDesign,
-    evidence: Evidence,
+    recordings: Sequence[tuple[Evidence, float]],
     membrane: MembraneFit,
-    offset: float,
-    mesh: tuple[int, int] | None,
-) -> Array:
-    """Return the pressure change for a first contact shifted by one sd, (1, time) Pa.
+    mesh: tuple[int, int],
+) -> list[list[Array]]:
+    """Return the pressure errors of replayed recordings, each for one sd of a cause.
 
-    The result is empty, (0, time), for a recording that is not replayed.
+    The causes are the first contact of each recording, modulus and pre-stretch along the axes of
+    their covariance, and the discretization by the mesh. The last two are common to all recordings.
+
+    Args:
+        design: Start of the fit.
+        recordings: Recordings with pressures, and the offset of their first contact, m.
+        membrane: Result of the membrane fit.
+        mesh: Vertices of the simulated membrane.
+
+    Returns:
+        For each cause, the pressure error of each recording, (time,) Pa; 0 where it is not
+        replayed.
     """
-    if not _can_replay(evidence):
-        return np.empty((0, len(evidence.series.time)))
+
+    def pressures(
+        changed: SensorDesign, mesh: tuple[int, int], touched: Evidence | None = None
+    ) -> list[Array]:
+        """Replay all recordings, or the one with another first contact; 0: not replayed."""
+        return [
+            replay(changed, e, offset + (_touch_sd(membrane, e) if e is touched else 0.0), mesh)
+            if _can_replay(e) and touched in (None, e)
+            else np.zeros(len(e.series.time))
+            for e, offset in recordings
+        ]
+
+    base = pressures(design, mesh)
+    modes = []
+    for number, (e, _) in enumerate(recordings):
+        if _can_replay(e):
+            mode = pressures(design, mesh, e)
+            mode[number] -= base[number]
+            modes.append(mode)
+    finer = tuple(2 * round(_FINER * (count - 1) / 2) + 1 for count in mesh)
+    scale = 1 / (1 - _FINER**-2)  # extrapolated to an infinitely fine mesh: second order
+    others = [(changed, mesh, 1.0) for changed in _membranes_within(design, membrane)]
+    for changed, grid, factor in [*others, (design, (finer[0], finer[1]), scale)]:
+        moved = pressures(changed, grid)
+        modes.append([factor * (p - before) for p, before in zip(moved, base, strict=True)])
+    return modes
+
+
+def _touch_sd(membrane: MembraneFit, evidence: Evidence) -> float:
     i = membrane.names.index(f"first touch of {evidence.name}")
-    sd = math.sqrt(membrane.cov[i][i])
-    return np.array(
-        [replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)]
-    )
+    return math.sqrt(membrane.cov[i][i])
+
+
+def _membranes_within(design: SensorDesign, membrane: MembraneFit) -> list[SensorDesign]:
+    """Return the sensor with modulus and pre-stretch one sd off, along each axis of their
+    covariance."""
+    names = [name for name in ("young", "pre_stretch") if name in membrane.names]
+    rows = [membrane.names.index(name) for name in names]
+    values = np.array([membrane.values[name] for name in names])
+    if not names:
+        return []
+    relative = membrane.cov[np.ix_(rows, rows)] / np.outer(values, values)
+    spread, axes = np.linalg.eigh(relative)
+    moved = values * (1 + (axes * np.sqrt(np.maximum(spread, 0.0))).T)
+    return [
+        replace(
+            design, membrane=replace(design.membrane, **dict(zip(names, row.tolist(), strict=True)))
+        )
+        for row in moved
+    ]
 
 
 def _replayed(

@@ -22,12 +22,13 @@ from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.stage_protocol import Move, Stage, protocol_indenter, stage_from_note
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
+from mjtactile.sensing.pose.flat_reference import FlatReference
 
 _SETTLING = 0.3  # settling time between a move and its hold, s
 _HOLD_MAX = 0.7  # averaging time at the end of a hold, s
 _FEWEST = 5  # images of a hold
 # of heights: a lens that is right; more by the flat membrane's residual, 1/px
-_LENS_FRACTION = 0.003
+LENS_FRACTION = 0.003
 _LENS_FRACTION_PER_PX = 0.1
 # limit of the mean marker motion between the two halves of a hold, m; a larger motion rejects it
 _MOVES_MAX = 5e-5
@@ -80,8 +81,8 @@ class Evidence:
     """One recording of one finger.
 
     `stage` is None if no contact is known. `flat` are the reference's images. `height_fraction` is
-    the standard deviation of a common relative error of all heights. A wrong lens is detected on
-    the flat membrane.
+    the standard deviation of a common relative error of all heights. It is larger where the flat
+    membrane does not have the file's distance or leaves a residual: the lens may be wrong.
     """
 
     name: str
@@ -90,7 +91,7 @@ class Evidence:
     holds: tuple[Hold, ...]
     series: Series
     flat: tuple[Image, ...]
-    height_fraction: float = _LENS_FRACTION
+    height_fraction: float = LENS_FRACTION
 
     @property
     def has_pressure(self) -> bool:
@@ -142,8 +143,19 @@ def read_evidence(
         tuple(_holds(design, stage, times, shots, pressure)),
         Series(times, pressure, volumes),
         flat_images,
-        max(_LENS_FRACTION, _LENS_FRACTION_PER_PX * state.flat.residual_px),
+        _height_fraction(design, state.flat),
     )
+
+
+def _height_fraction(design: SensorDesign, flat: FlatReference) -> float:
+    """Return the sd of a common relative error of all heights.
+
+    A focal length error scales the estimated distance of the flat membrane and all heights alike.
+    An error of the mounted distance has the same effect on the distance, none on the heights.
+    """
+    apparent = design.camera.distance - design.apparent_glass_thickness
+    farther = float(flat.p_SC[2] - design.camera.p_SC[2])
+    return max(LENS_FRACTION, _LENS_FRACTION_PER_PX * flat.residual_px, abs(farther) / apparent)
 
 
 def _check_indenter(stage: Stage, design: SensorDesign, path: Path) -> None:

@@ -40,10 +40,6 @@ _FORCE_REACHED = 0.003
 _LARGEST_STEP = 4e-3  # limit of the time step, s
 # speed of the simulated moves, m/s; a slower move changes the marker positions by less than 2 um
 _SPEED = 0.01
-# convergence limit in sd, before the correction for repeated marker errors; about a tenth of the
-# reported sd
-_ENOUGH = 0.5
-
 Notify = Callable[[str], None]
 
 
@@ -98,7 +94,8 @@ class MembraneFit:
     `values` by name of SCALES; `cov` in SI by `names`, including the first contact of each loaded
     recording. `design` contains the values. `holds` are the simulated rest states and holds, a
     tuple per recording. `rms` is the marker residual, m, and `offsets` are those of the first
-    contact by recording, m.
+    contact by recording, m. `misfit` is the rms of the residuals in sd: above 1, it scales the
+    covariance. `heights` is the common relative error of all measured heights, and its sd.
     """
 
     values: Mapping[str, float]
@@ -108,6 +105,8 @@ class MembraneFit:
     holds: tuple[tuple[Simulated, ...], ...]
     rms: float
     offsets: tuple[float, ...]
+    misfit: float = 1.0
+    heights: tuple[float, float] = (0.0, 0.0)
 
 
 def simulate(
@@ -263,7 +262,12 @@ class _Problem:
         self.names = names
         self.pressed = [i for i, one in enumerate(evidence) if _is_loaded(one)]
         self.options = options
-        self._whiten = [[_whitener(hold) for hold in (e.rest, *e.holds)] for e in evidence]
+        # a marker has the same error in all holds: each counts by its fraction of their number
+        self._repeats = sum(1 + len(e.holds) for e in evidence)
+        self._whiten = [
+            [_whitener(hold, self._repeats) for hold in (e.rest, *e.holds)] for e in evidence
+        ]
+        self._lens_sd = max(e.height_fraction for e in evidence)
         self._common = self._common_modes()
         self._counts = len(names), len(self.pressed), self._common.shape[1]
         self._last: tuple[Array, list[tuple[Simulated, ...]]] = np.empty(0), []
@@ -275,9 +279,7 @@ class _Problem:
             (s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(scales, nominal, strict=True)
         ]
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * (self._counts[1] + self._counts[2])]).T
-        found = gauss_newton(
-            self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high, enough=_ENOUGH
-        )
+        found = gauss_newton(self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high)
         return self._result(found)
 
     def value(self, name: str, x: Array) -> float:
@@ -305,7 +307,7 @@ class _Problem:
         left = np.concatenate(found) - self._common @ x[n + self._counts[1] :]
         self.options.notify(
             f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
-            f"{np.sqrt(np.mean(left**2)):.2f} sd (rms)"
+            f"{np.sqrt(self._repeats * np.mean(left**2)):.2f} sd (rms)"
         )
         return np.concatenate([left, PRIOR * x[:n], x[n:]])
 
@@ -348,15 +350,15 @@ class _Problem:
         """Return the change of the residuals for one sd of each common marker error, (r, 1 +
         holds)."""
         holds = [
-            (e, hold, w)
+            (hold, w)
             for e, ws in zip(self.evidence, self._whiten, strict=True)
             for hold, w in zip((e.rest, *e.holds), ws, strict=True)
         ]
         blocks = []
-        for number, (e, hold, (rows, weights)) in enumerate(holds):
+        for number, (hold, (rows, weights)) in enumerate(holds):
             up = weights[:, :, 2]
             block = np.zeros((3 * len(rows) + hold.is_weighed, 1 + len(holds)))
-            block[: 3 * len(rows), 0] = (e.height_fraction * hold.p_SM[rows, 2, None] * up).ravel()
+            block[: 3 * len(rows), 0] = (self._lens_sd * hold.p_SM[rows, 2, None] * up).ravel()
             block[: 3 * len(rows), 1 + number] = (SHIFT_SD * up).ravel()
             blocks.append(block)
         return -np.concatenate(blocks)
@@ -380,10 +382,10 @@ class _Problem:
         slopes = [SCALES[name].slope(values[name]) for name in self.names] + [
             self.options.touch_sd
         ] * m
-        repeats = sum(1 + len(e.holds) for e in self.evidence)  # of the same error of each marker
-        cov = (
-            repeats * np.linalg.inv(found.information)[: n + m, : n + m] * np.outer(slopes, slopes)
-        )
+        misfit = self._misfit(found)
+        inverse = max(misfit, 1.0) ** 2 * np.linalg.inv(found.information)
+        cov = inverse[: n + m, : n + m] * np.outer(slopes, slopes)
+        lens = self._lens_sd * np.array([found.x[n + m], math.sqrt(inverse[n + m, n + m])])
         names = (*self.names, *(f"first touch of {self.evidence[i].name}" for i in self.pressed))
         return MembraneFit(
             values,
@@ -393,7 +395,15 @@ class _Problem:
             tuple(self._all(found.x)),
             self._rms(self._all(found.x)),
             tuple(self.offset(i, found.x) for i in range(len(self.evidence))),
+            misfit,
+            (float(lens[0]), float(lens[1])),
         )
+
+    def _misfit(self, found: Solution) -> float:
+        """Return the rms of the measurements' residuals, in sd."""
+        data = found.residuals[: len(self._common)]
+        unknowns = sum(self._counts) - self._common.shape[1]
+        return math.sqrt(self._repeats * float(data @ data) / max(len(data) - unknowns, 1))
 
 
 def is_fast(hold: Hold) -> bool:
@@ -408,8 +418,11 @@ def _is_loaded(evidence: Evidence) -> bool:
     return any(not math.isnan(move.depth) for move in evidence.stage.moves)
 
 
-def _whitener(hold: Hold) -> tuple[Array, Array]:
-    """Return the rows of the detected markers, and their whitening matrices (n, 3, 3)."""
+def _whitener(hold: Hold, repeats: int) -> tuple[Array, Array]:
+    """Return the rows of the detected markers, and their whitening matrices (n, 3, 3).
+
+    The error of a marker repeats in that many holds, which averaging does not reduce.
+    """
     rows = np.flatnonzero(np.isfinite(hold.p_SM).all(axis=1))
     noise = hold.cov[rows] + (FAST_FLOOR if is_fast(hold) else MARKER_FLOOR) ** 2 * np.eye(3)
-    return rows, np.linalg.inv(np.linalg.cholesky(noise))
+    return rows, np.linalg.inv(np.linalg.cholesky(repeats * noise))

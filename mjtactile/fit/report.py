@@ -38,7 +38,9 @@ def text_of(result: FitResult) -> str:
         "",
         f"modulus times thickness: {membrane.young * membrane.thickness:.4g} N/m, the scale of all "
         "forces",
-        f"marker residual: {1e6 * result.membrane.rms:.1f} um (rms)",
+        f"marker residual: {1e6 * result.membrane.rms:.1f} um (rms), "
+        f"{result.membrane.misfit:.1f} times its expected size (above 1: intervals are scaled)",
+        result.lens,
     ]
     if result.gas is not None:
         lines += [

@@ -18,6 +18,9 @@ from mjtactile.fit.measurements import Evidence
 from mjtactile.fit.membrane_fit import MembraneFit
 from mjtactile.fit.parameter_info import ABOUT, FittedParameter, classify, missing
 
+# a reported error of the lens: in sd, and its minimum as a fraction
+_LENS_SURE = 3.0
+_LENS_MIN = 0.005
 _UNKNOWN_FRACTION = 0.3  # relative uncertainty of an unmeasured thickness
 SI = {
     label: (section, attribute, number.unit)
@@ -58,6 +61,28 @@ class FitResult:
     picture: ImageNoiseFit
     held_out: tuple[HeldOut, ...]
     seconds: float
+
+    @property
+    def lens(self) -> str:
+        """Statement on the lens: the error of all heights that the recordings show."""
+        error, sd = self.membrane.heights
+        camera = self.design.camera
+        sure = abs(error) > max(_LENS_SURE * sd, _LENS_MIN)
+        found = f"{100 * error:+.1f} % (sd {100 * sd:.1f} %)"
+        if sure:
+            fx, fy = (f / (1 + error) for f in (camera.fx, camera.fy))
+            return (
+                f"the lens differs from the sensor file: all measured heights are off by {found}; "
+                f"the focal lengths are about {fx:.0f}, {fy:.0f} px in place of {camera.fx:g}, "
+                f"{camera.fy:g} px: measure them (`mjtactile calibrate camera`)"
+            )
+        if sd > _LENS_MIN:
+            return (
+                f"the flat membrane does not have the file's distance, by the lens or the mount; "
+                f"the recordings do not separate the two (heights {found}): measure the lens "
+                "(`mjtactile calibrate camera`)"
+            )
+        return f"the lens agrees with the indentations: error of all heights {found}"
 
     def number(self, field: str) -> FittedParameter:
         return next(number for number in self.numbers if number.field == field)
@@ -166,6 +191,12 @@ def to_table(result: FitResult) -> dict[str, Any]:
         ],
         "correlations": result.correlations,
         "markers_rms_um": 1e6 * result.membrane.rms,
+        "markers_misfit_sd": result.membrane.misfit,
+        "lens": {
+            "height_error": result.membrane.heights[0],
+            "sd": result.membrane.heights[1],
+            "text": result.lens,
+        },
         "first_touch_um": [1e6 * x for x in result.membrane.offsets],
         "pressure_rms_Pa": pressure_rms,
         "held_out": [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.gas import Sealed, fit_gas
+from mjtactile.fit.gas import SHARED, Sealed, _correlated_count, fit_gas
 
 DENSE = load_sensor("dense")
 AMBIENT = DENSE.chamber.ambient
@@ -93,3 +93,61 @@ def test_a_gas_that_does_nothing_says_nothing():
     )
     sd = dict(zip(found.names, np.sqrt(np.diag(found.cov)), strict=True))
     assert sd["extra_volume"] > 0.1 * DENSE.chamber_volume_flat and sd["polytropic_exponent"] > 0.2
+
+
+def slow_error(rng, count, sd, correlation):
+    """First-order autoregressive error."""
+    error = np.empty(count)
+    error[:15] = 0.0  # the model starts at the pressure measured here
+    for i in range(15, count):
+        own = rng.normal(0, sd * np.sqrt(1 - correlation**2))
+        error[i] = correlation * error[i - 1] + own
+    return error
+
+
+def test_correlated_residuals_count_by_their_autocorrelation():
+    """An autoregressive error of coefficient r has (1 + r) / (1 - r) correlated neighbors."""
+    rng = np.random.default_rng(1)
+    slow = slow_error(rng, 20000, 1.0, 0.9)
+    assert _correlated_count(slow) == pytest.approx(1.9 / 0.1, rel=0.25)
+    assert _correlated_count(rng.normal(size=3000)) == SHARED  # the minimum
+
+
+def test_intervals_cover_slow_pressure_errors():
+    """A slow error of 20 Pa moves the gas volume by more than independent errors of 20 Pa would.
+
+    Of 20 runs, 95 % are expected within two sd; 15 are fewer with a probability below 0.1 %.
+    """
+    flat = 30e-6
+    time = np.arange(300) / 30
+    volume = 1.4e-6 - 0.4e-6 * (np.sin(time - 1) > 0)
+    pressure = (1000.0 + AMBIENT) * (flat + volume[0]) / (flat + volume) - AMBIENT
+    inside = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        seen = pressure + slow_error(rng, 300, 20.0, 0.9) + rng.normal(0, NOISE, 300)
+        run = Sealed("run", time, seen, volume)
+        found = fit_gas(DENSE, [run], known=HEAT | {"leak_conductance": 0.0})
+        off = DENSE.chamber_volume_flat + found.values["extra_volume"] - flat
+        inside += abs(off) < 2 * np.sqrt(found.cov[0, 0])
+    assert inside >= 15
+
+
+def test_a_common_error_of_two_runs_does_not_average_out():
+    """A displaced volume that is 2 % too large in all runs makes the gas volume 2 % too large.
+
+    The mode states that error as one for both runs, so that its sd stays 2 %. With an error for
+    each run it would be 1.4 %.
+    """
+    flat = 30e-6
+    time = np.arange(300) / 30
+    volume = 1.4e-6 - 0.4e-6 * (np.sin(time - 1) > 0)
+    pressure = (1000.0 + AMBIENT) * (flat + volume[0]) / (flat + volume) - AMBIENT
+    runs = [run_of(time, pressure, volume) for _ in range(2)]
+    change = 0.02 * (pressure - 1000.0)
+    none = np.zeros(300)
+    fixed = HEAT | {"leak_conductance": 0.0}
+    common = fit_gas(DENSE, runs, known=fixed, modes=[[change, change]])
+    separate = fit_gas(DENSE, runs, known=fixed, modes=[[change, none], [none, change]])
+    assert np.sqrt(common.cov[0, 0]) / flat == pytest.approx(0.02, rel=0.2)
+    assert np.sqrt(separate.cov[0, 0] / common.cov[0, 0]) == pytest.approx(0.71, rel=0.1)

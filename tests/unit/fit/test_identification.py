@@ -1,14 +1,18 @@
 """Tests of parameters held at the file's value, and of the joint covariance of thickness and
 modulus."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.fit.identification import _HELD_FIRST, _first_undetermined, _with_fixed_values
+from mjtactile.fit.measurements import LENS_FRACTION, _height_fraction
 from mjtactile.fit.membrane_fit import MembraneFit
-from mjtactile.fit.result import covariance_of
+from mjtactile.fit.result import FitResult, covariance_of
+from mjtactile.sensing.pose.flat_reference import FlatReference
 
 DENSE = load_sensor("dense")
 VALUES = {"young": 1e6, "pre_stretch": 1.05}
@@ -40,6 +44,34 @@ def test_thickness_and_modulus_are_one_number():
     assert rho == pytest.approx(-0.3 / np.hypot(0.3, 0.01))
     names, cov = covariance_of(membrane_of(np.diag([1e4**2, 1e-3**2])), None, known_thickness=True)
     assert len(names) == 2 and cov[0, 0] == 1e8
+
+
+@pytest.mark.parametrize(
+    ("heights", "words"),
+    [
+        ((-0.02, 0.003), "about 612, 612 px in place of 600, 600 px"),
+        ((-0.004, 0.0005), "the lens agrees"),  # below half a percent
+        ((-0.02, 0.015), "lens or the mount"),  # not separable
+        ((0.001, 0.002), "the lens agrees"),
+    ],
+)
+def test_a_lens_that_differs_is_reported(heights, words):
+    """Heights that are 2 % too small: the focal length is 2 % larger than the file's."""
+    membrane = replace(membrane_of(np.eye(2)), heights=heights)
+    result = FitResult(DENSE, "", (), (), (), membrane, None, None, (), 1.0)
+    assert words in result.lens
+
+
+def test_a_membrane_at_another_distance_leaves_the_lens_open():
+    """The sd of all heights is at least the relative error of the apparent distance."""
+
+    def flat(farther):
+        count = DENSE.markers.count
+        p_SC = DENSE.camera.p_SC + [0.0, 0.0, farther]
+        return FlatReference(np.eye(3), p_SC, np.ones(count), 0.0, 0.0)
+
+    assert _height_fraction(DENSE, flat(0.0)) == LENS_FRACTION
+    assert _height_fraction(DENSE, flat(0.9e-3)) == pytest.approx(0.02, rel=0.05)
 
 
 def test_known_values_are_taken_in_the_file_s_unit():

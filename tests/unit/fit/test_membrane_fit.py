@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.gauss_newton import differences, gauss_newton
+from mjtactile.fit.gauss_newton import gauss_newton
 from mjtactile.fit.measurements import Evidence, Hold, Series
 from mjtactile.fit.membrane_fit import FitOptions, fit_membrane, simulate
 from mjtactile.recording.stage_protocol import Move, Stage
@@ -63,6 +63,59 @@ def test_one_pressure_does_not(true):
     assert sd[0] > 0.05e6
 
 
+def loaded(true, scale, height_fraction=0.02, jitter=0.0):
+    """Indentations to 1-3 mm at 1 kPa, with all measured heights `scale` times the true ones."""
+    stage = Stage("sphere:8", (0.0, 0.0), tuple(Move(t, 1e-3 * t) for t in (1.0, 2.0, 3.0)))
+    count = true.markers.count
+    nothing = (np.zeros((count, 3)), np.zeros((count, 3, 3)))
+    holds = tuple(Hold(*nothing, 1000.0, move) for move in stage.moves)
+    made = Evidence("made", stage, Hold(*nothing, 1000.0, None), holds, NOTHING, ())
+    rng = np.random.default_rng(3)
+    seen = []
+    for found in simulate(true, made, mesh=MESH):
+        p = found.p_SM * [1.0, 1.0, scale] + rng.normal(0, 3e-6 + jitter, (count, 3))
+        seen.append((p, np.broadcast_to(9e-12 * np.eye(3), (count, 3, 3))))
+    rest, *others = seen
+    return Evidence(
+        "made",
+        stage,
+        Hold(*rest, 1000.0, None),
+        tuple(Hold(*one, 1000.0, move) for one, move in zip(others, stage.moves, strict=True)),
+        NOTHING,
+        (),
+        height_fraction,
+    )
+
+
+def test_a_wrong_lens_is_found_by_the_indentations(true):
+    """A focal length 2 % too small in the file makes all heights 2 % too small; the stage's depths
+    are right. The modulus stays within its interval."""
+    others = [
+        replace(e, rest=replace(e.rest, p_SM=e.rest.p_SM * [1, 1, 0.98]), height_fraction=0.02)
+        for e in (evidence_of(true, p) for p in (500.0, 3000.0))
+    ]
+    options = FitOptions(mesh=MESH)
+    found = fit_membrane(DESIGN, [*others, loaded(true, 0.98)], known={}, options=options)
+    error, sd = found.heights
+    assert error == pytest.approx(-0.02, abs=3 * sd) and sd < 0.006
+    assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
+    off = np.array([found.values["young"] - 1.2e6, found.values["pre_stretch"] - 1.04])
+    assert off @ np.linalg.solve(found.cov[:2, :2], off) < 9.2  # 99 % of two numbers
+
+
+def test_a_misfit_widens_the_intervals(true):
+    """Marker errors of 50 um where 8 um are expected: sd of the parameters grow as the misfit."""
+    options = FitOptions(mesh=MESH)
+    known = {"pre_stretch": 1.04}
+    good, bad = (
+        fit_membrane(DESIGN, [loaded(true, 1.0, 0.003, jitter)], known=known, options=options)
+        for jitter in (0.0, 5e-5)
+    )
+    assert good.misfit < 1.0 < 4.0 < bad.misfit
+    ratio = np.sqrt(bad.cov[0, 0] / good.cov[0, 0])
+    assert ratio == pytest.approx(bad.misfit, rel=0.3)
+
+
 def test_a_weight_goes_as_deep_as_it_takes(true):
     """A weight F goes as deep as an indenter that needs the force F at 2.7 mm.
 
@@ -98,8 +151,6 @@ def test_gauss_newton_is_least_squares_for_a_linear_model():
         return A @ x - b
 
     free = np.full(3, math.inf)
-    found = gauss_newton(
-        residuals, differences(residuals, np.full(3, 1e-3)), np.zeros(3), low=-free, high=free
-    )
+    found = gauss_newton(residuals, lambda x, now: A, np.zeros(3), low=-free, high=free)
     assert found.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], abs=1e-7)
     assert found.information == pytest.approx(A.T @ A, abs=1e-7)
