@@ -68,6 +68,12 @@ _KINDS = {
     int(_G.mjGEOM_BOX): ("box", 3),
 }
 
+# half-extents, m, of the block below a plane's origin that stands for the plane
+_PLANE_HALF = np.array([5.0, 5.0, 0.5])
+_PLANE_CORNERS = np.array(
+    [(x, y, z) for x in (-5.0, 5.0) for y in (-5.0, 5.0) for z in (-1.0, 0.0)], np.float32
+)
+
 
 class ContactGeoms:
     """Geoms that a quasi-static membrane can touch, as rows of obstacles in its sensor's frame.
@@ -79,16 +85,21 @@ class ContactGeoms:
     m^2, then center and half-extents, m, of its bounding box.
     """
 
-    def __init__(self, model: mujoco.MjModel, body: int, reach: float):
-        """Collect the movable geoms within `reach` m of the sensor's `body`, without its own links.
+    def __init__(
+        self, model: mujoco.MjModel, body: int, reach: float, *, fixed_to_world: bool = False
+    ):
+        """Collect the geoms that may come within `reach` m of the sensor's `body`, without its own
+        links, and without those fixed to the world if `fixed_to_world` is False.
 
-        Raises InputError for soft objects and height fields.
+        Raises InputError for movable soft objects and height fields. Those fixed to the world do
+        not touch the membrane.
         """
-        estimated = np.intersect1d(
-            feature_size.touching_geoms(model, body), feature_size.touching_geoms(model)
-        )
-        estimated = estimated[~np.isin(model.geom_bodyid[estimated], own_links(model, body))]
-        self.ids: NDArray[np.int64] = estimated.astype(np.int64)
+        movable = feature_size.touching_geoms(model)
+        touching = feature_size.touching_geoms(model, body)
+        supported = np.isin(model.geom_type[touching], [*_KINDS, _G.mjGEOM_MESH, _G.mjGEOM_PLANE])
+        touching = touching[np.isin(touching, movable) | (supported & fixed_to_world)]
+        touching = touching[~np.isin(model.geom_bodyid[touching], own_links(model, body))]
+        self.ids: NDArray[np.int64] = touching.astype(np.int64)
         made = [_body_of(model, int(geom)) for geom in self.ids]
         filled, self.pool = obstacles.rows_and_pool(made, (0, 0)) if made else (empty_rows(0), None)
         self.rows = np.ascontiguousarray(filled)
@@ -96,8 +107,12 @@ class ContactGeoms:
         bodies, slots = np.unique(carriers, return_inverse=True)
         self.bodies: NDArray[np.int64] = bodies.astype(np.int64)
         self.slots: NDArray[np.int64] = slots.astype(np.int64)
-        near = (reach + model.geom_rbound[self.ids]) ** 2
-        self.bounds = np.column_stack([near, model.geom_aabb[self.ids]])
+        size = model.geom_rbound[self.ids].copy()
+        boxes = model.geom_aabb[self.ids].copy()
+        planes = model.geom_type[self.ids] == _G.mjGEOM_PLANE
+        size[planes] = np.linalg.norm(_PLANE_HALF)
+        boxes[planes] = [0.0, 0.0, -_PLANE_HALF[2], *_PLANE_HALF]
+        self.bounds = np.column_stack([(reach + size) ** 2, boxes])
         _refuse_soft(model)
 
 
@@ -126,6 +141,8 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
     if kind in _KINDS:
         name, count = _KINDS[kind]
         return obstacle(name, model.geom_size[geom, :count])
+    if kind == _G.mjGEOM_PLANE:
+        return obstacle("mesh", data=_PLANE_CORNERS)
     if kind == _G.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first = int(model.mesh_vertadr[mesh])
