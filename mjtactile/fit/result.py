@@ -76,13 +76,15 @@ class FitResult:
                 f"the focal lengths are about {fx:.0f}, {fy:.0f} px in place of {camera.fx:g}, "
                 f"{camera.fy:g} px: measure them (`mjtactile calibrate camera`)"
             )
-        if sd > _LENS_MIN:
-            return (
-                f"the flat membrane does not have the file's distance, by the lens or the mount; "
-                f"the recordings do not separate the two (heights {found}): measure the lens "
-                "(`mjtactile calibrate camera`)"
-            )
-        return f"the lens agrees with the indentations: error of all heights {found}"
+        if sd <= _LENS_MIN:
+            return f"the lens agrees with the indentations: error of all heights {found}"
+        distance = ""
+        if max((e.height_fraction for e in self.evidence), default=0.0) > _LENS_MIN:
+            distance = "the flat membrane does not have the file's distance, by lens or mount; "
+        return (
+            f"{distance}the recordings do not determine the lens (error of all heights {found}): "
+            "measure it (`mjtactile calibrate camera`)"
+        )
 
     def number(self, field: str) -> FittedParameter:
         return next(number for number in self.numbers if number.field == field)
