@@ -23,6 +23,7 @@ _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter
 _DEPTH = 0.004
 _DEPTH_FRACTION = 0.25
 _STEPS = 4  # of an indentation
+_RESERVE = 0.99  # of an interpolated depth: the steps of an indentation change the contact a little
 _PARTS = 101  # of the way from a position to the center
 _DEEPEST_FRACTION = 0.9  # of the chamber's depth, for the indentations of a protocol
 _REACH = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
@@ -177,14 +178,17 @@ def _indented(world: PressWorld, depth: float, name: str) -> MembraneState:
     for step in depth * np.arange(1, _STEPS + 1) / _STEPS:
         world.press(float(step))
         stretch = world.sensors[0].stretch_and_area()[0]
-        if stretch > STRETCHED:  # a stretch is convex in the depth: the chord is on the safe side
+        if stretch > STRETCHED:
             part = max(STRETCHED - stretch_before, 0.0) / (stretch - stretch_before)
             why = (
                 f"stretches the membrane to {stretch:.3g} of its free length or more ({name}), "
                 f"beyond {STRETCHED:g}, up to which the simulated material law holds"
             )
             Limit(
-                "--press-mm", 1e3 * depth, why, high=1e3 * (before + part * (step - before))
+                "--press-mm",
+                1e3 * depth,
+                why,
+                high=1e3 * (_RESERVE * (before + part * (step - before))),
             ).check("")
         before = float(step)
         stretch_before = stretch
