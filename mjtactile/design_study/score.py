@@ -87,7 +87,7 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     places = [half * fraction for fraction in _PLACES]
     resolutions = [reacher.at(place, force) for place in places]
     zero = stand.pipeline.settings.zero
-    seen = zero.touch_sd * stand.level_noise()
+    seen = max(zero.touch_sd * stand.level_noise(), stand.reference.min_force)
     return Score(
         touch=max(zero.touch_min, seen),
         seen=seen,

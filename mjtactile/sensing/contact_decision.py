@@ -139,6 +139,7 @@ class ContactDecision:
             )
             lost = slip.unknown(status.code, "a face rests on the frame")
             return replace(touch, slip=lost, status=status), state
+        known = sd if found.touching else max(sd, self._min_force(state))
         gap = self._unbalanced(estimate, traction)
         if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:
             status = Status(
@@ -161,13 +162,22 @@ class ContactDecision:
         estimated = replace(
             touch,
             force_normal=found.force,
-            force_normal_sd=sd,
+            force_normal_sd=known,
             touching=found.touching,
             contact=together(patches, (len(traction.y), len(traction.x))),
             patches=patches,
             slip=slip_state,
         )
         return estimated, state
+
+    @staticmethod
+    def _min_force(state: PipelineState) -> float:
+        """Return the minimum detectable force of this sensor, N.
+
+        A membrane that is too stiff for its camera hardly moves: the prior of the tractions, not
+        the image, then bounds the estimated force and its standard deviation.
+        """
+        return 0.0 if state.reference is None else state.reference.min_force
 
     def _with_zero_followed(
         self, state: PipelineState, estimate: Estimate, elapsed: float

@@ -12,9 +12,11 @@ with its newest state, for purely sequential use.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -41,6 +43,7 @@ from mjtactile.sensing.apply_contact_shape import (
 from mjtactile.sensing.contact_decision import ContactDecision
 from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
 from mjtactile.sensing.contact_shape.start_files import load_start
+from mjtactile.sensing.force.contact_detection import min_force
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.rest_equilibrium import InverseRest, require_bulge
 from mjtactile.sensing.force.stress_relaxation import RelaxationState
@@ -51,6 +54,10 @@ from mjtactile.sensing.pose.flat_reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.surface.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
+
+REQUIRED_FORCE = 0.1
+"""Force, N, that a sensor should detect; a warning names a sensor that does not."""
+_logger = logging.getLogger(__name__)
 
 
 @validated()
@@ -235,9 +242,14 @@ class SensingPipeline:
             lens_measured=self._measured.lens is not None,
             settings=self.settings,
         )
+        detectable = self.inverse.detectable_force(rest, markers)
+        min_force_found = min_force(detectable, self.settings.zero)
+        if min_force_found > REQUIRED_FORCE:
+            _warn_of_insensitivity(self.design.name, round(min_force_found, 2))
+        surface = self.fitter.fit(markers)
         return replace(
             state,
-            reference=Reference(rest, self.fitter.fit(markers), rest, markers.fiducials),
+            reference=Reference(rest, surface, rest, markers.fiducials, min_force_found),
             expected=self.inverse.positions(rest.c),
             gas=None,
             displaced=0,
@@ -438,3 +450,14 @@ class SensingPipeline:
         return self._contact_decision.evaluate(
             replace(unknown, traction=traction), traction, estimate, air_moved
         )
+
+
+@cache
+def _warn_of_insensitivity(sensor: str, force: float) -> None:
+    """Log once a process that a sensor is too stiff for its camera; `force` is in N."""
+    _logger.warning(
+        "the sensor %r detects contacts only from %.2f N on: its membrane is too stiff for its "
+        "camera; use a softer or thinner membrane, or a camera that is closer",
+        sensor,
+        force,
+    )

@@ -27,12 +27,14 @@ DISPLACED_IMAGES = 3  # images in a row: a single torn image is not a displaceme
 class Reference:
     """Reference of the sensor at rest. `rest` is its statics and `surface` its surface. `first` is
     the statics as first measured, before tracking of temperature and leaks. `fiducials` are their
-    detected positions (None: no fiducials)."""
+    detected positions (None: no fiducials). `min_force` is the minimum detectable normal force,
+    N."""
 
     rest: InverseRest
     surface: Surface
     first: InverseRest
     fiducials: FiducialDetections | None = None
+    min_force: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,18 @@ def threshold(noise: float, s: ContactDetectionSettings = DEFAULTS.zero) -> floa
     return max(s.touch_min, s.touch_sd * noise)
 
 
+def min_force(sd: float, s: ContactDetectionSettings = DEFAULTS.zero) -> float:
+    """Return the minimum normal force, N, that the mean of the last images detects, if the markers
+    of one image show it with the standard deviation `sd`, N."""
+    return s.touch_sd * _level_fraction(s) * sd
+
+
+def _level_fraction(s: ContactDetectionSettings) -> float:
+    """Return the standard deviation of the mean force of the last images, relative to that of one
+    image."""
+    return float(np.sqrt(s.blend / (2 - s.blend)))
+
+
 def detect_touch(
     time: float,
     traction: Traction,
@@ -56,7 +68,7 @@ def detect_touch(
         np.clip(level, force - s.jump_sd * before.noise, force + s.jump_sd * before.noise)
     )
     release = s.release if before.touching else 1.0
-    level_noise = float(np.sqrt(s.blend / (2 - s.blend))) * before.noise
+    level_noise = _level_fraction(s) * before.noise
     if force > threshold(before.noise, s) * release or level > threshold(level_noise, s) * release:
         return Detection(time, True, time, before.noise, before.images, force, level)
     images = min(before.images + 1, s.memory_images)

@@ -371,6 +371,26 @@ class InverseMembrane(LoadedMembrane):
         force = shape.traction * self.node_area
         return self._model_error.of_sharpness(force, float(shape.excess[0].mean()))
 
+    def detectable_force(self, rest: InverseRest, markers: Markers) -> float:
+        """Return the normal force at the center of the face that moves the markers by one standard
+        deviation, N.
+
+        It is a property of membrane and camera. The prior of the tractions, which bounds the
+        posterior standard deviation of a stiff sensor, is not used.
+        """
+        state = self.state(rest.c, rest)
+        _, stiffness = self.membrane.linearise(state, rest.gas)
+        along_x, along_y = self.node_loads()
+        x, y = (len(axis) // 2 - 1 for axis in (self.x, self.y))
+        area = self.node_area.reshape(len(self.x) - 2, len(self.y) - 2)[x, y]
+        load = np.zeros_like(rest.c)
+        load[2] = -np.outer(along_x[:, x], along_y[:, y]).ravel() / area
+        moved = self.positions(stiffness.solve(load)) - self.positions(np.zeros_like(rest.c))
+        noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
+        seen = moved[markers.ids]
+        information = (seen * np.linalg.solve(noise, seen[..., None])[..., 0]).sum()
+        return float(1 / np.sqrt(max(information, 1e-12)))
+
     def _posterior(self, shape: Shape, positions: Array) -> Array:
         """Return the posterior covariance (6, 6) of the wrench, for nodes at `positions` (J, 3),
         m."""

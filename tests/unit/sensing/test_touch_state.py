@@ -9,10 +9,11 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers, Traction
+from mjtactile.design_study.virtual_bench import VirtualBench
 from mjtactile.sensing.force import contact_detection
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.spline_fem import Gas
-from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.pipeline import SensingPipeline, _warn_of_insensitivity
 from mjtactile.sensing.settings import DEFAULTS
 
 SUPPLY = 1000.0
@@ -288,3 +289,50 @@ def parabola(estimator, force, place, radius=5e-3):
     flat sheet."""
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     return np.outer(force, weight / (weight @ estimator.node_area))
+
+
+# -- sensors that cannot measure
+# --------------------------------------------------------------------------------
+
+
+def stiff(young, name="dense"):
+    """A legal sensor whose membrane has another modulus, MPa."""
+    design = load_sensor(name)
+    return replace(design, membrane=replace(design.membrane, young=1e6 * young))
+
+
+def test_the_detectable_force_is_that_of_the_membrane_and_the_camera(sensor):
+    """A force at the center that moves the markers by one standard deviation, from the inverse
+    model itself: its markers differ from those at rest by chi-square 1. It grows with the noise."""
+    estimator, rest = sensor
+    markers = seen(estimator, rest.c)
+    force = estimator.detectable_force(rest, markers)
+    c, _ = pressed(estimator, rest, (0.0, 0.0, -10 * force), radius=3e-3)
+    moved = estimator.positions(c) - estimator.positions(rest.c)
+    floor = estimator.settings.marker_floor
+    chi2 = float((moved**2 / (NOISE**2 + floor**2)).sum())
+    # a patch, on a membrane that is not linear, instead of one node
+    assert np.sqrt(chi2) == pytest.approx(10, rel=0.25)
+    noisy = replace(markers, cov_p=1e4 * markers.cov_p)
+    assert estimator.detectable_force(rest, noisy) > 30 * force
+
+
+@pytest.mark.parametrize("name", ["dense", "paper16"])
+def test_a_soft_sensor_keeps_its_own_uncertainty(name):
+    bench = VirtualBench(stiff(1.0, name))
+    touch = bench.estimate_touch(bench.film.rest).touch
+    assert bench.reference.min_force < 0.01
+    assert touch.force_normal_sd == np.sqrt(touch.traction.wrench_cov[2, 2])
+
+
+@pytest.mark.parametrize(("young", "least"), [(50, (0.04, 0.09)), (1000, (0.8, 1.5))])
+def test_no_contact_of_a_stiff_sensor_is_as_uncertain_as_its_min_force(young, least, caplog):
+    """The markers of a stiff membrane hardly move: its posterior standard deviation of 10 mN is
+    that of the prior. A sensor that cannot detect 0.1 N is named when its reference is taken."""
+    _warn_of_insensitivity.cache_clear()
+    bench = VirtualBench(stiff(young))
+    touch = bench.estimate_touch(bench.film.rest).touch
+    assert (touch.status, touch.touching) == ("ok", False)
+    assert least[0] < bench.reference.min_force < least[1]
+    assert touch.force_normal_sd == bench.reference.min_force
+    assert ("detects contacts only from" in caplog.text) == (bench.reference.min_force > 0.1)
