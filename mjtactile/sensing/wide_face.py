@@ -17,7 +17,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import PressureReading
 from mjtactile.sensing.estimate import Estimate, ImageContext
-from mjtactile.sensing.force.camera_drift_model import MODES
+from mjtactile.sensing.force.camera_drift_model import MODES, CameraDriftFilter
 from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import PlaneContact, Shape
 from mjtactile.sensing.pipeline_state import DISPLACED_IMAGES, PipelineState
@@ -54,7 +54,7 @@ class WideFaceTest:
             compact contact.
         """
         s = self._settings
-        start = self._start(state, found)
+        start = self._start(state, found) or self._steady_start(state, found, fit)
         if start is None:
             return None
         if self._inverse.planes.lowest(start.plane) < -self._settings.face_sunk:
@@ -113,6 +113,16 @@ class WideFaceTest:
         if state.face is not None:
             return replace(state.face, plane=plane)
         return PlaneContact(plane, shape.c, np.zeros_like(shape.c), shape.traction)
+
+    def _steady_start(
+        self, state: PipelineState, found: Estimate, fit: Callable[..., Estimate]
+    ) -> PlaneContact | None:
+        """Return the plane from which the fit starts if a camera change in `found` absorbs the load
+        of a face. The tractions then follow from an unchanged camera."""
+        if state.camera is not None or not has_changed(found.shape, self._settings):
+            return None
+        steady = CameraDriftFilter.unseen(self._settings, steady=True)
+        return self._start(state, fit(state, camera=steady))
 
     def _gained_gas(
         self, state: PipelineState, found: Estimate, reading: PressureReading | None

@@ -46,6 +46,16 @@ def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):
         assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
 
 
+# In one step a plate moves the markers so far that a camera change explains them better than compact
+# tractions do. Without a start from an unchanged camera, the force was 38 to 87 % too low, "ok".
+# The 8 % are the reported standard deviation with 16 markers and without a pressure sensor.
+def test_a_sudden_plate_is_no_camera_change():
+    for force, touch in presses("paper16", (1e-3, 1.5e-3, 2.0e-3), gauge=False):
+        assert touch.status == "ok"
+        assert touch.force_normal == pytest.approx(force, rel=0.08)
+        assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "at", "tilt"), [(0.035, (-2e-3, 1.5e-3), 0.5), (0.045, (0.0, 2e-3), 1.0)]
