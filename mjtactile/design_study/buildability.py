@@ -21,7 +21,7 @@ from mjtactile.fabrication.marker_positions import (
     indenter_radius,
     press_depth,
     simulate,
-    simulate_fit_protocol,
+    simulate_largest_loads,
 )
 from mjtactile.fabrication.pressure_loads import PressureLoads
 from mjtactile.fabrication.purchased_parts import Hardware
@@ -64,7 +64,7 @@ def check_by_simulation(design: SensorDesign) -> None:
     check_parts(design)
     states = simulate(design, HARDWARE, design.name, lambda _: None)
     plan_camera(design, HARDWARE, states, design.name)
-    highest = PressureLoads.of(design, states, simulate_fit_protocol(design)).highest
+    highest = PressureLoads.of(design, states, simulate_largest_loads(design)).highest
     glass_limit(design, highest.gauge_pressure, highest.name).check(design.name)
 
 

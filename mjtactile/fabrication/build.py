@@ -23,7 +23,7 @@ from mjtactile.fabrication.marker_positions import (
     MembraneState,
     press_depth,
     simulate,
-    simulate_fit_protocol,
+    simulate_largest_loads,
 )
 from mjtactile.fabrication.parts import PEG, RUBBER, make_parts, pegs
 from mjtactile.fabrication.pressure_loads import PressureLoads
@@ -51,7 +51,7 @@ def build(
     text: str,
     notify: Callable[[str], None] = lambda _: None,
     states_of: Callable[..., list[MembraneState]] = simulate,
-    fit_states_of: Callable[..., list[MembraneState]] = simulate_fit_protocol,
+    load_states_of: Callable[..., list[MembraneState]] = simulate_largest_loads,
 ) -> Build:
     """Make the files for `design`, read from `source` with `text`. Raises InputError."""
     mesh.require_libraries()
@@ -61,7 +61,7 @@ def build(
     _check_parts(parts, solids)
     states = states_of(design, hardware, source, notify)
     optics = plan_camera(design, hardware, states, source)
-    loads = PressureLoads.of(design, states, fit_states_of(design, notify))
+    loads = PressureLoads.of(design, states, load_states_of(design, notify))
     glass_limit(design, loads.highest.gauge_pressure, loads.highest.name).check(source)
     notify("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)

@@ -23,6 +23,9 @@ _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter
 _DEPTH = 0.004
 _DEPTH_FRACTION = 0.25
 _STEPS = 4  # of an indentation
+SERVO_FORCE = 2.5
+"""Largest force of the servo in the bill, N."""
+_FORCE_STEP = 5e-4  # of the depth, on the way to this force, m
 _RESERVE = 0.99  # of an interpolated depth: the steps of an indentation change the contact a little
 _PARTS = 101  # of the way from a position to the center
 _DEEPEST_FRACTION = 0.9  # of the chamber's depth, for the indentations of a protocol
@@ -128,18 +131,19 @@ def simulate(
     return states
 
 
-def simulate_fit_protocol(
+def simulate_largest_loads(
     design: SensorDesign, notify: Callable[[str], None] = lambda _: None
 ) -> list[MembraneState]:
-    """Simulate the loads of the protocols that `mjtactile fit` requires, with the valve closed.
+    """Simulate the largest loads with the valve closed: those of the protocols that `mjtactile fit`
+    requires, and the largest force of the servo in the bill.
 
     Args:
         design: The sensor.
         notify: Called with progress messages.
 
     Returns:
-        The states at the largest depth of each protocol. A load that the membrane does not carry is
-        left out.
+        The states at the largest depth of each protocol, and the one at the largest force or at the
+        largest depth before the glass. A load that the membrane does not carry is left out.
     """
     side = min(design.frame.length, design.frame.width)
     supply = design.chamber.supply_gauge
@@ -159,6 +163,25 @@ def simulate_fit_protocol(
             states.append(_state(world, what))
         except SimulationError:
             continue
+    return [*states, *_largest_force(design)]
+
+
+def _largest_force(design: SensorDesign) -> list[MembraneState]:
+    """Return the state at the largest force of the servo, or at the largest depth."""
+    world = PressWorld(design, Indenter("sphere", indenter_radius(design)))
+    states: list[MembraneState] = []
+    try:
+        world.inflate(design.chamber.supply_gauge, seal=True)
+        deepest = _DEEPEST_FRACTION * design.chamber.depth
+        for depth in np.arange(_FORCE_STEP, deepest, _FORCE_STEP).tolist():
+            world.press(depth)
+            force = -float(world.drive_force[2])
+            name = f"indented by {1e3 * depth:.2g} mm at the middle with {force:.2g} N"
+            states = [_state(world, name)]
+            if force >= SERVO_FORCE:
+                break
+    except SimulationError:
+        pass
     return states
 
 

@@ -31,12 +31,12 @@ class PressureLoads:
         cls,
         design: SensorDesign,
         states: Sequence[MembraneState],
-        fit_states: Sequence[MembraneState],
+        load_states: Sequence[MembraneState],
     ) -> PressureLoads:
         """Find the highest pressures of all states."""
         supply = design.chamber.supply_gauge
-        pump = max(supply, *FIT_PRESSURES) if fit_states and supply >= 0 else supply
-        highest = max((*states, *fit_states), key=lambda state: state.gauge_pressure)
+        pump = max(supply, *FIT_PRESSURES) if load_states and supply >= 0 else supply
+        highest = max((*states, *load_states), key=lambda state: state.gauge_pressure)
         return cls(highest, pump)
 
     @property

@@ -22,7 +22,7 @@ def flat(design, *_):
 @pytest.fixture
 def quick(monkeypatch):
     monkeypatch.setattr(
-        room, "build", functools.partial(room.build, states_of=flat, fit_states_of=flat)
+        room, "build", functools.partial(room.build, states_of=flat, load_states_of=flat)
     )
     monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one picture of parts
 
