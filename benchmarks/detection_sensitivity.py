@@ -71,14 +71,14 @@ def torn(force: float) -> RecordedPress:
     return RecordedPress(design, flat, rest, gauge, images)
 
 
-def pictures(
+def shots(
     presses: Sequence[RecordedPress], bent: RecordedPress
 ) -> list[tuple[Image, RecordedPress]]:
     """Those of `bench setting-sensitivity`, and more of `bent`: processed, and small."""
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
     more += [_small(one) for one in (flat, pressed, _processed(pressed))]
-    return [*setting_sensitivity.pictures(presses), *((Image(one), bent) for one in more)]
+    return [*setting_sensitivity.shots(presses), *((Image(one), bent) for one in more)]
 
 
 def _processed(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -130,7 +130,9 @@ def change(
         circles += len(old.sure) + len(new.sure) - 2 * len(pairs)
         circles += sum(one != other for one, other in status)
         poses += sum(abs(old.sure[i] - new.sure[j]) > _SIMILAR_CERTAINTY for i, j in pairs)
-        good = [pair for pair, said in zip(pairs, status, strict=True) if said == ("ok", "ok")]
+        good = [
+            pair for pair, reported in zip(pairs, status, strict=True) if reported == ("ok", "ok")
+        ]
         off += [float(new.poses.p_CM[j, 2] - old.poses.p_CM[i, 2]) for i, j in good]
         ratios = [new.poses.cov_p[j, 2, 2] / old.poses.cov_p[i, 2, 2] for i, j in good]
         bars.append(float(np.sqrt(np.median(ratios))) if ratios else 1.0)
@@ -156,7 +158,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     del out
     todo = setting_sensitivity.variants(SEEN)
     presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
-    images = pictures(presses, presses[0])
+    images = shots(presses, presses[0])
     presses += [torn(force) for force in TORN_FORCES]
     estimated, seen = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
     rows = []
@@ -180,7 +182,7 @@ def table(result: Mapping[str, Any]) -> str:
     for half, twice in zip(rows[::2], rows[1::2], strict=True):
         cells = [
             _both(half, twice, "force_N", 1e3, ".1f"),
-            _both(half, twice, "said", 1, ".0f"),
+            _both(half, twice, "reported", 1, ".0f"),
             _both(half, twice, "circles", 1, ".0f"),
             _both(half, twice, "poses", 1, ".0f"),
             _both(half, twice, "depth_m", 1e6, ".0f"),

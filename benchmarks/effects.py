@@ -57,7 +57,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
         for row in EFFECTS
         if row.built
         and not row.fixed
-        and row.name not in (Effect.LATENCY, Effect.IMAGES, Effect.SHEET)
+        and row.name not in (Effect.LATENCY, Effect.IMAGES, Effect.MESH)
     ]
     names = [Effect.BENDING, Effect.GAS] if quick else switched
     effects = {}
@@ -121,11 +121,11 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
     for depth in (2.5e-3, 5e-3, 7.5e-3):
         world.press(depth)
         poses.append(world.marker_poses(0))
-    (dear, *drawn), (cheap, *plain) = (
+    (dear, *sampled), (cheap, *plain) = (
         _estimated(design, poses, shadows) for shadows in (True, False)
     )
     force, moved = (
-        np.array(one) - np.array(other) for one, other in zip(drawn, plain, strict=True)
+        np.array(one) - np.array(other) for one, other in zip(sampled, plain, strict=True)
     )
     rms = np.sqrt(np.nanmean((moved**2).sum(axis=2), axis=1))
     return {
@@ -245,7 +245,7 @@ def _nothing_left(design: SensorDesign) -> dict[str, Any]:
         )
         / _BLOCK
     )
-    off = GraspWorld(design, "egg", effects=frozenset({Effect.SHEET}))
+    off = GraspWorld(design, "egg", effects=frozenset({Effect.MESH}))
     return {
         "mujoco_us": 1e3 * float(np.min(pairs[:, 0])),
         "world_us": 1e3 * float(np.min(pairs[:, 1])),

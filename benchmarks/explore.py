@@ -88,9 +88,9 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
         )
     except MjtactileError as error:
         return names | {"failed": " ".join(str(error).split())}
-    said = found.summary()
+    reported = found.summary()
     kept = {
-        name: said[name]
+        name: reported[name]
         for name in (
             "touches",
             "patches",

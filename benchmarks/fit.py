@@ -101,16 +101,16 @@ def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
     def off(value: float) -> float:
         return value * (1 + float(rng.uniform(-DIFFERS, DIFFERS)))
 
-    sheet = nominal.membrane
+    rubber = nominal.membrane
     chamber = nominal.chamber
     camera = nominal.camera
     leds = nominal.leds
-    sheet = replace(
-        sheet,
-        young=off(sheet.young),
-        thickness=off(sheet.thickness),
-        friction=off(sheet.friction),
-        pre_stretch=1 + off(sheet.pre_stretch - 1),
+    rubber = replace(
+        rubber,
+        young=off(rubber.young),
+        thickness=off(rubber.thickness),
+        friction=off(rubber.friction),
+        pre_stretch=1 + off(rubber.pre_stretch - 1),
     )
     chamber = replace(
         chamber,
@@ -125,7 +125,7 @@ def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
         marker_dn=off(leds.marker_dn),
         vignetting=off(leds.vignetting),
     )
-    return replace(nominal, membrane=sheet, chamber=chamber, camera=camera, leds=leds)
+    return replace(nominal, membrane=rubber, chamber=chamber, camera=camera, leds=leds)
 
 
 def run(
@@ -221,24 +221,24 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
     """
     found = result.design
     flat = nominal.chamber_volume_flat - nominal.chamber.extra_volume
-    sheet = found.membrane
+    rubber = found.membrane
     volume = found.chamber_volume_flat
     rows = [
         (
             "modulus times thickness, N/m",
             "membrane.young_MPa",
             true.membrane.young * true.membrane.thickness,
-            sheet.young * sheet.thickness,
-            1e6 * sheet.thickness,
+            rubber.young * rubber.thickness,
+            1e6 * rubber.thickness,
         ),
         (
             "pre-stretch minus 1",
             "membrane.pre_stretch",
             true.membrane.pre_stretch - 1,
-            sheet.pre_stretch - 1,
+            rubber.pre_stretch - 1,
             1.0,
         ),
-        ("friction", "membrane.friction", true.membrane.friction, sheet.friction, 1.0),
+        ("friction", "membrane.friction", true.membrane.friction, rubber.friction, 1.0),
         (
             "gas volume, mL",
             "chamber.extra_volume_mL",

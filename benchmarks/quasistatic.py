@@ -82,7 +82,7 @@ def _is_usual(case: dict[str, Any]) -> bool:
 # -- against the references ------------------------------------------------------------------------
 
 
-def _film(
+def _membrane(
     case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense"
 ) -> QuasistaticMembrane:
     """The film of a case's sheet in a sensor; made once."""
@@ -100,52 +100,54 @@ def _made(
     )
 
 
-def _body(film: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
+def _body(quasistatic: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
     """Return the obstacle of a case.
 
     The reference's obstacles touch the membrane's midsurface; here they touch its outer face.
     """
-    off = film.design.membrane.thickness / 2
+    off = quasistatic.design.membrane.thickness / 2
     at = [1e-3 * value for value in case["at_mm"]]
     size = [1e-3 * value for value in case["size_mm"]]
     height = 1e-3 * case["height_mm"]
     if case["kind"] == "ball":
-        return film.obstacle("sphere", (size[0] - off,), (*at, height))
+        return quasistatic.obstacle("sphere", (size[0] - off,), (*at, height))
     if case["kind"] == "disc":
-        return film.obstacle("cylinder", (*size, 0.01), (*at, height + off + 0.01))
-    return film.obstacle("box", (*size, 0.01), (*at, height + off + 0.01))
+        return quasistatic.obstacle("cylinder", (*size, 0.01), (*at, height + off + 0.01))
+    return quasistatic.obstacle("box", (*size, 0.01), (*at, height + off + 0.01))
 
 
 def _against(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense") -> dict[str, Any]:
-    film = _film(case, grid, sensor)
-    state = film.solve(_body(film, case))
+    quasistatic = _membrane(case, grid, sensor)
+    state = quasistatic.solve(_body(quasistatic, case))
     row = {key: case[key] for key in case if key != "markers_um"}
     row["converged"] = bool(state.converged)
     row["force_error"] = state.force_normal / case["force_N"] - 1
     row["pressure_error"] = state.gauge_pressure / case["pressure_Pa"] - 1
     if "markers_um" in case:
-        off = _markers(film, state) - 1e-6 * np.array(case["markers_um"])
+        off = _markers(quasistatic, state) - 1e-6 * np.array(case["markers_um"])
         row["heights_um"] = 1e6 * float(np.sqrt(np.mean(off[:, 2] ** 2)))
         row["plane_um"] = 1e6 * float(np.sqrt(np.mean((off[:, :2] ** 2).sum(axis=1))))
     return row
 
 
-def _markers(film: QuasistaticMembrane, state: MembraneSolution) -> Array:
+def _markers(quasistatic: QuasistaticMembrane, state: MembraneSolution) -> Array:
     """Places (81, 3) m of markers on the sheet, by cubic splines through the nodes."""
     from scipy.interpolate import RectBivariateSpline
 
-    fields = (RectBivariateSpline(film.x, film.y, field) for field in state.displacements)
+    fields = (
+        RectBivariateSpline(quasistatic.x, quasistatic.y, field) for field in state.displacements
+    )
     moved = np.stack([field.ev(_MARKERS[:, 0], _MARKERS[:, 1]) for field in fields], axis=1)
     return np.column_stack([_MARKERS, np.zeros(len(_MARKERS))]) + moved
 
 
 def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dict[str, float]]:
     """Yield the relative stiffness error of a sticking patch along x and y."""
-    film = QuasistaticMembrane("dense", grid, 1000.0)
+    quasistatic = QuasistaticMembrane("dense", grid, 1000.0)
     for case in references["sticking"]:
-        radius = 1e-3 * case["radius_mm"] - film.design.membrane.thickness / 2
-        ball = film.obstacle("sphere", (radius,), (0, 0, 1e-3 * case["height_mm"]))
-        patch = film.patches(film.solve(ball))[0]
+        radius = 1e-3 * case["radius_mm"] - quasistatic.design.membrane.thickness / 2
+        ball = quasistatic.obstacle("sphere", (radius,), (0, 0, 1e-3 * case["height_mm"]))
+        patch = quasistatic.patches(quasistatic.solve(ball))[0]
         for axis, name in enumerate(("along", "across")):
             yield {"stiffness_error": patch.stiffness[axis, axis] / case[f"{name}_N_per_m"] - 1}
 
@@ -153,7 +155,7 @@ def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dic
 # -- against itself --------------------------------------------------------------------------------
 
 
-def _bodies(film: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
+def _bodies(quasistatic: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
     """Yield obstacles without a reference solution.
 
     Their force must not depend on the node positions, except for local differences of the
@@ -161,32 +163,35 @@ def _bodies(film: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Ob
     """
     lying = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     x, y = at
-    yield "blade 0.4 x 12 mm", [film.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102))]
-    yield "rod 4 mm, lying", [film.obstacle("capsule", (2e-3, 4e-3), (x, y, 3.2e-3), lying)]
-    yield "disc 10 mm", [film.obstacle("cylinder", (5e-3, 0.01), (x, y, 0.0117))]
-    yield "square 12 mm", [film.obstacle("box", (6e-3, 6e-3, 0.01), (x, y, 0.0117))]
-    yield "wedge", [film.obstacle("wedge", (5e-3, 3e-3, 5e-3), (x, y, 1e-3))]
-    yield "cone", [film.obstacle("cone", (6e-3, 6e-3), (x, y, 1e-3))]
+    yield "blade 0.4 x 12 mm", [quasistatic.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102))]
+    yield "rod 4 mm, lying", [quasistatic.obstacle("capsule", (2e-3, 4e-3), (x, y, 3.2e-3), lying)]
+    yield "disc 10 mm", [quasistatic.obstacle("cylinder", (5e-3, 0.01), (x, y, 0.0117))]
+    yield "square 12 mm", [quasistatic.obstacle("box", (6e-3, 6e-3, 0.01), (x, y, 0.0117))]
+    yield "wedge", [quasistatic.obstacle("wedge", (5e-3, 3e-3, 5e-3), (x, y, 1e-3))]
+    yield "cone", [quasistatic.obstacle("cone", (6e-3, 6e-3), (x, y, 1e-3))]
     c, s = np.cos(0.3), np.sin(0.3)
     tilt = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-    yield "cube 8 mm, tilted", [film.obstacle("box", (4e-3, 4e-3, 4e-3), (x, y, 6.2e-3), tilt)]
+    yield (
+        "cube 8 mm, tilted",
+        [quasistatic.obstacle("box", (4e-3, 4e-3, 4e-3), (x, y, 6.2e-3), tilt)],
+    )
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     yield (
         "blade, turned by 17 degrees",
-        [film.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102), turn)],
+        [quasistatic.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102), turn)],
     )
-    two = [film.obstacle("sphere", (4e-3,), (x + off, y, 5.5e-3)) for off in (-5e-3, 5e-3)]
+    two = [quasistatic.obstacle("sphere", (4e-3,), (x + off, y, 5.5e-3)) for off in (-5e-3, 5e-3)]
     yield "two balls", two
 
 
 def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
     """Mean and spread, (max - min) / mean, of forces over `count` places within one millimetre."""
-    film = QuasistaticMembrane("dense", grid, 1000.0)
+    quasistatic = QuasistaticMembrane("dense", grid, 1000.0)
     places = np.random.default_rng(4).uniform(-1e-3, 1e-3, (count, 2))
     forces: dict[str, list[float]] = {}
     for at in places:
-        for name, bodies in _bodies(film, at):
-            found = film.solve_batch([bodies])[0].force_normal  # NaN where there is none
+        for name, bodies in _bodies(quasistatic, at):
+            found = quasistatic.solve_batch([bodies])[0].force_normal  # NaN where there is none
             forces.setdefault(name, []).append(found)
     return {name: _summary(np.array(values)) for name, values in forces.items()}
 
@@ -211,25 +216,32 @@ def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
         return
     axes = figure.subplots(2, 3, height_ratios=(1.1, 1))
     for column, case in enumerate(cases):
-        film = _film(case, GRIDS[1])
-        state = film.solve(_body(film, case))
+        quasistatic = _membrane(case, GRIDS[1])
+        state = quasistatic.solve(_body(quasistatic, case))
         above, cut = axes[0, column], axes[1, column]
-        shown = above.contourf(1e3 * film.x, 1e3 * film.y, 1e3 * state.heights.T, 16)
+        shown = above.contourf(1e3 * quasistatic.x, 1e3 * quasistatic.y, 1e3 * state.heights.T, 16)
         i, j = np.nonzero(state.contact_forces > 0)
-        above.plot(1e3 * film.x[i], 1e3 * film.y[j], ".", color="black", markersize=3)
+        above.plot(1e3 * quasistatic.x[i], 1e3 * quasistatic.y[j], ".", color="black", markersize=3)
         above.set_aspect("equal")
         above.set_title(case["name"])
         figure.colorbar(shown, ax=above, label="membrane height, mm", orientation="horizontal")
         x = np.linspace(-0.02, 0.02, 801)
-        body = 1e3 * film.obstacle_heights(_body(film, case), np.column_stack([x, 0 * x]))
+        body = 1e3 * quasistatic.obstacle_heights(
+            _body(quasistatic, case), np.column_stack([x, 0 * x])
+        )
         top = 3.3
         cut.fill_between(1e3 * x, body, top, where=body < top, color="0.85", label="object")
         full = 1e-3 * np.array(case["profile_um"])
         cut.plot(full[:, 0], full[:, 1], color="tab:orange", linewidth=5, label="full membrane")
-        row = len(film.y) // 2
+        row = len(quasistatic.y) // 2
         moved, _, z = (1e3 * field[:, row] for field in state.displacements)
         cut.plot(
-            1e3 * film.x + moved, z, ".-", color="black", linewidth=1, label="quasi-static, 41 x 31"
+            1e3 * quasistatic.x + moved,
+            z,
+            ".-",
+            color="black",
+            linewidth=1,
+            label="quasi-static, 41 x 31",
         )
         cut.set_title(
             f"quasi-static {state.force_normal:.3f} N, full membrane {case['force_N']:.3f} N"

@@ -36,7 +36,7 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
     A row holds the force relative to the finest grid, less one, the reported error, and the grid.
     Values are NaN where no equilibrium exists.
     """
-    films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in grids]
+    membranes = [QuasistaticMembrane("dense", grid, 1000.0) for grid in grids]
     finest = {kind: QuasistaticMembrane("dense", grid, 1000.0) for kind, grid in FINEST.items()}
     rng = np.random.default_rng(SEED)
     rows = []
@@ -47,13 +47,13 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
             reference = (_slowly if kind == "tips" else _solve)(finest[kind], body)
             if reference is None:
                 continue
-            tried = [("own", film) for film in films]
-            enough = films[0].refined_for(body)
+            tried = [("own", quasistatic) for quasistatic in membranes]
+            enough = membranes[0].refined_for(body)
             if enough.grid != FINEST[kind]:  # else it would be held against itself
                 tried.append(("refined_for", enough))
-            for how, film in tried:
-                state = _solve(film, body)
-                row = {"body": name, "how": how, "grid": list(film.grid)}
+            for how, quasistatic in tried:
+                state = _solve(quasistatic, body)
+                row = {"body": name, "how": how, "grid": list(quasistatic.grid)}
                 rows.append({**row, **_compared(state, reference)})
     return rows
 
@@ -62,36 +62,39 @@ def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> di
     """Compute the relative errors of force and area, and their reported errors."""
     if state is None:
         return dict.fromkeys(
-            ("force_error", "doubt", "area_error", "relative_area_error"), float("nan")
+            ("force_error", "force_error_reported", "area_error", "relative_area_error"),
+            float("nan"),
         )
     return {
         "force_error": state.force_normal / reference.force_normal - 1,
-        "doubt": state.relative_force_error,
+        "force_error_reported": state.relative_force_error,
         "area_error": state.area / reference.area - 1,
         "relative_area_error": state.relative_area_error,
     }
 
 
-def _slowly(film: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
+def _slowly(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     """Solve like `_solve`, in small steps of the obstacle position."""
     place, state = body.numbers[13:16], None
     for above in _JUMPS:
         try:
-            state = film.solve(body.at(place + np.array([0.0, 0.0, above])), state)
+            state = quasistatic.solve(body.at(place + np.array([0.0, 0.0, above])), state)
         except InputError:
             return None
     return state if state is not None and state.converged else None
 
 
-def _solve(film: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
+def _solve(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     try:
-        state = film.solve(body)
+        state = quasistatic.solve(body)
     except InputError:
         return None
     return state if state.converged else None
 
 
-def _bodies(film: QuasistaticMembrane, rng: np.random.Generator) -> Iterator[tuple[str, Obstacle]]:
+def _bodies(
+    quasistatic: QuasistaticMembrane, rng: np.random.Generator
+) -> Iterator[tuple[str, Obstacle]]:
     """Bodies over one place, turned by one angle, as far below the bulge as each other."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
@@ -100,19 +103,19 @@ def _bodies(film: QuasistaticMembrane, rng: np.random.Generator) -> Iterator[tup
     depth = rng.uniform(*_DEPTHS)
     radius, thin = _log_uniform(rng, _BALLS), _log_uniform(rng, _ROUND)
     sides, half = rng.uniform(1e-3, 6e-3, 2), rng.uniform(2e-4, 1e-3)
-    nearest = np.argmin(abs(film.x - x)), np.argmin(abs(film.y - y))
-    low = film.rest.heights[nearest] + film.design.membrane.thickness / 2 - depth
+    nearest = np.argmin(abs(quasistatic.x - x)), np.argmin(abs(quasistatic.y - y))
+    low = quasistatic.rest.heights[nearest] + quasistatic.design.membrane.thickness / 2 - depth
     long = 6e-3
-    yield "balls of 3-30 mm", film.obstacle("sphere", (radius,), (x, y, low + radius))
-    rod = film.obstacle("capsule", (thin, long), (x, y, low + thin), turn @ _LYING)
+    yield "balls of 3-30 mm", quasistatic.obstacle("sphere", (radius,), (x, y, low + radius))
+    rod = quasistatic.obstacle("capsule", (thin, long), (x, y, low + thin), turn @ _LYING)
     yield "rods and wires of 1.4-10 mm, lying", rod
-    yield "pins of 1.4-10 mm", film.obstacle("cylinder", (thin, 0.01), (x, y, low + 0.01))
-    yield "boxes of 2-12 mm", film.obstacle("box", (*sides, 0.01), (x, y, low + 0.01), turn)
-    blade = film.obstacle("box", (half, long, 0.01), (x, y, low + 0.01), turn)
+    yield "pins of 1.4-10 mm", quasistatic.obstacle("cylinder", (thin, 0.01), (x, y, low + 0.01))
+    yield "boxes of 2-12 mm", quasistatic.obstacle("box", (*sides, 0.01), (x, y, low + 0.01), turn)
+    blade = quasistatic.obstacle("box", (half, long, 0.01), (x, y, low + 0.01), turn)
     yield "blades of 0.4-2 x 12 mm", blade
     tip = _log_uniform(rng, _TIPS)  # as small balls are
-    pin = film.obstacle("capsule", (tip, 0.01), (x, y, low + 0.01 + tip))
-    cone = film.obstacle("cone", (6e-3, 6e-3), (x, y, low))
+    pin = quasistatic.obstacle("capsule", (tip, 0.01), (x, y, low + 0.01 + tip))
+    cone = quasistatic.obstacle("cone", (6e-3, 6e-3), (x, y, low))
     yield from zip(_AS_TIPS, (pin, cone), strict=True)
 
 
@@ -135,11 +138,11 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
         cells = [_errors([r for r in own if tuple(r["grid"]) == grid]) for grid in grids]
         cells.append(_errors([r for r in rows if r["body"] == body and r["how"] != "own"]))
         found = [r for r in own if np.isfinite(r["force_error"])]
-        kept = sum(abs(r["force_error"]) <= r["doubt"] for r in found)
+        kept = sum(abs(r["force_error"]) <= r["force_error_reported"] for r in found)
         told = [r for r in found if np.isfinite(r["relative_area_error"])]
         areas = sum(abs(r["area_error"]) <= r["relative_area_error"] for r in told)
-        said = f"{kept} of {len(found)} | {areas} of {len(told)}"
-        lines.append(f"| {body} | {' | '.join(cells)} | {said} |")
+        reported = f"{kept} of {len(found)} | {areas} of {len(told)}"
+        lines.append(f"| {body} | {' | '.join(cells)} | {reported} |")
     return lines
 
 

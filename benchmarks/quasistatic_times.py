@@ -28,18 +28,18 @@ def _bowl(numbers: Array) -> Obstacle:
     return QuasistaticMembrane.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
 
 
-def _deeper(film: QuasistaticMembrane) -> list[Obstacle]:
+def _deeper(membrane: QuasistaticMembrane) -> list[Obstacle]:
     """Balls, each 0.05 mm deeper than the one before."""
     heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
-    return [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
+    return [membrane.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
 
 
 def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
     """Best times, us, of a step from the one before, 0.05 mm deeper, and of films at once."""
     bursts = BURSTS_QUICK if quick else BURSTS
-    film = QuasistaticMembrane("dense", grid, 1000.0)
-    balls = _deeper(film)
-    start = film.solve(balls[0])
+    membrane = QuasistaticMembrane("dense", grid, 1000.0)
+    balls = _deeper(membrane)
+    start = membrane.solve(balls[0])
     best = {trend: np.full(_STEPS, np.inf) for trend in (True, False)}
     steps = 0
     for _ in range(bursts):
@@ -47,22 +47,22 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
             state = start
             for k, one in enumerate(balls[1:]):
                 begin = time.perf_counter()
-                state = film.solve(one, state if trend else replace(state, trend=None))
+                state = membrane.solve(one, state if trend else replace(state, trend=None))
                 minimum[k] = min(minimum[k], time.perf_counter() - begin)
                 steps = max(steps, state.steps)
     derived = np.inf
     posed = np.inf
     numbers = np.array([1e-3, 0.0, 1.5e-3, 120.0, 60.0, 0.1])
-    pressed = film.solve(_bowl(numbers))
+    pressed = membrane.solve(_bowl(numbers))
     for _ in range(bursts):
         begin = time.perf_counter()
-        film.derivatives(pressed, _bowl, numbers)
+        membrane.derivatives(pressed, _bowl, numbers)
         between = time.perf_counter()
-        film.derivatives_by_pose(pressed)
+        membrane.derivatives_by_pose(pressed)
         derived = min(derived, between - begin)
         posed = min(posed, time.perf_counter() - between)
     rates = {
-        f"{size}, {threads}": _rate(film, balls, size, threads, bursts)
+        f"{size}, {threads}": _rate(membrane, balls, size, threads, bursts)
         for size, threads in ((1, 1), (8, 1), (AT_ONCE, 1), (256, 1), (AT_ONCE, 2))
     }
     return {"grid": list(grid), "step_us": 1e6 * float(np.median(best[True])),
@@ -72,24 +72,24 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
 
 
 def _rate(
-    film: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int, bursts: int
+    membrane: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int, bursts: int
 ) -> float:
     """Films a second of `size` at once, which are at rest already."""
-    solve = _at_rest(film, balls, size, threads)
+    solve = _at_rest(membrane, balls, size, threads)
     return size / min(solve() for _ in range(bursts))
 
 
 def _at_rest(
-    film: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int
+    membrane: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int
 ) -> Callable[[], float]:
     """Return a function that times, s, a batch of `size` membranes from their equilibrium."""
     many = [[balls[k % 8]] for k in range(size)]
-    batch = film.solve_batch(many)
-    spare, batch = batch, film.solve_batch(many, batch)
+    batch = membrane.solve_batch(many)
+    spare, batch = batch, membrane.solve_batch(many, batch)
 
     def solve() -> float:
         begin = time.perf_counter()
-        film.solve_batch(many, batch, threads=threads, into=spare)
+        membrane.solve_batch(many, batch, threads=threads, into=spare)
         return time.perf_counter() - begin
 
     return solve
@@ -119,8 +119,8 @@ def _ceiling(grid: tuple[int, int], seconds: float) -> float:
 def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> None:
     """In a process of its own: the best rate of a batch in one thread, over some time that begins
     when all are `together`."""
-    film = QuasistaticMembrane("dense", grid, 1000.0)
-    solve = _at_rest(film, _deeper(film), AT_ONCE, 1)
+    membrane = QuasistaticMembrane("dense", grid, 1000.0)
+    solve = _at_rest(membrane, _deeper(membrane), AT_ONCE, 1)
     together.wait()
     end = time.perf_counter() + seconds
     minimum = np.inf

@@ -67,9 +67,9 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
             for _ in range(IMAGES):
                 begin = time.process_time()
                 image = view.image()
-                drawn = time.process_time()
+                sampled = time.process_time()
                 touch = view.perception.perceive(image, image.time)
-                spent[:2] += (drawn - begin, time.process_time() - drawn)
+                spent[:2] += (sampled - begin, time.process_time() - sampled)
                 images += 1
                 force.append(touch.force_normal - true)
                 if touch.markers is not None:

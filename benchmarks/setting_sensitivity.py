@@ -77,7 +77,7 @@ class RecordedPress:
 class TouchResult:
     """Results of all images of the loads, (n,) each.
 
-    Normal `force`, N, and its `sd`, number of `markers`, contact `area`, m^2. `said` combines
+    Normal `force`, N, and its `sd`, number of `markers`, contact `area`, m^2. `reported` combines
     status, contact, slip and number of patches.
     """
 
@@ -85,7 +85,7 @@ class TouchResult:
     sd: Array
     markers: Array
     area: Array
-    said: NDArray[np.str_]
+    reported: NDArray[np.str_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,20 +129,22 @@ def estimate_presses(presses: Sequence[RecordedPress], settings: Settings) -> To
     rows: list[tuple[Any, ...]] = []
     for press in presses:
         rows += _estimate_images(press, settings)
-    force, sd, markers, area, said = zip(*rows, strict=True)
+    force, sd, markers, area, reported = zip(*rows, strict=True)
     return TouchResult(
-        np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said)
+        np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(reported)
     )
 
 
 def _estimate_images(press: RecordedPress, settings: Settings) -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
     try:
-        chain = SensingPipeline(press.design, settings=settings)
-        state = chain.measure_flat_reference(chain.initial_state(), press.flat)
-        state = chain.measure_rest_reference(state, press.rest, press.gauge_pressure)
+        sensing_pipeline = SensingPipeline(press.design, settings=settings)
+        state = sensing_pipeline.measure_flat_reference(
+            sensing_pipeline.initial_state(), press.flat
+        )
+        state = sensing_pipeline.measure_rest_reference(state, press.rest, press.gauge_pressure)
         for image in press.images:
-            touch, state = chain.step(state, image, image.time)
+            touch, state = sensing_pipeline.step(state, image, image.time)
             rows.append(_row(touch))
     except (MjtactileError, np.linalg.LinAlgError) as error:
         left = len(press.images) - len(rows)
@@ -154,23 +156,23 @@ def _row(touch: Touch) -> tuple[Any, ...]:
     seen = 0 if touch.markers is None else len(touch.markers)
     area = 0.0 if touch.contact is None else touch.contact.area
     slips = "" if touch.slip is None else touch.slip.state
-    said = f"{touch.status.code.value} {touch.touching} {slips} {len(touch.patches)}"
-    return touch.force_normal, touch.force_normal_sd, seen, area, said
+    reported = f"{touch.status.code.value} {touch.touching} {slips} {len(touch.patches)}"
+    return touch.force_normal, touch.force_normal_sd, seen, area, reported
 
 
-def pictures(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]:
+def shots(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]:
     """Return test photographs: sharp, soft, noisy, black and white, with a bright window."""
     found = []
     rng = np.random.default_rng(0)
     dense, coarse = presses[0], presses[-1]
     sharp = dense.images[4].pixels
-    drawn = cv2.threshold(sharp, 110, 255, cv2.THRESH_BINARY)[1]
+    sampled = cv2.threshold(sharp, 110, 255, cv2.THRESH_BINARY)[1]
     glare = sharp.copy()
     glare[:, : sharp.shape[1] // 3] = np.minimum(glare[:, : sharp.shape[1] // 3] * 1.9, 255)
     small = cv2.resize(sharp, None, fx=0.35, fy=0.35, interpolation=cv2.INTER_AREA)
     framed = np.pad(small, 120, constant_values=40)
     bent = np.round(255 * (sharp / 255.0) ** (1 / 2.2)).astype(np.uint8)
-    found += [(Image(one), dense) for one in (drawn, glare, bent)]
+    found += [(Image(one), dense) for one in (sampled, glare, bent)]
     found += [(Image(framed), dense)]
     large = coarse.images[4].pixels
     soft = cv2.GaussianBlur(large, (0, 0), 2.0)
@@ -213,7 +215,7 @@ def touch_change(before: TouchResult, now: TouchResult) -> dict[str, float]:
         "force_N": _rms(off),
         "bar": _median_ratio(now.sd[known], before.sd[known]),
         "markers": float((now.markers - before.markers).mean()),
-        "said": int(((now.said != before.said) | area_off).sum()),
+        "reported": int(((now.reported != before.reported) | area_off).sum()),
     }
 
 
@@ -291,7 +293,7 @@ _GIVEN: dict[str, Any] = {}
 def _prepare(quick: bool) -> None:
     """Prepare a process: the images, and their results with the default settings."""
     presses = [record(*press) for press in (PRESSES[:1] if quick else PRESSES)]
-    images = pictures(presses)
+    images = shots(presses)
     _GIVEN.update(
         presses=presses,
         images=images,
@@ -363,7 +365,7 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         _both(rows, "force_N", lambda x: f"{1e3 * x:.1f}"),
         _both(rows, "bar", lambda x: f"{x:.2f}"),
         _both(rows, "markers", lambda x: f"{x:+.1f}"),
-        _both(rows, "said", lambda x: f"{x:.0f}"),
+        _both(rows, "reported", lambda x: f"{x:.0f}"),
         _both(rows, "circles", lambda x: f"{x:.0f}"),
         _both(rows, "depth_m", lambda x: f"{1e6 * x:.0f}"),
         _both(rows, "circle_bar", lambda x: f"{x:.2f}"),

@@ -112,7 +112,7 @@ def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
 def _errors(
     design: SensorDesign, look: Callable[[Pose], Image], poses: Sequence[Pose], count: int
 ) -> dict[str, Any]:
-    chain = SensingPipeline(design)
+    sensing_pipeline = SensingPipeline(design)
     state = None
     p_SM = poses[2][0]
     errors = []
@@ -120,13 +120,13 @@ def _errors(
     outliers = 0
     for k in range(count):
         if state is None or k % _PER_REFERENCE == 0:
-            state = chain.measure_flat_reference(
-                chain.initial_state(), [look(poses[0]) for _ in range(_REFERENCES)]
+            state = sensing_pipeline.measure_flat_reference(
+                sensing_pipeline.initial_state(), [look(poses[0]) for _ in range(_REFERENCES)]
             )
-            state = chain.measure_rest_reference(
+            state = sensing_pipeline.measure_rest_reference(
                 state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0
             )
-        markers, state = chain.detect_markers(state, look(poses[2]))
+        markers, state = sensing_pipeline.detect_markers(state, look(poses[2]))
         error = np.full_like(p_SM, np.nan)
         sd = np.full_like(p_SM, np.nan)
         error[markers.ids] = markers.p_SM - p_SM[markers.ids]
@@ -138,13 +138,13 @@ def _errors(
         errors.append(error)
         sds.append(sd)
     error = np.array(errors)
-    said = np.array(sds)
+    reported = np.array(sds)
     seen = int(np.isfinite(error[..., 0]).sum())
     mean = np.nanmean(error, axis=0)
     return {
         "mean_um": (1e6 * np.sqrt(np.nanmean(mean**2, axis=0))).tolist(),
         "sd_um": (1e6 * np.nanmedian(np.nanstd(error, axis=0), axis=0)).tolist(),
-        "said_sd_um": (1e6 * np.nanmedian(said, axis=(0, 1))).tolist(),
+        "said_sd_um": (1e6 * np.nanmedian(reported, axis=(0, 1))).tolist(),
         "outliers_percent": 100 * outliers / max(seen, 1),
         "missed_percent": 100 * (1 - seen / error[..., 0].size),
     }

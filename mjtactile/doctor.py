@@ -36,9 +36,9 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     positions. No findings for a sensor without fiducials."""
     if design.fiducials is None:
         return
-    chain = SensingPipeline(design)
-    _, state = chain.detect_markers(chain.initial_state(), image)
-    known = chain.detector.known
+    sensing_pipeline = SensingPipeline(design)
+    _, state = sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), image)
+    known = sensing_pipeline.detector.known
     assert known is not None
     seen = 0 if state.fiducials is None else len(state.fiducials)
     text = f"{seen} of {known.count} fiducials detected"

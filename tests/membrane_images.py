@@ -37,35 +37,35 @@ def sequence(sensor: str = "paper16") -> Sequence:
     """Render the images of a sensor, shipped or from a file: four of each reference, and one for
     each of `LOADS`."""
     design = load_sensor(sensor)
-    sheet = InverseMembrane(design).membrane
+    rubber = InverseMembrane(design).membrane
     view = Renderer(design, seed=1)
-    flat = np.zeros((3, sheet.count))
-    rest = sheet.equilibrium(Gas(GAUGE))
-    gas = sheet.seal(sheet.state(rest), GAUGE)
-    states = [sheet.equilibrium(gas, load=_load(sheet, *load), start=rest) for load in LOADS]
+    flat = np.zeros((3, rubber.count))
+    rest = rubber.equilibrium(Gas(GAUGE))
+    gas = rubber.seal(rubber.state(rest), GAUGE)
+    states = [rubber.equilibrium(gas, load=_load(rubber, *load), start=rest) for load in LOADS]
     at = np.arange(8) / 30
     return Sequence(
-        tuple(_image(design, sheet, view, flat, 0.0) for _ in range(4)),
-        tuple(_image(design, sheet, view, rest, 0.0) for _ in range(4)),
-        tuple(_image(design, sheet, view, c, t) for c, t in zip(states, at, strict=False)),
+        tuple(_image(design, rubber, view, flat, 0.0) for _ in range(4)),
+        tuple(_image(design, rubber, view, rest, 0.0) for _ in range(4)),
+        tuple(_image(design, rubber, view, c, t) for c, t in zip(states, at, strict=False)),
     )
 
 
-def _load(sheet, shear, normal):
+def _load(rubber, shear, normal):
     """Generalised forces (3, n) of a force in newtons, even over a disc."""
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     places = np.concatenate([PLACE + fraction * RADIUS * ring for fraction in (0.3, 0.6, 0.9)])
-    fraction = sheet.basis(sheet.own(places)).mean(axis=0)
+    fraction = rubber.basis(rubber.own(places)).mean(axis=0)
     return np.outer([shear, 0.0, -normal], fraction)
 
 
-def _image(design, sheet, view, c, time):
+def _image(design, rubber, view, c, time):
     X = design.markers.p_SM
-    p = X + sheet.basis(sheet.own(X[:, :2])) @ c.T
+    p = X + rubber.basis(rubber.own(X[:, :2])) @ c.T
     step = 1e-5  # difference step, m
     along, across = (
-        step * unit + (sheet.basis(sheet.own(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
+        step * unit + (rubber.basis(rubber.own(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
         for unit in np.eye(3)[:2]
     )
     normal = np.cross(along, across)

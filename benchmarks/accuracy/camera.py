@@ -34,7 +34,7 @@ MARKERS = {
     "11x11": (11, 11, 0.8e-3),
 }
 SENSORS = ("paper16", "dense", "fine")
-DRAWN = {
+SAMPLED = {
     "as designed": Effects(),
     "no noise": Effects(noise_dn=0.0),
     "noise x 3": Effects(noise_dn=6.0),
@@ -59,7 +59,10 @@ def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
     states = _states(design)
 
     def row(
-        name: str, seen: SensorDesign, moments: list[State], effects: Effects = DRAWN["as designed"]
+        name: str,
+        seen: SensorDesign,
+        moments: list[State],
+        effects: Effects = SAMPLED["as designed"],
     ) -> dict[str, Any]:
         result = {"name": name} | attempt(lambda: _look(seen, moments, effects))
         notify(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
@@ -84,7 +87,7 @@ def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
         ],
         "renderer": [
             row(name, design, states, effects)
-            for name, effects in list(DRAWN.items())[: 2 if quick else None]
+            for name, effects in list(SAMPLED.items())[: 2 if quick else None]
         ],
         "rate": _rates(design),
     }

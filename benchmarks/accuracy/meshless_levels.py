@@ -35,9 +35,9 @@ from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 STEP = 1 / 480  # time step of a rig with quasi-static membranes, s
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
 PAIRS, PAIRS_QUICK = 12, 1
-FILM, DRAWN = "-mesh", "-mesh,-pipeline"
+QUASISTATIC, SAMPLED = "-mesh", "-mesh,-pipeline"
 _DRAWS = 400
-_WITHOUT = PHYSICS - {Effect.SHEET}
+_WITHOUT = PHYSICS - {Effect.MESH}
 
 Notify = Callable[[str], None]
 
@@ -62,8 +62,8 @@ def run(
     notify("levels: an egg held")
     held = _held()
     rows = [
-        _row(FILM, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
-        _row(DRAWN, 0.0, estimated, math.nan, held["film_ms"] + held["drawing_ms"]),
+        _row(QUASISTATIC, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
+        _row(SAMPLED, 0.0, estimated, math.nan, held["film_ms"] + held["drawing_ms"]),
     ]
     count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs
     ended = [_outcomes(FIRST_SEED + k, k, count, notify) for k in range(count)]
@@ -127,7 +127,7 @@ def _held() -> dict[str, float]:
     noise of the force."""
     world = hold(GraspWorld(SENSOR, "egg", timestep=STEP, opening=0.05, effects=_WITHOUT))
     frame = 16  # steps at 30 Hz
-    film = core_ms(lambda: world.step(frame), 20) / frame / STEP
+    quasistatic = core_ms(lambda: world.step(frame), 20) / frame / STEP
     design = load_sensor(SENSOR)
     drawers = [
         SyntheticTouchSource(sensor, load_errors(design), design.membrane.friction, k)
@@ -139,12 +139,12 @@ def _held() -> dict[str, float]:
         world.step()
         forces.append([ground_truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
     noise = float(np.std(forces, axis=0).mean())
-    return {"film_ms": film, "drawing_ms": drawing, "force_noise_N": noise}
+    return {"film_ms": quasistatic, "drawing_ms": drawing, "force_noise_N": noise}
 
 
 def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, str]:
     ended = {}
-    for effects in ("auto", FILM, DRAWN):
+    for effects in ("auto", QUASISTATIC, SAMPLED):
         notify(f"levels: episode {number + 1} of {count}, {effects}")
         scenario = Scenario(
             object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
@@ -155,7 +155,7 @@ def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, s
 
 def table(result: dict[str, Any]) -> str:
     """The rows as Markdown."""
-    names = {FILM: "quasi-static membrane", DRAWN: "quasi-static membrane, sampled touch"}
+    names = {QUASISTATIC: "quasi-static membrane", SAMPLED: "quasi-static membrane, sampled touch"}
     made = result["stamp"]
     lines = [
         f"Measured on {made['machine']}, MuJoCo {made['mujoco']}, {made['date']}.",

@@ -22,7 +22,7 @@ def numbers(grasp: Grasp, estimated: ReplayResult) -> dict[str, Any]:
     off = off[known]
     sd = sd[known]
     far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N)
-    said = [str(touch.status.code) for touch in touches]
+    reported = [str(touch.status.code) for touch in touches]
     count = [0 if touch.markers is None else len(touch.markers) for touch in touches]
     return {
         "images": len(grasp.images),
@@ -31,7 +31,7 @@ def numbers(grasp: Grasp, estimated: ReplayResult) -> dict[str, Any]:
         "rms_N": float(np.sqrt((off**2).mean())) if len(off) else None,
         "worst_N": float(np.abs(off).max()) if len(off) else None,
         "sd_N": float(np.median(sd)) if len(sd) else None,
-        "status": {code: said.count(code) for code in sorted(set(said))},
+        "status": {code: reported.count(code) for code in sorted(set(reported))},
         "markers": float(np.median(count)) if count else None,
         "refused": estimated.refused,
     }

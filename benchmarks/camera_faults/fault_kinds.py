@@ -132,9 +132,9 @@ def kinds(seed: int = SEED) -> Iterator[Kind]:
     """
     for name, table, times in TABLES:
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-        drawn = {key: _near(key, value, rng) for key, value in table.items()}
+        sampled = {key: _near(key, value, rng) for key, value in table.items()}
         own = int(rng.integers(2**31))
-        yield from (Kind(name, drawn, when, own) for when in times)
+        yield from (Kind(name, sampled, when, own) for when in times)
 
 
 def _near(key: str, value: Any, rng: np.random.Generator) -> Any:

@@ -77,11 +77,11 @@ def replay_faults(
     except DeviceError as error:
         refused = ReplayResult(refused=" ".join(str(error).split()))
         return [refused for _ in gauges]
-    chains = [StatefulPipeline(perception.pipeline, perception.state) for _ in gauges]
+    pipelines = [StatefulPipeline(perception.pipeline, perception.state) for _ in gauges]
     touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
         seen = camera(image) if after else image
-        for chain, found, gauge in zip(chains, touches, gauges, strict=True):
-            touch = chain.perceive(seen, image.time, reading if gauge else None)
+        for sensing_pipeline, found, gauge in zip(pipelines, touches, gauges, strict=True):
+            touch = sensing_pipeline.perceive(seen, image.time, reading if gauge else None)
             found.append(replace(touch, traction=None, surface=None))  # they are large
     return [ReplayResult(tuple(found)) for found in touches]

@@ -21,7 +21,7 @@ from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults import gas_changes
 from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD, numbers
 from benchmarks.camera_faults.fault_kinds import Kind, kinds, label
-from benchmarks.camera_faults.pictures import draw
+from benchmarks.camera_faults.images import draw
 from benchmarks.camera_faults.replay import Grasp, record, replay_faults
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress

@@ -191,8 +191,8 @@ class Day:
                     ["calibrate", *options, "--rig", str(self.file)]
                     + ([] if options[0] == "gripper" else ["--sensor", self.sensor])
                 )
-        said = "".join(person.read)
-        return {"exit_code": code} if code == 0 else {"exit_code": code, "failed": said[-400:]}
+        reported = "".join(person.read)
+        return {"exit_code": code} if code == 0 else {"exit_code": code, "failed": reported[-400:]}
 
     def fit(self) -> dict[str, Any]:
         """`record` on a stand, and `fit --relaxation`: the left finger's sheet and gas."""

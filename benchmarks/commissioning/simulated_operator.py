@@ -79,7 +79,7 @@ def photograph_board(folder: Path, camera: CameraDesign) -> None:
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
     points = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], axis=1), K, k, criteria=criteria)
     rays = np.concatenate([points.reshape(*u.shape, 2), np.ones((*u.shape, 1))], axis=2)
-    drawn = cv2.GaussianBlur(BOARD.draw(_PIXELS), (0, 0), 1.5)
+    sampled = cv2.GaussianBlur(BOARD.draw(_PIXELS), (0, 0), 1.5)
     rng = np.random.default_rng(5)
     folder.mkdir()
     for i in range(12):
@@ -92,6 +92,6 @@ def photograph_board(folder: Path, camera: CameraDesign) -> None:
         at = (at[..., :2] / at[..., 2:] * _PIXELS / BOARD.square + _PIXELS / 2 - 0.5).astype(
             np.float32
         )
-        gray = cv2.remap(drawn, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
+        gray = cv2.remap(sampled, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
         gray = cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, 2.0, gray.shape)
         cv2.imwrite(str(folder / f"{i:02d}.png"), np.clip(gray, 0, 255).astype(np.uint8))

@@ -124,8 +124,8 @@ def fit(rows: Rows) -> SensingErrorModel:
     jumps = np.where(apart[0] * apart[1] > 0, np.abs(apart).min(axis=0), 0.0)
     jumps = jumps / (near[middle] @ fresh)
     out = np.asarray((jumps > _OUTLIER).any(axis=1))
-    said = np.sqrt(np.diagonal(estimated["cov"], axis1=1, axis2=2))
-    ratio = estimated["cov"] / (said[:, :, None] * said[:, None])
+    reported = np.sqrt(np.diagonal(estimated["cov"], axis1=1, axis2=2))
+    ratio = estimated["cov"] / (reported[:, :, None] * reported[:, None])
     touching = estimated["touching"] & (estimated["area"] > 0) & (estimated["estimated_area"] > 0)
     log_area = np.log(estimated["estimated_area"][touching] / estimated["area"][touching])
     aside = (estimated["estimated_centroid"] - estimated["centroid"])[touching]
@@ -139,7 +139,7 @@ def fit(rows: Rows) -> SensingErrorModel:
         sd=sd,
         fresh=fresh,
         correlation=_correlation(z[~far]),
-        reported_sd=_mean_at(said, near),
+        reported_sd=_mean_at(reported, near),
         reported_correlation=_correlation_of(np.median(ratio, axis=0)),
         shear_gain=shear_gain,
         between=spread,

@@ -36,7 +36,7 @@ LEVELS = {
     "without mesh, touch drawn": "-mesh,-pipeline",
 }
 PAIRED = ("auto", "-mesh", "-mesh,-pipeline")
-DRAWN = "-mesh,-pipeline"
+SAMPLED = "-mesh,-pipeline"
 PAIRS, PAIRS_QUICK = 100, 1
 EPISODES, EPISODES_QUICK = 4, 1
 TOGETHER = 8
@@ -118,7 +118,7 @@ def _speed(effects: str, episodes: int) -> dict[str, float]:
 
 def _together(threads: int, quick: bool) -> float:
     """Steps a second by the clock, of all environments, over a whole grasp of each."""
-    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=DRAWN, threads=threads)
+    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=SAMPLED, threads=threads)
     shown, info = envs.reset(seed=0)
     steps = _STEPS_QUICK if quick else _STEPS
     begin = time.perf_counter()
@@ -155,7 +155,7 @@ def _pair(seed: int, number: int, count: int, notify: Notify) -> dict[str, Any]:
 def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Compare each cheap level with the full one, and synthetic touch with the quasi-static
     membrane."""
-    against = [("-mesh", "auto"), (DRAWN, "auto"), (DRAWN, "-mesh")]
+    against = [("-mesh", "auto"), (SAMPLED, "auto"), (SAMPLED, "-mesh")]
     return {
         "count": len(rows),
         "compared": [

@@ -137,7 +137,7 @@ def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
         shape.set_zlabel("mm")
         field = figure.add_subplot(len(result), 3, 3 * row + 3)
         pressing = -1e3 * data["force"][..., 2]
-        drawn = field.pcolormesh(
+        sampled = field.pcolormesh(
             1e3 * data["grid_x"], 1e3 * data["grid_y"], pressing, cmap="magma", shading="nearest"
         )
         field.quiver(
@@ -150,7 +150,7 @@ def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
         )
         field.set_title(f"estimated {data['force_N']:.2f} N, load cell {data['cell_N']:.2f} N")
         field.set_aspect("equal")
-        figure.colorbar(drawn, ax=field, label="mN a node")
+        figure.colorbar(sampled, ax=field, label="mN a node")
 
 
 def plot_pressure(figure: Any, result: Mapping[str, Any]) -> None:

@@ -76,7 +76,9 @@ def _fill(polygon: Array, size: NDArray) -> Array:
     one = rolled[: turn + 1]
     other = np.concatenate([rolled[turn:], rolled[:1]])[::-1]
     lines = (np.arange(height * _LINES) + 0.5) / _LINES
-    x = np.sort([np.interp(lines, chain[:, 1], chain[:, 0]) for chain in (one, other)], axis=0)
+    x = np.sort(
+        [np.interp(lines, pipeline[:, 1], pipeline[:, 0]) for pipeline in (one, other)], axis=0
+    )
     inside = (lines > polygon[top, 1]) & (lines < polygon[bottom, 1])
     cells = np.arange(width)
     spans = np.clip(x[1][:, None] - cells, 0, 1) - np.clip(x[0][:, None] - cells, 0, 1)

@@ -104,8 +104,8 @@ def _speed(axes: Any, result: Mapping[str, Any]) -> None:
         ("opencv_sine_ms", "^--", "cv2.findContours + fitEllipse + sine rule"),
     ):
         axes.plot(counts, [r[key] for r in result["speed"]], style, label=label)
-    chain = np.array(result["surface"]["chain_ms"])
-    low, middle, high = np.percentile(chain, [1, 50, 99])
+    pipeline = np.array(result["surface"]["pipeline_ms"])
+    low, middle, high = np.percentile(pipeline, [1, 50, 99])
     axes.errorbar(
         [result["surface"]["markers"]],
         [middle],

@@ -159,12 +159,12 @@ def _draw(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field
     curves.set(xlabel="time, s", ylabel="force, N", title="a real bubble, pressed once")
     curves.grid(alpha=0.3)
     curves.legend(fontsize=8)
-    drawn = surface.pcolormesh(
+    sampled = surface.pcolormesh(
         1e3 * field.x, 1e3 * field.y, 1e-3 * field.pressing.T, cmap="RdBu_r", vmin=-20, vmax=20
     )
     surface.contour(
         1e3 * field.x, 1e3 * field.y, 1e3 * field.heights.T, 12, colors="k", linewidths=0.4
     )
     surface.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="what presses, kPa")
-    figure.colorbar(drawn, ax=surface)
+    figure.colorbar(sampled, ax=surface)
     figure.savefig(out / "bubble.png")

@@ -89,7 +89,7 @@ def _run(host: subprocess.Popen[str], emulator: EmulatorProcess, seconds: float)
         "fallen_mm": 1e3 * fallen,
         "set_down": fallen < _FALLEN and abs(height - start) < _STANDS,
         "exit_code": host.returncode,
-        "said": lines[-1],
+        "reported": lines[-1],
     }
 
 

@@ -96,8 +96,10 @@ class Bench:
                 if isinstance(perception, StatefulPipeline)
             ]
             return session
-        chain = SensingPipeline(self.design)
-        session = Session(rig, [StatefulPipeline(chain, state) for state in self._states])
+        sensing_pipeline = SensingPipeline(self.design)
+        session = Session(
+            rig, [StatefulPipeline(sensing_pipeline, state) for state in self._states]
+        )
         inflate(rig.fingers, rig.clock)
         return session
 

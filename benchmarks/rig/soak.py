@@ -65,7 +65,7 @@ class Gripping:
         return replace(last, opening=opening, force_limit=2.0, memory=memory)
 
 
-def drawn(number: int, leg: float, grip: float) -> tuple[str, float]:
+def sampled(number: int, leg: float, grip: float) -> tuple[str, float]:
     """The fault of a leg, every kind once before any comes again, and when within the last `grip` s
     of its `leg` it happens."""
     around, place = divmod(number, len(FAULTS))
@@ -84,7 +84,7 @@ class SoakBench(KeptBench):
 
     def run(self, number: int) -> dict[str, Any]:
         """Leg `number`, whose fault and its moment are drawn from that."""
-        kind, at = drawn(number, self.leg, self._grip)
+        kind, at = sampled(number, self.leg, self._grip)
         bench = self.bench()
         folder = self._out / f"leg-{number:03d}"
         shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run

@@ -23,7 +23,7 @@ _NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one image of `dens
 _GRID = np.stack(
     np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
 ).reshape(-1, 2)
-_FILM = (41, 31)
+_QUASISTATIC = (41, 31)
 
 
 def rows() -> list[dict[str, Any]]:
@@ -33,13 +33,13 @@ def rows() -> list[dict[str, Any]]:
         One row per ball.
     """
     design = load_sensor("dense")
-    chain = SensingPipeline(design)
-    film = QuasistaticMembrane(design, _FILM)
+    pipeline = SensingPipeline(design)
+    quasistatic = QuasistaticMembrane(design, _QUASISTATIC)
     order = [int(np.abs(_GRID - at[:2]).sum(axis=1).argmin()) for at in design.markers.p_SM]
-    state = chain.load_rest_reference(
-        chain.initial_state(), _seen(_at_rest(film)[order]), film.gauge_pressure
+    state = pipeline.load_rest_reference(
+        pipeline.initial_state(), _seen(_at_rest(quasistatic)[order]), quasistatic.gauge_pressure
     )
-    finder = chain.make_shape_estimator(state)
+    finder = pipeline.make_shape_estimator(state)
     path = Path(benchmarks.__path__[0]) / "membrane_reference.json"
     found = []
     for seed, case in enumerate(json.loads(path.read_text(encoding="utf-8"))["cases"]):
@@ -47,8 +47,8 @@ def rows() -> list[dict[str, Any]]:
             continue
         places = 1e-6 * np.array(case["markers_um"])[order]
         markers = _seen(places + _NOISE * np.random.default_rng(seed).standard_normal((81, 3)))
-        touch, _ = chain.estimate_touch(state, markers, chain.fitter.fit(markers), 0.0)
-        shape = chain.estimate_contact_shape(state, [touch], finder)
+        touch, _ = pipeline.estimate_touch(state, markers, pipeline.fitter.fit(markers), 0.0)
+        shape = pipeline.estimate_contact_shape(state, [touch], finder)
         found.append(
             {
                 "kind": shape.kind,
@@ -63,11 +63,14 @@ def rows() -> list[dict[str, Any]]:
     return found
 
 
-def _at_rest(film: QuasistaticMembrane) -> Array:
+def _at_rest(quasistatic: QuasistaticMembrane) -> Array:
     """Places (81, 3) m of the markers on the film at rest."""
     from scipy.interpolate import RectBivariateSpline
 
-    fields = (RectBivariateSpline(film.x, film.y, field) for field in film.rest.displacements)
+    fields = (
+        RectBivariateSpline(quasistatic.x, quasistatic.y, field)
+        for field in quasistatic.rest.displacements
+    )
     moved = np.column_stack([field.ev(_GRID[:, 0], _GRID[:, 1]) for field in fields])
     return moved + np.column_stack([_GRID, np.zeros(len(_GRID))])
 

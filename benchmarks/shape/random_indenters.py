@@ -48,9 +48,9 @@ class Case:
 def draw(seed: int) -> Case:
     """The body of a seed; families take turns."""
     rng = np.random.default_rng([seed, 77])
-    name = list(_DRAWN)[seed % len(_DRAWN)]
+    name = list(_SAMPLED)[seed % len(_SAMPLED)]
     at = (float(rng.uniform(-7e-3, 7e-3)), float(rng.uniform(-5e-3, 5e-3)))
-    return _DRAWN[name](rng, name, at)
+    return _SAMPLED[name](rng, name, at)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -178,7 +178,7 @@ def _mesh(points: Array) -> str:
     return f'<mesh name="hull" vertex="{text}"/>'
 
 
-_DRAWN: dict[str, Callable[[np.random.Generator, str, tuple[float, float]], Case]] = {
+_SAMPLED: dict[str, Callable[[np.random.Generator, str, tuple[float, float]], Case]] = {
     "ball": _ball,
     "wedge": _wedge,
     "standing cylinder": _standing,

@@ -60,8 +60,8 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
-        said = [row["kind"] for row in rows if row["seed"] == seed and row["looked"] == "press"]
-        notify(f"body {seed}, {rows[-1]['name']}: {', '.join(said)}")
+        reported = [row["kind"] for row in rows if row["seed"] == seed and row["looked"] == "press"]
+        notify(f"body {seed}, {rows[-1]['name']}: {', '.join(reported)}")
     return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
 
 
@@ -131,7 +131,7 @@ def _followed(
         "chi2_nodal": _chi2(nodal.traction, true),
         "area_nodal_mm2": 1e6 * contact.area if contact is not None else np.nan,
         "milliseconds": 1e3 * seconds,
-        **_said(case, estimated.shape),
+        **_reported(case, estimated.shape),
     }
 
 
@@ -140,10 +140,10 @@ def _alone(case: Case, view: View, touch: Touch) -> dict[str, Any]:
     start = time.thread_time()
     shape = view.perception.shape(touch)
     seconds = time.thread_time() - start
-    return {"looked": "image", "milliseconds": 1e3 * seconds, **_said(case, shape)}
+    return {"looked": "image", "milliseconds": 1e3 * seconds, **_reported(case, shape)}
 
 
-def _said(case: Case, shape: ContactShape) -> dict[str, Any]:
+def _reported(case: Case, shape: ContactShape) -> dict[str, Any]:
     return {
         "name": case.name,
         "family": case.family,

@@ -28,7 +28,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 FACTORS = (0.5, 2.0)
-DRAWN = (1035, 1038, 1023)  # seeds of known indenters; those of bench shape come later
+SAMPLED = (1035, 1038, 1023)  # seeds of known indenters; those of bench shape come later
 _CLOSE = "".join(
     f'<geom type="sphere" size="5e-3" pos="{x} 0 {5e-3 + later}"/>'
     for x, later in ((-3e-3, 0.0), (3e-3, 0.2e-3))
@@ -62,7 +62,7 @@ class ShapeEstimate:
 def cases() -> list[Case]:
     """The bodies that are pressed."""
     close = Case("multiple", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
-    return [*map(draw, DRAWN), close]
+    return [*map(draw, SAMPLED), close]
 
 
 def record(case: Case) -> Pressed:
@@ -89,14 +89,14 @@ def record(case: Case) -> Pressed:
 
 def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
     """Estimate the shape in all images with these settings."""
-    chain = SensingPipeline(load_sensor("dense"), settings=settings)
+    sensing_pipeline = SensingPipeline(load_sensor("dense"), settings=settings)
     told = []
     for pressed in presses:
-        finder = chain.make_shape_estimator(pressed.state)
+        finder = sensing_pipeline.make_shape_estimator(pressed.state)
         press = None
         for before, after, touch in pressed.images:
             followed = replace(before, press=press)
-            estimated, state = chain.track_contact_shape(followed, after, touch, finder)
+            estimated, state = sensing_pipeline.track_contact_shape(followed, after, touch, finder)
             press = state.press
             told.append(_told(estimated.shape, estimated.force_normal))
     return told

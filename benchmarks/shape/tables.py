@@ -67,7 +67,7 @@ def _told(rows: list[Row]) -> dict[str, Any]:
         and row["force_true_N"] >= _FIRM
     ]
     late = [row for row in rows if row["force_true_N"] >= _END]
-    said = [row for row in broad["firm"] if np.isfinite(row["area_mm2"])]
+    reported = [row for row in broad["firm"] if np.isfinite(row["area_mm2"])]
     bent = [
         row
         for row in rows
@@ -76,7 +76,7 @@ def _told(rows: list[Row]) -> dict[str, Any]:
     curvatures = [covers for row in bent for covers in _curvatures_cover(row)]
     return {
         "area": {key: _errors(some, "area") for key, some in broad.items()},
-        "coverage": [_fraction(_covers(row) for row in said), len(said)],
+        "coverage": [_fraction(_covers(row) for row in reported), len(reported)],
         "coverage_curvature": [_fraction(curvatures), len(curvatures)],
         "radius": _errors(balls, "radius"),
         "kind": [_fraction(row["kind"] == row["family"] for row in late), len(late)],
@@ -196,8 +196,8 @@ def table(result: dict[str, Any]) -> str:
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines += ["", *_independent(result["independent"])]
     kinds = "\n".join(
-        f"- {name}: " + ", ".join(f"{kind} {count}" for kind, count in said.items())
-        for name, said in s["kinds"].items()
+        f"- {name}: " + ", ".join(f"{kind} {count}" for kind, count in reported.items())
+        for name, reported in s["kinds"].items()
     )
     mesh = " x ".join(str(count) for count in result["mesh"])
     lines += [
@@ -301,6 +301,6 @@ def _kinds(rows: list[Row]) -> dict[str, dict[str, int]]:
     """Count the estimated kinds of each indenter name."""
     found: dict[str, dict[str, int]] = {}
     for row in rows:
-        said = found.setdefault(row["name"], {})
-        said[row["kind"]] = said.get(row["kind"], 0) + 1
+        reported = found.setdefault(row["name"], {})
+        reported[row["kind"]] = reported.get(row["kind"], 0) + 1
     return found

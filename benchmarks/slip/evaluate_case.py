@@ -72,28 +72,28 @@ class _Slider:
 
 def references(
     design: SensorDesign,
-    chain: SensingPipeline,
+    sensing_pipeline: SensingPipeline,
     case: SlipCase,
     mesh: tuple[int, int] = DEFAULT_MESH,
 ) -> PipelineState:
     """The sensor's own references, from images of it flat and inflated."""
     world = SlipWorld(design, case, mesh=mesh)
     renderer = Renderer(design, seed=case.seed)
-    state = chain.initial_state()
+    state = sensing_pipeline.initial_state()
     world.inflate(0.0)
-    state = chain.measure_flat_reference(
+    state = sensing_pipeline.measure_flat_reference(
         state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)]
     )
     supply = design.chamber.supply_gauge
     world.inflate(supply)
-    return chain.measure_rest_reference(
+    return sensing_pipeline.measure_rest_reference(
         state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)], supply
     )
 
 
 def watch(
     design: SensorDesign,
-    chain: SensingPipeline,
+    sensing_pipeline: SensingPipeline,
     rest: PipelineState,
     case: SlipCase,
     mesh: tuple[int, int] = DEFAULT_MESH,
@@ -114,7 +114,7 @@ def watch(
             return
         for k, (renderer, slider) in enumerate(zip(renderers, sliders, strict=True)):
             image = renderer.render(*world.marker_poses(k), world.time)
-            touch, states[k] = chain.step(states[k], image, world.time)
+            touch, states[k] = sensing_pipeline.step(states[k], image, world.time)
             if keep:
                 used, _ = ground_truth.sliding(world, k)
                 fingers[k].append(

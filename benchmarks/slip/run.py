@@ -98,8 +98,8 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
     evaluated = [row for row in rows if row["outcome"] in OUTCOMES]
     slips = [row for row in evaluated if row["outcome"] in SLIPS]
     holds = [row["outcome"] for row in evaluated if row["outcome"] in ("quiet", "false")]
-    said = [row for row in slips if row["outcome"] not in ("missed", "early")]
-    in_time = sum(row["latency_ms"] <= 1e3 * active_slip_test.IN_TIME + 0.1 for row in said)
+    reported = [row for row in slips if row["outcome"] not in ("missed", "early")]
+    in_time = sum(row["latency_ms"] <= 1e3 * active_slip_test.IN_TIME + 0.1 for row in reported)
     kinds = sorted({row["case"] for row in slips})
     return {
         "rows": list(rows),
@@ -112,7 +112,7 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
         "false_interval": wilson(holds.count("false"), len(holds)),
         "by_case": {
             kind: [
-                sum(row["case"] == kind and row["latency_ms"] <= 400.1 for row in said),
+                sum(row["case"] == kind and row["latency_ms"] <= 400.1 for row in reported),
                 sum(row["case"] == kind for row in slips),
             ]
             for kind in kinds
@@ -127,9 +127,9 @@ def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row
     not that of the chain.
     """
     case = plot_case(seed)
-    design, chain, rest = _sensor(rate)
+    design, sensing_pipeline, rest = _sensor(rate)
     try:
-        return rows_of(case, watch(design, chain, rest, case, test=test), test)
+        return rows_of(case, watch(design, sensing_pipeline, rest, case, test=test), test)
     except SimulationError as error:
         return [
             {
@@ -146,8 +146,10 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
     """One row for each finger."""
     rows = []
     for name, friction, looks in zip(_FINGERS, case.friction, watched.fingers, strict=True):
-        chain = [look.touch.slip.state if look.touch.slip else "unknown" for look in looks]
-        states = active_slip_test.states(looks) if test else chain
+        sensing_pipeline = [
+            look.touch.slip.state if look.touch.slip else "unknown" for look in looks
+        ]
+        states = active_slip_test.states(looks) if test else sensing_pipeline
         found = outcome(
             [
                 Frame(k.time, state, k.used, k.slid, k.onset)
@@ -177,8 +179,8 @@ def _sensor(rate: float) -> tuple[SensorDesign, SensingPipeline, PipelineState]:
     """The sensor, its chain, and its references, taken once a process."""
     design = load_sensor(SENSOR)
     design = replace(design, camera=replace(design.camera, rate=rate))
-    chain = SensingPipeline(design)
-    return design, chain, references(design, chain, plot_case(0))
+    sensing_pipeline = SensingPipeline(design)
+    return design, sensing_pipeline, references(design, sensing_pipeline, plot_case(0))
 
 
 def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
@@ -277,8 +279,10 @@ def table(result: Mapping[str, Any]) -> str:
         counts = " | ".join(
             str(group[key]) for key in ("slips", "in_time", "before", "soon", "detected")
         )
-        said = None if test is None else test["by_case"].get(name)
-        lines.append(f"| {name} | {counts} | {f'{said[0]} of {said[1]}' if said else ''} |")
+        reported = None if test is None else test["by_case"].get(name)
+        lines.append(
+            f"| {name} | {counts} | {f'{reported[0]} of {reported[1]}' if reported else ''} |"
+        )
     return "\n".join(lines) + "\n"
 
 

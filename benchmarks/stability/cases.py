@@ -44,7 +44,7 @@ class Case:
     steps: int = 0
 
     def design(self, base: SensorDesign) -> SensorDesign:
-        sheet = replace(
+        rubber = replace(
             base.membrane,
             young=self.young,
             thickness=self.thickness,
@@ -52,7 +52,7 @@ class Case:
             friction=self.friction,
         )
         return replace(
-            base, membrane=sheet, chamber=replace(base.chamber, depth=self.chamber_depth)
+            base, membrane=rubber, chamber=replace(base.chamber, depth=self.chamber_depth)
         )
 
     @property

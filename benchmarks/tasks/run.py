@@ -235,8 +235,8 @@ def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     ]
     if len(pairs) < 2:
         return {"things": len(pairs)}
-    said, really = np.array(pairs).T
-    error = said - really
+    reported, really = np.array(pairs).T
+    error = reported - really
     asked = _WEIGHT_SD[0] * really + _WEIGHT_SD[1]
     return {
         "things": len(pairs),

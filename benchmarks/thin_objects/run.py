@@ -33,7 +33,7 @@ Notify = Callable[[str], None]
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
     """Return the forces of all indenters at all positions and speeds, and the reference forces."""
     notify = notify or Progress().message
-    films = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
+    membranes = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
     places = PLACES_QUICK if quick else PLACES
     rows = []
     for name, body in (BODIES | FACES).items():
@@ -42,12 +42,12 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
         for _ in range(places):
             at = draw.uniform(-_AROUND, _AROUND, 2)
             turn = float(draw.uniform(0, np.pi))
-            rows.append({"body": name, **_compared(films, body, at, turn)})
+            rows.append({"body": name, **_compared(membranes, body, at, turn)})
     return {"places": places, "speeds": list(SPEEDS), "rows": rows}
 
 
 def _compared(
-    films: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+    membranes: list[QuasistaticMembrane], body: Body, at: Array, turn: float
 ) -> dict[str, Any]:
     """Return the forces, N, at each speed, the reference force, and the stated error.
 
@@ -70,31 +70,33 @@ def _compared(
         "at": at.tolist(),
         "turn": turn,
         "forces": forces,
-        "film": _reference(films, body, at, turn),
+        "film": _reference(membranes, body, at, turn),
         "stated": stated,
         "stopped": stopped,
     }
 
 
 def _reference(
-    films: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+    membranes: list[QuasistaticMembrane], body: Body, at: Array, turn: float
 ) -> float | None:
     """Force, N, of the finest film that comes to rest on the body."""
-    forces = (_film_force(film, body, at, turn) for film in films[1 if body.tilt else 0 :])
+    forces = (
+        _film_force(membrane, body, at, turn) for membrane in membranes[1 if body.tilt else 0 :]
+    )
     return next((force for force in forces if force is not None), None)
 
 
-def _film_force(film: QuasistaticMembrane, body: Body, at: Array, turn: float) -> float | None:
+def _film_force(membrane: QuasistaticMembrane, body: Body, at: Array, turn: float) -> float | None:
     """Force, N, of the film at rest on the body; None where it finds none."""
     from scipy.interpolate import RectBivariateSpline
 
-    surface = RectBivariateSpline(film.x, film.y, film.rest.displacements[2])
+    surface = RectBivariateSpline(membrane.x, membrane.y, membrane.rest.displacements[2])
     height = float(surface.ev(*at)) - body.depth + body.below
     state: MembraneSolution | None = None
     for lift in np.linspace(body.depth, 0.0, 9)[1:]:
         obstacle = _obstacle(body, (at[0], at[1], height + lift), body.rotation(turn))
         try:
-            state = film.solve(obstacle, state)
+            state = membrane.solve(obstacle, state)
         except InputError:  # on the rim, pulled inside out, or through between two nodes
             return None
     return state.force_normal if state is not None and state.converged else None
@@ -149,8 +151,8 @@ def _line(rows: list[dict[str, Any]], name: str) -> str:
     spread = (ratios.max(axis=1) - ratios.min(axis=1)) / ratios.mean(axis=1)
     stated = np.array([row["stated"] for row in known])[:, None]
     beyond = int((np.abs(ratios - 1) > stated).sum())
-    film = np.mean([row["film"] for row in known])
+    membrane = np.mean([row["film"] for row in known])
     return (
-        f"| {name} | {film:.3f} | {middle:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
+        f"| {name} | {membrane:.3f} | {middle:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
         f"{100 * spread.max():.0f} % | {stopped} | {beyond} of {ratios.size} |"
     )

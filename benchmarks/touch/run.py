@@ -73,10 +73,10 @@ class LayoutView(View):
 
     def measure_rest_reference(self, pressure: float) -> None:
         """The rest state of the weak form, which the other levels are compared with."""
-        chain = self.perception.pipeline
+        sensing = self.perception.pipeline
         state = self.perception.state
         self._weak_rest = self._weak.rest_state(
-            chain.detect_rest_markers(state, self.images()), pressure
+            sensing.detect_rest_markers(state, self.images()), pressure
         )
 
     def look(self, image: Image | None = None) -> Touch:
@@ -85,9 +85,9 @@ class LayoutView(View):
         # once more from the surface on: time on one core
         if touch.surface is not None and touch.markers is not None:
             start = time.thread_time()
-            chain = self.perception.pipeline
+            sensing = self.perception.pipeline
             state = self.perception.state
-            _, self.perception.state = chain.estimate_touch(
+            _, self.perception.state = sensing.estimate_touch(
                 state, touch.markers, touch.surface, image.time + 1e-4
             )
             self.milliseconds.append(1e3 * (time.thread_time() - start))

@@ -36,8 +36,8 @@ def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
         Of each kind as many.
     """
     each = _EACH_QUICK if quick else _EACH
-    drawn = [(seed, draw(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
-    return [(seed, case) for seed, case in drawn if case.name in BODIES]
+    sampled = [(seed, draw(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
+    return [(seed, case) for seed, case in sampled if case.name in BODIES]
 
 
 def episode(

@@ -78,7 +78,7 @@ def watch(scene: Scene) -> Watched:
     )
     view = View(world, design, seed=scene.seed)
     take_references(world, [view], scene.supply)
-    chain = view.perception.pipeline
+    sensing = view.perception.pipeline
     rest = view.perception.state
     if scene.kind == "hold":
         squeeze = float(np.interp(scene.forces[1], (0.04, 1.8), _SQUEEZE))
@@ -98,7 +98,7 @@ def watch(scene: Scene) -> Watched:
         if world.step_count % period == 0:
             with_area = world.step_count // period % _AREA_EVERY == 0 and scene.kind != "shaken"
             for k in fingers:
-                touch, states[k] = chain.step(
+                touch, states[k] = sensing.step(
                     states[k], renderers[k].render(*world.marker_poses(k), world.time), world.time
                 )
                 area = (

@@ -52,12 +52,12 @@ def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     groups["touches at rest whose true force rattles"] = [
         row for row in known if row["rattles"] and _force(row) > LEAST
     ]
-    said = [row["status"] for row in rows]
+    reported = [row["status"] for row in rows]
     return {
         "scenes": len(scenes),
         "failed": [scene["error"] for scene in scenes if scene["error"]],
         "images": len(rows),
-        "status": {status: said.count(status) for status in sorted(set(said))},
+        "status": {status: reported.count(status) for status in sorted(set(reported))},
         "groups": {name: _evaluate(group) for name, group in groups.items() if group},
         "areas": _areas(known),
     }

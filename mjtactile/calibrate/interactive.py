@@ -52,7 +52,7 @@ _SAMPLE = 0.01  # time between pressure samples, s
 
 
 def collect_views(
-    pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, notify: Notify
+    snapshots: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, notify: Notify
 ) -> list[BoardView]:
     """Collect `count` views of a board that the user moves.
 
@@ -61,7 +61,7 @@ def collect_views(
     """
     taken: list[BoardView] = []
     before: BoardView | None = None
-    for name, gray in pictures:
+    for name, gray in snapshots:
         view = finder.find(name, gray)
         if (
             view is not None

@@ -224,8 +224,8 @@ def _write_file_figures(out: Path, result: dict[str, Any]) -> None:
 
     path = out / "face.png"
     save_plot(path, lambda figure: plots.plot_face(figure, result), size=(13.0, 3.3))
-    picture = path.read_bytes() if foreign_file.exists(path) else None
-    (out / "design.html").write_text(plots.page(result, picture), encoding="utf-8")
+    image = path.read_bytes() if foreign_file.exists(path) else None
+    (out / "design.html").write_text(plots.page(result, image), encoding="utf-8")
 
 
 def _write_requirements(out: Path, result: dict[str, Any], files: dict[str, str]) -> None:

@@ -230,7 +230,7 @@ def _explorer(
         return partial(explore_in_gripper, stopped=stopped)
 
     def in_gripper(
-        requested: Scenario, asked: ExplorationGoal, **told: Any
+        requested: Scenario, asked: ExplorationGoal, **arguments: Any
     ) -> tuple[ExplorationResult, dict[str, Any]]:
         yaw = math.radians(sum(options.turns))
         with contextlib.ExitStack() as stack:
@@ -239,7 +239,7 @@ def _explorer(
                 folder = _unused(out / "recording")
                 header = requested.header() | {"controller": "explore"}
                 recorder = stack.enter_context(Recorder(folder, header))
-            found = explore_by_gripper(requested, asked, yaw=yaw, observer=recorder, **told)
+            found = explore_by_gripper(requested, asked, yaw=yaw, observer=recorder, **arguments)
         return found, {}
 
     return in_gripper

@@ -203,11 +203,11 @@ def _run_and_report(
         summary["recording_problem"] = recorder.problem
     _write_report(out, recorder, summary, figure)
     if options.video:
-        _film(options.video, out, recorder, progress)
+        _record_video(options.video, out, recorder, progress)
     return summary
 
 
-def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None:
+def _record_video(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None:
     """Write a video of the run; a failure does not change the run's outcome."""
     from mjtactile.report.video import write_video
 

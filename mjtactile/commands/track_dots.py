@@ -131,8 +131,8 @@ def _draw(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircle
     for k in np.unique(np.linspace(0, len(frames) - 1, min(OVERLAYS, len(frames))).astype(int)):
         pixels = frames[k].pixels
         assert pixels is not None
-        picture = overlay(pixels, found[k].ellipses, found[k].poses)
-        cv2.imwrite(str(out / f"frame_{k:06d}.png"), picture)
+        image = overlay(pixels, found[k].ellipses, found[k].poses)
+        cv2.imwrite(str(out / f"frame_{k:06d}.png"), image)
 
 
 def _colour(pixels: NDArray) -> NDArray:

@@ -91,7 +91,7 @@ def study(
         if number % 10 == 0:
             notify(f"sensing surface: {number} of {len(places)} positions")
         face.append(reacher.at(place, force))
-    image_use = picture_of(stand)
+    image_use = image_use_of(stand)
     changes = []
     for what, variant in variants(design, image_use.longest_lens):
         notify(f"effect of a change: {what}")
@@ -111,7 +111,7 @@ def face_places(design: SensorDesign) -> list[Array]:
     return [np.array([x, y]) for y in lines[1] for x in lines[0]]
 
 
-def picture_of(stand: VirtualBench) -> ImageUse:
+def image_use_of(stand: VirtualBench) -> ImageUse:
     """Evaluate the use of the camera image."""
     design = stand.design
     camera = Camera.from_design(design.camera, design.glass)
@@ -129,7 +129,7 @@ def picture_of(stand: VirtualBench) -> ImageUse:
 
 
 def _longest_lens(stand: VirtualBench) -> float:
-    flat = np.zeros_like(stand.film.rest.x)
+    flat = np.zeros_like(stand.quasistatic.rest.x)
     low = 1.0
     high = _LONGEST
     for _ in range(_HALVINGS):
@@ -137,7 +137,7 @@ def _longest_lens(stand: VirtualBench) -> float:
         sampler = EllipseSampler(scaled_lens(stand.design, middle))
         seen = [
             sampler.sample(*stand.poses(x), errors=False).ellipses
-            for x in (flat, stand.film.rest.x)
+            for x in (flat, stand.quasistatic.rest.x)
         ]
         whole = all(one is not None and len(one) == stand.circles for one in seen)
         low, high = (middle, high) if whole else (low, middle)

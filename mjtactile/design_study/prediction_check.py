@@ -188,7 +188,7 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     """
     error = np.array([one.estimated - one.true for one in presses])
     off = np.array([one.off for one in presses])
-    force_sd, position_sd, said = (
+    force_sd, position_sd, reported = (
         np.array([getattr(one, name) for one in presses])
         for name in ("force_sd", "position_sd", "reported_sd")
     )
@@ -196,7 +196,7 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
         len(presses),
         _rms(error / force_sd),
         _rms(off / position_sd[:, None]),
-        _rms(error / said),
+        _rms(error / reported),
         _rms(error),
         _rms(off),
     )

@@ -76,16 +76,20 @@ class VirtualBench:
         self.design = design
         sides = (design.frame.length, design.frame.width)
         columns, rows = (max(round(side / _SPACING) + 1, 9) for side in sides)
-        self.film = QuasistaticMembrane(design, (columns, rows))
+        self.membrane = QuasistaticMembrane(design, (columns, rows))
         self.pipeline = SensingPipeline(design)
-        self._by_node = interpolation_matrix_with_gradient(self.film, design.markers.p_SM[:, :2])
+        self._by_node = interpolation_matrix_with_gradient(
+            self.membrane, design.markers.p_SM[:, :2]
+        )
         self._sampler = EllipseSampler(design)
-        flat = self._sampler.sample(*self.poses(np.zeros_like(self.film.rest.x)), errors=False)
+        flat = self._sampler.sample(*self.poses(np.zeros_like(self.membrane.rest.x)), errors=False)
         self._require_all(flat, "flat")
-        rest = self.sample(self.film.rest)
+        rest = self.sample(self.membrane.rest)
         self._require_all(rest, "inflated")
         state = self.pipeline.measure_flat_reference(self.pipeline.initial_state(), [flat])
-        self.state = self.pipeline.measure_rest_reference(state, [rest], self.film.gauge_pressure)
+        self.state = self.pipeline.measure_rest_reference(
+            state, [rest], self.membrane.gauge_pressure
+        )
 
     def _require_all(self, seen: SyntheticEllipses, state: str) -> None:
         """Raise InputError if not all markers are in the image."""
@@ -172,7 +176,7 @@ class VirtualBench:
         starts = [start] if start is None else [start, replace(start, trend=None), None]
         for one in starts:
             try:
-                state = self.film.solve(body, one)
+                state = self.membrane.solve(body, one)
             except InputError:  # contact with frame or glass, or an inverted membrane
                 continue
             if state.converged:
@@ -181,10 +185,10 @@ class VirtualBench:
 
     def first_touch(self, body: Coming) -> float:
         """Return the obstacle's height at first contact with the membrane at rest, m."""
-        x, y = np.meshgrid(self.film.x, self.film.y, indexing="ij")
+        x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
         places = np.column_stack([x.ravel(), y.ravel()])
-        under = self.film.obstacle_heights(body(0.0), places)
-        return float((self.film.rest.heights.ravel() - under).max())
+        under = self.membrane.obstacle_heights(body(0.0), places)
+        return float((self.membrane.rest.heights.ravel() - under).max())
 
     # -- markers and tactile estimates
 
@@ -199,15 +203,15 @@ class VirtualBench:
         """Return the markers' heights (n, N), m, for displacements `x` (n, 3, nx, ny)."""
         return x[:, 2].reshape(len(x), -1) @ self._by_node[0].T
 
-    def sample(self, film: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
+    def sample(self, membrane: MembraneSolution, time: float = 0.0) -> SyntheticEllipses:
         """Compute the exact ellipses in the camera image of a membrane solution."""
-        return self._sampler.sample(*self.poses(film.x), time, errors=False)
+        return self._sampler.sample(*self.poses(membrane.x), time, errors=False)
 
-    def detect_markers(self, film: MembraneSolution) -> Markers:
+    def detect_markers(self, membrane: MembraneSolution) -> Markers:
         """Compute the markers detected by the sensing pipeline, with their covariance."""
-        return self.pipeline.detect_markers(self.state, self.sample(film))[0]
+        return self.pipeline.detect_markers(self.state, self.sample(membrane))[0]
 
-    def estimate_touch(self, film: MembraneSolution) -> PredictedTouch:
+    def estimate_touch(self, membrane: MembraneSolution) -> PredictedTouch:
         """Run the sensing pipeline on a membrane in equilibrium.
 
         The second image is evaluated, since the covariance after a sudden load change is inflated.
@@ -215,7 +219,7 @@ class VirtualBench:
         state = self.state
         for number in (1, 2):
             time = number * _IMAGE
-            touch, state = self.pipeline.step(state, self.sample(film, time), time)
+            touch, state = self.pipeline.step(state, self.sample(membrane, time), time)
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
     def noise(self, estimated: PredictedTouch) -> Array:
@@ -238,7 +242,7 @@ class VirtualBench:
     def level_noise(self) -> float:
         """Return the sd, N, of the running force level that detects light contacts."""
         blend = self.pipeline.settings.zero.blend
-        one = math.sqrt(self.noise(self.estimate_touch(self.film.rest))[2, 2])
+        one = math.sqrt(self.noise(self.estimate_touch(self.membrane.rest))[2, 2])
         return one * math.sqrt(blend / (2 - blend))
 
 

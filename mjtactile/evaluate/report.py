@@ -40,9 +40,9 @@ def page(
     manifest: Mapping[str, Any],
     lines: Sequence[Line],
     worst: Sequence[Line],
-    pictures: Mapping[str, Path | None],
+    images: Mapping[str, Path | None],
 ) -> str:
-    """Return the page, with the `worst` episodes and their `pictures` by episode name."""
+    """Return the page, with the `worst` episodes and their `images` by episode name."""
     summary = summarise(lines)
     parts = [
         _head(manifest, summary),
@@ -52,7 +52,7 @@ def page(
         _flags(summary, lines),
         _distributions(lines),
         _varied(summary),
-        _worst(worst, pictures),
+        _worst(worst, images),
     ]
     title = f"Evaluation: {_words(manifest['options']['controllers'])}"
     return document(title, parts, style=_STYLE)
@@ -266,7 +266,7 @@ def _point(result: Mapping[str, Any], label: str) -> tuple[float, float, float] 
     return None
 
 
-def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
+def _worst(worst: Iterable[Line], images: Mapping[str, Path | None]) -> str:
     parts = [
         "<h2>The worst episodes</h2><p>Failures first (the kinds in turn), then errors, then "
         "the episodes closest to a failure by force or slip.</p>"
@@ -281,9 +281,9 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
             f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br>"
             f"<code>{escape(line['rerun_command'])}</code></p>"
         )
-        picture = pictures.get(f"{line['controller']}-{line['episode']:06d}")
-        if picture is not None:
-            uri = data_uri("image/png", picture.read_bytes())
+        image = images.get(f"{line['controller']}-{line['episode']:06d}")
+        if image is not None:
+            uri = data_uri("image/png", image.read_bytes())
             parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
         sampled = ", ".join(f"{name} {value}" for name, value in line.get("randomized", {}).items())
         if sampled:

@@ -107,7 +107,7 @@ def write_report(
     """
     known = store.read_manifest(folder)
     lines = store.read_lines(folder)
-    pictures = {}
+    images = {}
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         what = f"{line['controller']}, {line['object']}, seed {line['seed']}"
@@ -117,10 +117,10 @@ def write_report(
         if only is not None and episode.scenario.controller not in only:
             notify(f"no image: the controller {episode.scenario.controller!r} is not run here")
             continue
-        pictures[name] = worst_episodes.draw(episode, folder / "worst" / name)
+        images[name] = worst_episodes.draw(episode, folder / "worst" / name)
     path = folder / "report.html"
     with store.writing(path):
-        path.write_text(report.page(known, lines, chosen, pictures), encoding="utf-8")
+        path.write_text(report.page(known, lines, chosen, images), encoding="utf-8")
     return path
 
 

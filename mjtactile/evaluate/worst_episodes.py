@@ -53,9 +53,9 @@ def _badness(line: Line) -> float:
 
 def draw(episode: Episode, folder: Path) -> Path | None:
     """Repeat and record the episode; return its summary image in `folder`, None without one."""
-    picture = folder / "summary.png"
-    if picture.exists():
-        return picture
+    image = folder / "summary.png"
+    if image.exists():
+        return image
     scenario = episode.scenario
     summary: dict[str, Any] = scenario.names() | {"outcome": "error"}
     try:
@@ -71,4 +71,4 @@ def draw(episode: Episode, folder: Path) -> Path | None:
         write_plots(folder, recorder, summary)
     except (MjtactileError, OSError):
         return None  # no room
-    return picture if picture.exists() else None  # without matplotlib the report has no images
+    return image if image.exists() else None  # without matplotlib the report has no images

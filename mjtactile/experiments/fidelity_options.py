@@ -16,8 +16,8 @@ def effects_of(
 ) -> tuple[str, float, list[dict[str, Any]]]:
     """Return object, required force error, N, and a row per effect. Raises InputError."""
     grasped = load_object(object_name)
-    films = bool(accuracy) and quasistatic_is_valid(design, grasped, overrides)
-    fidelity = _fidelity(accuracy, films)
+    membranes = bool(accuracy) and quasistatic_is_valid(design, grasped, overrides)
+    fidelity = _fidelity(accuracy, membranes)
     requested = _force_error(fidelity)
     if fidelity is None:
         chosen = choose(design, grasped, force_error=requested, overrides=overrides)
@@ -45,8 +45,8 @@ def simulation_of(
     return set_design(design, effects), {"effects": effects} | how
 
 
-def _fidelity(accuracy: str, films: bool = False) -> Fidelity | None:
-    return Fidelity.parse(accuracy, films=films) if accuracy else None
+def _fidelity(accuracy: str, membranes: bool = False) -> Fidelity | None:
+    return Fidelity.parse(accuracy, membranes=membranes) if accuracy else None
 
 
 def _force_error(fidelity: Fidelity | None) -> float:

@@ -206,7 +206,7 @@ def with_shape_mesh(
     Returns:
         The settings; unchanged without the effect "mesh".
     """
-    if "mesh" in simulation or Effect.SHEET not in simulation["effects"]:
+    if "mesh" in simulation or Effect.MESH not in simulation["effects"]:
         return simulation
     nx, ny = shape_mesh(design)
     coarse = default_mesh(design)

@@ -30,7 +30,7 @@ _FREE_OUT = 0.3  # distance of free points outside the surface, and its standard
 _FREE_APART = 2.5  # mm between such points
 _WIDE = 3.0  # sd beyond which a point pulls less and less
 _ALLOWED = 0.1  # tolerated distance of a patch of the correct kind from the shape, mm
-_DOUBT = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
+_OUTLIER_SD = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
 _FLAG_SD = (1.0, 0.2)  # mm and rad by which it then may
 _FLAG_ODDS = np.log(0.1)
 _STRAY = 4.5  # sd, from which on a point does not belong
@@ -152,7 +152,7 @@ class _Data:
         odds = self.odds
         for part in self.parts:
             own = np.sqrt(noise[part, part].diagonal().min() + _ALLOWED**2)
-            if np.median(np.abs(left[part])) < _DOUBT * own:
+            if np.median(np.abs(left[part])) < _OUTLIER_SD * own:
                 continue
             odds += _FLAG_ODDS
             off = self.points[part] - self.points[part].mean(axis=0)

@@ -16,7 +16,7 @@ def layout(fingers: Sequence[str]) -> dict[str, Any]:
         Panels and their arrangement.
     """
     images = [f"Image!{finger}" for finger in fingers]
-    topics = [f"/{finger}/{name}" for finger in fingers for name in _DRAWN]
+    topics = [f"/{finger}/{name}" for finger in fingers for name in _SAMPLED]
     scene = {"followTf": "world", "topics": {topic: {"visible": True} for topic in topics}}
     panels: dict[str, Any] = {"3D!scene": scene, "Plot!force": _forces(fingers)}
     panels |= {
@@ -34,7 +34,7 @@ def layout(fingers: Sequence[str]) -> dict[str, Any]:
     }
 
 
-_DRAWN = ("membrane/drawn", "traction/drawn", "force/drawn")
+_SAMPLED = ("membrane/drawn", "traction/drawn", "force/drawn")
 
 
 def _image(finger: str) -> dict[str, Any]:

@@ -99,8 +99,8 @@ class RerunSink:
         return place if item.topic == f"/{item.frame}" else f"{place}/{name}"
 
     def _image(self, item: messages.Message) -> None:
-        picture = self._rr.EncodedImage(contents=messages.png_of(item), media_type="image/png")
-        self._send(self._in_frame(item), picture)
+        image = self._rr.EncodedImage(contents=messages.png_of(item), media_type="image/png")
+        self._send(self._in_frame(item), image)
 
     def _curves(self, item: messages.Message) -> None:
         curves: ImageCurves = item.value

@@ -59,10 +59,10 @@ def fit_recordings(
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
     evidence = [read_evidence(path, design, options.finger, options.notify) for path in recordings]
-    picture = fit_image_noise(design, evidence[0].flat)
+    image = fit_image_noise(design, evidence[0].flat)
     free, membrane = _fit_membrane(design, evidence, manually["membrane"], options)
     gas = _gas(membrane, evidence, manually["chamber"], options)
-    numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, picture))
+    numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, image))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
     found = rewrite(
@@ -84,7 +84,7 @@ def fit_recordings(
         tuple(evidence),
         membrane,
         gas,
-        picture,
+        image,
         checks,
         wall.monotonic() - begin,
     )

@@ -149,7 +149,7 @@ def _plot_pressures(axes: Any, result: FitResult) -> None:
 
 def _plot_light(figure: Any, axes: Any, result: FitResult) -> None:
     shown = axes.imshow(
-        result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest"
+        result.image.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest"
     )
     figure.colorbar(shown, ax=axes, label="grey levels")
     axes.set(title="light, measured minus fitted", xticks=[], yticks=[])

@@ -58,7 +58,7 @@ class FitResult:
     evidence: tuple[Evidence, ...]
     membrane: MembraneFit
     gas: GasFit | None
-    picture: ImageNoiseFit
+    image: ImageNoiseFit
     held_out: tuple[HeldOut, ...]
     seconds: float
 
@@ -96,7 +96,7 @@ def numbers_of(
     evidence: Sequence[Evidence],
     membrane: MembraneFit,
     gas: GasFit | None,
-    picture: ImageNoiseFit,
+    image: ImageNoiseFit,
 ) -> list[FittedParameter]:
     source = ", ".join(e.name for e in evidence)
     numbers = {}
@@ -125,7 +125,7 @@ def numbers_of(
             source,
             gas_mL=nominal.chamber_volume_flat / 1e-6,
         )
-    for field, (value, sd) in picture.values.items():
+    for field, (value, sd) in image.values.items():
         before = value_before(nominal, field)
         numbers[field] = classify(field, value, sd, before, f"{evidence[0].name}, flat")
     for field, value in known.items():

@@ -129,7 +129,7 @@ def attach(
         )
     options: Any = {"prefix": prefix, "mesh": mesh, "mass": mass, "contact": contact}
     named = effects_named("auto" if effects is None else effects, PHYSICS | CAMERA)
-    on = {*named, Effect.CHAIN}
+    on = {*named, Effect.PIPELINE}
     membrane = attach_membrane(spec, design, site=site, effects=on, **options)
     # stage "none": MuJoCo fills the others with zeros in every step
     kind: Any = {"type": mujoco.mjtSensor.mjSENS_USER, "needstage": mujoco.mjtStage.mjSTAGE_NONE}

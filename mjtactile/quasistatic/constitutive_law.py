@@ -24,44 +24,52 @@ _MIN_POISSON = 0.005  # below, the thickness hardly changes, and the equation fo
 _NEWTON = 60
 
 
-def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
+def law_numbers(membrane: Membrane) -> tuple[tuple[float, ...], Array]:
     """Return the parameters and the polynomial (DEGREE + 1,) of a membrane's constitutive law.
 
     The parameters are 1.0 if it is neo-Hookean (else 0.0), modulus times thickness, N/m (mu h, or E
     h / (1 - nu^2)), Poisson's ratio, and center and scale of the polynomial's argument.
     """
-    middle, per_unit, powers = _polynomial(sheet)
-    neo_hookean = sheet.law is not Law.STVK
+    middle, per_unit, powers = _polynomial(membrane)
+    neo_hookean = membrane.law is not Law.STVK
     if neo_hookean:
-        modulus = shear_modulus(sheet.young, sheet.poisson)
+        modulus = shear_modulus(membrane.young, membrane.poisson)
     else:
-        modulus = sheet.young / (1 - sheet.poisson**2)
-    return (float(neo_hookean), modulus * sheet.thickness, sheet.poisson, middle, per_unit), powers
+        modulus = membrane.young / (1 - membrane.poisson**2)
+    return (
+        float(neo_hookean),
+        modulus * membrane.thickness,
+        membrane.poisson,
+        middle,
+        per_unit,
+    ), powers
 
 
-def tension(sheet: Membrane, area_ratio: float) -> float:
+def tension(membrane: Membrane, area_ratio: float) -> float:
     """Return the tension, N/m, of the membrane stretched uniformly to an `area_ratio`.
 
     The force per mounted length is h S l with l = sqrt(J). Over the deformed length it is h S.
     """
-    stretch = sheet.pre_stretch * np.sqrt(area_ratio)
-    return sheet.thickness * equibiaxial_stress(
-        float(stretch), sheet.young, sheet.poisson, sheet.law
+    stretch = membrane.pre_stretch * np.sqrt(area_ratio)
+    return membrane.thickness * equibiaxial_stress(
+        float(stretch), membrane.young, membrane.poisson, membrane.law
     )
 
 
-def tension_slope(sheet: Membrane, area_ratio: float) -> float:
+def tension_slope(membrane: Membrane, area_ratio: float) -> float:
     """dT/dJ, N/m, of `tension` at `area_ratio`."""
     step = 1e-4
-    return (tension(sheet, area_ratio + step) - tension(sheet, area_ratio - step)) / (2 * step)
+    return (tension(membrane, area_ratio + step) - tension(membrane, area_ratio - step)) / (
+        2 * step
+    )
 
 
 @lru_cache(maxsize=64)
-def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
+def _polynomial(membrane: Membrane) -> tuple[float, float, Array]:
     """Return center, scale and coefficients of q in 1 / sqrt(det C), within 1e-6 of q."""
-    nu = max(sheet.poisson, _MIN_POISSON)
+    nu = max(membrane.poisson, _MIN_POISSON)
     half = nu / (1 - 2 * nu)  # lambda / 2 mu
-    ends = sheet.pre_stretch**-2 * np.array([_MAX_STRETCH**-2, _MIN_STRETCH**-2])
+    ends = membrane.pre_stretch**-2 * np.array([_MAX_STRETCH**-2, _MIN_STRETCH**-2])
     middle, reach = float(ends.mean()), float(np.diff(ends)[0] / 2)
     t = np.cos(np.linspace(0, np.pi, 400))
     log_det = -2 * np.log(middle + reach * t)

@@ -121,7 +121,7 @@ def _chains(points: Array, at: Array) -> Array:
     far = int(turned[:, 0].argmax())
     there = turned[: far + 1]
     back = np.concatenate([turned[far:], turned[:1]])[::-1]
-    found = [np.interp(at, *chain.T, left=np.nan, right=np.nan) for chain in (there, back)]
+    found = [np.interp(at, *pipeline.T, left=np.nan, right=np.nan) for pipeline in (there, back)]
     return np.sort(found, axis=0)
 
 

@@ -34,7 +34,7 @@ _RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 class IncrementalMembrane:
     """Present state of one membrane. SI units, frame S.
 
-    `film` is the shared model. `x` (3, nx, ny) m are displacements, `force` (nx, ny) N contact
+    `membrane` is the shared model. `x` (3, nx, ny) m are displacements, `force` (nx, ny) N contact
     forces along -z.
     """
 

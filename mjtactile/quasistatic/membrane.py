@@ -77,7 +77,7 @@ class QuasistaticMembrane:
         """
         self.design = design = load_sensor(design)
         self.grid = argument_checks.grid(grid)
-        frame, chamber, sheet = design.frame, design.chamber, design.membrane
+        frame, chamber, rubber = design.frame, design.chamber, design.membrane
         self.gauge_pressure = argument_checks.pressure(
             chamber.supply_gauge if gauge_pressure is None else gauge_pressure
         )
@@ -86,12 +86,12 @@ class QuasistaticMembrane:
             np.linspace(-side / 2, side / 2, count)
             for side, count in zip((frame.length, frame.width), self.grid, strict=True)
         )
-        law, self._law = law_numbers(sheet)
-        tensions = (tension_slope(sheet, _MIXED_AREA), sheet.young * sheet.thickness)
+        law, self._law = law_numbers(rubber)
+        tensions = (tension_slope(rubber, _MIXED_AREA), rubber.young * rubber.thickness)
         gas = (design.chamber_volume_flat, chamber.ambient, chamber.polytropic_exponent)
         sides = (frame.length, frame.width)
-        depths = (sheet.thickness / 2, chamber.depth)
-        stretch = sheet.pre_stretch**2
+        depths = (rubber.thickness / 2, chamber.depth)
+        stretch = rubber.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._cut, opening = cut_grid(frame, self.x, self.y)
         membrane_parameters = (*sides, *self.grid, stretch, *law, *tensions)

@@ -103,8 +103,8 @@ class Recording:
     @property
     def has_shapes(self) -> bool:
         """True if contact shapes were estimated; areas and forces are then those of the shapes."""
-        said = self.columns.get("shape_kind", ())
-        return any(kind != "none" for row in said for kind in row)
+        reported = self.columns.get("shape_kind", ())
+        return any(kind != "none" for row in reported for kind in row)
 
     @property
     def valve_count(self) -> int:

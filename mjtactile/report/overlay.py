@@ -51,7 +51,7 @@ def with_ellipses(image: Image, width: int, ellipses: Ellipses | None = None) ->
     pixels = image.pixels if image.pixels.size else np.full(_NO_PIXELS, _PAPER, np.uint8)
     scale = width / pixels.shape[1]
     small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    picture = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR).astype(np.uint8)
+    view = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR).astype(np.uint8)
     if len(ellipses):
         curves, _ = boundary(
             ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40
@@ -59,12 +59,6 @@ def with_ellipses(image: Image, width: int, ellipses: Ellipses | None = None) ->
         points = np.round(16 * ((curves + 0.5) * scale - 0.5)).astype(np.int32)
         for curve, status in zip(points, ellipses.status, strict=True):
             cv2.polylines(
-                picture,
-                [curve],
-                True,
-                TRUSTED if status == "ok" else FLAGGED,
-                1,
-                cv2.LINE_AA,
-                shift=4,
+                view, [curve], True, TRUSTED if status == "ok" else FLAGGED, 1, cv2.LINE_AA, shift=4
             )
-    return picture
+    return view

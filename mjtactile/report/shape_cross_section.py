@@ -33,18 +33,18 @@ def plot_section(
     Returns:
         Blue, green, red (*size, 3).
     """
-    picture = np.full((*size, 3), _PAPER, np.uint8)
+    image = np.full((*size, 3), _PAPER, np.uint8)
     if shape is None:
-        _write(picture, "no known contact shape", (8, 17))
-        return picture
+        _write(image, "no known contact shape", (8, 17))
+        return image
     text = f"{describe_shape(shape)}; estimated black" + (
         ", ground truth orange" if len(true) else ""
     )
-    _write(picture, text, (8, 17))
+    _write(image, text, (8, 17))
     half = size[1] // 2
     arcs = lines_of(shape)[-2:]
     for number, (turn, arc) in enumerate(zip(directions_of(shape), arcs, strict=False)):
-        panel = picture[_TEXT:, number * half : (number + 1) * half]
+        panel = image[_TEXT:, number * half : (number + 1) * half]
         way = np.array([np.cos(turn), np.sin(turn)])
         across = np.array([-way[1], way[0]])
         off = true - shape.p_SO
@@ -52,7 +52,7 @@ def plot_section(
         _draw(panel, [_flat(piece, way) for piece in own], _TRUE, 3)
         _draw(panel, [_flat(arc - shape.p_SO, way)], _BELIEVED, 1)
         _write(panel, _NAMES[number], (8, panel.shape[0] - 8))
-    return picture
+    return image
 
 
 def _flat(points: Array, way: Array) -> Array:
@@ -73,7 +73,7 @@ def _draw(panel: NDArray[np.uint8], lines: list[Array], colour: tuple[int, ...],
         panel[:] = own
 
 
-def _write(picture: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    own = np.ascontiguousarray(picture)
+def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+    own = np.ascontiguousarray(image)
     cv2.putText(own, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, _BELIEVED, 1, cv2.LINE_AA)
-    picture[:] = own
+    image[:] = own

@@ -45,7 +45,7 @@ def render_scene(
 ) -> None:
     """Render the sensors' surroundings, with an arrow of each finger's estimated force."""
     middle, half, axes_PW = _framing(view)
-    image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
+    image = render_view(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
     for estimated, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
         if (
@@ -70,7 +70,7 @@ def render_scene(
     axes.set_axis_off()
 
 
-def picture_of(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
+def render_view(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
     """Render the scene, (*size, 3) from 0 to 1; `samples` per pixel side smooth edges."""
     middle, half, axes_PW = _framing(view)
     corners, rgba = view.triangles()

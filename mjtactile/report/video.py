@@ -22,7 +22,7 @@ from mjtactile.recording.reader import Recording
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.shape_cross_section import plot_section
 from mjtactile.report.shape_wireframe import recorded_shape, true_lines
-from mjtactile.report.software_renderer import SceneCamera, picture_of
+from mjtactile.report.software_renderer import SceneCamera, render_view
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
 from mjtactile.report.video_file import NOTE, Pixels, Writer, write_frames
 
@@ -66,13 +66,13 @@ def write_video(
             choices=FORMATS,
         )
     rate, scale = FORMATS[path.suffix]
-    film = _Film(recording, views)
+    video = _VideoWriter(recording, views)
     times = np.arange(
-        film.start + begin, min(film.end, film.start + begin + seconds) + 1e-9, speed / rate
+        video.start + begin, min(video.end, video.start + begin + seconds) + 1e-9, speed / rate
     )
     if not len(times):
         raise InputError(
-            f"the recording ends after {film.end - film.start:.1f} s",
+            f"the recording ends after {video.end - video.start:.1f} s",
             source=recording.folder,
             field="--begin",
         )
@@ -80,7 +80,7 @@ def write_video(
     size = (0, 0)
     with Writer(part, path.suffix, rate) as write:
         for k, time in enumerate(times):
-            frame = film.frame(float(time))
+            frame = video.frame(float(time))
             if scale != 1:
                 frame = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
             frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
@@ -108,7 +108,7 @@ def is_own(path: Path) -> bool:
         return False
 
 
-class _Film:
+class _VideoWriter:
     """The frames of one recording."""
 
     def __init__(self, recording: Recording, views: Sequence[tuple[float, SceneCamera]]):
@@ -156,7 +156,7 @@ class _Film:
         if row == self._bodies[0] and self._bodies[1] is not None:
             return self._bodies[1]
         view = self._view_at(float(self._time[row]))
-        picture = np.full((_SECTION, self._width, 3), 255, np.uint8)
+        canvas = np.full((_SECTION, self._width, 3), 255, np.uint8)
         left = _SCENE if self._views else 0
         for finger in range(self._recording.width):
             shape = recorded_shape(self._recording, row, finger)
@@ -164,10 +164,10 @@ class _Film:
                 true = np.zeros((0, 2, 3))
             else:
                 true = true_lines(shape, view, finger)
-            part = picture[:, left + finger * _CAMERA : left + (finger + 1) * _CAMERA]
+            part = canvas[:, left + finger * _CAMERA : left + (finger + 1) * _CAMERA]
             part[:] = plot_section(shape, true, (_SECTION, _CAMERA))
-        self._bodies = (row, picture)
-        return picture
+        self._bodies = (row, canvas)
+        return canvas
 
     def _view_at(self, time: float) -> SceneCamera | None:
         """The scene that was kept then, if one was."""
@@ -176,11 +176,11 @@ class _Film:
             return None
         return self._views[index][1]
 
-    def _finger(self, finger: int, picture: Pixels, row: int) -> Pixels:
+    def _finger(self, finger: int, canvas: Pixels, row: int) -> Pixels:
         """Return a camera image with the estimate below it."""
         panel = np.full((_TOP, _CAMERA, 3), 255, np.uint8)
-        height = min(picture.shape[0], _TOP - 84)
-        panel[:height] = picture[:height]
+        height = min(canvas.shape[0], _TOP - 84)
+        panel[:height] = canvas[:height]
         columns = self._recording.columns
         force, sd = (
             float(self._recording.column(name)[row, finger])
@@ -213,7 +213,7 @@ class _Film:
     def _scene_at(self, time: float) -> Pixels:
         index = max(bisect.bisect_right(self._view_times, time + 1e-9) - 1, 0)
         if index != self._scene[0] or self._scene[1] is None:
-            rgb = picture_of(self._views[index][1], (_TOP, _SCENE))
+            rgb = render_view(self._views[index][1], (_TOP, _SCENE))
             self._scene = (index, np.round(255 * rgb[:, :, ::-1]).astype(np.uint8))
         assert self._scene[1] is not None
         return self._scene[1]
@@ -234,7 +234,7 @@ class _Curve:
         maximum = np.nanmax(np.concatenate([estimated.ravel(), true.ravel(), [0.2]]))
         self._top = 1.3 * float(maximum)
         self._low = -0.1 * float(maximum)
-        self._picture = np.full((_CURVE, width, 3), 255, np.uint8)
+        self._image = np.full((_CURVE, width, 3), 255, np.uint8)
         self._shade(recording)
         self._scale()
         for finger, colour in zip(
@@ -244,20 +244,20 @@ class _Curve:
             self._line(time, estimated[:, finger], colour, 2)
             self._line(time, true[:, finger], tuple(int(0.55 * c) for c in colour), 1)
         known = "estimated, 2 sd" + ("; ground truth (thin)" if np.isfinite(true).any() else "")
-        write_frames(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
+        write_frames(self._image, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
 
     def at(self, time: float) -> Pixels:
-        picture = self._picture.copy()
+        canvas = self._image.copy()
         x = int(self._x(np.array([time]))[0])
-        cv2.line(picture, (x, 22), (x, _CURVE - 24), _INK, 1)
+        cv2.line(canvas, (x, 22), (x, _CURVE - 24), _INK, 1)
         write_frames(
-            picture,
+            canvas,
             f"{time - self._start:.1f} s",
             (min(x + 4, self._width - 52), _CURVE - 28),
             0.45,
             _INK,
         )
-        return picture
+        return canvas
 
     def _x(self, time: Array) -> Array:
         return _MARGIN + (time - self._start) / (self._end - self._start) * (
@@ -271,21 +271,21 @@ class _Curve:
         for name, begin, end in recording.phases():
             left, right = (int(x) for x in self._x(np.array([begin, end])))
             cv2.rectangle(
-                self._picture,
+                self._image,
                 (left, 22),
                 (right, _CURVE - 24),
                 _bgr(PHASE_COLOURS.get(name, "#eeeeee")),
                 -1,
             )
             if right - left > 9 * len(name):
-                write_frames(self._picture, name, (left + 4, _CURVE - 8), 0.45, _INK)
+                write_frames(self._image, name, (left + 4, _CURVE - 8), 0.45, _INK)
 
     def _scale(self) -> None:
         step = next(s for s in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 1e9) if self._top / s <= 5)
         for value in np.arange(0.0, self._top, step):
             y = int(self._y(np.array([value]))[0])
-            cv2.line(self._picture, (_MARGIN, y), (self._width - 12, y), _GRID, 1)
-            write_frames(self._picture, f"{value:g}", (10, y + 5), 0.45, _INK)
+            cv2.line(self._image, (_MARGIN, y), (self._width - 12, y), _GRID, 1)
+            write_frames(self._image, f"{value:g}", (10, y + 5), 0.45, _INK)
 
     def _band(self, time: Array, force: Array, half: Array, colour: tuple[int, ...]) -> None:
         known = np.isfinite(force) & np.isfinite(half)
@@ -298,9 +298,9 @@ class _Curve:
                 np.stack([x, self._y((force - half)[known])], axis=1)[::-1],
             ]
         )
-        over = self._picture.copy()
+        over = self._image.copy()
         cv2.fillPoly(over, [np.round(outline).astype(np.int32)], colour)
-        self._picture[:] = cv2.addWeighted(over, 0.2, self._picture, 0.8, 0)
+        self._image[:] = cv2.addWeighted(over, 0.2, self._image, 0.8, 0)
 
     def _line(self, time: Array, force: Array, colour: tuple[int, ...], width: int) -> None:
         """Draw a line with gaps at unknown forces."""
@@ -311,7 +311,7 @@ class _Curve:
             np.arange(len(force)), np.flatnonzero(np.diff(np.isfinite(force).astype(int))) + 1
         ):
             if len(run) and np.isfinite(force[run[0]]):
-                cv2.polylines(self._picture, [points[run]], False, colour, width, cv2.LINE_AA)
+                cv2.polylines(self._image, [points[run]], False, colour, width, cv2.LINE_AA)
 
 
 def _bgr(colour: str) -> tuple[int, int, int]:

@@ -92,11 +92,11 @@ class Writer:
 
 
 def write_frames(
-    picture: Pixels,
+    image: Pixels,
     text: str,
     at: tuple[int, int],
     size: float,
     colour: tuple[int, ...],
     width: int = 1,
 ) -> None:
-    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)

@@ -58,8 +58,8 @@ class FiducialCompensation:
         camera = None if before is None else self._camera.find(seen, before)
         if camera is None and before is not None and state.camera is not None:
             camera = replace(state.camera, root=np.eye(OBSERVED_MODES), change=None)
-        picture = UNCHANGED if camera is None else self._camera.picture(camera.mean, camera.darker)
-        ellipses = picture.inverse_ellipses(ellipses, markers)
+        image = UNCHANGED if camera is None else self._camera.image(camera.mean, camera.darker)
+        ellipses = image.inverse_ellipses(ellipses, markers)
         return ellipses, replace(state, camera=camera, fiducials=seen)
 
     def correct_markers(

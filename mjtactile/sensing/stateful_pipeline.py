@@ -23,7 +23,7 @@ class StatefulPipeline:
     """Sensing pipeline and its newest state, for callers that only go forward in time.
 
     Args:
-        chain: The sensing pipeline.
+        pipeline: The sensing pipeline.
         state: Initial state; None: the state before any measurement.
         contact_shapes: True if every touch gets its `shape`; docs/reference/effects.md lists the
             cost.

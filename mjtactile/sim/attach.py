@@ -102,7 +102,7 @@ class Attachment:
         Raises InputError when the model's options cannot carry the sensor, or for another spec.
         """
         check_options(model.opt, source="bind")
-        if Effect.SHEET not in self.effects:
+        if Effect.MESH not in self.effects:
             return QuasistaticSensor(model, data, self.design, self.mesh, self.prefix, self.effects)
         return TactileSensor(
             model, data, self.design, self.mesh, self.prefix, self.contact, self.effects
@@ -132,7 +132,7 @@ def attach_membrane(
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
     if mesh is None:
-        mesh = default_mesh(design) if Effect.SHEET in on else QS_GRID
+        mesh = default_mesh(design) if Effect.MESH in on else QS_GRID
     check_options(spec.option, source="attach")
     validity_checks.check_design(design, mesh)
     _check_contact(contact)
@@ -144,7 +144,7 @@ def attach_membrane(
     # same gravity compensation as the parent: it then includes the sensor's weight
     body.gravcomp = target.parent.gravcomp
     _add_housing(body, design, mass)
-    if Effect.SHEET in on:
+    if Effect.MESH in on:
         add_membrane(child, body, design, grid)
         set_physics(child, grid, on)
     elif design.relaxation is not None:

@@ -34,7 +34,7 @@ class SimCamera:
         markers, and the image faults. Raises InputError for image faults without IMAGES, and
         without CHAIN.
         """
-        if Effect.CHAIN not in effects:
+        if Effect.PIPELINE not in effects:
             raise InputError(
                 "synthetic touch is available in grasps only", field="--effects -pipeline"
             )

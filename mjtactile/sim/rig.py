@@ -62,7 +62,7 @@ class _Plan:
         largest = _LARGEST_STEP
         if self.fidelity is not None:
             largest = self.fidelity.timestep * (1 + 1e-9)
-        if Effect.SHEET not in self.on:
+        if Effect.MESH not in self.on:
             largest = min(largest, _QS_STEP_MAX)
         rate = min(design.camera.rate for design in self.designs)
         return rate * int(np.ceil(1 / (rate * largest)))
@@ -94,8 +94,8 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
     overrides = scenario.effects
     fidelity = None
     if scenario.accuracy:
-        films = quasistatic_is_valid(design, grasped, overrides)
-        fidelity = Fidelity.parse(scenario.accuracy, films=films)
+        membranes = quasistatic_is_valid(design, grasped, overrides)
+        fidelity = Fidelity.parse(scenario.accuracy, membranes=membranes)
         overrides = fidelity.with_effects(overrides)
     sampled = replace(sampled, object=_with_task(sampled.object, sample_task, grasped, design))
     grasped = grasped.changed(sampled.object)
@@ -139,7 +139,7 @@ def _world(plan: _Plan) -> GraspWorld:
         ),
         timestep=1 / plan.steps_per_second,
         effects=plan.on,
-        mesh=fidelity.mesh if fidelity is not None and Effect.SHEET in plan.on else None,
+        mesh=fidelity.mesh if fidelity is not None and Effect.MESH in plan.on else None,
         object_pose=place(plan.object, pose),
         as_built_designs=true,
         path=plan.sample_task.path,
@@ -175,7 +175,7 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     )
     for valve in valves:
         world.after_each_step_batch(valve.move)
-    sheet = world.sensors[0].mesh
+    rubber = world.sensors[0].mesh
     names = tuple(finger.name for finger in file.fingers)
     assumed = tuple(set_design(design, plan.on) for design in plan.designs)
     return Rig(
@@ -187,12 +187,12 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         close=clock.close,
         varied={**plan.sampled.values, **plan.sample_task.values},
         flags=lambda: world.flags,
-        touch_is_synthetic=Effect.CHAIN not in plan.on,
+        touch_is_synthetic=Effect.PIPELINE not in plan.on,
         scene=world,
         grip_force_available=world.grip_force_available,
         workload=lambda: _workload(world, clock),
         simulated={
-            "mesh": (sheet.nx, sheet.ny),
+            "mesh": (rubber.nx, rubber.ny),
             "timestep_ms": 1e3 / plan.steps_per_second,
             "effects": plan.chosen.summary(),
         },
@@ -208,7 +208,7 @@ def _cameras(
     sampled: SampledWorld,
 ) -> tuple[SimCamera, ...] | tuple[SyntheticTouchSource, ...]:
     """Return the image source of each sensor: a camera, or a synthetic touch source."""
-    if Effect.CHAIN in on:
+    if Effect.PIPELINE in on:
         return tuple(
             SimCamera(sensor, seed, on, own)
             for sensor, seed, own in zip(sensors, seeds, as_built, strict=True)
@@ -224,7 +224,7 @@ def _cameras(
 def _workload(world: GraspWorld, clock: SimClock) -> Workload:
     """Return the wall times and contacts of a world so far."""
     geoms, contacts = world.contact_counts
-    is_mesh = Effect.SHEET in world.effects
+    is_mesh = Effect.MESH in world.effects
     return Workload(
         clock.physics_time,
         clock.rendering_time,

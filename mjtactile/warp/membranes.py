@@ -13,7 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
-from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.elasticity import MembraneGrid
 from mjtactile.warp.device.equilibrium import solve_all
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.obstacles import Geom
@@ -89,7 +89,7 @@ class Membranes:
         self.block = BLOCK if self.device.is_cuda else 1
         self.iteration = iteration or Iteration()
         with wp.ScopedDevice(self.device):
-            self.sheet = _sheet(self.membrane)
+            self.rubber = _membrane(self.membrane)
             self.scheme = _scheme(self.membrane, self.iteration)
             self.fields = _fields(count, grid)
             self.gas = Gas()
@@ -127,7 +127,7 @@ class Membranes:
             solve_all,
             dim=[self.count],
             inputs=[
-                self.sheet,
+                self.rubber,
                 self.scheme,
                 self.gas,
                 self.geoms,
@@ -140,26 +140,26 @@ class Membranes:
         )
 
 
-def _sheet(membrane: QuasistaticMembrane) -> Any:
+def _membrane(membrane: QuasistaticMembrane) -> Any:
     numbers = membrane._numbers
-    sheet = Sheet()
-    sheet.nx, sheet.ny = membrane.grid
-    sheet.dx = float(membrane.x[1] - membrane.x[0])
-    sheet.dy = float(membrane.y[1] - membrane.y[0])
-    sheet.lambda2 = float(numbers[4])
-    sheet.neo_hookean = int(numbers[5])
-    sheet.modulus, sheet.poisson = float(numbers[6]), float(numbers[7])
-    sheet.law_middle, sheet.law_per_unit = float(numbers[8]), float(numbers[9])
-    sheet.half_thickness = membrane.design.membrane.thickness / 2
-    sheet.depth = membrane.design.chamber.depth
-    sheet.law = wp.array(membrane._law.astype(np.float32), dtype=float)
+    rubber = MembraneGrid()
+    rubber.nx, rubber.ny = membrane.grid
+    rubber.dx = float(membrane.x[1] - membrane.x[0])
+    rubber.dy = float(membrane.y[1] - membrane.y[0])
+    rubber.lambda2 = float(numbers[4])
+    rubber.neo_hookean = int(numbers[5])
+    rubber.modulus, rubber.poisson = float(numbers[6]), float(numbers[7])
+    rubber.law_middle, rubber.law_per_unit = float(numbers[8]), float(numbers[9])
+    rubber.half_thickness = membrane.design.membrane.thickness / 2
+    rubber.depth = membrane.design.chamber.depth
+    rubber.law = wp.array(membrane._law.astype(np.float32), dtype=float)
     inner = np.zeros(membrane.grid, np.int32)
     inner[1:-1, 1:-1] = 1
-    sheet.free = wp.array(inner.ravel(), dtype=int)
+    rubber.free = wp.array(inner.ravel(), dtype=int)
     rest = membrane.rest.x.reshape(3, -1).astype(np.float32)
-    sheet.rest = wp.array(rest, dtype=float)
-    sheet.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
-    return sheet
+    rubber.rest = wp.array(rest, dtype=float)
+    rubber.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
+    return rubber
 
 
 def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:

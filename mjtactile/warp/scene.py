@@ -92,7 +92,7 @@ class Touch:
             dim=[part.count],
             inputs=[
                 *(
-                    part.sheet,
+                    part.rubber,
                     part.scheme,
                     part.gas,
                     self._heat,
@@ -109,7 +109,7 @@ class Touch:
             add_forces,
             dim=self.worlds,
             inputs=[
-                *(part.sheet, part.gas, self._stiffness, part.fields, self._places, self._joints),
+                *(part.rubber, part.gas, self._stiffness, part.fields, self._places, self._joints),
                 *(self._states.patches, m.opt.timestep, d.xpos, d.xmat, d.xanchor, d.xaxis),
                 *(d.qvel, d.qfrc_passive),
             ],
@@ -126,9 +126,9 @@ class Touch:
         membrane = self.membranes.membrane
         wp.launch(
             reset_worlds,
-            dim=(self.membranes.count, self.membranes.sheet.rest.shape[1]),
+            dim=(self.membranes.count, self.membranes.rubber.rest.shape[1]),
             inputs=[
-                *(self.fingers, mask, self.membranes.sheet.rest, float(membrane.gauge_pressure)),
+                *(self.fingers, mask, self.membranes.rubber.rest, float(membrane.gauge_pressure)),
                 *(float(membrane.rest.volume), self.membrane_volume, self.membranes.gas),
                 self._heat,
                 *(self.membranes.fields, self._states),
@@ -203,7 +203,7 @@ def _common(fingers: Sequence[AttachedSensor]) -> tuple[Any, tuple[int, int]]:
     if not fingers:
         raise InputError("is empty; at least one sensor is needed", source="bind", field="fingers")
     parts = [finger.membrane for finger in fingers]
-    if any(Effect.SHEET in part.effects for part in parts):
+    if any(Effect.MESH in part.effects for part in parts):
         raise InputError(
             "a sensor has a mesh, which runs on the CPU only; attach it with effects='-mesh'",
             source="bind",

@@ -24,7 +24,7 @@ MODULES = (panel, control_window, playback)
 frame = {
     "places": {},
     "values": {},
-    "said": [],
+    "reported": [],
     "felt": [],
     "number": -1,
     "hovered": "",
@@ -41,14 +41,15 @@ class Noting:
         self.begin()
 
     def begin(self):
-        self.notes = {"places": {}, "values": {}, "said": [], "hovered": "", "active": ""}
+        self.notes = {"places": {}, "values": {}, "reported": [], "hovered": "", "active": ""}
 
     def __getattr__(self, name):
         real = getattr(self._real, name)
         if name in _TEXTS:
-            return lambda *args: (self.notes["said"].append(str(args[_TEXTS[name]])), real(*args))[
-                1
-            ]
+            return lambda *args: (
+                self.notes["reported"].append(str(args[_TEXTS[name]])),
+                real(*args),
+            )[1]
         return (lambda *args: self._note(real, args)) if name in _WIDGETS else real
 
     def _note(self, real, args):
@@ -114,7 +115,7 @@ class Clerk(plugin.ViewerPlugin):
             "frames": frame["frames"] + 1,
             "places": {},
             "values": {},
-            "said": [],
+            "reported": [],
             "hovered": "",
             "active": "",
         }

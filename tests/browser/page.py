@@ -70,7 +70,7 @@ class Page:
             assert time.monotonic() < end, f"never: {script}"
             time.sleep(0.1)
 
-    def picture(self):
+    def image(self):
         """Blue, green, red (h, w, 3), as many px as the page thinks that it has."""
         if self._sparing:
             self.run("window.toDraw = 1")

@@ -86,5 +86,5 @@ def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
         assert (
             page.run("document.getElementById('moment').textContent") == f"{cycles[6].time:.2f} s"
         )
-        cv2.imwrite(str(tmp_path / "page.png"), page.picture())
-        assert page.picture().std() > 20
+        cv2.imwrite(str(tmp_path / "page.png"), page.image())
+        assert page.image().std() > 20

@@ -151,12 +151,12 @@ class Studio:
             "the page is up",
         )
 
-    def picture(self, good):
+    def image(self, good):
         """The page as soon as it is `good`, and the pictures in it: left camera, left membrane,
         right camera, right membrane. The scene is drawn some time after the windows."""
         end = time.monotonic() + LIMIT
         while True:
-            shot = self.page.picture()
+            shot = self.page.image()
             places = self.ask()["places"]
             # textures have numbers
             parts = [
@@ -192,7 +192,7 @@ def is_dark(bgr):
 def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_sessions(studio):
     studio.is_up()
     # a scene that is not black, markers, and nothing touches
-    first, _ = studio.picture(
+    first, _ = studio.image(
         lambda shot, parts: (
             shot[SCENE].std() > 10
             and len(parts) == 4
@@ -212,9 +212,9 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
             f"normal {estimated['force']:+.3f} N, 2 sd {2 * estimated['sd']:.3f}",
             f"ground truth {estimated['true']:+.3f} N",
         ):
-            assert text in held["said"]
+            assert text in held["reported"]
         assert abs(estimated["force"] - estimated["true"]) < 5 * estimated["sd"]
-    later, (_, membrane, *_) = studio.picture(
+    later, (_, membrane, *_) = studio.image(
         lambda shot, parts: (parts[1][:, :, 1] > 180).mean() > 0.005
     )
     if PICTURE:
@@ -248,14 +248,15 @@ def test_the_supply_slider_changes_the_pressure(studio):
 def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
     studio.ask("break")
     studio.until(
-        lambda f: any("ZeroDivisionError" in text for text in f["said"]), "the error is shown"
+        lambda f: any("ZeroDivisionError" in text for text in f["reported"]), "the error is shown"
     )
     number = studio.ask()["number"]
     studio.press("one cycle")
     studio.until(lambda f: f["number"] > number, "it goes on")
     studio.ask("mend")
     studio.until(
-        lambda f: any(text.startswith("normal") for text in f["said"]), "the finger is shown again"
+        lambda f: any(text.startswith("normal") for text in f["reported"]),
+        "the finger is shown again",
     )
 
 
@@ -297,7 +298,7 @@ def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
     studio.close()
     studio.open("two")
     studio.is_up()
-    studio.picture(lambda shot, _: shot[SCENE].std() > 10)
+    studio.image(lambda shot, _: shot[SCENE].std() > 10)
     studio.press("resume")
     studio.until(lambda f: f["number"] > number, "it goes on")
 

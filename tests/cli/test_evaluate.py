@@ -18,7 +18,7 @@ from mjtactile.export.episode import find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
-DRAWN = "--effects=-images,-mesh,-pipeline"  # the fastest level: these tests do not check physics
+SAMPLED = "--effects=-images,-mesh,-pipeline"  # the fastest level: these tests do not check physics
 COMMON = [
     "--controller",
     "quick.py",
@@ -30,7 +30,7 @@ COMMON = [
     "none",
     "--worst",
     "1",
-    DRAWN,
+    SAMPLED,
     "--seed",
     "7",
 ]
@@ -114,8 +114,8 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
 )
 def test_bad_words(capsys, words, text):
     assert main(["evaluate", *words]) == 2
-    said = capsys.readouterr().err
-    assert text in said and len(said.strip().splitlines()) == 1
+    reported = capsys.readouterr().err
+    assert text in reported and len(reported.strip().splitlines()) == 1
 
 
 def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch):
@@ -133,7 +133,7 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
         "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"
     )
     words = [
-        DRAWN,
+        SAMPLED,
         "--controller",
         "quick.py",
         "--objects",

@@ -113,9 +113,11 @@ def test_an_indenter_wider_than_the_frame_is_refused(recording, tmp_path, capsys
     lines.insert(-1, json.dumps({"kind": "note", "stage": stage}))
     log.write_text("\n".join(lines) + "\n")
     assert main(["fit", "--recording", str(wide), "--out", str(tmp_path / "x.toml")]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "sphere:18 is 36 mm wide" in said and "30 mm" in said
-    assert "sphere:8" in said  # what to record with
+    reported = capsys.readouterr().err
+    assert (
+        reported.count("\n") == 1 and "sphere:18 is 36 mm wide" in reported and "30 mm" in reported
+    )
+    assert "sphere:8" in reported  # what to record with
 
 
 def test_the_indenter_of_a_protocol_follows_the_frame():

@@ -65,8 +65,8 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
         (["dens"], "dens: unknown sensor (valid: dense, "),
     ):
         assert main(["fabricate", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and words in said
+        reported = capsys.readouterr().err
+        assert reported.count("\n") == 1 and words in reported
     assert not (tmp_path / "a").exists()
 
 

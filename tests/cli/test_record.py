@@ -86,9 +86,9 @@ def test_its_page_feels_it_again(folder, tmp_path, capsys):
     page = Balanced((tmp_path / "page.html").read_text())
     estimated = [shot["estimates"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
     assert result["re_estimate"] and result["shown"] == result["cycles"] == len(estimated)
-    said = load_recording(folder).column("force_normal")[:, 0]
+    reported = load_recording(folder).column("force_normal")[:, 0]
     # as written, two digits
-    assert [float(text.split()[0]) for text in estimated] == pytest.approx(said, abs=0.0051)
+    assert [float(text.split()[0]) for text in estimated] == pytest.approx(reported, abs=0.0051)
     assert "hyperelasticity" in page.text  # list of simulated effects
 
 

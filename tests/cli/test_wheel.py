@@ -179,8 +179,8 @@ def test_another_platforms_wheel_is_made_here(tmp_path, target):
 def test_a_wheel_for_an_unknown_platform_is_refused(tmp_path):
     pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
     command = (*pip, "--wheel-dir", tmp_path, CHECKOUT)
-    _, said = run(*command, code=1, variables={"MJTACTILE_WHEEL": "amiga"})
-    assert "MJTACTILE_WHEEL=amiga: choose from linux-x86_64, " in said
+    _, reported = run(*command, code=1, variables={"MJTACTILE_WHEEL": "amiga"})
+    assert "MJTACTILE_WHEEL=amiga: choose from linux-x86_64, " in reported
 
 
 def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
@@ -200,8 +200,8 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
     assert (
         Path(pages["folder"]).is_relative_to(fresh) and "reference/sensor_files" in pages["pages"]
     )
-    _, said = run(mjtactile, "bench", "speed", cwd=work, code=2)
-    assert said == (
+    _, reported = run(mjtactile, "bench", "speed", cwd=work, code=2)
+    assert reported == (
         "mjtactile: benchmarks are not in the installed package; run them from a checkout of the "
         "project's source, folder 'benchmarks' (pip install --editable .)\n"
     )

@@ -93,15 +93,15 @@ class Brief:
 def emulated_session(path):
     """Yield a session with references on a new emulated rig, its emulator, and its messages."""
     rig_file = load_rig_file(path)
-    said = []
+    reported = []
     design = load_sensor(path.parent / "slower.toml")
     emulator = EmulatorProcess(rig_file, design, object_name="egg", seed=1)
     try:
         rig = build_emulated_rig(rig_file, design, object_name="egg", seed=1, emulator=emulator)
         try:
-            session = Session(rig, notify=said.append)
+            session = Session(rig, notify=reported.append)
             session.take_references()
-            yield session, emulator, said
+            yield session, emulator, reported
         finally:
             rig.close()
     finally:
@@ -112,7 +112,7 @@ def grasp_error(path):
     """Return the mean force error on each finger, N, while an egg is held, and the session's
     messages."""
     errors = []
-    with emulated_session(path) as (session, emulator, said):
+    with emulated_session(path) as (session, emulator, reported):
 
         def on_cycle(cycle):
             if cycle.sent.phase == "hold":
@@ -125,7 +125,7 @@ def grasp_error(path):
                 )
 
         session.run(Brief(30), time_limit=60.0, on_cycle=on_cycle)
-    return np.nanmean(errors, axis=0), said
+    return np.nanmean(errors, axis=0), reported
 
 
 # -- a person with instruments
@@ -192,8 +192,8 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     ) and left.frame.stiffness == pytest.approx(1.15, abs=0.05)
     # with lens and zero calibrated, only the model error remains
     assert left.force.scale == pytest.approx(1.0, abs=0.05)
-    after, said = grasp_error(path)
-    assert not [text for text in said if text.startswith("calibration of")]
+    after, reported = grasp_error(path)
+    assert not [text for text in reported if text.startswith("calibration of")]
     assert np.abs(after).max() < ERROR_MAX
 
 

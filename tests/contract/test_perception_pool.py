@@ -74,9 +74,9 @@ def children():
 
 
 def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(pool):
-    chains = [Feels(), Feels()]
+    pipelines = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
-        with pool.at_work(chains, NAMES) as both:
+        with pool.at_work(pipelines, NAMES) as both:
             left, right = both.perceive([IMAGE, Image(IMAGE.pixels + np.uint8(1), 1.0)], now)
         assert (left.age, left.force_normal, left.status) == (now - 1, 0.5, "ok")
         assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [
@@ -84,7 +84,7 @@ def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(pool):
         ]
         arrays = [value for value in vars(left.markers).values() if value is not None]
         assert len(arrays) >= 4 and not any(array.flags.writeable for array in arrays)
-    assert [chain.state for chain in chains] == [2, 2]
+    assert [pipeline.state for pipeline in pipelines] == [2, 2]
 
 
 def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(pool):
@@ -132,8 +132,8 @@ def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(pool)
 
 
 def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
-    chains = [Feels(), Feels()]
-    with pool.at_work(chains, NAMES) as both:
+    pipelines = [Feels(), Feels()]
+    with pool.at_work(pipelines, NAMES) as both:
         both.perceive([IMAGE, IMAGE], 1.0)
         for pid in children():
             os.kill(pid, signal.SIGKILL)
@@ -141,7 +141,7 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
             DeviceError, match="a process that runs perception has ended \\(by signal 9\\)"
         ):
             both.perceive([IMAGE, IMAGE], 2.0)
-    assert [chain.state for chain in chains] == [0, 0]
+    assert [pipeline.state for pipeline in pipelines] == [0, 0]
 
 
 class Killing(Observer):

@@ -58,5 +58,5 @@ def test_servos_that_push_a_frame_are_said_and_a_step_that_eats_the_memory_is_re
         emulator.close()
     assert recording.columns["state"][-1] == "latched"
     # force in N: the limit of the servos is 6; membranes indented by 1.3 mm measure about 1
-    said = json.loads(output)["flags"]["unsensed_force"]["reason"]
-    assert 2.0 < float(said.split("carry ")[1].split(" N")[0]) < 8.0, said
+    reported = json.loads(output)["flags"]["unsensed_force"]["reason"]
+    assert 2.0 < float(reported.split("carry ")[1].split(" N")[0]) < 8.0, reported

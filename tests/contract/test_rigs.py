@@ -155,8 +155,11 @@ def test_images_have_the_designs_size_and_see_the_markers(rig):
     for camera in rig.cameras:
         image = patient_read(camera, rig.clock, rig.period)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
-        chain = SensingPipeline(DESIGN)
-        assert len(chain.detect_markers(chain.initial_state(), image)[0]) == DESIGN.markers.count
+        sensing_pipeline = SensingPipeline(DESIGN)
+        assert (
+            len(sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), image)[0])
+            == DESIGN.markers.count
+        )
 
 
 def test_state_is_finite_and_within_the_limits(rig):
@@ -295,13 +298,13 @@ def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path)
         .with_part(ForceScale(0.9, 0.01, 1.0, mark))
         for f in rig.fingers
     }
-    said = []
+    reported = []
     fingers = tuple(replace(f, calibration=known[f.name]) for f in rig.fingers)
     try:
-        record(replace(rig, fingers=fingers), tmp_path / "first", said.append)
+        record(replace(rig, fingers=fingers), tmp_path / "first", reported.append)
     finally:
         rig.close()
-    assert "calibration of left: never measured: frame, valve" in said
+    assert "calibration of left: never measured: frame, valve" in reported
     replay = build_replay_rig(str(tmp_path / "first"))
     recalled = [(f.name, f.calibration) for f in replay.fingers]
     assert {name: c and c.table() for name, c in recalled} == {

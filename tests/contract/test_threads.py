@@ -78,7 +78,7 @@ def test_a_replay_in_a_thread_is_the_same(grasps):
     ]
 
 
-def chain(act):
+def pipeline(act):
     return SimpleNamespace(perceive=act)
 
 
@@ -94,7 +94,7 @@ def test_both_work_at_the_same_time():
         return estimated(image, now)
 
     for threads in (1, 2):
-        with Perceivers([chain(act), chain(act)], NAMES, threads) as both:
+        with Perceivers([pipeline(act), pipeline(act)], NAMES, threads) as both:
             assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 1.0)] == ["ok", "ok"]
 
 
@@ -108,7 +108,7 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
             raise ValueError("what it says")
         return estimated(image, now)
 
-    with Perceivers([chain(estimated), chain(act)], NAMES, threads) as both:
+    with Perceivers([pipeline(estimated), pipeline(act)], NAMES, threads) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
         assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == [
@@ -128,7 +128,7 @@ def test_one_that_hangs_is_unknown_until_it_answers():
         answered.set()
         return estimated(image, now)
 
-    with Perceivers([chain(estimated), chain(hangs)], NAMES, 2) as both:
+    with Perceivers([pipeline(estimated), pipeline(hangs)], NAMES, 2) as both:
         # the second call does not wait for it
         for now, timeout in ((1.0, 0.01), (2.0, 1e9)):
             left, right = both.perceive([IMAGE, IMAGE], now, timeout)

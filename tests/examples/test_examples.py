@@ -243,10 +243,10 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
         timeout=600,
     )
     assert process.returncode == 0, process.stderr
-    said = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
-    assert "ok" in said  # markers were detected in the images of the example
+    reported = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
+    assert "ok" in reported  # markers were detected in the images of the example
     # stale images may occur on a busy computer
-    assert all("stale" in status for status in said - {"ok"})
+    assert all("stale" in status for status in reported - {"ok"})
 
 
 def test_train_a_policy_finds_what_a_teacher_did():

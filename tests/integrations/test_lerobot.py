@@ -68,7 +68,7 @@ def test_a_finger_of_a_rig_file_on_anybodys_robot(monkeypatch):
         driver = camera._driver
         assert camera.is_connected and driver.device.finger == "right"
     assert shown[0].shape == (device.height, device.width, 3) and shown[0].dtype == np.uint8
-    assert np.all(np.diff([int(picture[0, 0, 0]) for picture in shown]) == 1)
+    assert np.all(np.diff([int(image[0, 0, 0]) for image in shown]) == 1)
     assert driver.closed and not camera.is_connected
     with pytest.raises(ConnectionError, match="not open"):
         camera.read()

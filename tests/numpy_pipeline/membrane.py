@@ -34,22 +34,22 @@ def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
 
 
 def stiffness(
-    model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Membrane, p_SV: Array
+    model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, membrane: Membrane, p_SV: Array
 ) -> Array:
     """Rows (m, 6) of MuJoCo's stiffness at the strain that the vertices at `p_SV` (n, 3) m mean."""
     elements = EdgeMatrices(model, flex_id, mesh)
     edges = (p_SV[elements.ends[:, 1]] - p_SV[elements.ends[:, 0]])[elements.edges]
-    C = np.einsum("mij,mj->im", elements.metric * sheet.pre_stretch**2, (edges**2).sum(axis=2))
+    C = np.einsum("mij,mj->im", elements.metric * membrane.pre_stretch**2, (edges**2).sum(axis=2))
     trace = (C[0] + C[1]) / 2 - 1
-    modulus = shear_modulus(sheet.young, sheet.poisson)
-    first = 2 * modulus * sheet.poisson / (1 - sheet.poisson)
+    modulus = shear_modulus(membrane.young, membrane.poisson)
+    first = 2 * modulus * membrane.poisson / (1 - membrane.poisson)
     mu = modulus * thickness_over_area(
-        np.log(np.maximum(C[0] * C[1] - C[2] ** 2, _FLATTEST)), sheet.poisson
+        np.log(np.maximum(C[0] * C[1] - C[2] ** 2, _FLATTEST)), membrane.poisson
     )
     unstrained = np.abs(trace) < _UNSTRAINED
     secant = (modulus - mu * (1 + 2 * trace)) / np.where(unstrained, 1.0, trace)
     second = np.where(unstrained, first, np.clip(secant, _LOW * mu, _HIGH * first))
-    volume = mesh.triangle_areas * sheet.thickness * sheet.pre_stretch**2 / 2
+    volume = mesh.triangle_areas * membrane.thickness * membrane.pre_stretch**2 / 2
     trace = elements.metric[:, 0] + elements.metric[:, 1]
     shear = elements.metric.transpose(0, 2, 1) @ np.diag([2.0, 2.0, 4.0]) @ elements.metric
     full = mu[:, None, None] * shear + second[:, None, None] * trace[:, :, None] * trace[:, None, :]

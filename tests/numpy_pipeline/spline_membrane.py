@@ -77,9 +77,9 @@ class SplineMembrane:
         self._places = (
             row * 3 * self.count + j + columns_x[:, None] * ay.count + columns_y
         ).ravel()
-        sheet = design.membrane
-        self._law = ConstitutiveLaw(sheet)
-        self._lambda2 = sheet.pre_stretch**2
+        rubber = design.membrane
+        self._law = ConstitutiveLaw(rubber)
+        self._lambda2 = rubber.pre_stretch**2
 
     # -- one state
     # --------------------------------------------------------------------------------

@@ -87,8 +87,8 @@ def test_gravity_of_the_sheet_is_its_weight():
     masses = [
         press_world(effects).model.body_mass.sum() for effects in (PHYSICS, PHYSICS - {"gravity"})
     ]
-    sheet = DENSE.membrane
-    whole = sheet.density * sheet.thickness * DENSE.frame.area / sheet.pre_stretch**2
+    rubber = DENSE.membrane
+    whole = rubber.density * rubber.thickness * DENSE.frame.area / rubber.pre_stretch**2
     # the rim's share of the areas (a quarter to a third at 9 x 7 vertices) rides on the frame
     assert 0.6 * whole < masses[0] - masses[1] < whole
 
@@ -133,9 +133,9 @@ def test_servo_lag_is_first_order():
 
 def test_camera_switches_act_on_picture_or_on_both_sides():
     seen = set_design(DENSE, PHYSICS)
-    drawn = set_camera_effects(DENSE, PHYSICS)
+    sampled = set_camera_effects(DENSE, PHYSICS)
     assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
-    assert drawn.camera.noise_dn == drawn.camera.blur_px == drawn.leds.count == 0
+    assert sampled.camera.noise_dn == sampled.camera.blur_px == sampled.leds.count == 0
     everything = CAMERA | PHYSICS
     assert set_camera_effects(set_design(DENSE, everything), everything) == DENSE
 

@@ -89,25 +89,25 @@ def sensor(request, truth):
 
 
 def test_forward_solution_matches_the_independent_membrane(truth):
-    sheet = SplineMembrane(load_sensor("dense"), (14, 10))
-    c = sheet.equilibrium(Gas(SUPPLY))
-    height = (sheet.basis(np.zeros((1, 2))) @ c[2])[0]
+    rubber = SplineMembrane(load_sensor("dense"), (14, 10))
+    c = rubber.equilibrium(Gas(SUPPLY))
+    height = (rubber.basis(np.zeros((1, 2))) @ c[2])[0]
     # linear triangles of 1.25 mm are too stiff by O(h^2): 0.4 % of a 40 x 30 mm bulge
     assert height == pytest.approx(truth.rest[:, 2].max(), rel=0.006)
-    assert sheet.state(c).volume == pytest.approx(truth.volume, rel=0.01)
+    assert rubber.state(c).volume == pytest.approx(truth.volume, rel=0.01)
 
 
 def test_tangent_is_the_derivative_of_the_residual():
-    sheet = SplineMembrane(load_sensor("dense"), (14, 10))
-    c = sheet.equilibrium(Gas(SUPPLY))
+    rubber = SplineMembrane(load_sensor("dense"), (14, 10))
+    c = rubber.equilibrium(Gas(SUPPLY))
     v = 1e-6 * np.random.default_rng(0).standard_normal(c.shape)
-    band = sheet.tangent(sheet.state(c), SUPPLY)
+    band = rubber.tangent(rubber.state(c), SUPPLY)
     lower = sum(
-        np.diag(band[: len(band) - below, below], -below) for below in range(sheet.width + 1)
+        np.diag(band[: len(band) - below, below], -below) for below in range(rubber.width + 1)
     )
     K = lower + np.tril(lower, -1).T  # the three components of a spline together
     change = (
-        sheet.residual(sheet.state(c + v), SUPPLY) - sheet.residual(sheet.state(c - v), SUPPLY)
+        rubber.residual(rubber.state(c + v), SUPPLY) - rubber.residual(rubber.state(c - v), SUPPLY)
     ) / 2
     # 2-point Gauss quadrature makes the follower pressure's matrix asymmetric by 5e-4, of which
     # half is used
@@ -198,11 +198,11 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     rng = np.random.default_rng(1)
     # of the prior's covariance
     root = half_of(estimator.prior, np.eye(len(gain.prior)), gain.prior)
-    drawn = rng.standard_normal((len(root), 400))
+    sampled = rng.standard_normal((len(root), 400))
     seen = gain.half
-    t = root @ drawn
+    t = root @ sampled
     y = (
-        seen @ drawn
+        seen @ sampled
         + gain.drift @ rng.standard_normal((gain.drift.shape[1], 400))
         + rng.standard_normal((len(seen), 400))
     )
@@ -220,8 +220,8 @@ def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
     the rubber shear was 14, 13 and 7 % off. The normal force is the pressure's, whatever it is."""
     nominal = load_sensor("dense")
     estimator = InverseMembrane(nominal)
-    sheet = nominal.membrane
-    other = replace(sheet, young=young * sheet.young, pre_stretch=sheet.pre_stretch + tauter)
+    rubber = nominal.membrane
+    other = replace(rubber, young=young * rubber.young, pre_stretch=rubber.pre_stretch + tauter)
     true = InverseMembrane(replace(nominal, membrane=other))
     c = true.membrane.equilibrium(Gas(SUPPLY))
     gas = true.membrane.seal(true.membrane.state(c), SUPPLY)

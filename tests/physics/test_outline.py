@@ -46,8 +46,8 @@ def plain(design, pre_stretch=1.0):
     return replace(design, membrane=membrane)
 
 
-def top(sheet, c):
-    return float((sheet.basis(np.zeros((1, 2))) @ c[2])[0])
+def top(rubber, c):
+    return float((rubber.basis(np.zeros((1, 2))) @ c[2])[0])
 
 
 @SHAPES
@@ -160,9 +160,9 @@ def disc_height(design, pressure, elements=60):
 def test_sensings_sheet_is_henckys_disc():
     design = plain(ROUND)
     pressure = 1e-3 * 300 / 15e-3  # p a / E h = 1e-3, the top of the closed form's range
-    sheet = SplineMembrane(design, (12, 12))
+    rubber = SplineMembrane(design, (12, 12))
     # the closed form is that of small slopes: 0.07 %, at 8 x 8 as at 24 x 24
-    assert top(sheet, sheet.equilibrium(Gas(pressure))) == pytest.approx(
+    assert top(rubber, rubber.equilibrium(Gas(pressure))) == pytest.approx(
         closed_forms.hencky_height(15e-3, 300.0, design.membrane.poisson, pressure), rel=2e-3
     )
 
@@ -190,11 +190,11 @@ def test_a_taut_ellipse_is_a_paraboloid():
     frame = design.frame
     a2, b2 = (frame.length / 2) ** 2, (frame.width / 2) ** 2
     height = 10.0 / (2 * design.membrane.pretension * (1 / a2 + 1 / b2))
-    sheet = SplineMembrane(design, (14, 10))
-    c = sheet.equilibrium(Gas(10.0))
+    rubber = SplineMembrane(design, (14, 10))
+    c = rubber.equilibrium(Gas(10.0))
     at = np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2)) * (frame.length, frame.width) / 2
     expected = height * (1 - at[:, 0] ** 2 / a2 - at[:, 1] ** 2 / b2)
-    found = sheet.basis(sheet.own(at)) @ c[2]
+    found = rubber.basis(rubber.own(at)) @ c[2]
     np.testing.assert_allclose(found, expected, rtol=3e-3)  # slopes of 0.01 and their tension
     # the simulator's triangles: 1 %, second order
     world = scene(design)
@@ -207,22 +207,22 @@ def test_a_taut_ellipse_is_a_paraboloid():
 def test_the_stiffness_is_the_derivative_of_the_forces(outline):
     frame = replace(ROUND.frame, length=2 * outline.half_sizes[0], width=2 * outline.half_sizes[1])
     frame.__dict__["outline"] = outline
-    sheet = SplineMembrane(replace(ROUND, frame=frame), (8, 6))
+    rubber = SplineMembrane(replace(ROUND, frame=frame), (8, 6))
     rng = np.random.default_rng(0)
-    c = sheet.equilibrium(Gas(1000.0)) + 1e-4 * rng.normal(size=(3, sheet.count))
+    c = rubber.equilibrium(Gas(1000.0)) + 1e-4 * rng.normal(size=(3, rubber.count))
     change = 1e-7 * rng.normal(size=c.shape)
-    band = sheet.tangent(sheet.state(c), 1000.0)
-    n = 3 * sheet.count
+    band = rubber.tangent(rubber.state(c), 1000.0)
+    n = 3 * rubber.count
     K = np.zeros((n, n))
-    for below in range(sheet.width + 1):
+    for below in range(rubber.width + 1):
         K[np.arange(below, n), np.arange(n - below)] = band[: n - below, below]
     K += np.tril(K, -1).T
-    after, before = (sheet.residual(sheet.state(c + s * change), 1000.0) for s in (1, -1))
+    after, before = (rubber.residual(rubber.state(c + s * change), 1000.0) for s in (1, -1))
     found = (K @ change.T.ravel()).reshape(-1, 3).T
     # the law's table is linear between entries: 4e-4; components of gas symmetric on a closed frame
     np.testing.assert_allclose(found, (after - before) / 2, atol=2e-3 * np.abs(found).max())
-    state = sheet.state(c)
-    forces = sheet.forces_of(c, sheet.stress(c))  # in numpy
+    state = rubber.state(c)
+    forces = rubber.forces_of(c, rubber.stress(c))  # in numpy
     np.testing.assert_allclose(forces, state.elastic, atol=1e-10 * np.abs(forces).max())
 
 
@@ -240,15 +240,15 @@ def test_a_load_on_the_sheet_is_felt_where_it_is(design):
         normals = np.tile([0.0, 0.0, 1.0], (markers.count, 1))
         return Markers(np.arange(markers.count), estimator.positions(c), normals, cov)
 
-    sheet = estimator.membrane
-    rest = estimator.rest_state(seen(sheet.equilibrium(Gas(1000.0))), 1000.0)
+    rubber = estimator.membrane
+    rest = estimator.rest_state(seen(rubber.equilibrium(Gas(1000.0))), 1000.0)
     assert rest.stiffness_scale == pytest.approx(1.0, abs=1e-3)
     place = np.array([4e-3, -3e-3])
     pressure = np.exp(-0.5 * (np.square(estimator.nodes - place).sum(1)) / 3e-3**2)
     force = 0.5 * pressure * estimator.node_area / (pressure @ estimator.node_area)
-    load = np.zeros((3, sheet.count))
-    load[2] = -force @ sheet.basis(sheet.own(estimator.nodes))
-    c = sheet.equilibrium(rest.gas, rest.young, load, start=rest.c)
+    load = np.zeros((3, rubber.count))
+    load[2] = -force @ rubber.basis(rubber.own(estimator.nodes))
+    c = rubber.equilibrium(rest.gas, rest.young, load, start=rest.c)
     shape = estimator.estimate(seen(c), rest)
     estimated = estimator.traction(shape)
     # the prior of compact contacts gives part of a load to the camera and the gas
@@ -331,18 +331,18 @@ def test_a_press_on_an_ellipse_is_felt_through_its_images():
 
 def test_the_edge_of_a_round_frame_is_no_marker():
     """Its ring is a circle that all markers are in; taken for one of them, it touches them all."""
-    picture = np.full((480, 640), 180, np.uint8)
-    cv2.circle(picture, (320, 240), 200, 60, 24)
+    view = np.full((480, 640), 180, np.uint8)
+    cv2.circle(view, (320, 240), 200, 60, 24)
     for x, y in ((260, 200), (320, 200), (260, 260), (320, 260), (320, 320)):
-        cv2.circle(picture, (x, y), 12, 40, -1)
-    picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
-    _, status = markers.search(picture)
+        cv2.circle(view, (x, y), 12, 40, -1)
+    view = cv2.GaussianBlur(view, (0, 0), 1.0)
+    _, status = markers.search(view)
     assert (status == "touches another").all() and len(status) == 6
     assert SensingPipeline(ROUND).detector._largest_px == pytest.approx(
         2 * 600 * 0.9 / 25
     )  # at the glass
     assert SensingPipeline(load_sensor("dense")).detector._largest_px == np.inf
-    fit, status = markers.search(picture, max_radius_px=43.2)
+    fit, status = markers.search(view, max_radius_px=43.2)
     assert (status == "ok").all() and len(fit.center) == 5
-    shown = find_ellipses(Image(picture))  # in summaries, films and pages
+    shown = find_ellipses(Image(view))  # in summaries, films and pages
     assert len(shown) == 5 and (shown.status == "ok").all()

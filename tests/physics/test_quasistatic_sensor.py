@@ -14,7 +14,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
-FILM = PHYSICS - {"mesh"}
+QUASISTATIC = PHYSICS - {"mesh"}
 DENSE = load_sensor("dense")
 G = 9.81
 
@@ -28,18 +28,18 @@ def pressed(effects, depth, shear=0.0, at=(0.0, 0.0)):
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (0.007, -0.004)])
 def test_force_and_pressure_are_those_of_the_mesh(at):
-    mesh, film = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, FILM))
+    mesh, quasistatic = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, QUASISTATIC))
     # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/validation/accuracy.md)
-    force = [-ground_truth.contact_force(world, 0)[2] for world in (mesh, film)]
+    force = [-ground_truth.contact_force(world, 0)[2] for world in (mesh, quasistatic)]
     assert force[1] == pytest.approx(force[0], rel=0.035)
-    gauge = [world.sensors[0].gauge_pressure for world in (mesh, film)]
+    gauge = [world.sensors[0].gauge_pressure for world in (mesh, quasistatic)]
     # forces that differ by 3 % press the gas by as much of a third of its gauge pressure
     assert gauge[1] == pytest.approx(gauge[0], rel=0.012)
 
 
 @pytest.mark.parametrize(("radius", "narrow"), [(0.008, False), (0.0015, True)])
 def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
-    world = PressWorld(DENSE, Indenter("sphere", radius), effects=FILM)
+    world = PressWorld(DENSE, Indenter("sphere", radius), effects=QUASISTATIC)
     world.inflate(1000.0, seal=True)
     assert "small_feature" not in world.sensors[0].flags()  # not before it touches
     assert world.press(0.5e-3)
@@ -47,14 +47,15 @@ def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
 
 
 def test_what_presses_meets_what_the_film_bears():
-    world = pressed(FILM, 2e-3, shear=1e-4)
+    world = pressed(QUASISTATIC, 2e-3, shear=1e-4)
     # at rest the drive carries all of it; its own springs still settle, by 0.03 mN
     assert world.drive_force == pytest.approx(ground_truth.contact_force(world, 0), abs=1e-4)
 
 
 def test_shear_sticks_and_then_slides_at_coulombs_limit():
     force = [
-        ground_truth.contact_force(pressed(FILM, 1.5e-3, shear), 0) for shear in (1e-4, 2e-4, 3e-3)
+        ground_truth.contact_force(pressed(QUASISTATIC, 1.5e-3, shear), 0)
+        for shear in (1e-4, 2e-4, 3e-3)
     ]
     # sticking contact is linear; its nodes are the same, and move by 0.1 mm
     assert force[1][0] == pytest.approx(2 * force[0][0], rel=1e-3)
@@ -105,7 +106,7 @@ def membrane_interval(add, gap, timestep=2e-3, seconds=1.0):
             name=f"s{number}", pos=[0.0, -sign * gap / 2, 0.0], zaxis=[0.0, sign, 0.0]
         )
         attachments.append(
-            attach_membrane(spec, design, site=site, prefix=f"{number}/", effects=FILM)
+            attach_membrane(spec, design, site=site, prefix=f"{number}/", effects=QUASISTATIC)
         )
     ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.2, 0.0])
     ball.add_freejoint()
@@ -186,7 +187,7 @@ def test_what_a_film_cannot_rest_on_is_refused():
     spec = mujoco.MjSpec()
     configure_options(spec)
     site = spec.worldbody.add_site(name="s")
-    attachment = attach_membrane(spec, DENSE, site=site, effects=FILM)
+    attachment = attach_membrane(spec, DENSE, site=site, effects=QUASISTATIC)
     body = spec.worldbody.add_body(name="b", pos=[0.0, 0.0, 0.1])
     body.add_freejoint()
     body.add_geom(name="hill", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="h")
@@ -202,7 +203,7 @@ def next_to_sensor(height):
     spec = mujoco.MjSpec()
     configure_options(spec, 2e-3)
     site = spec.worldbody.add_site(name="s")
-    attachment = attach_membrane(spec, DENSE, site=site, effects=FILM)
+    attachment = attach_membrane(spec, DENSE, site=site, effects=QUASISTATIC)
     radius = 0.015
     side = DENSE.frame.width / 2
     at = [0.0, side - 4e-3, height + np.sqrt(radius**2 - 4e-3**2)]
@@ -237,13 +238,13 @@ def test_what_is_far_below_the_rim_is_carried_and_named():
 def test_in_a_round_frame_markers_stand_where_sensing_s_sheet_has_them(name):
     """Whose splines are another method on another grid, right to 1e-5 (test_ritz.py)."""
     design = load_sensor(name)
-    world = PressWorld(design, Indenter("sphere", 0.008), effects=FILM)
+    world = PressWorld(design, Indenter("sphere", 0.008), effects=QUASISTATIC)
     world.inflate(1000.0, seal=True)
     found, normals = world.sensors[0].marker_poses()
-    sheet = SplineMembrane(design, (14, 14))
-    c = sheet.equilibrium(Gas(1000.0))
+    rubber = SplineMembrane(design, (14, 14))
+    c = rubber.equilibrium(Gas(1000.0))
     flat = design.markers.p_SM
-    basis = sheet.basis(sheet.own(flat[:, :2]))
+    basis = rubber.basis(rubber.own(flat[:, :2]))
     # on nodes 1.5 and 2 mm apart: 2.5 um and 4 um at the rim; the camera sees 19
     np.testing.assert_allclose(found, flat + basis @ c.T, atol=6e-6)
     assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-12
@@ -255,7 +256,7 @@ def test_in_a_round_frame_markers_stand_where_sensing_s_sheet_has_them(name):
 def test_in_a_round_frame_it_bears_what_the_mesh_bears():
     design = load_sensor("round30")
     force = []
-    for effects in (PHYSICS, FILM):
+    for effects in (PHYSICS, QUASISTATIC):
         world = PressWorld(design, Indenter("sphere", 0.012), effects=effects, at=(3e-3, -2e-3))
         world.inflate(1000.0, seal=True)
         assert world.press(1.5e-3)

@@ -129,8 +129,10 @@ def test_looking_changes_nothing(leak, ahead):
                 assert sensor.temperature > 0 and sensor.volume > 0
                 assert np.isfinite(sensor.look()).all() and np.isfinite(sensor.p_SV).all()
                 assert isinstance(sensor.flags(), dict) and sensor.gauge_pressure > 0
-        films = [(s.look(), s.p_SV, s.gauge_pressure, s.slid, s.slides) for s in world.sensors]
-        found.append([world.data.qpos.copy(), *(part for film in films for part in film)])
+        membranes = [(s.look(), s.p_SV, s.gauge_pressure, s.slid, s.slides) for s in world.sensors]
+        found.append(
+            [world.data.qpos.copy(), *(part for membrane in membranes for part in membrane)]
+        )
         rig.close()
     for ours, theirs in zip(*found, strict=True):
         np.testing.assert_array_equal(ours, theirs)

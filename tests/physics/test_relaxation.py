@@ -34,16 +34,16 @@ class Patch:
         mesh = make_mesh(DENSE.frame.length, DENSE.frame.width, 5, 5)
         self.flat = mesh.p_SV
         self.relaxation = relaxation
-        self.sheet = RelaxingMesh(mesh, DENSE.membrane, relaxation)
+        self.rubber = RelaxingMesh(mesh, DENSE.membrane, relaxation)
         # the lasting stress of the mounted sheet, Pa
-        self.at_rest = self.sheet._memory[0, :, 0].copy()
+        self.at_rest = self.rubber._memory[0, :, 0].copy()
 
     def stretched(self, by, elapsed):
         """Lasting and total stress along x, beyond the mounted sheet's, stretched `by` both ways
         for `elapsed` s since the last call."""
-        self.sheet._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
-        lasting = self.sheet._memory[0, :, 0]
-        mine = self.relaxation.quick * lasting - self.sheet._memory[1:, :, 0].sum(axis=0)
+        self.rubber._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
+        lasting = self.rubber._memory[0, :, 0]
+        mine = self.relaxation.quick * lasting - self.rubber._memory[1:, :, 0].sum(axis=0)
         return float((lasting - self.at_rest)[0]), float((mine - self.at_rest)[0])
 
 
@@ -68,12 +68,12 @@ def test_strain_creeps_under_a_constant_stress():
     patch = Patch(Relaxation(((fraction, tau),)))
     small = 1e-6
     load, _ = patch.stretched(small, np.inf)
-    patch.sheet.settle(patch.flat)
+    patch.rubber.settle(patch.flat)
 
     def off(strain):
-        memory = patch.sheet._memory.copy()
+        memory = patch.rubber._memory.copy()
         _, total = patch.stretched(strain, STEP)
-        patch.sheet._memory[:] = memory
+        patch.rubber._memory[:] = memory
         return total - load
 
     patch.stretched(brentq(off, 0, 2 * small, xtol=1e-12), 0.0)
@@ -163,7 +163,7 @@ def test_terms_shorter_than_a_step_are_stable():
     assert force == pytest.approx(expected, rel=0.01)  # where contact sticks is another story
 
 
-@pytest.mark.parametrize("left_out", [Effect.SHEET, Effect.HYPERELASTICITY])
+@pytest.mark.parametrize("left_out", [Effect.MESH, Effect.HYPERELASTICITY])
 def test_what_does_not_relax_says_so(left_out):
     with pytest.raises(InputError, match="relax"):
         PressWorld(replace(DENSE, relaxation=TWO), BALL, effects=PHYSICS - {left_out})

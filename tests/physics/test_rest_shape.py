@@ -38,18 +38,18 @@ def references(
     )
     world = PressWorld(true, Indenter.parse(indenter), at=at)
     renderer = Renderer(true, seed=seed, pose=camera_pose(design, own))
-    chain = StatefulPipeline.of(design)
+    pipeline = StatefulPipeline.of(design)
 
     def images():
         return [renderer.render(*world.marker_poses(0), world.time) for _ in range(IMAGES)]
 
     world.inflate(0.0, seal=False)
-    chain.measure_flat_reference(images())
+    pipeline.measure_flat_reference(images())
     world.inflate(pressure, seal=False)
     if depth:
         world.press(depth)
-    chain.measure_rest_reference(images(), pressure)
-    return chain
+    pipeline.measure_rest_reference(images(), pressure)
+    return pipeline
 
 
 def random_as_built(rng):

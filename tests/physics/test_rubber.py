@@ -89,14 +89,15 @@ def test_stress_is_the_derivative_of_the_energy(C, poisson):
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("C", STRAINED)
 def test_moduli_are_the_derivative_of_the_stress(C, law):
-    sheet = ConstitutiveLaw(replace(DENSE.membrane, law=law))
+    rubber = ConstitutiveLaw(replace(DENSE.membrane, law=law))
     parts = np.array([C[0, 0], C[1, 1], C[0, 1]])
     step = 1e-3
-    D11, D22, D12, D16, D26, D66 = sheet.moduli(*parts)
+    D11, D22, D12, D16, D26, D66 = rubber.moduli(*parts)
     # dE = dC/2; 12 counts twice
     matrix = np.array([[D11, D12, 2 * D16], [D12, D22, 2 * D26], [D16, D26, 2 * D66]]) / 2
     change = np.stack(
-        [sheet.stress(*(parts + d)) - sheet.stress(*(parts - d)) for d in step * np.eye(3)], axis=1
+        [rubber.stress(*(parts + d)) - rubber.stress(*(parts - d)) for d in step * np.eye(3)],
+        axis=1,
     ) / (2 * step)
     # a table that is linear over 1e-3 has slopes good to 1e-4
     np.testing.assert_allclose(matrix, change, atol=2e-4 * D11)
@@ -155,11 +156,11 @@ def test_a_balloon_that_cannot_hold_its_pressure_says_so():
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("case", CASES[:2], ids=NAMES[:2])
 def test_sensings_bulge_is_the_references(case, law):
-    sheet = SplineMembrane(design_of(case, law), (14, 10))
+    rubber = SplineMembrane(design_of(case, law), (14, 10))
     c = None
     for pressure in (1000.0, 4000.0):
-        c = sheet.equilibrium(Gas(pressure), start=c)
-        height = 1e3 * (sheet.basis(np.zeros((1, 2))) @ c[2])[0]
+        c = rubber.equilibrium(Gas(pressure), start=c)
+        height = 1e3 * (rubber.basis(np.zeros((1, 2))) @ c[2])[0]
         # cubic splines on 14 x 10 intervals; the reference is converged to 1e-4
         assert height == pytest.approx(case["height_mm"][law][f"{pressure:g}"], rel=3e-4)
 

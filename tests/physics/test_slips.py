@@ -36,8 +36,8 @@ def test_truth_slides_at_the_speed_of_the_drag():
 
 def test_a_slip_is_said_in_time_from_pixels():
     design = load_sensor("dense")
-    chain = SensingPipeline(design)
-    watched = watch(design, chain, references(design, chain, CASE), CASE)
+    sensing_pipeline = SensingPipeline(design)
+    watched = watch(design, sensing_pipeline, references(design, sensing_pipeline, CASE), CASE)
     for looks in watched.fingers:
         frames = [
             Frame(k.time, k.touch.slip.state, k.used, k.slid, k.onset)

@@ -48,21 +48,21 @@ def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
     assert row["outcome"] == "FAILED" and words in row["reason"]
 
 
-def design(**sheet):
+def design(**rubber):
     base = load_sensor("paper16")
-    return replace(base, membrane=replace(base.membrane, **sheet))
+    return replace(base, membrane=replace(base.membrane, **rubber))
 
 
 @pytest.mark.parametrize(
-    ("sheet", "words"),
+    ("rubber", "words"),
     [
         ({"thickness": 4e-3}, "thickness_mm.*plate.*at most 3"),
         ({"pre_stretch": 0.9}, r"pre_stretch.*slack.*at least 0\.95"),
     ],
 )
-def test_sheets_that_are_no_membranes_are_refused(sheet, words):
+def test_sheets_that_are_no_membranes_are_refused(rubber, words):
     with pytest.raises(InputError, match=words):
-        PressWorld(design(**sheet), Indenter.parse("sphere:8"))
+        PressWorld(design(**rubber), Indenter.parse("sphere:8"))
 
 
 def test_a_slack_sheet_is_flagged_for_wrinkles():

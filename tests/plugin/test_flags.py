@@ -40,9 +40,9 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     mjtactile.step(model, data, [finger], nstep=200)
     on_frame = 0.5 * G + finger.ground_truth_wrench()[2]
     assert on_frame > 1.0
-    said = float(finger.flags["frame_contact"].split(" with ")[1].split(" N")[0])
+    reported = float(finger.flags["frame_contact"].split(" with ")[1].split(" N")[0])
     # the flag keeps its first value, within the bounces of the first 0.1 s
-    assert said == pytest.approx(on_frame, rel=0.3)
+    assert reported == pytest.approx(on_frame, rel=0.3)
 
 
 @pytest.mark.parametrize(

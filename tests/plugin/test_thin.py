@@ -14,7 +14,7 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 # Forces, N, of quasi-static membranes of 81 x 61 nodes: central value at random positions (`bench
 # thin-objects`)
-FILM = {
+QUASISTATIC = {
     "blade 0.4 x 12 mm": (0.58, 0.25),
     "rod of 1 mm radius": (0.26, 0.25),
     "pin of 0.5 mm radius": (0.128, 0.15),
@@ -24,9 +24,9 @@ FILM = {
 
 
 @pytest.mark.parametrize(
-    ("name", "film", "fraction"), [(name, *each) for name, each in FILM.items()]
+    ("name", "membrane", "fraction"), [(name, *each) for name, each in QUASISTATIC.items()]
 )
-def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, fraction):
+def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, membrane, fraction):
     """A thin object has the force of the quasi-static membrane within the fraction `fraction`.
 
     This holds on a row of vertices at 10 and 100 mm/s, and off it; the forces agree within 10 %.
@@ -36,7 +36,7 @@ def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, film, fraction
     off_it = (-2.23e-3, -0.58e-3)
     presses = (on_a_row, 0.01), (on_a_row, 0.1), (off_it, 0.1)
     forces = [press(BODIES[name], at, speed).force for at, speed in presses]
-    assert forces == pytest.approx([film] * 3, rel=fraction)
+    assert forces == pytest.approx([membrane] * 3, rel=fraction)
     assert forces == pytest.approx([np.mean(forces)] * 3, rel=0.1)
 
 

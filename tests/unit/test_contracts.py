@@ -52,7 +52,7 @@ sys.exit(lint_imports(no_cache=True))
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory):
+def reported(tmp_path_factory):
     """Return import-linter's message for each contract, by its name, about a copy with all
     violations."""
     folder = tmp_path_factory.mktemp("contracts")
@@ -75,10 +75,12 @@ def said(tmp_path_factory):
 
 
 @pytest.mark.parametrize("contract", VIOLATIONS)
-def test_a_violation_is_caught(said, contract):
+def test_a_violation_is_caught(reported, contract):
     """Each by its own contract, which names it."""
     path, line = VIOLATIONS[contract]
     module = path.removesuffix(".py").replace("/", ".")
     imported = line.removeprefix("import ")
-    (text,) = (text for name, text in said.items() if name.startswith(contract.partition(" (")[0]))
+    (text,) = (
+        text for name, text in reported.items() if name.startswith(contract.partition(" (")[0])
+    )
     assert f"- {module}\n" in text if not line else f"{module} -> {imported} (l." in text

@@ -184,9 +184,9 @@ def test_the_gallery_shows_every_picture_of_the_pages():
 
 
 def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
-    drawn = architecture.draw((CHECKOUT / "pyproject.toml").read_text())
+    sampled = architecture.draw((CHECKOUT / "pyproject.toml").read_text())
     # else: .venv/bin/python tools/architecture.py
-    assert architecture.PICTURE.read_text() == drawn
+    assert architecture.PICTURE.read_text() == sampled
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one["layers"] for one in contracts["contracts"] if one["name"] == "Layers")
     rooms = {room for floor in architecture.floors(layers) for room in floor.rooms}
@@ -345,8 +345,8 @@ REPORTED_ONCE = {
 }
 
 
-@pytest.mark.parametrize(("said", "what"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values())
-def test_no_page_says_another_number(said, what):
+@pytest.mark.parametrize(("reported", "what"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values())
+def test_no_page_says_another_number(reported, what):
     """No sentence states a number other than the measured one; tables come from benchmarks and name
     their measurement."""
     rows = readme_table.run(Path())["numbers"]
@@ -355,7 +355,7 @@ def test_no_page_says_another_number(said, what):
         (page.name, found)
         for page in PAGES
         if "decisions" not in page.parts and page.name != "CHANGELOG.md"
-        for found in re.findall(said, GENERATED.sub("", page.read_text()))
+        for found in re.findall(reported, GENERATED.sub("", page.read_text()))
         if not value.startswith(found)
     ]
     assert others == []
@@ -429,12 +429,12 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
         else:
             assert allowed == "list of pairs", entry.key
         if isinstance(entry, LensCoefficients):
-            said = "no distortion"
+            reported = "no distortion"
         elif isinstance(default, str):
-            said = f'`"{default}"`'
+            reported = f'`"{default}"`'
         else:
-            said = special[default] if default in special else f"{default / entry.unit:g}"
-        assert if_left_out == said, entry.key
+            reported = special[default] if default in special else f"{default / entry.unit:g}"
+        assert if_left_out == reported, entry.key
         assert meaning == entry.about, entry.key
 
 

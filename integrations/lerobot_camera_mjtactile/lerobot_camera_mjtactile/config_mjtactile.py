@@ -27,10 +27,10 @@ class MjtactileCameraConfig(CameraConfig):
     sensor: str = "dense"
 
     def __post_init__(self) -> None:
-        said = self.device() if self.rig else mjtactile.load_sensor(self.sensor).camera
-        self.width = self.width or said.width
-        self.height = self.height or said.height
-        self.fps = self.fps or round(said.rate)
+        reported = self.device() if self.rig else mjtactile.load_sensor(self.sensor).camera
+        self.width = self.width or reported.width
+        self.height = self.height or reported.height
+        self.fps = self.fps or round(reported.rate)
 
     def device(self):
         """Return the rig file's entry of this camera.

@@ -80,8 +80,8 @@ class Grasp(gymnasium.Wrapper):
         )
         spaces = self.env.observation_space
         count, height, width = spaces["image"].shape  # type: ignore[index]
-        picture = gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
-        pixels = gymnasium.spaces.Dict(dict.fromkeys(FINGERS[:count], picture))
+        image = gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
+        pixels = gymnasium.spaces.Dict(dict.fromkeys(FINGERS[:count], image))
         self.observation_space = gymnasium.spaces.Dict(
             {"agent_pos": spaces["wrench"], "pixels": pixels}  # type: ignore[index]
         )
@@ -99,8 +99,8 @@ class Grasp(gymnasium.Wrapper):
 
 
 def _named(seen: dict[str, Any]) -> dict[str, Any]:
-    pictures = [np.repeat(grey[..., None], 3, axis=2) for grey in seen["image"]]
-    return {"agent_pos": seen["wrench"], "pixels": dict(zip(FINGERS, pictures, strict=False))}
+    shots = [np.repeat(grey[..., None], 3, axis=2) for grey in seen["image"]]
+    return {"agent_pos": seen["wrench"], "pixels": dict(zip(FINGERS, shots, strict=False))}
 
 
 gymnasium.register("lerobot_env_mjtactile/Grasp-v0", entry_point="lerobot_env_mjtactile:Grasp")

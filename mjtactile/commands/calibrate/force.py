@@ -101,12 +101,12 @@ def run(options: argparse.Namespace) -> int:
     targets = output_options.find_targets(options)
     with stdout_to_stderr():
         if options.source is None:
-            chains, loads = _live(options, targets)
+            pipelines, loads = _live(options, targets)
         else:
-            chains, loads = _recorded(options, targets[0])
-        true, estimated, areas = _estimate_all(options, chains, loads)
+            pipelines, loads = _recorded(options, targets[0])
+        true, estimated, areas = _estimate_all(options, pipelines, loads)
     results = {}
-    for goal, pipeline, forces, area in zip(targets, chains, estimated, areas, strict=True):
+    for goal, pipeline, forces, area in zip(targets, pipelines, estimated, areas, strict=True):
         fit = calibrate_force(true, forces, area, pipeline.state.reference.surface.area)
         goal.write("force", force_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
         results[goal.finger] = (
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _estimate_all(
-    options: argparse.Namespace, chains: Sequence[Any], loads: Loads
+    options: argparse.Namespace, pipelines: Sequence[Any], loads: Loads
 ) -> tuple[Any, Any, Any]:
     """Return the applied forces (n,), and the estimated forces and areas of each finger (fingers,
     n)."""
@@ -133,7 +133,7 @@ def _estimate_all(
             estimated.append(
                 [
                     mean_force(pipeline, images)
-                    for pipeline, images in zip(chains, shots, strict=True)
+                    for pipeline, images in zip(pipelines, shots, strict=True)
                 ]
             )
         except InputError as error:
@@ -141,7 +141,7 @@ def _estimate_all(
                 str(error), source=options.source or options.rig, field=name
             ) from error
         true.append(force)
-    forces, areas = np.array(estimated).reshape(-1, len(chains), 2).transpose(2, 1, 0)
+    forces, areas = np.array(estimated).reshape(-1, len(pipelines), 2).transpose(2, 1, 0)
     return np.array(true), forces, areas
 
 
@@ -297,11 +297,11 @@ def _live(
             )
         rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(keepalive(*rig.valves))
-        pictures = reference_images(rig, notify)
+        snapshots = reference_images(rig, notify)
         places = output_options.places(targets, rig_file)
         with keepalive(rig.gripper):
-            chains = [
-                ready_perception(goal.design, goal.load().used(goal.design), *pictures[place])
+            pipelines = [
+                ready_perception(goal.design, goal.load().used(goal.design), *snapshots[place])
                 for goal, place in zip(targets, places, strict=True)
             ]
         if options.load_cell or emulator is not None:
@@ -310,7 +310,7 @@ def _live(
         else:
             with keepalive(rig.gripper):
                 loads = list(_weighed(rig, masses, " or ".join(goal.finger for goal in targets)))
-    return chains, (
+    return pipelines, (
         (name, force, [shots[place] for place in places]) for name, force, shots in loads
     )
 

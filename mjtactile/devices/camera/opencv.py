@@ -56,7 +56,7 @@ _FLIPS = {"left-right": 1, "top-bottom": 0, "both": -1}
 class CameraCounters:
     """Counts of received, missing (by their time) and repeated (identical) images."""
 
-    pictures: int = 0
+    images: int = 0
     dropped: int = 0
     duplicates: int = 0
     intervals: list[float] = field(default_factory=list)
@@ -237,7 +237,7 @@ class OpenCvCamera:
             # Sensor noise makes real images differ, except all-white and all-black ones.
             is_uniform = gray.min() == gray.max()
             same = last is not None and np.array_equal(gray, last.pixels) and not is_uniform
-            self.counters.pictures += 1
+            self.counters.images += 1
             if last is not None:
                 self._count(captured - last.time)
             if same:

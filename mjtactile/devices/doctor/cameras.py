@@ -56,7 +56,7 @@ def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding
         return Finding(
             "bad",
             what,
-            f"{counters.pictures} images in {_CAMERA_TIME:g} s",
+            f"{counters.images} images in {_CAMERA_TIME:g} s",
             "use another cable or USB port",
         )
     rate = 1 / statistics.mean(counters.intervals)

@@ -252,7 +252,7 @@ def _provenance(recording: Recording) -> str:
     versions = ", ".join(
         f"{name} {version}" for name, version in header.get("versions", {}).items()
     )
-    said = ", ".join(
+    reported = ", ".join(
         f"{key} {header[key]}"
         for key in ("object", "sensor", "controller", "rig", "seed")
         if key in header
@@ -263,4 +263,5 @@ def _provenance(recording: Recording) -> str:
         for key, file in header.get("files", {}).items()
     )
     command = f"<p><code>{escape(header['command'])}</code></p>" if header.get("command") else ""
-    return f"<h2>Origin of the data</h2>{command}<p>{escape(said)}<br>{escape(versions)}{files}</p>"
+    text = f"{escape(reported)}<br>{escape(versions)}{files}"
+    return f"<h2>Origin of the data</h2>{command}<p>{text}</p>"

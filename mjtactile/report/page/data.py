@@ -20,7 +20,7 @@ from mjtactile.recording.reader import Recording
 from mjtactile.report.html import data_uri
 from mjtactile.report.overlay import with_ellipses
 from mjtactile.report.shape_wireframe import describe_shape, lines_of, true_lines
-from mjtactile.report.software_renderer import picture_of
+from mjtactile.report.software_renderer import render_view
 from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 
 # Width of a camera image; height and width of the scene image, px
@@ -177,11 +177,11 @@ def _touch_texts(recording: Recording) -> list[list[str]]:
     """Return the slip state of each finger in each cycle, or the reason why it is unknown."""
     statuses = recording.columns["status"]
     slips = recording.columns.get("slip_state", statuses)
-    said = []
+    reported = []
     for slip, status in zip(slips, statuses, strict=True):
         pairs = zip(slip, status, strict=True)  # finger by finger
-        said.append([str(state if why == "ok" else why) for state, why in pairs])
-    return said
+        reported.append([str(state if why == "ok" else why) for state, why in pairs])
+    return reported
 
 
 def _grids(
@@ -203,7 +203,7 @@ def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
     """Return images, scene and membranes at one time."""
     scene = None
     if view is not None:
-        bgr = picture_of(view, _SCENE, samples=1)[:, :, ::-1]
+        bgr = render_view(view, _SCENE, samples=1)[:, :, ::-1]
         scene = _jpeg(np.round(255 * bgr).astype(np.uint8))
     return {
         "time": round(cycle.time, 4),
@@ -235,12 +235,12 @@ def _estimated(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str
     foot, stress = arrows(touch, touch.surface)
     z = np.round(1e3 * touch.surface.z / unit).astype("<i2")
     if touch.status == "ok":
-        said = f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
+        reported = f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
     else:
-        said = f"force unknown: {touch.status}"
+        reported = f"force unknown: {touch.status}"
     shape = touch.shape
     if shape is not None:
-        said += f"; {describe_shape(shape)}"
+        reported += f"; {describe_shape(shape)}"
     estimated_lines = [] if shape is None else lines_of(shape)
     true = [] if shape is None or view is None else true_lines(shape, view, finger)
     return {
@@ -248,5 +248,5 @@ def _estimated(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str
         "shape": [(1e3 * one).round(2).tolist() for one in estimated_lines],
         "true": [(1e3 * one).round(2).tolist() for one in true],
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
-        "text": said,
+        "text": reported,
     }

@@ -153,7 +153,7 @@ class CameraDriftEstimator:
         covariance[_LEVELS, _LEVELS] += bent**2
         return replace(seen, root=np.linalg.cholesky(covariance))
 
-    def picture(self, mean: Array, darker: float) -> ImageTransform:
+    def image(self, mean: Array, darker: float) -> ImageTransform:
         """Return the part of a camera drift `mean` (K,) that is an image transform, for circles
         that are `darker`."""
         s = self._s
@@ -192,11 +192,11 @@ class CameraDriftEstimator:
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
         `mean`."""
-        picture = self.picture(mean, 0.0)
+        image = self.image(mean, 0.0)
         then = before + (self._outlines(*self._motion(mean)) - self._unmoved)[ids]
         levels = rows[:, 2, _LEVELS] * mean[_LEVELS]
-        radius = (shown[:, 2] - levels - picture.grown) / (1 + picture.scale)
-        return np.column_stack([picture.inverse(shown[:, :2]), radius]) - then
+        radius = (shown[:, 2] - levels - image.grown) / (1 + image.scale)
+        return np.column_stack([image.inverse(shown[:, :2]), radius]) - then
 
     def _likely(self, moved_px: float) -> Array:
         """Return the prior standard deviations (K,) of the modes for the observed image motion.

@@ -139,17 +139,17 @@ def detect_circles(
     )
     ellipses, rejected, deformed = search(linear_light(grey, assumed))
     overexposed = is_overexposed(grey, ellipses, polarity, settings.locate)
-    said = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
-    if gamma == "auto" and said.contradicts(assumed, settings.gamma):
-        assumed = said.value
+    reported = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
+    if gamma == "auto" and reported.contradicts(assumed, settings.gamma):
+        assumed = reported.value
         ellipses, rejected, deformed = search(linear_light(grey, assumed))
-    nonlinear = said.contradicts(assumed, settings.gamma)
+    nonlinear = reported.contradicts(assumed, settings.gamma)
     found = replace(
         _together(ellipses, camera, radius, neighbours, settings),
         rejected=rejected,
         overexposed=overexposed,
         assumed=assumed,
-        gamma=said,
+        gamma=reported,
         nonlinear=nonlinear,
         deformed=deformed,
     )

@@ -138,9 +138,9 @@ def parse(text: str) -> dict[Effect, bool]:
 
 def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
     """Add the overrides implied by leaving out the sensing pipeline. Raises InputError."""
-    if forced.get(Effect.CHAIN, True):
+    if forced.get(Effect.PIPELINE, True):
         return forced
-    if forced.get(Effect.SHEET, True):
+    if forced.get(Effect.MESH, True):
         raise InputError(
             "synthetic touch needs the quasi-static membrane",
             field="--effects",
@@ -158,7 +158,7 @@ def _always(why: str) -> Gate:
 _OBJECT_FILE = "the object's own file (docs/reference/object_files.md)"
 EFFECTS: tuple[EffectEntry, ...] = (
     EffectEntry(
-        Effect.SHEET,
+        Effect.MESH,
         "physics",
         _always("without it, a quasi-static membrane rests on the objects, outside MuJoCo's model"),
     ),
@@ -198,7 +198,7 @@ EFFECTS: tuple[EffectEntry, ...] = (
         _always("without it, the marker ellipses are sampled from the bound on their error"),
     ),
     EffectEntry(
-        Effect.CHAIN,
+        Effect.PIPELINE,
         "camera",
         _always(
             "without it, touch is that of a quasi-static membrane with sampled pipeline errors"
@@ -215,7 +215,7 @@ EFFECTS: tuple[EffectEntry, ...] = (
 
 def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: str) -> bool:
     """Return True if `--accuracy` may choose a quasi-static membrane: a rigid, round object."""
-    if Effect.SHEET in parse(overrides) or design.relaxation is not None:
+    if Effect.MESH in parse(overrides) or design.relaxation is not None:
         return False
     return grasped.flesh is None and not _feature(grasped)[1]
 

@@ -26,7 +26,7 @@ from mjtactile.core.errors import InputError
 REAL_TIME_MARGIN = 1.25
 """Minimum speed of the physics relative to real time, with a margin for the other tasks."""
 CHOICES = ("0.02N (a force error)", "realtime")
-FILM = "-mesh"
+QUASISTATIC = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
 """Default force error for the choice of effects, N."""
 
@@ -54,11 +54,11 @@ class Fidelity:
 
     @classmethod
     def for_force_error(
-        cls, force_error: float, table: Path | None = None, *, films: bool = False
+        cls, force_error: float, table: Path | None = None, *, membranes: bool = False
     ) -> Fidelity:
         """Return the cheapest measured setting with a force error of at most `force_error`, N.
 
-        If there is none, return the most accurate setting, with `met` False. With `films`, the
+        If there is none, return the most accurate setting, with `met` False. With `membranes`, the
         result may be a setting without a mesh. Raises InputError if `force_error` is not a number >
         0.
         """
@@ -69,7 +69,7 @@ class Fidelity:
                 field="force_error_N",
             )
         rows, stamp = load_table(table)
-        rows = [*rows, *(load_membranes() if films else ())]
+        rows = [*rows, *(load_membranes() if membranes else ())]
         good = [row for row in rows if row.force_error <= force_error]
         if good:
             best = min(good, key=lambda row: row.cost)
@@ -97,8 +97,8 @@ class Fidelity:
         return _with_basis(fastest, False, reason, stamp)
 
     @classmethod
-    def parse(cls, text: str, table: Path | None = None, *, films: bool = False) -> Fidelity:
-        """Read "0.02N" or "realtime"; `films` as in `for_force_error`. Raises InputError."""
+    def parse(cls, text: str, table: Path | None = None, *, membranes: bool = False) -> Fidelity:
+        """Read "0.02N" or "realtime"; `membranes` as in `for_force_error`. Raises InputError."""
         word = text.strip().lower()
         if word in ("realtime", "real-time"):
             return cls.for_real_time(table)
@@ -108,7 +108,7 @@ class Fidelity:
             value = math.nan
         if not word.endswith("n") or not value > 0 or math.isinf(value):
             raise InputError(f"{text!r} is not an accuracy", field="--accuracy", choices=CHOICES)
-        return cls.for_force_error(value, table, films=films)
+        return cls.for_force_error(value, table, membranes=membranes)
 
     def with_effects(self, overrides: str) -> str:
         """Combine the user's `--effects` with the effects that this setting leaves out."""
@@ -163,7 +163,7 @@ def load_membranes() -> Sequence[Fidelity]:
     if not path.is_file():
         return ()
     rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
-    return [row_from_json(row) for row in rows if row["effects"] == FILM]
+    return [row_from_json(row) for row in rows if row["effects"] == QUASISTATIC]
 
 
 @cache

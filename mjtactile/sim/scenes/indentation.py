@@ -157,7 +157,7 @@ class PressWorld(World):
             np.isin(self.model.geom_bodyid, _subtree(self.model, self.model.body("indenter").id))
         )
         self._touch_height = 0.0
-        self._surface = MarkerInterpolator(self.sensors[0].mesh, _sheet_points(self.design, at))
+        self._surface = MarkerInterpolator(self.sensors[0].mesh, _membrane_points(self.design, at))
         self._shake = shake
         self._carrier = self.model.actuator("carrier").id
 
@@ -297,7 +297,7 @@ def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
     return bodies
 
 
-def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
+def _membrane_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
     """Return points (n, 3) m of the flat membrane, 0.6 mm apart, one of them at `at`."""
     frame = design.frame
     axes = [np.arange(-0.5 * side, 0.5 * side, 6e-4) for side in (frame.length, frame.width)]

@@ -336,13 +336,13 @@ def arm_actuators(model: mujoco.MjModel, gripper: int, rig: SimRigFile) -> tuple
     """Return the position actuators that move the gripper: the rig file's, or all of its arm."""
     if rig.lift.actuators:
         return rig.lift.actuators
-    chain = arm_joints(model, gripper)
+    pipeline = arm_joints(model, gripper)
     jaws = {jaw.name for jaw in rig.gripper.actuators}
     found = [
         model.actuator(i).name
         for i in range(model.nu)
         if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-        and model.actuator_trnid[i, 0] in chain
+        and model.actuator_trnid[i, 0] in pipeline
     ]
     found = [name for name in found if name and name not in jaws]
     if not found:

@@ -17,7 +17,7 @@ _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 # number of edges around and along a round shape
 _ROUND = 24
 _HIGH = 12
-_SHEET = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
+_MEMBRANE_COLOR = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
 _PRISM = np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]])  # heights and radii
 _G = mujoco.mjtGeom
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -133,7 +133,7 @@ class SceneView:
         for flex in range(self.model.nflex):
             yield from self._flex(flex)
         for points_S, R_WS, p_WS, faces in self.membranes:
-            yield points_S() @ R_WS.T + p_WS, faces, _SHEET
+            yield points_S() @ R_WS.T + p_WS, faces, _MEMBRANE_COLOR
 
     def _flex(self, flex: int) -> Iterator[tuple[Array, Array, Array]]:
         """Return a membrane, or the skin of a soft object; empty for a rope."""
@@ -149,7 +149,7 @@ class SceneView:
         if model.flex_dim[flex] < 2:
             return
         faces = index[start : start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
-        yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _SHEET
+        yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _MEMBRANE_COLOR
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:

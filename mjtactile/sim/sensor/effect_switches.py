@@ -30,7 +30,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 class Effect(StrEnum):
     """Optional effects of a simulation; an effect equals its name."""
 
-    SHEET = "mesh"
+    MESH = "mesh"
     GAS = "gas"
     LARGE_DEFLECTION = "large deflection"
     BENDING = "bending"
@@ -51,14 +51,14 @@ class Effect(StrEnum):
     SHADOWS = "shadows"
     LATENCY = "latency"
     IMAGES = "images"
-    CHAIN = "pipeline"
+    PIPELINE = "pipeline"
     PLASTICITY = "plasticity"
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
 
 PHYSICS = frozenset(
     {
-        Effect.SHEET,
+        Effect.MESH,
         Effect.GAS,
         Effect.FRICTION,
         Effect.GRAVITY,
@@ -75,7 +75,7 @@ CAMERA = frozenset(
         Effect.REFRACTION,
         Effect.LED_SHADING,
         Effect.IMAGES,
-        Effect.CHAIN,
+        Effect.PIPELINE,
     }
 )
 """Default effects of a camera."""

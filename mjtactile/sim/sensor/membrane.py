@@ -181,7 +181,7 @@ class ContactStiffness:
         remembers: bool,
     ):
         step = float(model.opt.timestep)
-        self._sheet_pressure = contact_pressure(membrane, 0.0)
+        self._contact_pressure = contact_pressure(membrane, 0.0)
         bodies = model.geom_bodyid[vertex_geom_ids]
         # one block, in the mesh's order
         self._weights = np.asarray(model.body_invweight0)[bodies[0] : bodies[-1] + 1, 0]
@@ -207,7 +207,9 @@ class ContactStiffness:
 
     def set_pressure(self, gauge_pressure: float) -> None:
         np.divide(
-            self._soft, self._sheet_pressure + GAS_FRACTION * abs(gauge_pressure), out=self._weights
+            self._soft,
+            self._contact_pressure + GAS_FRACTION * abs(gauge_pressure),
+            out=self._weights,
         )
 
 

@@ -56,7 +56,7 @@ class TactileSensor(BaseSensor):
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
         self._make_contact(model, data, contact)
-        self._make_sheet(model, data, effects)
+        self._make_membrane(model, data, effects)
         self._sleeper = Sleeper(
             model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids
         )
@@ -104,7 +104,7 @@ class TactileSensor(BaseSensor):
         self._frictions[:] = friction
         self._flex_friction[0] = friction
 
-    def _make_sheet(
+    def _make_membrane(
         self, model: mujoco.MjModel, data: mujoco.MjData, effects: frozenset[str]
     ) -> None:
         """Create the rubber's law, the load of the gas, and the volume it encloses."""

@@ -127,13 +127,15 @@ class RelaxingMesh:
         law = np.array([self._shear, membrane.poisson, membrane.pre_stretch**2, *softening])
         vertices = (len(self._p_SV), self._p_SV)
         flat = (np.ascontiguousarray(mesh.inverse_edges), mesh.triangle_areas * membrane.thickness)
-        self._sheet = (count, np.ascontiguousarray(mesh.triangles), *vertices, *flat, law)
+        self._membrane = (count, np.ascontiguousarray(mesh.triangles), *vertices, *flat, law)
         terms = (len(self._fractions), self._fractions, self._kept, self._memory)
         workspace = (np.zeros(count), np.empty(12 * count + 3 * len(self._p_SV)))
         interior = np.ascontiguousarray(mesh.interior, np.int64)
         self._state = (*terms, *workspace, len(interior), interior)
         unused = np.zeros(3 * len(interior))
-        self._remember = bound("rubber_remembers", *self._sheet, None, *self._state, None, unused)
+        self._remember = bound(
+            "rubber_remembers", *self._membrane, None, *self._state, None, unused
+        )
         self._act = self._remember
         self.settle(mesh.p_SV)
 
@@ -144,7 +146,7 @@ class RelaxingMesh:
         long-term rubber, replaced by the present one. Relaxed forces are added to `forces` (3 k,)
         N.
         """
-        self._act = bound("rubber_remembers", *self._sheet, thin, *self._state, rows, forces)
+        self._act = bound("rubber_remembers", *self._membrane, thin, *self._state, rows, forces)
 
     def settle(self, p_SV: Array) -> None:
         """Forget all but a shape (n, 3) m that has been there for ever."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.elasticity import Sheet, node_at, node_load
+from mjtactile.warp.device.elasticity import MembraneGrid, node_at, node_load
 from mjtactile.warp.device.fields import Fields
 from mjtactile.warp.device.obstacles import MISS, Geom, is_on, obstacle_height
 from mjtactile.warp.device.relaxation import synchronize
@@ -21,7 +21,7 @@ _NEAREST_EDGE = wp.constant(0.95)
 
 @wp.func
 def _lowest(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),
     f: int,
@@ -33,7 +33,7 @@ def _lowest(
     for g in range(geoms.shape[1]):
         geom = geoms[f, g]
         if geom.kind >= 0:
-            found = obstacle_height(geom, pool, sheet.half_thickness, x, y)
+            found = obstacle_height(geom, pool, membrane.half_thickness, x, y)
             if found[0] < best[0]:
                 best = wp.vec4(found[0], found[1], found[2], float(g))
     return best
@@ -41,7 +41,7 @@ def _lowest(
 
 @wp.func
 def _edge_spring(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),
     fields: Fields,
@@ -65,7 +65,7 @@ def _edge_spring(
             for _half in range(_HALVINGS):
                 middle = 0.5 * (low + high)
                 x = a + middle * (b - a)
-                at = _lowest(sheet, geoms, pool, f, x[0], x[1])
+                at = _lowest(membrane, geoms, pool, f, x[0], x[1])
                 if is_on(at[0]):
                     low = middle
                 else:
@@ -88,11 +88,11 @@ def _side_step(side: int, ny: int) -> int:
 
 
 @wp.func
-def _along(sheet: Sheet, fields: Fields, f: int, k: int, side: int) -> float:
+def _along(membrane: MembraneGrid, fields: Fields, f: int, k: int, side: int) -> float:
     """Return the height that the face at a node gains up to its neighbor."""
-    rise = fields.slope_x[f, k] * sheet.dx
+    rise = fields.slope_x[f, k] * membrane.dx
     if side > 1:
-        rise = fields.slope_y[f, k] * sheet.dy
+        rise = fields.slope_y[f, k] * membrane.dy
     return rise * (1.0 - 2.0 * float(side % 2))
 
 
@@ -105,10 +105,10 @@ def _bend(center: float, one: float, other: float) -> float:
 
 
 @wp.func
-def _height_correction(sheet: Sheet, fields: Fields, f: int, k: int) -> float:
+def _height_correction(membrane: MembraneGrid, fields: Fields, f: int, k: int) -> float:
     """Return the height by which a round obstacle is lowered at an inner node (X4), m."""
     h = fields.height[f, k]
-    bend = _bend(h, fields.height[f, k - sheet.ny], fields.height[f, k + sheet.ny])
+    bend = _bend(h, fields.height[f, k - membrane.ny], fields.height[f, k + membrane.ny])
     bend += _bend(h, fields.height[f, k - 1], fields.height[f, k + 1])
     sx = fields.slope_x[f, k]
     sy = fields.slope_y[f, k]
@@ -118,7 +118,7 @@ def _height_correction(sheet: Sheet, fields: Fields, f: int, k: int) -> float:
 
 @wp.func
 def evaluate(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),
     fields: Fields,
@@ -130,19 +130,19 @@ def evaluate(
     """Evaluate forces, links and obstacles at all nodes; return volume and minimum turn."""
     volume = float(0.0)
     turn = float(1.0e3)
-    count = sheet.nx * sheet.ny
+    count = membrane.nx * membrane.ny
     for k in range(lane, count, threads):
-        i = k // sheet.ny
-        j = k - i * sheet.ny
-        load = node_load(sheet, fields.u, f, i, j, scale)
+        i = k // membrane.ny
+        j = k - i * membrane.ny
+        load = node_load(membrane, fields.u, f, i, j, scale)
         volume += load.volume
         turn = wp.min(turn, load.turn)
         fields.rz[f, k] = load.elastic[2]
         fields.swell[f, k] = load.swell[2]
         fields.link_x[f, k] = load.link_x
         fields.link_y[f, k] = load.link_y
-        x = node_at(sheet, fields.u, f, i, j)
-        seen = _lowest(sheet, geoms, pool, f, x[0], x[1])
+        x = node_at(membrane, fields.u, f, i, j)
+        seen = _lowest(membrane, geoms, pool, f, x[0], x[1])
         fields.height[f, k] = seen[0]
         fields.slope_x[f, k] = seen[1]
         fields.slope_y[f, k] = seen[2]
@@ -155,7 +155,7 @@ def evaluate(
 
 @wp.func
 def find_springs(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),
     fields: Fields,
@@ -164,64 +164,64 @@ def find_springs(
     threads: int,
 ) -> None:
     """Compute the springs of X4 at edges, towards +x, -x, +y and -y of each touching node."""
-    for k in range(lane, sheet.nx * sheet.ny, threads):
-        i = k // sheet.ny
-        j = k - i * sheet.ny
-        touches = sheet.free[k] != 0 and fields.force[f, k] > 0.0
+    for k in range(lane, membrane.nx * membrane.ny, threads):
+        i = k // membrane.ny
+        j = k - i * membrane.ny
+        touches = membrane.free[k] != 0 and fields.force[f, k] > 0.0
         for side in range(4):
             spring = float(0.0)
             if touches:
-                other = k + _side_step(side, sheet.ny)
+                other = k + _side_step(side, membrane.ny)
                 link = fields.link_x[f, k]
                 if side == 1:
-                    link = fields.link_x[f, k - sheet.ny]
+                    link = fields.link_x[f, k - membrane.ny]
                 elif side == 2:
                     link = fields.link_y[f, k]
                 elif side == 3:
                     link = fields.link_y[f, k - 1]
-                a = node_at(sheet, fields.u, f, i, j)
-                b = node_at(sheet, fields.u, f, other // sheet.ny, other % sheet.ny)
-                along = _along(sheet, fields, f, k, side)
-                spring = _edge_spring(sheet, geoms, pool, fields, f, k, a, other, b, along, link)
+                a = node_at(membrane, fields.u, f, i, j)
+                b = node_at(membrane, fields.u, f, other // membrane.ny, other % membrane.ny)
+                along = _along(membrane, fields, f, k, side)
+                spring = _edge_spring(membrane, geoms, pool, fields, f, k, a, other, b, along, link)
             fields.spring[f, side, k] = spring
     synchronize()
 
 
 @wp.func
 def prepare_heights(
-    sheet: Sheet, fields: Fields, f: int, lane: int, threads: int, p: float
+    membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int, p: float
 ) -> None:
     """Add gas and springs to residual and links, and compute the room below the obstacles."""
-    ny = sheet.ny
-    for k in range(lane, sheet.nx * ny, threads):
+    ny = membrane.ny
+    for k in range(lane, membrane.nx * ny, threads):
         i = k // ny
         j = k - i * ny
         r = fields.rz[f, k] + p * fields.swell[f, k]
         gap = float(MISS)
         z = fields.u[f, 2, k]
-        if sheet.free[k] != 0:
+        if membrane.free[k] != 0:
             for side in range(4):
                 other = k + _side_step(side, ny)
                 own = fields.spring[f, side, k]
                 if own > 0.0:
-                    r += own * (fields.u[f, 2, other] - z - _along(sheet, fields, f, k, side))
+                    r += own * (fields.u[f, 2, other] - z - _along(membrane, fields, f, k, side))
                 back = side + 1 - 2 * (side % 2)
                 theirs = fields.spring[f, back, other]
                 if theirs > 0.0:
                     r -= theirs * (
-                        z - fields.u[f, 2, other] - _along(sheet, fields, f, other, back)
+                        z - fields.u[f, 2, other] - _along(membrane, fields, f, other, back)
                     )
             h = fields.height[f, k]
             if is_on(h):
-                gap = h - _height_correction(sheet, fields, f, k) - z
+                gap = h - _height_correction(membrane, fields, f, k) - z
         fields.rz[f, k] = r
         fields.gap[f, k] = gap
         fields.change[f, k] = 0.0
     synchronize()
-    for k in range(lane, sheet.nx * ny, threads):
+    for k in range(lane, membrane.nx * ny, threads):
         i = k // ny
         j = k - i * ny
-        if i < sheet.nx - 1:
+        if i < membrane.nx - 1:
             fields.link_x[f, k] += fields.spring[f, 0, k] + fields.spring[f, 1, k + ny]
         if j < ny - 1:
             fields.link_y[f, k] += fields.spring[f, 2, k] + fields.spring[f, 3, k + 1]
@@ -230,18 +230,18 @@ def prepare_heights(
 
 @wp.func
 def prepare_plane(
-    sheet: Sheet, fields: Fields, f: int, lane: int, threads: int, p: float, scale: float
+    membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int, p: float, scale: float
 ) -> None:
     """Compute the in-plane residual with the push of the obstacles, and its stiffness."""
-    ny = sheet.ny
-    for k in range(lane, sheet.nx * ny, threads):
+    ny = membrane.ny
+    for k in range(lane, membrane.nx * ny, threads):
         i = k // ny
         j = k - i * ny
         rx = float(0.0)
         ry = float(0.0)
         extra = float(0.0)
-        if sheet.free[k] != 0:
-            load = node_load(sheet, fields.u, f, i, j, scale)
+        if membrane.free[k] != 0:
+            load = node_load(membrane, fields.u, f, i, j, scale)
             push = load.elastic + p * load.swell
             q = fields.force[f, k]
             rx = push[0] + q * fields.slope_x[f, k]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.elasticity import Sheet, node_at
+from mjtactile.warp.device.elasticity import MembraneGrid, node_at
 from mjtactile.warp.device.fields import Fields
 
 wp.set_module_options({"enable_backward": False})
@@ -95,7 +95,7 @@ def _sum(value: float) -> float:
 
 @wp.func
 def add_up(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     fields: Fields,
     slot_of: wp.array2d(dtype=int),
     before: wp.array3d(dtype=float),
@@ -123,13 +123,13 @@ def add_up(
     kept = float(0.0)
     shift_x = float(0.0)
     shift_y = float(0.0)
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         q = fields.force[f, k]
         owner = fields.owner[f, k]
         if q > 0.0 and owner >= 0:
             if slot_of[finger, owner] == slot:
-                i = k // sheet.ny
-                x = node_at(sheet, fields.u, f, i, k - i * sheet.ny)
+                i = k // membrane.ny
+                x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
                 push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
                 turn = wp.cross(x, push)
                 q_sum += q
@@ -153,16 +153,16 @@ def add_up(
     patch.middle = middle
     patch.force = wp.vec3(_sum(fx), _sum(fy), -total)
     patch.torque = wp.vec3(_sum(tx), _sum(ty), _sum(tz))
-    patch.area = _sum(count) * sheet.dx * sheet.dy
+    patch.area = _sum(count) * membrane.dx * membrane.dy
     over_kept = 1.0 / wp.max(_sum(kept), 1.0e-9)
     reach = float(0.0)
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         q = fields.force[f, k]
         owner = fields.owner[f, k]
         if q > 0.0 and owner >= 0:
             if slot_of[finger, owner] == slot:
-                i = k // sheet.ny
-                x = node_at(sheet, fields.u, f, i, k - i * sheet.ny)
+                i = k // membrane.ny
+                x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
                 reach += q * wp.length(wp.vec2(x[0] - middle[0], x[1] - middle[1]))
     patch.radius = _sum(reach) * over
     patch.shift = wp.vec2(_sum(shift_x) * over_kept, _sum(shift_y) * over_kept)
@@ -171,10 +171,15 @@ def add_up(
 
 @wp.func
 def remember_nodes(
-    sheet: Sheet, fields: Fields, before: wp.array3d(dtype=float), f: int, lane: int, threads: int
+    membrane: MembraneGrid,
+    fields: Fields,
+    before: wp.array3d(dtype=float),
+    f: int,
+    lane: int,
+    threads: int,
 ) -> None:
     """Store in-plane displacements and contact of all nodes for the next step."""
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         before[f, 0, k] = fields.u[f, 0, k]
         before[f, 1, k] = fields.u[f, 1, k]
         touched = float(0.0)
@@ -185,7 +190,7 @@ def remember_nodes(
 
 @wp.func
 def stick(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     table: StickingTable,
     last: Patch,
     now: Patch,
@@ -219,7 +224,7 @@ def stick(
             )
             slid = last.slid
         load = wp.cw_mul(found.grip, strain)
-        arm = wp.max(now.radius, 0.25 * wp.min(sheet.dx, sheet.dy))
+        arm = wp.max(now.radius, 0.25 * wp.min(membrane.dx, membrane.dy))
         carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
         limit = friction * now.normal
         left = float(1.0)

@@ -15,7 +15,7 @@ _MIN_TENSION = wp.constant(0.05)  # fraction of the tension below which a link i
 
 
 @wp.struct
-class Sheet:
+class MembraneGrid:
     """Grid and material that all membranes of one sensor share.
 
     `law` holds the coefficients of X2; `free` is 1 at nodes that move; `stencil` is the in-plane
@@ -57,42 +57,42 @@ class NodeLoad:
 
 
 @wp.func
-def node_at(sheet: Sheet, u: wp.array3d(dtype=float), f: int, i: int, j: int) -> wp.vec3:
+def node_at(membrane: MembraneGrid, u: wp.array3d(dtype=float), f: int, i: int, j: int) -> wp.vec3:
     """Return the position of a node."""
-    k = i * sheet.ny + j
+    k = i * membrane.ny + j
     return wp.vec3(
-        (float(i) - 0.5 * float(sheet.nx - 1)) * sheet.dx + u[f, 0, k],
-        (float(j) - 0.5 * float(sheet.ny - 1)) * sheet.dy + u[f, 1, k],
+        (float(i) - 0.5 * float(membrane.nx - 1)) * membrane.dx + u[f, 0, k],
+        (float(j) - 0.5 * float(membrane.ny - 1)) * membrane.dy + u[f, 1, k],
         u[f, 2, k],
     )
 
 
 @wp.func
-def stress(sheet: Sheet, scale: float, g1: wp.vec3, g2: wp.vec3) -> wp.vec3:
+def stress(membrane: MembraneGrid, scale: float, g1: wp.vec3, g2: wp.vec3) -> wp.vec3:
     """Return the stress S11, S22, S12 times thickness, N/m, at tangents g1 and g2."""
-    c11 = sheet.lambda2 * wp.dot(g1, g1)
-    c22 = sheet.lambda2 * wp.dot(g2, g2)
-    c12 = sheet.lambda2 * wp.dot(g1, g2)
-    m = sheet.modulus * scale
+    c11 = membrane.lambda2 * wp.dot(g1, g1)
+    c22 = membrane.lambda2 * wp.dot(g2, g2)
+    c12 = membrane.lambda2 * wp.dot(g1, g2)
+    m = membrane.modulus * scale
     found = wp.vec3(0.0, 0.0, 0.0)
-    if sheet.neo_hookean != 0:
+    if membrane.neo_hookean != 0:
         root = 1.0 / wp.sqrt(wp.max(c11 * c22 - c12 * c12, _MIN_DET))
-        t = (root - sheet.law_middle) * sheet.law_per_unit
+        t = (root - membrane.law_middle) * membrane.law_per_unit
         q = float(0.0)
         for k in range(11):
-            q = q * t + sheet.law[10 - k]
+            q = q * t + membrane.law[10 - k]
         found = wp.vec3(m - m * q * c22, m - m * q * c11, m * q * c12)
     else:
         e11 = 0.5 * (c11 - 1.0)
         e22 = 0.5 * (c22 - 1.0)
-        nu = sheet.poisson
+        nu = membrane.poisson
         found = wp.vec3(m * (e11 + nu * e22), m * (e22 + nu * e11), 0.5 * m * (1.0 - nu) * c12)
     return found
 
 
 @wp.func
 def node_load(
-    sheet: Sheet, u: wp.array3d(dtype=float), f: int, i: int, j: int, scale: float
+    membrane: MembraneGrid, u: wp.array3d(dtype=float), f: int, i: int, j: int, scale: float
 ) -> NodeLoad:
     """Return the load of node (i, j), summed over the corners of its cells.
 
@@ -100,34 +100,34 @@ def node_load(
     edges.
     """
     load = NodeLoad()
-    w = 0.25 * sheet.dx * sheet.dy
+    w = 0.25 * membrane.dx * membrane.dy
     force = wp.vec3(0.0, 0.0, 0.0)
     swell = wp.vec3(0.0, 0.0, 0.0)
     link_x = float(0.0)
     link_y = float(0.0)
     volume = float(0.0)
     turn = float(1.0e3)
-    a = node_at(sheet, u, f, i, j)
+    a = node_at(membrane, u, f, i, j)
     for e in range(4):
         si = 1 - 2 * (e // 2)
         sj = 1 - 2 * (e % 2)
         ii = i + si
         jj = j + sj
-        if ii >= 0 and ii < sheet.nx and jj >= 0 and jj < sheet.ny:
-            b = node_at(sheet, u, f, ii, j)
-            d = node_at(sheet, u, f, i, jj)
-            c = node_at(sheet, u, f, ii, jj)
-            sx = float(si) / sheet.dx
-            sy = float(sj) / sheet.dy
+        if ii >= 0 and ii < membrane.nx and jj >= 0 and jj < membrane.ny:
+            b = node_at(membrane, u, f, ii, j)
+            d = node_at(membrane, u, f, i, jj)
+            c = node_at(membrane, u, f, ii, jj)
+            sx = float(si) / membrane.dx
+            sy = float(sj) / membrane.dy
             g1 = (b - a) * sx
             g2 = (d - a) * sy
-            s = w * stress(sheet, scale, g1, g2)
+            s = w * stress(membrane, scale, g1, g2)
             force += (g1 * s[0] + g2 * s[2]) * sx + (g2 * s[1] + g1 * s[2]) * sy
             h2 = (c - b) * sy  # at b, g1 and h2 meet
-            sb = w * stress(sheet, scale, g1, h2)
+            sb = w * stress(membrane, scale, g1, h2)
             force += (g1 * sb[0] + h2 * sb[2]) * sx
             h1 = (c - d) * sx  # at d, h1 and g2 meet
-            sd = w * stress(sheet, scale, h1, g2)
+            sd = w * stress(membrane, scale, h1, g2)
             force += (g2 * sd[1] + h1 * sd[2]) * sy
             t_a = g1[0] * g2[1] - g1[1] * g2[0]
             volume += w * a[2] * t_a

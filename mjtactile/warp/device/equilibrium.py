@@ -10,7 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.warp.device.assembly import evaluate, find_springs, prepare_heights, prepare_plane
-from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.elasticity import MembraneGrid
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.obstacles import Geom, is_on
 from mjtactile.warp.device.relaxation import relax_heights, relax_plane, synchronize
@@ -31,14 +31,14 @@ _MAX_LAST = wp.constant(1.0e-3)  # step at the end of a solution above which it 
 
 
 @wp.func
-def move_plane(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) -> float:
+def move_plane(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> float:
     """Add the in-plane step, limited in length; return its length, m."""
     longest = float(0.0)
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         longest = wp.max(longest, wp.max(wp.abs(fields.rx[f, k]), wp.abs(fields.ry[f, k])))
     longest = wp.tile_extract(wp.tile_max(wp.tile(longest)), 0)
     by = wp.min(1.0, _MAX_SHIFT / wp.max(longest, 1.0e-12))
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         fields.u[f, 0, k] += by * fields.rx[f, k]
         fields.u[f, 1, k] += by * fields.ry[f, k]
     synchronize()
@@ -46,10 +46,10 @@ def move_plane(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) ->
 
 
 @wp.func
-def move_heights(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) -> float:
+def move_heights(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> float:
     """Add the step of the heights; return its maximum, m."""
     longest = float(0.0)
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         step = fields.change[f, k]
         fields.u[f, 2, k] += step
         longest = wp.max(longest, wp.abs(step))
@@ -59,15 +59,15 @@ def move_heights(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) 
 
 
 @wp.func
-def frame_status(sheet: Sheet, fields: Fields, f: int, lane: int, threads: int) -> int:
+def frame_status(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> int:
     """Return RIM_CONTACT or GLASS_CONTACT for obstacles too low there, else 0."""
     found = float(0.0)
-    for k in range(lane, sheet.nx * sheet.ny, threads):
+    for k in range(lane, membrane.nx * membrane.ny, threads):
         h = fields.height[f, k]
         if is_on(h):
-            if sheet.free[k] == 0 and h < -2.0 * sheet.half_thickness:
+            if membrane.free[k] == 0 and h < -2.0 * membrane.half_thickness:
                 found = wp.max(found, float(_RIM))
-            if h - sheet.half_thickness <= -sheet.depth:
+            if h - membrane.half_thickness <= -membrane.depth:
                 found = wp.max(found, float(_GLASS))
     return int(wp.tile_extract(wp.tile_max(wp.tile(found)), 0))
 
@@ -86,7 +86,7 @@ def gas_pressure(gas: Gas, f: int, bulge: float, present: float, bulge_rate: flo
 
 @wp.func
 def settle_heights(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     scheme: Scheme,
     gas: Gas,
     fields: Fields,
@@ -107,12 +107,12 @@ def settle_heights(
         relax_heights(
             f,
             lane,
-            sheet.nx,
-            sheet.ny,
+            membrane.nx,
+            membrane.ny,
             scheme.relaxation_z,
             scheme.sweeps_z,
             now - p,
-            sheet.free,
+            membrane.free,
             fields.change,
             fields.gap,
             fields.swell,
@@ -122,7 +122,7 @@ def settle_heights(
             fields.force,
         )
         swelled = float(0.0)
-        for k in range(lane, sheet.nx * sheet.ny, threads):
+        for k in range(lane, membrane.nx * membrane.ny, threads):
             swelled += fields.swell[f, k] * fields.change[f, k]
         swelled = wp.tile_extract(wp.tile_sum(wp.tile(swelled)), 0)
         now = gas_pressure(gas, f, volume + swelled, now, scheme.bulge)
@@ -131,7 +131,7 @@ def settle_heights(
 
 @wp.func
 def solve(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     scheme: Scheme,
     gas: Gas,
     geoms: wp.array2d(dtype=Geom),
@@ -147,50 +147,50 @@ def solve(
     A solution that fails leaves the last good state. After two failures in a row, solutions start
     from rest without contact.
     """
-    count = sheet.nx * sheet.ny
+    count = membrane.nx * membrane.ny
     p = fields.pressure[f]
     if fields.lost[f] > 1:
         for k in range(lane, count, threads):
             fields.force[f, k] = 0.0
             for c in range(3):
-                fields.u[f, c, k] = sheet.rest[c, k]
+                fields.u[f, c, k] = membrane.rest[c, k]
         synchronize()
     status = int(_NOT_CONVERGED)
     used = int(0)
     volume = fields.volume[f]
     for step in range(scheme.outer):
         if status == _NOT_CONVERGED:
-            sums = evaluate(sheet, geoms, pool, fields, f, lane, threads, scale)
+            sums = evaluate(membrane, geoms, pool, fields, f, lane, threads, scale)
             volume = sums[0]
             before = p
             if step == 0:
-                misplaced = frame_status(sheet, fields, f, lane, threads)
+                misplaced = frame_status(membrane, fields, f, lane, threads)
                 if misplaced > 0:
                     status = misplaced
             if sums[1] < _MIN_TURN:
                 status = _INVERTED
-            find_springs(sheet, geoms, pool, fields, f, lane, threads)
-            prepare_heights(sheet, fields, f, lane, threads, p)
-            p = settle_heights(sheet, scheme, gas, fields, f, lane, threads, volume, p)
+            find_springs(membrane, geoms, pool, fields, f, lane, threads)
+            prepare_heights(membrane, fields, f, lane, threads, p)
+            p = settle_heights(membrane, scheme, gas, fields, f, lane, threads, volume, p)
             moved_gas = wp.abs(p - before)
-            last = move_heights(sheet, fields, f, lane, threads)
+            last = move_heights(membrane, fields, f, lane, threads)
             if scheme.sweeps_xy > 0:
-                prepare_plane(sheet, fields, f, lane, threads, p, scale)
+                prepare_plane(membrane, fields, f, lane, threads, p, scale)
                 relax_plane(
                     f,
                     lane,
-                    sheet.nx,
-                    sheet.ny,
+                    membrane.nx,
+                    membrane.ny,
                     scheme.relaxation_xy,
                     scheme.sweeps_xy,
                     scale,
-                    sheet.free,
-                    sheet.stencil,
+                    membrane.free,
+                    membrane.stencil,
                     fields.extra,
                     fields.rx,
                     fields.ry,
                 )
-                last = wp.max(last, move_plane(sheet, fields, f, lane, threads))
+                last = wp.max(last, move_plane(membrane, fields, f, lane, threads))
             used += 1
             if not (wp.isfinite(last) and wp.isfinite(p) and wp.abs(volume) < gas.flat):
                 status = _NUMERICAL
@@ -223,7 +223,7 @@ def solve(
 
 @wp.kernel
 def solve_all(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     scheme: Scheme,
     gas: Gas,
     geoms: wp.array2d(dtype=Geom),
@@ -232,4 +232,4 @@ def solve_all(
     fields: Fields,
 ):
     f, lane = wp.tid()
-    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, wp.block_dim(), modulus[f])
+    solve(membrane, scheme, gas, geoms, pool, fields, f, lane, wp.block_dim(), modulus[f])

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness
-from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.elasticity import MembraneGrid
 from mjtactile.warp.device.fields import Fields, Gas
 from mjtactile.warp.device.update import Places
 
@@ -98,7 +98,7 @@ def _held_body(joints: Joints, places: Places, patch: Patch, finger: int, slot: 
 
 @wp.kernel
 def add_forces(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     gas: Gas,
     stiffness: Stiffness,
     fields: Fields,
@@ -189,10 +189,10 @@ def add_forces(
                         gas_stiffness,
                         stiffness.bulge,
                         stiffness.half,
-                        wp.min(sheet.dx, sheet.dy),
+                        wp.min(membrane.dx, membrane.dy),
                         patch.area,
                     )
-                    K += held_motion(patch, normal, wp.min(sheet.dx, sheet.dy), R, R_SB, p_SB)
+                    K += held_motion(patch, normal, wp.min(membrane.dx, membrane.dy), R, R_SB, p_SB)
                     # the free joint's body may lie off the body in contact, which turns with it
                     moved = R @ (patch.moved + wp.cross(patch.turned, p_SB - patch.p))
                     turned = wp.transpose(R_SB) @ patch.turned

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.warp.device.contact import Patch, StickingTable, add_up, remember_nodes, stick
-from mjtactile.warp.device.elasticity import Sheet
+from mjtactile.warp.device.elasticity import MembraneGrid
 from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.obstacles import Geom
@@ -134,7 +134,7 @@ def _place(
 
 @wp.kernel
 def update_all(
-    sheet: Sheet,
+    membrane: MembraneGrid,
     scheme: Scheme,
     gas: Gas,
     heat: Heat,
@@ -164,7 +164,7 @@ def update_all(
     if lane == 0:
         before_solution(gas, heat, f)
     synchronize()
-    solve(sheet, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
+    solve(membrane, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
     force = wp.vec3(0.0, 0.0, 0.0)
     torque = wp.vec3(0.0, 0.0, 0.0)
     largest = float(0.0)
@@ -174,12 +174,12 @@ def update_all(
         body = places.bodies[finger, slot]
         if body >= 0:
             patch = add_up(
-                sheet, fields, places.slots, states.before, f, finger, slot, lane, threads
+                membrane, fields, places.slots, states.before, f, finger, slot, lane, threads
             )
             R_SB = wp.transpose(R) @ xmat[world, body]
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
-            now = stick(sheet, table, last, patch, states.friction[f], R_SB, p_SB)
+            now = stick(membrane, table, last, patch, states.friction[f], R_SB, p_SB)
             force += now.force
             torque += now.torque
             area += now.area
@@ -189,7 +189,7 @@ def update_all(
             synchronize()
             if lane == 0:
                 states.patches[f, slot] = now
-    remember_nodes(sheet, fields, states.before, f, lane, threads)
+    remember_nodes(membrane, fields, states.before, f, lane, threads)
     if lane == 0:
         after_solution(gas, heat, f, fields.pressure[f], fields.volume[f])
         for c in range(3):

@@ -97,19 +97,21 @@ def test_areas_are_compared_where_both_are_known():
 
 
 def test_scenes_take_turns_and_are_what_they_say():
-    drawn = [render_scene(seed) for seed in range(40)]
-    assert {scene.kind for scene in drawn} == set(KINDS) and {
-        scene.sensor for scene in drawn
+    sampled = [render_scene(seed) for seed in range(40)]
+    assert {scene.kind for scene in sampled} == set(KINDS) and {
+        scene.sensor for scene in sampled
     } == set(SENSORS)
     fine = [render_scene(FINE_FROM + seed) for seed in range(20)]
     assert {scene.sensor for scene in fine} == set(FINE)
-    for one in [*drawn, *fine]:
+    for one in [*sampled, *fine]:
         frame = one.design.frame
         assert abs(one.at[0]) < frame.length / 2 and abs(one.at[1]) < frame.width / 2
         assert (one.shake[0] > 0) == (one.kind == "shaken")
-    near = [np.min([20e-3 - abs(s.at[0]), 15e-3 - abs(s.at[1])]) for s in drawn if s.kind == "edge"]
+    near = [
+        np.min([20e-3 - abs(s.at[0]), 15e-3 - abs(s.at[1])]) for s in sampled if s.kind == "edge"
+    ]
     assert max(near) < 12e-3  # a face's half width and a margin
-    coarse = next(s for s in drawn if s.sensor == "dense at half resolution").design.camera
+    coarse = next(s for s in sampled if s.sensor == "dense at half resolution").design.camera
     assert (coarse.width, coarse.fx) == (320, 300.0)
     assert render_scene(7) == render_scene(7)
 

@@ -19,11 +19,12 @@ def test_what_was_skipped_was_not_tried_and_what_failed_is_named():
     assert counts == {"cases": 3, "passed": 1, "wrong": ["b[1]", "c"]}
     good = {"cases": 5, "passed": 5, "wrong": []}
     rows = [{"what": "w", "required": "r", **some} for some in (counts, good)]
-    said = fault_injection.table({"kinds": rows})
+    reported = fault_injection.table({"kinds": rows})
     assert (
-        "| w | 3 | r | met in 1 cases, not in: b[1], c |\n| w | 5 | r | met in all cases |" in said
+        "| w | 3 | r | met in 1 cases, not in: b[1], c |\n| w | 5 | r | met in all cases |"
+        in reported
     )
-    assert "6 of 8 cases meet the requirement" in said
+    assert "6 of 8 cases meet the requirement" in reported
 
 
 @pytest.mark.parametrize("kind", fault_injection.KINDS, ids=lambda kind: kind.tests[0])

@@ -4,9 +4,9 @@ from benchmarks.setting_sensitivity import table
 
 
 def test_parameters_without_an_effect_are_counted_and_left_out():
-    same = {"force_N": 0.0, "bar": 1.0, "markers": 0.0, "said": 0}
+    same = {"force_N": 0.0, "bar": 1.0, "markers": 0.0, "reported": 0}
     less = {**same, "name": "prior.friction", "force_N": 7e-4}
-    more = {**same, "name": "prior.friction", "force_N": 1.2e-3, "said": 1}
+    more = {**same, "name": "prior.friction", "force_N": 1.2e-3, "reported": 1}
     quiet = {**same, "name": "min_detected"}
     lines = table({"rows": [less, more, quiet, quiet]}).splitlines()
     assert lines[0] == "2 parameters; 1 change nothing here and are left out."

@@ -36,15 +36,15 @@ def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
 
 
 def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
-    drawn = [soak.drawn(number, soak.LEG, soak.GRIP) for number in range(2 * len(FAULTS))]
-    kinds = [kind for kind, _ in drawn]
+    sampled = [soak.sampled(number, soak.LEG, soak.GRIP) for number in range(2 * len(FAULTS))]
+    kinds = [kind for kind, _ in sampled]
     assert (
         set(kinds[: len(FAULTS)]) == set(kinds[len(FAULTS) :]) == set(FAULTS)
         and kinds[:16] != kinds[16:]
     )
-    assert all(soak.LEG - soak.GRIP <= at <= soak.LEG for _, at in drawn) and len(
-        {at for _, at in drawn}
-    ) == len(drawn)
+    assert all(soak.LEG - soak.GRIP <= at <= soak.LEG for _, at in sampled) and len(
+        {at for _, at in sampled}
+    ) == len(sampled)
 
 
 def test_the_table_says_what_went_wrong():
@@ -56,15 +56,15 @@ def test_the_table_says_what_went_wrong():
         "outcome": "left camera is stale",
         "recording": "torn",
     }
-    said = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
+    reported = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
     longer = [LEG | {"memory_MB": 100.0 + count} for count in range(1, 9)]
-    assert said["long run of 0.33 h, 60 grips of an egg: missed cycles"] == "0.28 % of 72000"
-    assert said["long run: safe state after a fault at a random time"] == (
+    assert reported["long run of 0.33 h, 60 grips of an egg: missed cycles"] == "0.28 % of 72000"
+    assert reported["long run: safe state after a fault at a random time"] == (
         "3 of 3, 1 later than 200 ms, worst 300 ms"
     )
-    assert said["long run: stops without a fault"] == "1 of 4 legs; left camera is stale"
-    assert said["long run: memory"] == "100.0 MB after 2 legs, 100.0 MB after 4 legs"
+    assert reported["long run: stops without a fault"] == "1 of 4 legs; left camera is stale"
+    assert reported["long run: memory"] == "100.0 MB after 2 legs, 100.0 MB after 4 legs"
     assert soak.growth(longer) == (
         "102.0 MB after 2 legs, 104.0 MB after 4 legs, 108.0 MB after 8 legs"
     )
-    assert said["long run: unreadable recordings"] == "1 of 4"
+    assert reported["long run: unreadable recordings"] == "1 of 4"

@@ -88,8 +88,8 @@ def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
 
 def test_weights_are_compared_with_what_was_asked():
     known = [
-        line | {"weighed_g": said, "mass_g_true": true}
-        for line, (said, true) in zip(
+        line | {"weighed_g": reported, "mass_g_true": true}
+        for line, (reported, true) in zip(
             lines("adaptive", ["held"] * 4), [(104, 100), (46, 50), (7, 5), (52, 50)], strict=True
         )
     ]

@@ -37,7 +37,7 @@ def rays():
 RAYS = rays()
 
 
-def picture(rotation, shift, seed, noise=2.0):
+def image(rotation, shift, seed, noise=2.0):
     """The board at a pose, seen through K and DISTORTION: each pixel's ray meets the board's plane
     there."""
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
@@ -45,11 +45,11 @@ def picture(rotation, shift, seed, noise=2.0):
     ray = np.concatenate([RAYS, np.ones((*RAYS.shape[:2], 1))], axis=2) @ inverse.T
     xy = ray[..., :2] / ray[..., 2:]
     scale = PIXELS / BOARD.square
-    drawn = BOARD.draw(PIXELS)
+    sampled = BOARD.draw(PIXELS)
     # pixel centres at integers; half a square of margin
     at = (xy * scale + PIXELS / 2 - 0.5).astype(np.float32)
     gray = cv2.remap(
-        cv2.GaussianBlur(drawn, (0, 0), 1.5),
+        cv2.GaussianBlur(sampled, (0, 0), 1.5),
         at[..., 0],
         at[..., 1],
         cv2.INTER_LINEAR,
@@ -81,7 +81,7 @@ def poses(count, tilt=0.5, spread=1.0):
 def photos(tmp_path_factory):
     folder = tmp_path_factory.mktemp("photos")
     for i, pose in enumerate(poses(14)):
-        cv2.imwrite(str(folder / f"{i:02d}.png"), picture(*pose, seed=i))
+        cv2.imwrite(str(folder / f"{i:02d}.png"), image(*pose, seed=i))
     return folder
 
 
@@ -116,19 +116,19 @@ def test_known_intrinsics_come_back(photos, tmp_path, capsys):
     assert table["distortion_model"] == "plumb_bob" and table["projection_matrix"]["cols"] == 4
 
 
-def views_of(pictures):
+def views_of(images):
     finder = BoardFinder(BOARD)
-    return finder, [view for i, gray in enumerate(pictures) if (view := finder.find(str(i), gray))]
+    return finder, [view for i, gray in enumerate(images) if (view := finder.find(str(i), gray))]
 
 
 def test_a_board_that_was_never_tilted_is_refused():
-    finder, views = views_of(picture(*pose, seed=i) for i, pose in enumerate(poses(9, tilt=0.02)))
+    finder, views = views_of(image(*pose, seed=i) for i, pose in enumerate(poses(9, tilt=0.02)))
     assert any("tilted" in reason for reason in calibrate_camera(finder, views, SIZE).reasons)
 
 
 def test_too_few_pictures_of_the_middle_are_refused(tmp_path, capsys):
     for i, pose in enumerate(poses(5, spread=0.1)):
-        cv2.imwrite(str(tmp_path / f"{i}.png"), picture(*pose, seed=i))
+        cv2.imwrite(str(tmp_path / f"{i}.png"), image(*pose, seed=i))
     out = tmp_path / "camera.yaml"
     assert main(["calibrate", "camera", str(tmp_path), "--out", str(out)]) == 1
     text = capsys.readouterr().out
@@ -170,32 +170,30 @@ def test_bad_input_names_the_field(arguments, words, capsys):
 
 def test_live_views_are_taken_when_the_board_rests_somewhere_new():
     finder = BoardFinder(BOARD)
-    still = [picture(*pose, seed=i) for i, pose in enumerate(poses(3))]
+    still = [image(*pose, seed=i) for i, pose in enumerate(poses(3))]
     frames = [still[0], still[1], still[1], still[1], still[2], still[2], still[1], still[1]]
-    said = []
+    reported = []
     views = collect_views(
-        ((str(i), gray) for i, gray in enumerate(frames)), finder, 10, said.append
+        ((str(i), gray) for i, gray in enumerate(frames)), finder, 10, reported.append
     )
     # moving: no; resting: once; back at an old place: no
     assert [view.name for view in views] == ["2", "5"]
-    assert len(said) == 2
+    assert len(reported) == 2
 
 
 @pytest.mark.clock(9)
 def test_live_through_a_stream(photos, tmp_path, capsys):
     """The driver of a network camera, the stream's JPEG, the guided choice of views: the same
     camera."""
-    pictures = [
-        cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))
-    ]
+    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))]
     server = StreamServer(("left",))
     stop = scaled_clock.Event()
 
     def play():
         count = 0
         while not stop.wait(0.06):
-            noise = np.random.default_rng(count).integers(0, 2, pictures[0].shape, dtype=np.uint8)
-            server.publish("left", cv2.add(pictures[count // 4 % len(pictures)], noise))
+            noise = np.random.default_rng(count).integers(0, 2, images[0].shape, dtype=np.uint8)
+            server.publish("left", cv2.add(images[count // 4 % len(images)], noise))
             count += 1
 
     thread = threading.Thread(target=play)

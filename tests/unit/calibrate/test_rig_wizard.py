@@ -40,7 +40,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
     like.write_text(client_text(load_rig_file("emulated").path, nowhere))
     path = tmp_path / "mine.toml"
     asked = []
-    said = []
+    reported = []
     pressed = []
 
     def ask(question):
@@ -68,15 +68,15 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
                 ports=[ends["valve"], ends["servo"]],
                 cameras=streams[:1],
                 ask=ask,
-                notify=said.append,
+                notify=reported.append,
             )
         assert load_rig_file(path).bus.port == ends["servo"]  # results up to here are kept
         asked.clear()
-        rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, notify=said.append)
+        rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, notify=reported.append)
     finally:
         for board in pressed:
             board.close(quiet=True)
-    assert any("servos [2, 1, 3] answer" in line and "kept" in line for line in said)
+    assert any("servos [2, 1, 3] answer" in line and "kept" in line for line in reported)
     assert [servo.id for servo in rig.gripper.servos] == [2, 1] and (
         rig.lift.id,
         rig.lift.model,
@@ -88,7 +88,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
     assert {valve.port for valve in rig.valves} == {ends["valve"]}
     assert rig.gripper.force_max == 4.0 and rig.gripper.opening[1] == pytest.approx(0.12)
     # refused, and asked again
-    assert any("-5" in line and "opening_max_mm" in line for line in said)
+    assert any("-5" in line and "opening_max_mm" in line for line in reported)
     assert "# on each finger" in path.read_text()  # comments stay
 
 
@@ -112,13 +112,17 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     monkeypatch.setattr("mjtactile.calibrate.rig_wizard.serial_ports", lambda *_, **__: [found])
     path = tmp_path / "mine.toml"
     path.write_text(load_rig_file("two_xm430").path.read_text())
-    said = []
-    changes = _bus(load_rig_file(path), _PortScan((), said.append), lambda _: "1", said.append)
+    reported = []
+    changes = _bus(
+        load_rig_file(path), _PortScan((), reported.append), lambda _: "1", reported.append
+    )
     _write(path, changes)
     first, second = load_rig_file(path).gripper.servos
     assert (first.model, first.torque_per_A, first.position_p_gain) == ("XL330-M288", None, None)
     assert (second.model, second.torque_per_A, second.position_p_gain) == ("XM430-W350", 1.78, 800)
-    assert any("XL330-M288: using the torque per ampere of its data sheet" in line for line in said)
+    assert any(
+        "XL330-M288: using the torque per ampere of its data sheet" in line for line in reported
+    )
 
 
 @pytest.mark.parametrize(

@@ -184,8 +184,10 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
     path.write_text(text + "\n")
     with pytest.raises(InputError) as caught:
         load_task(path)
-    said = str(caught.value)
-    assert "\n" not in said and all(part in said for part in ["mine.toml", *parts]), said
+    reported = str(caught.value)
+    assert "\n" not in reported and all(part in reported for part in ["mine.toml", *parts]), (
+        reported
+    )
 
 
 def test_the_robot_is_told_what_the_file_says_and_no_more():

@@ -38,7 +38,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     # the edge length for averaging; a pixel is worth depth / f: f^-3/2 in total
     design = paper16.design
     camera = design.camera
-    rest = paper16.film.rest
+    rest = paper16.quasistatic.rest
 
     def sd(changed):
         return np.sqrt(np.trace(VirtualBench(changed).detect_markers(rest).cov_p, axis1=1, axis2=2))
@@ -59,7 +59,7 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
     # the chain's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
     estimated = paper16.estimate_touch(pressed.state)
-    said = math.sqrt(paper16.noise(estimated)[2, 2])
+    reported = math.sqrt(paper16.noise(estimated)[2, 2])
     forces = []
     for number in range(40):
         seen = paper16._sampler.sample(*paper16.poses(pressed.state.x), 0.1)
@@ -69,7 +69,7 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
         forces.append(touch.traction.wrench[2])
     # a bound: forty numbers give their sd to 11 %; a chain that keeps the camera state between
     # images scatters by half of the value for one image alone
-    assert 0.35 * said < np.std(forces) < 1.3 * said
+    assert 0.35 * reported < np.std(forces) < 1.3 * reported
     assert -np.mean(forces) == pytest.approx(0.5, rel=0.03)
 
 

@@ -52,11 +52,11 @@ class V4l2:
         self.number = 0
         self.mode = "live"
         self.released = False
-        self.pixels = self.picture()
+        self.pixels = self.view()
         self.time = scaled_clock.monotonic()
         self.gate = scaled_clock.Event()
 
-    def picture(self):
+    def view(self):
         return self.rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
 
     def isOpened(self):
@@ -88,7 +88,7 @@ class V4l2:
             self.gate.wait()
             return False, None
         if self.mode == "live":
-            self.pixels = self.picture()
+            self.pixels = self.view()
         self.time = scaled_clock.monotonic() - 0.004
         self.number += 1
         return True, self.pixels
@@ -227,7 +227,7 @@ def test_a_missing_camera_is_named():
 
 def test_another_size_than_asked_for_is_an_error():
     device = V4l2()
-    device.picture = lambda: np.zeros((24, 32, 3), np.uint8)
+    device.view = lambda: np.zeros((24, 32, 3), np.uint8)
     with pytest.raises(DeviceError, match="32 x 24 pixels"):
         OpenCvCamera(CONFIG, capture=lambda: device)
 
@@ -261,9 +261,9 @@ def test_a_stream_over_http_is_read(fourcc):
     try:
         camera = OpenCvCamera(config)
         try:
-            picture = camera.read().pixels.astype(float)
+            view = camera.read().pixels.astype(float)
             # noise of 2 DN and JPEG's loss at quality 98, below 2 DN
-            assert np.sqrt(np.mean((picture - base) ** 2)) < 4.0
+            assert np.sqrt(np.mean((view - base) ** 2)) < 4.0
         finally:
             camera.close()
     finally:
@@ -276,7 +276,7 @@ def test_a_stream_that_is_no_jpeg_says_so(device):
     config = CameraConfig(
         "left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG"
     )
-    device.picture = lambda: np.zeros((1, 500), np.uint8)  # a packet of another codec
+    device.view = lambda: np.zeros((1, 500), np.uint8)  # a packet of another codec
     with pytest.raises(DeviceError, match=r"no JPEG.*fourcc"):
         OpenCvCamera(config, capture=lambda: device)
 

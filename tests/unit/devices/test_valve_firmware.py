@@ -105,11 +105,11 @@ class Host:
         return json.loads(self.process.stdout.readline())
 
     def channel(self, number=1):
-        said = self.tell()
+        reported = self.tell()
         return (
-            STATES[said[f"state_{number}"]],
-            FAULTS[said[f"fault_{number}"]],
-            said[f"pa_{number}"],
+            STATES[reported[f"state_{number}"]],
+            FAULTS[reported[f"fault_{number}"]],
+            reported[f"pa_{number}"],
         )
 
     def close(self):
@@ -305,13 +305,13 @@ def test_it_answers_as_the_emulated_board_does(host):
 
 
 def test_ten_million_damaged_bytes_are_not_obeyed(program):
-    said = json.loads(
+    reported = json.loads(
         subprocess.run(
             [program, "fuzz", "10000000", "1"], check=True, capture_output=True, text=True
         ).stdout
     )
-    assert said["bytes"] >= 10_000_000 and said["lines"] > 300_000
-    assert said["accepted"] == 0  # a CRC-32 lets 1 in 4 10^9 pass
+    assert reported["bytes"] >= 10_000_000 and reported["lines"] > 300_000
+    assert reported["accepted"] == 0  # a CRC-32 lets 1 in 4 10^9 pass
 
 
 def test_without_sensors_it_opens_to_the_supply(tmp_path):

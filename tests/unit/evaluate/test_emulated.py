@@ -22,7 +22,7 @@ def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
     for phase, moment in (("approach", 0), ("hold", 1), (last, 2)):
         true._truth = lambda moment=moment: moments[moment]
         true.add(SimpleNamespace(sent=SimpleNamespace(phase=phase)))
-    return true.score({"outcome": believed, "reason": "said"})
+    return true.score({"outcome": believed, "reason": "reported"})
 
 
 def test_what_came_along_and_stands_again_was_held_whatever_is_believed():

@@ -174,13 +174,13 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
         kept.add(line)
     asked = []
 
-    def picture(episode, folder):
+    def image(episode, folder):
         asked.append(episode)
         folder.mkdir(parents=True)
         (folder / "summary.png").write_bytes(b"png")
         return folder / "summary.png"
 
-    monkeypatch.setattr("mjtactile.evaluate.worst_episodes.draw", picture)
+    monkeypatch.setattr("mjtactile.evaluate.worst_episodes.draw", image)
     path = write_report(tmp_path, 1)
     assert asked == [Episode(asked[0].index, Scenario(seed=3 + asked[0].index))]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
@@ -199,9 +199,9 @@ def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
         randomization="default",
     )
     episode = Episode(0, scenario)
-    picture = draw(episode, tmp_path / "worst")
-    assert picture is not None and picture.read_bytes()[:4] == b"\x89PNG"
-    assert "--seed 3" in Balanced(picture.with_suffix(".html").read_text()).text  # and its page
+    image = draw(episode, tmp_path / "worst")
+    assert image is not None and image.read_bytes()[:4] == b"\x89PNG"
+    assert "--seed 3" in Balanced(image.with_suffix(".html").read_text()).text  # and its page
     assert '"randomized"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
     bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")

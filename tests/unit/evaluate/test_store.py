@@ -110,8 +110,8 @@ def test_a_missing_shard_is_said_and_only_joined_when_asked(tmp_path, capsys):
     out = str(tmp_path / "all")
     words = ["evaluate", "--worst", "0", "--out", out, "--merge", *parts]
     assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "2 episodes are missing: gentle-000001, own-000001; --partial joins" in said
+    reported = capsys.readouterr().err
+    assert "2 episodes are missing: gentle-000001, own-000001; --partial joins" in reported
     assert not (tmp_path / "all").exists()
     assert main([*words, "--partial", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)

@@ -36,12 +36,12 @@ def ball():
 
 
 def test_what_is_said_of_a_ball(ball):
-    said = ball.summary()
-    assert said["size_mm"] == pytest.approx([24, 24, 24], rel=0.02)  # triangles of 0.8 mm
-    assert said["volume_mL"] == pytest.approx(4 / 3 * math.pi * 1.2**3, rel=0.03)
-    assert said["touches"] == said["patches"] == 5
+    reported = ball.summary()
+    assert reported["size_mm"] == pytest.approx([24, 24, 24], rel=0.02)  # triangles of 0.8 mm
+    assert reported["volume_mL"] == pytest.approx(4 / 3 * math.pi * 1.2**3, rel=0.03)
+    assert reported["touches"] == reported["patches"] == 5
     # of two touches, one yielded by 2 mm/N and one by zero, with equal certainty
-    assert said["stiffness_N_m"] == pytest.approx(1e3)
+    assert reported["stiffness_N_m"] == pytest.approx(1e3)
     # each end has its own
     up = ball.mesh.vertices[:, 2] > 0.9 * RADIUS
     down = ball.mesh.vertices[:, 2] < -0.9 * RADIUS

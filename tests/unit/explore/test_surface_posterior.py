@@ -102,12 +102,12 @@ def test_an_ellipsoid_is_one_and_its_size_is_told_with_its_doubt(believed):
     assert surfaces[0].family.name == "ellipsoid"
     # few parameters: a model with more that explains it as well is less likely
     assert shares(surfaces)[0] > 0.9
-    said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], patches)
+    reported = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], patches)
     # six patches of 20 um; triangles of 1.5 mm on 10 mm of radius leave out 0.3 % of it
     true = 2 * np.sort(HALF)[::-1]
-    assert said.mean == pytest.approx(true, rel=0.015)
-    assert (np.abs(said.mean - true) < 3 * said.sd + 1e-4).all()
-    assert (said.sd < 0.03 * true).all()
+    assert reported.mean == pytest.approx(true, rel=0.015)
+    assert (np.abs(reported.mean - true) < 3 * reported.sd + 1e-4).all()
+    assert (reported.sd < 0.03 * true).all()
 
 
 def box_patch(way, noise=2e-5, half=HALF):
@@ -125,15 +125,15 @@ def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
     assert surfaces[0].family.name == "box"
     mesh = mesh_of(surfaces[0], 1.5e-3)
     _, axes = principal_sizes(mesh)
-    said = sizes([mesh], surfaces[:1], [])
+    reported = sizes([mesh], surfaces[:1], [])
     along = np.abs(TURN.T @ axes)
     for number in range(3):
         if along[2, number] > 0.9:  # touched at one end: a third of it, as any size beforehand
-            assert said.sd[number] > 2e-3
+            assert reported.sd[number] > 2e-3
         else:  # both ends: two heights of 50 um, tapers and edges that patches 6 mm wide do not see
-            assert said.sd[number] < 6e-4
+            assert reported.sd[number] < 6e-4
             true = 2 * HALF[int(np.argmax(along[:, number]))]
-            assert said.mean[number] == pytest.approx(true, abs=3e-4)
+            assert reported.mean[number] == pytest.approx(true, abs=3e-4)
     news = size_information_gain(mesh, surfaces[0])
     # a touch of the sixth face adds nearly all of this information; one of the opposite face, known
     # to 50 um, adds little
@@ -146,9 +146,9 @@ def test_what_was_touched_is_within_the_interval(believed):
     """The size interval contains every touched point, even a foot that no shape model has."""
     patches, surfaces = believed
     foot = replace(patches[0], points=patches[0].points + 4e-3 * TURN[:, 2])
-    said = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
-    assert said.interval[0, 1] > said.mean[0] + 3e-3
-    assert said.interval[1, 1] == pytest.approx(said.mean[1] + said.sd[1])
+    reported = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
+    assert reported.interval[0, 1] > reported.mean[0] + 3e-3
+    assert reported.interval[1, 1] == pytest.approx(reported.mean[1] + reported.sd[1])
 
 
 def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
@@ -156,10 +156,10 @@ def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
     _, surfaces = believed
     mesh = mesh_of(surfaces[0], 1.5e-3)
     larger = replace(mesh, vertices=PLACE + 1.1 * (mesh.vertices - PLACE))
-    said = sizes([mesh, larger], [surfaces[0]] * 2, [])
-    apart = 0.1 * said.mean / np.sqrt(2)
+    reported = sizes([mesh, larger], [surfaces[0]] * 2, [])
+    apart = 0.1 * reported.mean / np.sqrt(2)
     # their own uncertainty is added: 3 % of the size, against 7
-    assert (said.sd > 0.999 * apart).all() and (said.sd < 1.3 * apart).all()
+    assert (reported.sd > 0.999 * apart).all() and (reported.sd < 1.3 * apart).all()
 
 
 def test_a_touch_of_an_edge_tells_little():

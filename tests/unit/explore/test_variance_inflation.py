@@ -45,10 +45,10 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
     assert (
         sum(squares) > TOUCHES
     )  # three times the stated noise: otherwise only the floor of 1 shows
-    said = excess(cho_factor(surface + doubted, lower=True), found, doubted, noise, PARTS)
+    reported = excess(cho_factor(surface + doubted, lower=True), found, doubted, noise, PARTS)
     # the same algebra: rounding is left
     mean = (2 + sum(squares)) / (2 + TOUCHES)
-    assert said == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)
+    assert reported == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)
 
 
 def test_what_was_foretold_widens_nothing(model):

@@ -59,10 +59,10 @@ def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
     (entity,) = found["/left/membrane/drawn"][-1][1].entities
     (surface,) = entity.triangles
     assert entity.frame_id == "left_sensor"
-    drawn = np.array([[p.x, p.y, p.z] for p in surface.points])
-    np.testing.assert_array_equal(drawn[:, 2], touch.surface.z.ravel())
+    sampled = np.array([[p.x, p.y, p.z] for p in surface.points])
+    np.testing.assert_array_equal(sampled[:, 2], touch.surface.z.ravel())
     # triangles cover the frame once: their areas seen from above are the grid's
-    corners = drawn[np.reshape(surface.indices, (-1, 3))]
+    corners = sampled[np.reshape(surface.indices, (-1, 3))]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
     assert area.min() > 0
@@ -144,8 +144,8 @@ def test_who_connects_later_sees_the_scene():
     )
     url = f"ws://127.0.0.1:{view.where.rsplit(':', 1)[-1]}"
     with connect(url, subprotocols=["foxglove.sdk.v1"]) as client:
-        said = json.loads(client.recv(timeout=5))
-        assert said["op"] == "serverInfo" and said["name"] == "mjtactile"
+        reported = json.loads(client.recv(timeout=5))
+        assert reported["op"] == "serverInfo" and reported["name"] == "mjtactile"
     for origin in ("https://evil.example", "null", "http://localhost:1"):
         with pytest.raises(InvalidStatus, match="403"):
             connect(url, subprotocols=["foxglove.sdk.v1"], origin=origin)
@@ -162,11 +162,11 @@ def test_who_connects_later_sees_the_scene():
     )
     scene = SimpleNamespace(solids=lambda: [solid], soft_bodies=lambda: [])
     seen = SimpleNamespace(view=scene, time=0.0, ellipses=(), touch=())
-    drawn = viewer_entities.Drawing(SimpleNamespace(fingers=()))
-    assert [i.topic for i in drawn.of(seen)] == ["/scene/egg", "/tf_scene"]
-    assert not list(drawn.of(seen))  # it has not moved
-    drawn.again()
-    assert len(list(drawn.of(seen))) == 2
+    sampled = viewer_entities.Drawing(SimpleNamespace(fingers=()))
+    assert [i.topic for i in sampled.of(seen)] == ["/scene/egg", "/tf_scene"]
+    assert not list(sampled.of(seen))  # it has not moved
+    sampled.again()
+    assert len(list(sampled.of(seen))) == 2
 
 
 def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
@@ -187,15 +187,15 @@ def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
 
 
 @pytest.mark.parametrize(
-    "target, said",
+    "target, reported",
     [
         ("rviz", "valid: rerun, rerun:FILE.rrd"),
         ("foxglove:run.bag", "does not end in .mcap"),
         ("foxglove:/nowhere/run.mcap", "no such folder"),
     ],
 )
-def test_a_target_that_is_none_is_named(target, said):
-    with pytest.raises(mjtactile.InputError, match=said):
+def test_a_target_that_is_none_is_named(target, reported):
+    with pytest.raises(mjtactile.InputError, match=reported):
         live_view.LiveView(target)
 
 

@@ -22,7 +22,7 @@ from mjtactile.sim import ground_truth
 
 CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
 GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
-DRAWN = "-mesh,-pipeline"
+SAMPLED = "-mesh,-pipeline"
 FORCE = policy_observation_names().index("finger1.force_normal_N")
 
 
@@ -143,10 +143,10 @@ def test_an_empty_hand_is_not_paid_for_letting_go():
     """
     rise, wait = (np.array([0.0, -0.75, lift], np.float32) for lift in (0.5, -1.0))
     paid = []
-    with make(effects=DRAWN, reward="progress") as drawn:
-        drawn.reset(seed=0)
+    with make(effects=SAMPLED, reward="progress") as sampled:
+        sampled.reset(seed=0)
         for action in [rise] * 6 + [wait] * 60:
-            _, reward, terminated, _, info = drawn.step(action)
+            _, reward, terminated, _, info = sampled.step(action)
             paid.append(reward)
             if terminated:
                 break
@@ -163,8 +163,8 @@ def test_a_hand_is_paid_for_how_far_it_lets_go():
 
 def test_random_things_are_those_of_the_seeds():
     with (
-        make(object="random", effects=DRAWN) as things,
-        make(object="random:8", effects=DRAWN) as one,
+        make(object="random", effects=SAMPLED) as things,
+        make(object="random:8", effects=SAMPLED) as one,
     ):
         again = [things.reset(seed=seed)[1]["break_force_N"] for seed in (7, 8, 7)]
         assert again[0] == again[2] != again[1] == one.reset(seed=8)[1]["break_force_N"]
@@ -226,7 +226,7 @@ def test_wrong_names_are_said_in_one_line(how, text):
 def episodes(count, seed, steps, **how):
     """Return the observations of the first of `count` environments over `steps`, past the end of an
     episode."""
-    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=count, effects=DRAWN, **how)
+    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=count, effects=SAMPLED, **how)
     shown = [envs.reset(seed=seed)[0][0]]
     rng = np.random.default_rng(1)
     actions = rng.uniform(-1, 0.2, (steps, 3)).astype(np.float32)
@@ -252,8 +252,8 @@ def test_drawn_touch_says_its_level_and_begins_again_as_in_a_new_world():
     actions = [CLOSE] * 30
     for randomization in ("none", "default"):
         with (
-            make(effects=DRAWN, randomization=randomization) as first,
-            make(effects=DRAWN, randomization=randomization) as other,
+            make(effects=SAMPLED, randomization=randomization) as first,
+            make(effects=SAMPLED, randomization=randomization) as other,
         ):
             shown, _, info = roll(first, 3, actions)
             assert info["mesh"] is info["pipeline"] is info["images"] is False

@@ -44,7 +44,7 @@ def test_moments():
         np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
 
 
-def drawn(rng, n):
+def sampled(rng, n):
     """Sample fits and candidates from which they may have started: good ones, with one fault after
     another."""
     axes = np.sort(rng.uniform(3, 30, (n, 2)))[:, ::-1] * rng.choice([1.0, 1.0, 1.0, 0.2], (n, 1))
@@ -81,7 +81,7 @@ def drawn(rng, n):
 def test_judgement(polarity):
     seen = set()
     for seed in range(30):
-        fit, found = drawn(
+        fit, found = sampled(
             np.random.default_rng(seed), int(np.random.default_rng(seed).integers(0, 120))
         )
         for minimum in (1.5, 4.0):
@@ -101,7 +101,7 @@ def test_judgement(polarity):
 
 
 def test_semi_axes():
-    fit, _ = drawn(np.random.default_rng(7), 50)
+    fit, _ = sampled(np.random.default_rng(7), 50)
     ellipses = as_ellipses(fit, np.full(50, "ok"))
     axes, angle = ellipse.axes_from_shape(fit.shape)
     np.testing.assert_allclose(ellipses.semi_axes_px, axes, rtol=1e-12)

@@ -75,27 +75,27 @@ def test_discs_and_opening(scene, blur, lens):
 def test_light_noise_and_rounding(scene):
     """The rendered image is (marker + contrast (1 - coverage)) light gain + noise, to single
     precision, 1e-7 of 255, and rounded."""
-    drawn = Renderer(DESIGN, seed=4)
-    gray = drawn.irradiance_image(*scene)
+    sampled = Renderer(DESIGN, seed=4)
+    gray = sampled.irradiance_image(*scene)
     coverage = np.zeros_like(gray)
     renderer.render_discs(
-        drawn.camera,
+        sampled.camera,
         scene[0] - DESIGN.camera.p_SC,
         scene[1],
-        drawn.radius,
+        sampled.radius,
         DESIGN.camera.blur_px,
         coverage,
     )
-    light = drawn._light.field(scene[0])
-    contrast = drawn._contrast(DESIGN.camera.blur_px)
+    light = sampled._light.field(scene[0])
+    contrast = sampled._contrast(DESIGN.camera.blur_px)
     np.testing.assert_allclose(
         gray, (DESIGN.leds.marker_dn + contrast * (1 - np.minimum(coverage, 1))) * light, rtol=1e-6
     )
-    dark = drawn.irradiance_image(*scene, effects=Effects(gain=0.5))
+    dark = sampled.irradiance_image(*scene, effects=Effects(gain=0.5))
     np.testing.assert_allclose(dark, gray / 2, rtol=1e-6)
     for level, pixel in ((-7.0, 0), (0.4, 0), (0.6, 1), (254.4, 254), (300.0, 255)):
         assert (
-            drawn.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel
+            sampled.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel
         ).all()
 
 

@@ -16,7 +16,7 @@ ROUNDING = 1e-9  # sums in another order, some of which cancel by a few digits
 
 
 @pytest.fixture(scope="module")
-def sheet():
+def rubber():
     """A bulge with a strain everywhere, part of it compression."""
     model, _, sensor = scene()
     p_SV = sensor.mesh.p_SV.copy()
@@ -26,21 +26,21 @@ def sheet():
     return model, sensor, p_SV
 
 
-def test_volume_and_gradient(sheet):
-    _, sensor, p_SV = sheet
+def test_volume_and_gradient(rubber):
+    _, sensor, p_SV = rubber
     volume, gradient = sensor._geometry.volume_and_gradient(p_SV)
     expected, slope = membrane.volume_and_gradient(sensor.mesh, p_SV)
     assert volume == pytest.approx(sensor.design.chamber_volume_flat + expected, rel=1e-12)
     np.testing.assert_allclose(gradient, slope, rtol=ROUNDING, atol=1e-15)
 
 
-def test_what_the_gas_pushes(sheet):
+def test_what_the_gas_pushes(rubber):
     """The kernel's gas load equals numpy's.
 
     The forces are p dV/dq. A spring acts along dV/dz, off its rest length by a fraction of the
     summed terms, and the force from this offset is compensated.
     """
-    _, sensor, p_SV = sheet
+    _, sensor, p_SV = rubber
     k = len(sensor.mesh.interior)
     gradient = sensor._geometry.volume_and_gradient(p_SV)[1]
     moved = (p_SV - sensor.mesh.p_SV)[sensor.mesh.interior]
@@ -60,8 +60,8 @@ def test_what_the_gas_pushes(sheet):
     np.testing.assert_allclose(forces, expected, rtol=ROUNDING)
 
 
-def test_rubber(sheet):
-    model, sensor, p_SV = sheet
+def test_rubber(rubber):
+    model, sensor, p_SV = rubber
     sensor._rubber.update(p_SV)
     expected = membrane.stiffness(model, sensor.flex_id, sensor.mesh, sensor.design.membrane, p_SV)
     np.testing.assert_allclose(
@@ -72,8 +72,8 @@ def test_rubber(sheet):
     )
 
 
-def test_unstrained_rubber_has_the_moduli_of_small_strain(sheet):
-    model, sensor, _ = sheet
+def test_unstrained_rubber_has_the_moduli_of_small_strain(rubber):
+    model, sensor, _ = rubber
     free = sensor.mesh.p_SV / sensor.design.membrane.pre_stretch
     sensor._rubber.update(free)
     expected = membrane.stiffness(model, sensor.flex_id, sensor.mesh, sensor.design.membrane, free)

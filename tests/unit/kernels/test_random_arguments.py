@@ -34,7 +34,7 @@ TOGETHER = {
 }
 # Numbers of the `qs_` kernels are positions of obstacles in a pool: tests/unit/quasistatic
 # supplies obstacles.
-DRAWN = [name for name in declarations() if not name.startswith("qs_")]
+SAMPLED = [name for name in declarations() if not name.startswith("qs_")]
 # no list of MuJoCo's here
 NO_CONTACTS = {"contacts": 0, "list": 0}
 
@@ -50,7 +50,7 @@ def array(rng, argument, size, whole):
 
 
 @pytest.mark.parametrize("seed", range(DRAWS))
-@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize("name", SAMPLED)
 def test_a_kernel_stays_within_its_arrays(name, seed):
     declaration = declarations()[name]
     rng = np.random.default_rng([seed, len(name)])
@@ -81,7 +81,7 @@ def test_a_kernel_stays_within_its_arrays(name, seed):
             continue
 
 
-def drawn(rng):
+def sampled(rng):
     """A tenth of all settings, each anywhere in its allowed range; the logarithm even."""
     values = {}
     for stage, owner in (("", DEFAULTS), *vars(DEFAULTS).items()):
@@ -108,12 +108,16 @@ def within(rng, entry):
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_a_chain_with_drawn_settings_says_something(seed):
     images = membrane_images.sequence()
-    chain = SensingPipeline(load_sensor("paper16"), settings=drawn(np.random.default_rng(seed)))
+    sensing_pipeline = SensingPipeline(
+        load_sensor("paper16"), settings=sampled(np.random.default_rng(seed))
+    )
     try:
-        state = chain.measure_flat_reference(chain.initial_state(), images.flat)
-        state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
+        state = sensing_pipeline.measure_flat_reference(
+            sensing_pipeline.initial_state(), images.flat
+        )
+        state = sensing_pipeline.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
         for image in images.pressed:
-            touch, state = chain.step(state, image, image.time)
+            touch, state = sensing_pipeline.step(state, image, image.time)
             assert touch.status.code is not None
             assert np.isfinite(touch.force_normal) or touch.status != "ok"
     except MjtactileError as error:
@@ -128,11 +132,11 @@ def test_the_images_are_felt_as_what_they_are():
     percent at 0.4 N and above.
     """
     images = membrane_images.sequence()
-    chain = SensingPipeline(load_sensor("paper16"))
-    state = chain.measure_flat_reference(chain.initial_state(), images.flat)
-    state = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
+    sensing_pipeline = SensingPipeline(load_sensor("paper16"))
+    state = sensing_pipeline.measure_flat_reference(sensing_pipeline.initial_state(), images.flat)
+    state = sensing_pipeline.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
     for image, (shear, normal) in zip(images.pressed, membrane_images.LOADS, strict=True):
-        touch, state = chain.step(state, image, image.time)
+        touch, state = sensing_pipeline.step(state, image, image.time)
         assert touch.status == "ok"
         assert touch.force_normal == pytest.approx(normal, abs=0.05)
         assert touch.traction is not None

@@ -29,23 +29,23 @@ def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
 
 
 def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
-    film = QuasistaticMembrane("dense", (9, 7))
-    ball = film.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
-    one = film.solve(ball)
+    membrane = QuasistaticMembrane("dense", (9, 7))
+    ball = membrane.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
+    one = membrane.solve(ball)
     for says, call in (
-        ("obstacles: must be a list", lambda: film.solve_batch(None)),
-        ("obstacles: must be a list", lambda: film.solve_batch([3])),
-        ("obstacles: every environment", lambda: film.solve_batch([])),
-        ("threads: '2' is not a whole", lambda: film.solve_batch([ball], threads="2")),
+        ("obstacles: must be a list", lambda: membrane.solve_batch(None)),
+        ("obstacles: must be a list", lambda: membrane.solve_batch([3])),
+        ("obstacles: every environment", lambda: membrane.solve_batch([])),
+        ("threads: '2' is not a whole", lambda: membrane.solve_batch([ball], threads="2")),
         (
             "batch: MembraneSolution is not a MembraneSolutionBatch",
-            lambda: film.solve_batch([ball], one),
+            lambda: membrane.solve_batch([ball], one),
         ),
-        ("into: int is not a MembraneSolutionBatch", lambda: film.solve_batch([ball], into=3)),
-        ("state: str is not a MembraneSolution", lambda: film.solve(ball, "x")),
+        ("into: int is not a MembraneSolutionBatch", lambda: membrane.solve_batch([ball], into=3)),
+        ("state: str is not a MembraneSolution", lambda: membrane.solve(ball, "x")),
         (r"gauge_pressure: \[1000\] is not", lambda: QuasistaticMembrane("dense", (9, 7), [1000])),
     ):
         with pytest.raises(InputError, match=says) as caught:
             call()
         assert "\n" not in str(caught.value)
-    assert film.solve_batch([ball], threads=2).converged.all()
+    assert membrane.solve_batch([ball], threads=2).converged.all()

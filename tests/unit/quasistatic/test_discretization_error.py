@@ -10,7 +10,7 @@ from mjtactile.quasistatic.solution import TENSION
 
 
 @pytest.fixture(scope="module")
-def film():
+def solver():
     return QuasistaticMembrane("dense", grid=(21, 16), gauge_pressure=1000.0)
 
 
@@ -21,53 +21,53 @@ def rod(x):
     return QuasistaticMembrane.obstacle("capsule", (2e-3, 4e-3), (x, 0, 3.2e-3), LYING)
 
 
-def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(film):
+def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(solver):
     places = np.linspace(-1e-3, 1e-3, 8)
-    fine = film.refined_for(rod(0.0))
+    fine = solver.refined_for(rod(0.0))
     # against 81 x 61 nodes: 0.277, 0.6 % off at any place
     forces = np.array([fine.solve(rod(x)).force_normal for x in places])
     assert np.ptp(forces) < 0.03 * forces.mean()  # as the film's page asks of rods
-    states = [film.solve(rod(x)) for x in places]
+    states = [solver.solve(rod(x)) for x in places]
     off = [abs(state.force_normal / forces.mean() - 1) for state in states]
     assert max(off) > 0.05  # otherwise there is no error to state
     assert np.sum(np.array(off) > states[0].relative_force_error) <= 1  # "9 of 10"
 
 
-def test_doubt_is_of_the_narrowest_and_falls_with_the_grid(film):
-    ball, blade = film.obstacle("sphere", (8e-3,)), film.obstacle("box", (2e-4, 6e-3, 5e-3))
-    assert film.relative_force_error(ball) == pytest.approx(0.03 * film.spacing / 2e-3)
-    assert film.relative_force_error([ball, blade]) == film.relative_force_error(blade) > 0.2
-    assert film.relative_force_error(()) == 0.0
-    bowl = film.obstacle("quadric", (500.0, 100.0, 5e-3))  # as narrow as a ball of 2 mm
-    assert film.relative_force_error(bowl) == film.relative_force_error(
-        film.obstacle("sphere", (2e-3,))
+def test_doubt_is_of_the_narrowest_and_falls_with_the_grid(solver):
+    ball, blade = solver.obstacle("sphere", (8e-3,)), solver.obstacle("box", (2e-4, 6e-3, 5e-3))
+    assert solver.relative_force_error(ball) == pytest.approx(0.03 * solver.spacing / 2e-3)
+    assert solver.relative_force_error([ball, blade]) == solver.relative_force_error(blade) > 0.2
+    assert solver.relative_force_error(()) == 0.0
+    bowl = solver.obstacle("quadric", (500.0, 100.0, 5e-3))  # as narrow as a ball of 2 mm
+    assert solver.relative_force_error(bowl) == solver.relative_force_error(
+        solver.obstacle("sphere", (2e-3,))
     )
-    assert film.relative_force_error(
-        film.obstacle("cone", (6e-3, 6e-3))
-    ) > film.relative_force_error(blade)
-    assert film.solve(()).relative_force_error == 0.0
+    assert solver.relative_force_error(
+        solver.obstacle("cone", (6e-3, 6e-3))
+    ) > solver.relative_force_error(blade)
+    assert solver.solve(()).relative_force_error == 0.0
 
 
-def test_a_film_is_as_fine_as_what_presses_it_wants(film):
-    assert film.refined_for(film.obstacle("sphere", (8e-3,)), within=0.03) is film
-    finer = film.refined_for(rod(0.0))
+def test_a_film_is_as_fine_as_what_presses_it_wants(solver):
+    assert solver.refined_for(solver.obstacle("sphere", (8e-3,)), within=0.03) is solver
+    finer = solver.refined_for(rod(0.0))
     assert finer.grid == (41, 31)
-    assert finer is film.refined_for(rod(0.0))
-    assert finer.gauge_pressure == film.gauge_pressure
-    wire = film.obstacle("capsule", (3e-4, 8e-3), (0, 0, 0), LYING)
-    assert film.refined_for(wire).grid == (81, 61)
-    assert film.refined_for(wire).relative_force_error(wire) > 0.03
+    assert finer is solver.refined_for(rod(0.0))
+    assert finer.gauge_pressure == solver.gauge_pressure
+    wire = solver.obstacle("capsule", (3e-4, 8e-3), (0, 0, 0), LYING)
+    assert solver.refined_for(wire).grid == (81, 61)
+    assert solver.refined_for(wire).relative_force_error(wire) > 0.03
 
 
-def test_a_corner_that_no_node_meets_is_no_force_without_doubt(film):
+def test_a_corner_that_no_node_meets_is_no_force_without_doubt(solver):
     c, s = np.cos(0.4), np.sin(0.4)
     tilt = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-    blade = film.obstacle("box", (1.5e-4, 4e-3, 0.01), R_SO=tilt)
+    blade = solver.obstacle("box", (1.5e-4, 4e-3, 0.01), R_SO=tilt)
     low = lowest_point(blade)
-    top = film.rest.heights.max() + film.design.membrane.thickness / 2
-    above = film.solve(blade.at((1e-3, -3e-3 - low[1], top + 1e-3 - low[2])))
+    top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
+    above = solver.solve(blade.at((1e-3, -3e-3 - low[1], top + 1e-3 - low[2])))
     assert above.relative_force_error == above.relative_area_error == 0
-    missed = film.solve(blade.at((1e-3, -3e-3 - low[1], top - 5e-4 - low[2])))
+    missed = solver.solve(blade.at((1e-3, -3e-3 - low[1], top - 5e-4 - low[2])))
     assert (
         missed.force_normal == 0
         and missed.relative_force_error == 1
@@ -76,10 +76,10 @@ def test_a_corner_that_no_node_meets_is_no_force_without_doubt(film):
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (1e-3, 1e-3), (7e-4, 3e-4)])
-def test_a_tip_s_force_is_off_by_no_more_than_is_said(film, at):
-    top = film.rest.heights.max() + film.design.membrane.thickness / 2
-    tip = film.obstacle("cone", (6e-3, 6e-3), (*at, top - 1e-3))
-    coarse, fine = film.solve(tip), film.refined_for(tip, 0.0).solve(tip)
+def test_a_tip_s_force_is_off_by_no_more_than_is_said(solver, at):
+    top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
+    tip = solver.obstacle("cone", (6e-3, 6e-3), (*at, top - 1e-3))
+    coarse, fine = solver.solve(tip), solver.refined_for(tip, 0.0).solve(tip)
     off = abs(coarse.force_normal / fine.force_normal - 1)
     assert (
         0.6 < off <= coarse.relative_force_error
@@ -97,31 +97,33 @@ KINDS_WITH_A_LOWEST_PLACE = {
 
 
 @pytest.mark.parametrize("kind", KINDS_WITH_A_LOWEST_PLACE)
-def test_a_body_s_lowest_place_is_where_its_heights_are_least(film, kind):
+def test_a_body_s_lowest_place_is_where_its_heights_are_least(solver, kind):
     turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
-    body = film.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), turn)
+    body = solver.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), turn)
     low = lowest_point(body)
     side = np.linspace(-0.3e-3, 0.3e-3, 61)
     around = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
-    heights = film.obstacle_heights(body, low[:2] + around)
+    heights = solver.obstacle_heights(body, low[:2] + around)
     assert (
-        heights.min() >= film.obstacle_heights(body, low[:2] + 1e-9)[0] - 1e-7
+        heights.min() >= solver.obstacle_heights(body, low[:2] + 1e-9)[0] - 1e-7
     )  # the tip's own slope
     if kind != "wedge":  # at its edge, half a thickness along z is more than that across
-        assert heights.min() == pytest.approx(low[2] - film.design.membrane.thickness / 2, abs=1e-6)
+        assert heights.min() == pytest.approx(
+            low[2] - solver.design.membrane.thickness / 2, abs=1e-6
+        )
 
 
-def test_an_area_is_known_where_the_grid_tells_it(film):
-    top = film.rest.heights.max() + film.design.membrane.thickness / 2
+def test_an_area_is_known_where_the_grid_tells_it(solver):
+    top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
     lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
-    ball = film.solve(film.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))
+    ball = solver.solve(solver.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))
     # round: the sheet bears p + 2 T / R of a ball, T from 1 % around it
     bears = ball.gauge_pressure + 2 * ball.found[TENSION] / 12e-3
     assert ball.area == pytest.approx(ball.force_normal / bears, rel=ball.relative_area_error)
-    face = film.solve(film.obstacle("box", (5.3e-3, 4.1e-3, 5e-3), (7e-4, 3e-4, top + 3.5e-3)))
+    face = solver.solve(solver.obstacle("box", (5.3e-3, 4.1e-3, 5e-3), (7e-4, 3e-4, top + 3.5e-3)))
     assert face.area == pytest.approx(4 * 5.3e-3 * 4.1e-3, rel=face.relative_area_error)
     assert face.relative_area_error < 0.3
-    wire = film.solve(film.obstacle("capsule", (5e-4, 5e-3), (0, 0, top - 5e-4), lying))
+    wire = solver.solve(solver.obstacle("capsule", (5e-4, 5e-3), (0, 0, top - 5e-4), lying))
     assert np.isinf(
         wire.relative_area_error
     )  # the area was up to ten times too large, without a flag

@@ -37,10 +37,10 @@ def coarse():
     return QuasistaticMembrane("dense", grid=(21, 16), gauge_pressure=1000.0)
 
 
-def ball(film, radius, at, height):
+def ball(membrane, radius, at, height):
     """Create a ball with its center at `height` mm above S, relative to the membrane's
     mid-surface."""
-    return film.obstacle(
+    return membrane.obstacle(
         "sphere", (1e-3 * radius - HALF_THICKNESS,), p_SO=(*(1e-3 * np.array(at)), 1e-3 * height)
     )
 
@@ -75,8 +75,8 @@ def other_designs():
 
 @pytest.mark.parametrize("case", other_designs())
 def test_other_sheets_and_pressures_are_the_full_membrane_s(case):
-    film = benchmarks.quasistatic._film(case, (41, 31))
-    state = film.solve(benchmarks.quasistatic._body(film, case))
+    membrane = benchmarks.quasistatic._membrane(case, (41, 31))
+    state = membrane.solve(benchmarks.quasistatic._body(membrane, case))
     # nodes are 1 mm apart, and the independent sheet's 0.5 mm
     assert state.force_normal == pytest.approx(case["force_N"], rel=0.015)
     assert state.gauge_pressure == pytest.approx(case["pressure_Pa"], rel=3e-3)
@@ -182,9 +182,9 @@ def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
 
 
 def test_a_film_that_went_to_another_process_is_the_same(coarse):
-    film = pickle.loads(pickle.dumps(coarse))
+    membrane = pickle.loads(pickle.dumps(coarse))
     body = ball(coarse, 8, (1, 2), 9.5)
-    np.testing.assert_array_equal(film.solve(body).x, coarse.solve(body).x)
+    np.testing.assert_array_equal(membrane.solve(body).x, coarse.solve(body).x)
 
 
 @pytest.mark.parametrize(
@@ -260,8 +260,10 @@ def test_capsule_ellipsoid_and_hull_agree_with_what_they_are_near(coarse):
 @pytest.mark.parametrize("y", [0.0, 0.4e-3, 1e-3])
 def test_a_ridge_between_nodes_is_met(coarse, fine, y):
     forces = [
-        film.solve(film.obstacle("wedge", (5e-3, 3e-3, 5e-3), p_SO=(0, y, 1.5e-3))).force_normal
-        for film in (coarse, fine)
+        membrane.solve(
+            membrane.obstacle("wedge", (5e-3, 3e-3, 5e-3), p_SO=(0, y, 1.5e-3))
+        ).force_normal
+        for membrane in (coarse, fine)
     ]
     # nodes are 2 mm apart: a row may be a millimeter from the edge, and the flanks make contact at
     # nodes

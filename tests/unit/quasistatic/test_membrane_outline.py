@@ -73,12 +73,12 @@ def square_membrane():
     return QuasistaticMembrane(replace(ROUND, frame=frame), (31, 31), PRESSURE)
 
 
-def bodies(film, R):
-    top = float(film.rest.heights.max())
+def bodies(solver, R):
+    top = float(solver.rest.heights.max())
     place = (R @ [4e-3, 2e-3, top - 1.5e-3]) + [0, 0, 6e-3]
-    yield film.obstacle("sphere", (6e-3,), p_SO=place)
-    yield film.obstacle("cylinder", (4e-3, 6e-3), p_SO=place)
-    yield film.obstacle("sphere", (4e-3,), p_SO=(R @ [9e-3, 0, top - 2e-3]) + [0, 0, 4e-3])
+    yield solver.obstacle("sphere", (6e-3,), p_SO=place)
+    yield solver.obstacle("cylinder", (4e-3, 6e-3), p_SO=place)
+    yield solver.obstacle("sphere", (4e-3,), p_SO=(R @ [9e-3, 0, top - 2e-3]) + [0, 0, 4e-3])
 
 
 @pytest.mark.parametrize("degrees", [20, 45])
@@ -86,17 +86,17 @@ def test_a_turned_square_is_a_square(degrees):
     """At 45 degrees it is symmetric as the film's matrices are, at 20 it is not."""
     design, R = turned_square(np.radians(degrees))
     count = 2 * round(design.frame.length / 2e-3) + 1
-    film = QuasistaticMembrane(design, (count, count), PRESSURE)
+    solver = QuasistaticMembrane(design, (count, count), PRESSURE)
     plain = square_membrane()
-    assert film.rest.volume == pytest.approx(plain.rest.volume, rel=4e-3)  # spacings' squares
-    for turned, straight in zip(bodies(film, R), bodies(plain, np.eye(3)), strict=True):
-        state, other = film.solve(turned), plain.solve(straight)
+    assert solver.rest.volume == pytest.approx(plain.rest.volume, rel=4e-3)  # spacings' squares
+    for turned, straight in zip(bodies(solver, R), bodies(plain, np.eye(3)), strict=True):
+        state, other = solver.solve(turned), plain.solve(straight)
         assert state.converged
         # on nodes 1 mm apart balls and faces are within 2 % of the full sheet (bench quasistatic)
         assert state.force_normal == pytest.approx(other.force_normal, rel=0.03)
         assert state.gauge_pressure == pytest.approx(other.gauge_pressure, rel=5e-3)
         np.testing.assert_allclose(R.T @ state.wrench[:3], other.wrench[:3], atol=6e-3)
-        stuck, held = film.patches(state)[0], plain.patches(other)[0]
+        stuck, held = solver.patches(state)[0], plain.patches(other)[0]
         pulled = R[:2, :2].T @ stuck.stiffness[:2, :2] @ R[:2, :2]
         # on whole nodes of a contact three to five of them wide
         np.testing.assert_allclose(pulled, held.stiffness[:2, :2], atol=0.13 * pulled[0, 0])
@@ -107,17 +107,17 @@ def test_derivatives_are_differences(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # tolerance in m; differences are 1e-6
-    film = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
-    top = float(film.rest.heights.max())
+    solver = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
+    top = float(solver.rest.heights.max())
 
-    def settled(at, state=film.rest):
+    def settled(at, state=solver.rest):
         for _ in range(3):  # a solution updates obstacles in three steps only
-            state = film.solve(film.obstacle("sphere", (8e-3,), at), state)
+            state = solver.solve(solver.obstacle("sphere", (8e-3,), at), state)
         return state
 
     at = np.array([3.3e-3, -2.7e-3, top - 1e-3 + 8e-3])
     state = settled(at)
-    by = film.derivatives(state, lambda n: film.obstacle("sphere", (8e-3,), n), at)
+    by = solver.derivatives(state, lambda n: solver.obstacle("sphere", (8e-3,), n), at)
     for k, step in enumerate(1e-6 * np.eye(3)):
         low, high = settled(at - step, state), settled(at + step, state)
         displaced = (high.displacements - low.displacements) / 2e-6
@@ -136,8 +136,8 @@ def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
     rng = np.random.default_rng(0)
     places = outline.plane(rng.uniform(-0.95, 0.95, (60, 2)))
     coarse, fine = (
-        interpolation_matrix(film, places) @ film.rest.heights.ravel()
-        for film in (
+        interpolation_matrix(solver, places) @ solver.rest.heights.ravel()
+        for solver in (
             QuasistaticMembrane(design, (21, 21), PRESSURE),
             QuasistaticMembrane(design, (41, 41), PRESSURE),
         )
@@ -149,25 +149,25 @@ def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
 
 
 def test_what_touches_the_round_rim_is_told():
-    film = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
+    solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
     aside = HALF / np.sqrt(2)  # within the square about it, and over the rim
-    ball = film.obstacle("sphere", (5e-3,), p_SO=(aside, aside, 4e-3))
+    ball = solver.obstacle("sphere", (5e-3,), p_SO=(aside, aside, 4e-3))
     with pytest.raises(InputError, match="rim"):
-        film.solve(ball)
+        solver.solve(ball)
 
 
 def test_a_film_that_was_put_away_knows_its_outline():
-    film = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
-    again = pickle.loads(pickle.dumps(film))
-    ball = film.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))
-    assert np.array_equal(again.solve(ball).heights, film.solve(ball).heights)
+    solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
+    again = pickle.loads(pickle.dumps(solver))
+    ball = solver.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))
+    assert np.array_equal(again.solve(ball).heights, solver.solve(ball).heights)
 
 
 @pytest.mark.parametrize("name", ["circle", "hexagon"])
 def test_derivatives_do_not_hang_on_what_memory_held_before(name):
-    film = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
-    top = float(film.rest.heights.max())
-    state = film.solve(film.obstacle("sphere", (8e-3,), (3.3e-3, -2.7e-3, top + 7e-3)))
-    before = film.derivatives_by_pose(state).displacements
-    film._derive_room[:] = np.nan
-    np.testing.assert_array_equal(film.derivatives_by_pose(state).displacements, before)
+    solver = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
+    top = float(solver.rest.heights.max())
+    state = solver.solve(solver.obstacle("sphere", (8e-3,), (3.3e-3, -2.7e-3, top + 7e-3)))
+    before = solver.derivatives_by_pose(state).displacements
+    solver._derive_room[:] = np.nan
+    np.testing.assert_array_equal(solver.derivatives_by_pose(state).displacements, before)

@@ -11,12 +11,12 @@ CORNERS = np.array(np.meshgrid(*[[-3e-3, 3e-3]] * 2, [-5e-3, 5e-3])).reshape(3, 
 
 
 @pytest.fixture(scope="module")
-def film():
+def quasistatic():
     return QuasistaticMembrane("dense", grid=(21, 16), gauge_pressure=1000.0)
 
 
-def force(film, *bodies):
-    state = film.solve(bodies)
+def force(quasistatic, *bodies):
+    state = quasistatic.solve(bodies)
     assert state.converged
     return state.force_normal
 
@@ -80,7 +80,7 @@ def lowest_inside(inside, turn, places):
 
 
 @pytest.mark.parametrize("kind", INSIDE)
-def test_heights_are_where_a_line_from_below_comes_into_the_body(film, kind):
+def test_heights_are_where_a_line_from_below_comes_into_the_body(quasistatic, kind):
     """Obstacle heights are the points where a line from below enters the body, less half a
     thickness.
 
@@ -89,7 +89,9 @@ def test_heights_are_where_a_line_from_below_comes_into_the_body(film, kind):
     """
     sizes, data, inside, turn = INSIDE[kind]
     places = np.random.default_rng(1).uniform(-4e-3, 4e-3, (60, 2))
-    found = film.obstacle_heights(film.obstacle(kind, sizes, PLACE, turn, data=data), places)
+    found = quasistatic.obstacle_heights(
+        quasistatic.obstacle(kind, sizes, PLACE, turn, data=data), places
+    )
     step = 1e-7  # step in m; slopes come from differences of heights that are exact to 1e-12
     ahead = [lowest_inside(inside, turn, places + step * axis) for axis in np.eye(2)]
     height = lowest_inside(inside, turn, places)
@@ -104,18 +106,20 @@ def test_heights_are_where_a_line_from_below_comes_into_the_body(film, kind):
         np.testing.assert_array_equal(np.isfinite(found), np.isfinite(height))
 
 
-def test_a_disc_that_is_all_rim_is_a_ball(film):
+def test_a_disc_that_is_all_rim_is_a_ball(quasistatic):
     place = (0.7e-3, 0.2e-3, 8.5e-3)
-    disc = force(film, film.obstacle("disc", (8e-3, 8e-3, 8e-3), place, TILTED))
+    disc = force(quasistatic, quasistatic.obstacle("disc", (8e-3, 8e-3, 8e-3), place, TILTED))
     # its offset is taken across its slope where a ball's is exact: 1 um at the contact's rim
-    assert disc == pytest.approx(force(film, film.obstacle("sphere", (8e-3,), place)), rel=3e-3)
+    assert disc == pytest.approx(
+        force(quasistatic, quasistatic.obstacle("sphere", (8e-3,), place)), rel=3e-3
+    )
 
 
-def test_a_tilted_plane_bears_along_its_normal(film):
+def test_a_tilted_plane_bears_along_its_normal(quasistatic):
     """Without friction all of the force is across the plane; so is each node's."""
     c, s = np.cos(0.06), np.sin(0.06)  # 0.9 mm at the frame
     turn = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-    state = film.solve(film.obstacle("plane", p_SO=(0, 0, 1.8e-3), R_SO=turn))
+    state = quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, 1.8e-3), R_SO=turn))
     normal = turn[:, 2]
     assert state.converged and state.force_normal > 0.05
     np.testing.assert_allclose(
@@ -123,25 +127,29 @@ def test_a_tilted_plane_bears_along_its_normal(film):
     )
 
 
-def test_a_bowl_turned_about_its_axis_is_the_same_where_it_is_round(film):
+def test_a_bowl_turned_about_its_axis_is_the_same_where_it_is_round(quasistatic):
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     at = (1e-3, 0.5e-3, 1.5e-3)
     sizes = (90.0, 90.0, 0.012)
-    straight = force(film, film.obstacle("quadric", sizes, at))
-    assert force(film, film.obstacle("quadric", sizes, at, turn)) == pytest.approx(straight, 1e-4)
+    straight = force(quasistatic, quasistatic.obstacle("quadric", sizes, at))
+    assert force(quasistatic, quasistatic.obstacle("quadric", sizes, at, turn)) == pytest.approx(
+        straight, 1e-4
+    )
 
 
-def test_triangles_and_hull_are_the_box_that_they_bound(film):
+def test_triangles_and_hull_are_the_box_that_they_bound(quasistatic):
     place = (0.4e-3, -0.3e-3, 7e-3)
-    box = force(film, film.obstacle("box", (3e-3, 3e-3, 5e-3), place))
-    mesh = force(film, film.obstacle("mesh", p_SO=place, data=CORNERS))
-    skin = force(film, film.obstacle("triangles", p_SO=place, data=box_of_triangles()))
+    box = force(quasistatic, quasistatic.obstacle("box", (3e-3, 3e-3, 5e-3), place))
+    mesh = force(quasistatic, quasistatic.obstacle("mesh", p_SO=place, data=CORNERS))
+    skin = force(
+        quasistatic, quasistatic.obstacle("triangles", p_SO=place, data=box_of_triangles())
+    )
     assert mesh == pytest.approx(box, rel=1e-6)
     assert skin == pytest.approx(box, rel=1e-6)
 
 
-def test_triangles_that_move_press_as_the_body_that_they_follow(film):
+def test_triangles_that_move_press_as_the_body_that_they_follow(quasistatic):
     """Moving triangles have the force of the body that they follow.
 
     A soft body supplies the corners of its skin in each step, in S.
@@ -149,73 +157,78 @@ def test_triangles_that_move_press_as_the_body_that_they_follow(film):
     state = None
     for height in (7.2e-3, 7e-3, 6.9e-3):
         skin = box_of_triangles() + (0.4e-3, -0.3e-3, height)
-        state = film.solve(film.obstacle("triangles", data=skin), state)
+        state = quasistatic.solve(quasistatic.obstacle("triangles", data=skin), state)
     assert state is not None and state.converged
-    box = force(film, film.obstacle("box", (3e-3, 3e-3, 5e-3), (0.4e-3, -0.3e-3, 6.9e-3)))
+    box = force(
+        quasistatic, quasistatic.obstacle("box", (3e-3, 3e-3, 5e-3), (0.4e-3, -0.3e-3, 6.9e-3))
+    )
     assert state.force_normal == pytest.approx(box, rel=1e-3)
 
 
-def test_a_quadric_and_a_field_of_heights_are_the_ball_near_its_pole(film):
-    ball = film.obstacle("sphere", (20e-3,), (1e-3, 0, 21.5e-3))
-    pressed = force(film, ball)
-    quadric = film.obstacle("quadric", (50.0, 50.0, 0.01), (1e-3, 0, 1.5e-3))
+def test_a_quadric_and_a_field_of_heights_are_the_ball_near_its_pole(quasistatic):
+    ball = quasistatic.obstacle("sphere", (20e-3,), (1e-3, 0, 21.5e-3))
+    pressed = force(quasistatic, ball)
+    quadric = quasistatic.obstacle("quadric", (50.0, 50.0, 0.01), (1e-3, 0, 1.5e-3))
     # its height is less by r^4 / 8 R^3: 3 um at the contact's rim of 3.5 mm, of 1.2 mm
-    assert force(film, quadric) == pytest.approx(pressed, rel=0.01)
-    x, y = np.meshgrid(film.x, film.y, indexing="ij")
+    assert force(quasistatic, quadric) == pytest.approx(pressed, rel=0.01)
+    x, y = np.meshgrid(quasistatic.x, quasistatic.y, indexing="ij")
     inside = np.maximum(20e-3**2 - (x - 1e-3) ** 2 - y**2, 1e-4)
     field = 21.5e-3 - np.sqrt(inside)
     # bilinear between nodes, which move by 0.1 mm
-    heights = film.obstacle("heights", data=field)
-    assert force(film, heights) == pytest.approx(pressed, rel=0.02)
+    heights = quasistatic.obstacle("heights", data=field)
+    assert force(quasistatic, heights) == pytest.approx(pressed, rel=0.02)
 
 
-def test_a_disc_is_a_cylinder_whose_rim_is_rounded(film):
+def test_a_disc_is_a_cylinder_whose_rim_is_rounded(quasistatic):
     disc, cylinder = (
-        force(film, film.obstacle(kind, sizes, (0.3e-3, 0, 0.0117)))
+        force(quasistatic, quasistatic.obstacle(kind, sizes, (0.3e-3, 0, 0.0117)))
         for kind, sizes in (("disc", (5e-3, 0.01, 1e-4)), ("cylinder", (5e-3, 0.01)))
     )
     assert disc == pytest.approx(cylinder, rel=0.03)  # its flat face ends 0.03 mm further in
 
 
-def test_a_plane_carries_what_the_gas_pushes_where_it_lies_on(film):
-    state = film.solve(film.obstacle("plane", p_SO=(0, 0, 2e-3)))
+def test_a_plane_carries_what_the_gas_pushes_where_it_lies_on(quasistatic):
+    state = quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, 2e-3)))
     assert state.converged
     # the contact is flat: the force is the gas pressure over its area, except for cells at its rim
     flat = state.contact_forces > 0.9 * state.contact_forces.max()
-    cell = (film.x[1] - film.x[0]) * (film.y[1] - film.y[0])
+    cell = (quasistatic.x[1] - quasistatic.x[0]) * (quasistatic.y[1] - quasistatic.y[0])
     inner = state.contact_forces[flat].min() / cell
     assert inner == pytest.approx(state.gauge_pressure, rel=0.05)  # nodes have moved apart by 4 %
     assert state.force_normal == pytest.approx(state.area * state.gauge_pressure, rel=0.15)
 
 
-def test_bodies_far_apart_press_as_each_alone_but_for_the_gas(film):
-    left, right = (film.obstacle("sphere", (4e-3,), (x, 0, 6e-3)) for x in (-8e-3, 8e-3))
-    both = film.solve([left, right])
-    one = film.solve(left)
+def test_bodies_far_apart_press_as_each_alone_but_for_the_gas(quasistatic):
+    left, right = (quasistatic.obstacle("sphere", (4e-3,), (x, 0, 6e-3)) for x in (-8e-3, 8e-3))
+    both = quasistatic.solve([left, right])
+    one = quasistatic.solve(left)
     # both balls compress the gas, which makes each indentation stiffer
     assert 2 * one.force_normal < both.force_normal < 2.3 * one.force_normal
     assert both.wrench[4] == pytest.approx(0, abs=1e-5)  # by symmetry, N m
 
 
-def test_cones_and_wedges_press_the_deeper_the_harder(film):
+def test_cones_and_wedges_press_the_deeper_the_harder(quasistatic):
     for kind, sizes in (("cone", (6e-3, 6e-3)), ("wedge", (5e-3, 3e-3, 5e-3))):
-        forces = [force(film, film.obstacle(kind, sizes, (0, 0, z))) for z in (2e-3, 1.5e-3, 1e-3)]
+        forces = [
+            force(quasistatic, quasistatic.obstacle(kind, sizes, (0, 0, z)))
+            for z in (2e-3, 1.5e-3, 1e-3)
+        ]
         assert 0 < forces[0] < forces[1] < forces[2]
 
 
 @pytest.mark.parametrize("tilt", [0.1, 0.3, 0.7])
-def test_a_tilted_box_is_met_at_its_edge(film, tilt):
+def test_a_tilted_box_is_met_at_its_edge(quasistatic, tilt):
     """Its flank is steeper than the sheet can follow; its edge is where both end."""
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
     mirrored = turn.T
     forces = [
-        force(film, film.obstacle("box", (4e-3, 4e-3, 4e-3), (0, y, 6.2e-3), R))
+        force(quasistatic, quasistatic.obstacle("box", (4e-3, 4e-3, 4e-3), (0, y, 6.2e-3), R))
         for y, R in ((0.5e-3, turn), (-0.5e-3, mirrored))
     ]
     assert forces[0] == pytest.approx(forces[1], rel=1e-3)
 
 
-def test_nothing_that_cannot_be_is_taken(film):
+def test_nothing_that_cannot_be_is_taken(quasistatic):
     for data, says in (
         (np.full((21, 16), np.nan), "finite"),
         (np.zeros((4, 3)), "volume"),
@@ -223,28 +236,28 @@ def test_nothing_that_cannot_be_is_taken(film):
     ):
         kind = "heights" if says == "finite" else "mesh"
         with pytest.raises(InputError, match=says):
-            film.obstacle(kind, data=data)
+            quasistatic.obstacle(kind, data=data)
     with pytest.raises(InputError, match="rim"):
-        film.solve(film.obstacle("plane", p_SO=(0, 0, -1e-3)))
+        quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, -1e-3)))
     with pytest.raises(InputError, match="nodes"):
-        film.solve(film.obstacle("heights", data=np.zeros((5, 5))))
+        quasistatic.solve(quasistatic.obstacle("heights", data=np.zeros((5, 5))))
 
 
-def test_what_is_no_body_is_refused_in_one_line(film):
-    ball = film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
+def test_what_is_no_body_is_refused_in_one_line(quasistatic):
+    ball = quasistatic.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
     for none in (None, 3.0, "sphere", [ball, 1.0]):
         with pytest.raises(
             InputError, match=r"is not an obstacle; create it with QuasistaticMembrane\.obstacle"
         ):
-            film.solve(none)
+            quasistatic.solve(none)
     with pytest.raises(InputError, match="is not an obstacle"):
-        film.solve_batch([[ball], [None]])
+        quasistatic.solve_batch([[ball], [None]])
     with pytest.raises(InputError, match="norm 0"):  # it was taken as not turned
-        film.obstacle("box", (1e-3, 1e-3, 1e-3), R_SO=(0, 0, 0, 0))
+        quasistatic.obstacle("box", (1e-3, 1e-3, 1e-3), R_SO=(0, 0, 0, 0))
     with pytest.raises(InputError, match="no triangle"):
-        film.obstacle("triangles", data=np.zeros((0, 3, 3)))
-    same = film.solve(one for one in [ball])  # anything that goes through bodies will do
-    assert same.force_normal == film.solve(ball).force_normal
+        quasistatic.obstacle("triangles", data=np.zeros((0, 3, 3)))
+    same = quasistatic.solve(one for one in [ball])  # anything that goes through bodies will do
+    assert same.force_normal == quasistatic.solve(ball).force_normal
     for grid in ("ab", (np.nan, 16), 21):
         with pytest.raises(
             InputError, match=r"grid: .*(two numbers of nodes|tuple of 2, each a whole number)"
@@ -256,13 +269,13 @@ def test_what_is_no_body_is_refused_in_one_line(film):
 @pytest.mark.parametrize("wide", [2e-3, 0.67e-3])
 def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
     # straight above its tip rounding left nothing of it, and the force was zero, converged
-    film = QuasistaticMembrane("dense", (21, 16), 1000.0)
+    quasistatic = QuasistaticMembrane("dense", (21, 16), 1000.0)
     for tip in (1e-3, 2e-3):
-        cone = film.obstacle("cone", (wide, 6e-3), (*at, tip))
-        off = tip - film.design.membrane.thickness / 2
-        assert film.obstacle_heights(cone, [at]) == pytest.approx(off, abs=1e-9)
+        cone = quasistatic.obstacle("cone", (wide, 6e-3), (*at, tip))
+        off = tip - quasistatic.design.membrane.thickness / 2
+        assert quasistatic.obstacle_heights(cone, [at]) == pytest.approx(off, abs=1e-9)
         with pytest.raises(InputError, match=r"passes between|is not finite"):
-            film.solve(cone)
+            quasistatic.solve(cone)
 
 
 def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
@@ -273,17 +286,17 @@ def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
     """
 
     def ends(fill):
-        film = QuasistaticMembrane("dense", (21, 16), 1000.0)
-        film._room[:] = fill
+        quasistatic = QuasistaticMembrane("dense", (21, 16), 1000.0)
+        quasistatic._room[:] = fill
         cones = [
-            film.obstacle("cone", (wide, 6e-3), (x, 3e-4, 1e-3))
+            quasistatic.obstacle("cone", (wide, 6e-3), (x, 3e-4, 1e-3))
             for wide in (0.67e-3, 2e-3, 6e-3)
             for x in (0.0, 7e-4)
         ]
         found = []
-        for body in (*cones, film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))):
+        for body in (*cones, quasistatic.obstacle("sphere", (8e-3,), (0, 0, 9e-3))):
             try:
-                found.append(film.solve(body).heights.tobytes())
+                found.append(quasistatic.solve(body).heights.tobytes())
             except InputError as error:
                 found.append(str(error))
         return found
@@ -303,7 +316,7 @@ def test_a_hull_has_each_face_once():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_hull_presses_as_its_triangles_do(film, seed):
+def test_a_hull_presses_as_its_triangles_do(quasistatic, seed):
     """Triangles are asked everywhere, one by one; hulls by their faces, and only where their
     tangents are not above the sheet."""
     rng = np.random.default_rng(seed)
@@ -311,9 +324,9 @@ def test_a_hull_presses_as_its_triangles_do(film, seed):
     hull = ConvexHull(cloud)
     lowest = cloud[cloud[:, 2].argmin()]
     place = (*rng.uniform(-4e-3, 4e-3, 2), 1.2e-3) - lowest
-    mesh = film.solve(film.obstacle("mesh", p_SO=place, data=cloud))
+    mesh = quasistatic.solve(quasistatic.obstacle("mesh", p_SO=place, data=cloud))
     corners = cloud[hull.simplices]
-    triangles = film.solve(film.obstacle("triangles", p_SO=place, data=corners))
+    triangles = quasistatic.solve(quasistatic.obstacle("triangles", p_SO=place, data=corners))
     assert mesh.converged and -mesh.wrench[2] > 0.05
     # both are converged to 1e-6 m, at most a millinewton
     np.testing.assert_allclose(mesh.wrench[:3], triangles.wrench[:3], atol=1e-3)

@@ -37,17 +37,17 @@ def test_they_are_what_differences_say(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # tolerance in m; differences are 1e-6
-    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
+    membrane = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
 
-    def settled(at, state=film.rest):
+    def settled(at, state=membrane.rest):
         for _ in range(3):  # a solution updates obstacles in three steps only
-            state = film.solve(shape(at), state)
+            state = membrane.solve(shape(at), state)
         return state
 
     numbers = np.array(numbers)
     state = settled(numbers)
-    by = film.derivatives(state, shape, numbers)
+    by = membrane.derivatives(state, shape, numbers)
     # steps in m; curvatures have larger ones, since a contact converges to single precision
     steps = np.diag(np.where(np.abs(numbers) < 1, 1e-6, 1e-3 * numbers))
     # smooth obstacles: error of the differences; edges: three sweeps for the terms that the tangent
@@ -78,16 +78,16 @@ def test_quick_answers_are_nearly_the_derivatives(name, seen):
 
     The parameters of a box other than its height set the ends of its face, which are not `seen`.
     """
-    film = QuasistaticMembrane("dense", (32, 24), gauge_pressure=1000.0)
+    membrane = QuasistaticMembrane("dense", (32, 24), gauge_pressure=1000.0)
     shape, numbers = SHAPES[name]
-    state = film.solve(shape(np.array(numbers)))
-    state = film.solve(shape(np.array(numbers)), state)
-    exact = film.derivatives(state, shape, numbers)
+    state = membrane.solve(shape(np.array(numbers)))
+    state = membrane.solve(shape(np.array(numbers)), state)
+    exact = membrane.derivatives(state, shape, numbers)
     steps = np.where(np.abs(numbers) < 1, 1e-7, 1e-4 * np.array(numbers))
     listed, by = changed_obstacles(shape, numbers, steps)
-    rows, pool = rows_and_pool([body for one in listed for body in one], film.grid)
+    rows, pool = rows_and_pool([body for one in listed for body in one], membrane.grid)
     by_z, by_force = approximate_sensitivities(
-        film, state, rows.reshape(len(listed), -1, NUMBERS), pool, by
+        membrane, state, rows.reshape(len(listed), -1, NUMBERS), pool, by
     )
     for k in seen:
         # a membrane of this curvature moves in the plane by 5 to 10 % of its height change
@@ -105,10 +105,10 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
     Second derivatives by two translations are independent of their order. Those by a translation
     and a rotation, or two rotations, on fixed axes, differ by the rotation of force and torque.
     """
-    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
-    ball = film.obstacle("sphere", (8e-3,), (1.3e-3, -0.7e-3, 9e-3))
-    state = film.solve(ball)
-    stiffness = film.derivatives_by_pose(film.solve(ball, state)).wrench.T
+    membrane = QuasistaticMembrane("dense", gauge_pressure=1000.0)
+    ball = membrane.obstacle("sphere", (8e-3,), (1.3e-3, -0.7e-3, 9e-3))
+    state = membrane.solve(ball)
+    stiffness = membrane.derivatives_by_pose(membrane.solve(ball, state)).wrench.T
     off = stiffness - stiffness.T
     spin = np.eye(3)
     along = stiffness[:3, :3]
@@ -121,19 +121,19 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
 
 
 def test_by_its_pose_is_by_a_shape_that_moves():
-    film = QuasistaticMembrane("dense", gauge_pressure=1000.0)
+    membrane = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     place, tilt = np.array([2e-3, 1e-3, 8.2e-3]), Rotation.from_euler("xyz", [0.3, 0.1, 0.5])
 
     def posed(numbers):
         turn = Rotation.from_rotvec(numbers[3:])
         at = numbers[:3] + turn.apply(place)
-        block = film.obstacle("box", (5e-3, 4e-3, 6e-3), at, (turn * tilt).as_matrix())
-        ball = film.obstacle("sphere", (3e-3,), numbers[:3] + turn.apply([-8e-3, 0, 4e-3]))
+        block = membrane.obstacle("box", (5e-3, 4e-3, 6e-3), at, (turn * tilt).as_matrix())
+        ball = membrane.obstacle("sphere", (3e-3,), numbers[:3] + turn.apply([-8e-3, 0, 4e-3]))
         return [block, ball]
 
-    state = film.solve(posed(np.zeros(6)))
-    by_pose = film.derivatives_by_pose(state)
-    by_shape = film.derivatives(state, posed, np.zeros(6), steps=np.full(6, 1e-7))
+    state = membrane.solve(posed(np.zeros(6)))
+    by_pose = membrane.derivatives_by_pose(state)
+    by_shape = membrane.derivatives(state, posed, np.zeros(6), steps=np.full(6, 1e-7))
     for name in ("displacements", "contact_forces", "wrench", "gauge_pressure"):
         found, same = getattr(by_pose, name), getattr(by_shape, name)
         # steps of 1e-8 and 1e-7 in m and rad; the second derivative is some 100/m
@@ -141,40 +141,42 @@ def test_by_its_pose_is_by_a_shape_that_moves():
 
 
 def test_a_state_that_does_not_know_its_bodies_has_no_derivative_by_pose():
-    film = QuasistaticMembrane("dense", (11, 9), 1000.0)
-    ball = film.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
+    membrane = QuasistaticMembrane("dense", (11, 9), 1000.0)
+    ball = membrane.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
     with pytest.raises(InputError, match="belongs to a batch"):
-        film.derivatives_by_pose(film.solve_batch([[ball]])[0])
-    field = film.obstacle(
-        "heights", data=film.obstacle_heights(ball, _nodes(film)).reshape(film.grid)
+        membrane.derivatives_by_pose(membrane.solve_batch([[ball]])[0])
+    field = membrane.obstacle(
+        "heights", data=membrane.obstacle_heights(ball, _nodes(membrane)).reshape(membrane.grid)
     )
     with pytest.raises(InputError, match="height field"):
-        film.derivatives_by_pose(film.solve(field))
-    assert not film.derivatives_by_pose(film.rest).wrench.any()
+        membrane.derivatives_by_pose(membrane.solve(field))
+    assert not membrane.derivatives_by_pose(membrane.rest).wrench.any()
 
 
-def _nodes(film):
-    return np.stack(np.meshgrid(film.x, film.y, indexing="ij"), -1).reshape(-1, 2)
+def _nodes(membrane):
+    return np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), -1).reshape(-1, 2)
 
 
 def test_what_has_no_derivative_is_refused(monkeypatch):
-    film = QuasistaticMembrane("dense", (11, 9), 1000.0)
+    membrane = QuasistaticMembrane("dense", (11, 9), 1000.0)
     shape = SHAPES["ball"][0]
     with pytest.raises(InputError, match="finite"):
-        film.derivatives(film.rest, shape, [np.nan, 0, 0.02, 8e-3])
+        membrane.derivatives(membrane.rest, shape, [np.nan, 0, 0.02, 8e-3])
     with pytest.raises(InputError, match="steps"):
-        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6])
+        membrane.derivatives(membrane.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6])
     with pytest.raises(InputError, match="steps: is not finite"):
-        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, np.inf])
+        membrane.derivatives(
+            membrane.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, np.inf]
+        )
     with pytest.raises(InputError, match="steps: must not be zero"):
-        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, 1e-6])
+        membrane.derivatives(membrane.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6, 0, 1e-6, 1e-6])
     with pytest.raises(InputError, match="is not an equilibrium on these obstacles"):  # 2 mm deep
-        film.derivatives(film.rest, shape, [0, 0, 9e-3, 8e-3])
-    pressed = film.solve(shape([0, 0, 9e-3, 8e-3]))
+        membrane.derivatives(membrane.rest, shape, [0, 0, 9e-3, 8e-3])
+    pressed = membrane.solve(shape([0, 0, 9e-3, 8e-3]))
     for other in ([0, 0, 8.7e-3, 8e-3], [0, 0, 0.02, 8e-3], [0.012, 0, 9e-3, 8e-3]):
         with pytest.raises(InputError, match="is not an equilibrium on these obstacles"):
-            film.derivatives(pressed, shape, other)
+            membrane.derivatives(pressed, shape, other)
     with pytest.raises(InputError, match="shape: None is not an obstacle"):
-        film.derivatives(pressed, lambda numbers: None, [0.0])
-    empty = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
+        membrane.derivatives(pressed, lambda numbers: None, [0.0])
+    empty = membrane.derivatives(membrane.rest, shape, [0, 0, 0.02, 8e-3])
     assert not empty.displacements.any() and not empty.wrench.any()  # it touches nothing

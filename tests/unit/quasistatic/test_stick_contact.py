@@ -15,9 +15,9 @@ def fine():
     return QuasistaticMembrane("dense", grid=(41, 31), gauge_pressure=1000.0)
 
 
-def pressed(film, radius, depth, place=(0, 0)):
-    return film.solve(
-        film.obstacle("sphere", (radius - 0.15e-3,), (*place, 2.8699e-3 - depth + radius))
+def pressed(membrane, radius, depth, place=(0, 0)):
+    return membrane.solve(
+        membrane.obstacle("sphere", (radius - 0.15e-3,), (*place, 2.8699e-3 - depth + radius))
     )
 
 
@@ -61,11 +61,11 @@ def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
 def test_the_compliance_is_the_inverse_of_the_stiffness():
     """The compliance is SciPy's inverse of the stiffness, even if the node count is not a multiple
     of the block size."""
-    film = QuasistaticMembrane("dense", grid=(10, 8), gauge_pressure=1000.0)
-    factor = film.stiffness_factor(film.rest)
+    membrane = QuasistaticMembrane("dense", grid=(10, 8), gauge_pressure=1000.0)
+    factor = membrane.stiffness_factor(membrane.rest)
     in_plane = np.arange(factor.shape[1]) % 3 < 2
     inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]))
-    ours = compliance_of(film, film.rest)
+    ours = compliance_of(membrane, membrane.rest)
     # the same sums in another order
     np.testing.assert_allclose(ours, inverse[in_plane][:, in_plane], atol=1e-12 * ours.max())
 

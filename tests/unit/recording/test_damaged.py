@@ -74,14 +74,14 @@ def flipped(lines, seed):
 def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
     lines = (whole / "log.jsonl").read_bytes().splitlines(keepends=True)
     sound = load_recording(whole)
-    said = 0
+    reported = 0
     for seed in range(300):
         (tmp_path / "log.jsonl").write_bytes(damage(lines, seed))
         try:
             found = load_recording(tmp_path)
         except InputError:
             continue
-        said += bool(found.problems)
+        reported += bool(found.problems)
         for key in found.columns if len(found) else ():
             want = sound.columns.get(key)
             got = found.columns[key]
@@ -92,7 +92,7 @@ def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
             assert all(
                 (tmp_path / name).resolve().is_relative_to(tmp_path.resolve()) for name in names
             )
-    assert said > 100  # most changes are to checked content
+    assert reported > 100  # most changes are to checked content
 
 
 def test_the_line_and_the_column_are_named(tmp_path, whole):

@@ -250,8 +250,8 @@ def aborted(recorder, caplog):
 def test_a_folder_that_is_removed(tmp_path, caplog):
     recorder = Recorder(tmp_path / "run", {})
     shutil.rmtree(tmp_path / "run")
-    (said,) = aborted(recorder, caplog)
-    assert "No such file" in said
+    (reported,) = aborted(recorder, caplog)
+    assert "No such file" in reported
 
 
 def test_a_disk_that_is_full(tmp_path, caplog):
@@ -263,10 +263,10 @@ def test_a_disk_that_is_full(tmp_path, caplog):
     # as good as a full disk: whatever grows a file fails
     resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))
     try:
-        (said,) = aborted(recorder, caplog)
+        (reported,) = aborted(recorder, caplog)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-    assert "too large" in said
+    assert "too large" in reported
     assert len(load_recording(tmp_path)) >= 2  # earlier data can be read
 
 
@@ -275,10 +275,10 @@ def test_a_process_without_descriptors(tmp_path, caplog):
     recorder = Recorder(tmp_path, {})
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, limit[1]))
     try:
-        (said,) = aborted(recorder, caplog)
+        (reported,) = aborted(recorder, caplog)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limit)
-    assert "Too many open files" in said
+    assert "Too many open files" in reported
 
 
 def test_a_notebook_that_contains_itself(tmp_path, caplog):
@@ -286,8 +286,8 @@ def test_a_notebook_that_contains_itself(tmp_path, caplog):
     memory["me"] = memory
     recorder = Recorder(tmp_path, {})
     recorder.add(replace(fake_cycle(0), sent=Command(0.05, 4.0, memory=memory)))
-    (said,) = aborted(recorder, caplog)
-    assert "RecursionError" in said
+    (reported,) = aborted(recorder, caplog)
+    assert "RecursionError" in reported
 
 
 @pytest.mark.parametrize("disk_wait_time", [0.0, 0.05])

@@ -71,12 +71,12 @@ def test_a_true_ball_lies_on_the_lines_of_one_that_is_believed_rightly():
     assert not len(true_lines(ContactShape("unknown", {}), scene(), 0))
 
 
-def dark(picture):
-    return np.argwhere((picture[24:, :240] < 110).all(axis=2))
+def dark(image):
+    return np.argwhere((image[24:, :240] < 110).all(axis=2))
 
 
-def orange(picture):
-    b, g, r = np.moveaxis(picture[24:, :240].astype(int), 2, 0)
+def orange(image):
+    b, g, r = np.moveaxis(image[24:, :240].astype(int), 2, 0)
     return np.argwhere((r > 180) & (g < 180) & (b < 90))
 
 
@@ -85,7 +85,7 @@ def test_a_section_shows_how_far_the_believed_body_is_off():
     right = plot_section(ball(), true_lines(ball(), scene(), 0), size)
     deep = ball(place=PLACE + [0, 0, 1e-3])
     off = plot_section(deep, true_lines(deep, scene(), 0), size)
-    lowest = {name: dark(picture)[:, 0].max() for name, picture in (("right", right), ("off", off))}
+    lowest = {name: dark(image)[:, 0].max() for name, image in (("right", right), ("off", off))}
     true = {"right": orange(right)[:, 0].max(), "off": orange(off)[:, 0].max()}
     # estimated shapes are plotted from their own lowest point: the true one is 1 mm lower
     assert lowest["right"] == pytest.approx(lowest["off"], abs=1)

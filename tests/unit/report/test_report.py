@@ -42,8 +42,8 @@ SUMMARY = {
 
 def draw(folder, snapshot, scene=None):
     report.write_figure(folder / "summary.png", load_recording(folder), snapshot, SUMMARY, scene)
-    picture = cv2.imread(str(folder / "summary.png"))
-    assert picture.shape[0] > 600 and picture.std() > 10
+    image = cv2.imread(str(folder / "summary.png"))
+    assert image.shape[0] > 600 and image.std() > 10
     assert not list(folder.glob("*.part"))
 
 
@@ -71,7 +71,7 @@ def test_a_run_without_a_cycle(tmp_path):
 @pytest.mark.parametrize("alive", [True, False])
 def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_missed(tmp_path, alive):
     cycles = write_fake_recording(tmp_path, count=20)
-    pictures = []
+    shots = []
     with figure_writer_process() as beside:
         if not alive:
             beside._worker._process.kill()
@@ -83,9 +83,9 @@ def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_misse
                 SUMMARY,
                 FakeScene(1),
             )
-            pictures.append((tmp_path / "summary.png").read_bytes())
+            shots.append((tmp_path / "summary.png").read_bytes())
             (tmp_path / "summary.png").unlink()
-    assert pictures[0] == pictures[1]
+    assert shots[0] == shots[1]
 
 
 def test_without_room_for_a_process_it_is_drawn_here(tmp_path, monkeypatch):

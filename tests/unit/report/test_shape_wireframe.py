@@ -15,8 +15,8 @@ BORDER = 3e-3 * np.column_stack([np.cos(np.arange(12) / 2), np.sin(np.arange(12)
 
 
 def shape(**values):
-    said = {"p_SO": np.array([1e-3, -2e-3, 1.5e-3]), "outline": BORDER, "direction": 0.4}
-    return ContactShape("smooth", {"smooth": 1.0}, **said | values)
+    reported = {"p_SO": np.array([1e-3, -2e-3, 1.5e-3]), "outline": BORDER, "direction": 0.4}
+    return ContactShape("smooth", {"smooth": 1.0}, **reported | values)
 
 
 def test_the_arcs_of_a_ball_lie_on_it():

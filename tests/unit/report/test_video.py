@@ -75,10 +75,10 @@ def test_small_films(tmp_path, recording, suffix):
 
 
 def test_nothing_but_its_own_film_is_overwritten(tmp_path, recording, capsys):
-    film = tmp_path / "film.mp4"
+    quasistatic = tmp_path / "film.mp4"
     words = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
-    assert main([*words, str(film)]) == 0
-    assert main([*words, str(film)]) == 0  # its own
+    assert main([*words, str(quasistatic)]) == 0
+    assert main([*words, str(quasistatic)]) == 0  # its own
     with av.open(str(tmp_path / "theirs.mp4"), "w") as file:
         stream = file.add_stream("libx264", rate=30)
         stream.width = stream.height = 64

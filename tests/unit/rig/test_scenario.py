@@ -71,8 +71,10 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
     path.write_text(text + "\n")
     with pytest.raises(InputError) as caught:
         load_scenario(path)
-    said = str(caught.value)
-    assert "\n" not in said and all(part in said for part in ["mine.toml", *parts]), said
+    reported = str(caught.value)
+    assert "\n" not in reported and all(part in reported for part in ["mine.toml", *parts]), (
+        reported
+    )
 
 
 def test_a_json_without_a_scenario_and_another_suffix(tmp_path):
@@ -273,8 +275,8 @@ def test_options_are_stronger_than_the_file(tmp_path, monkeypatch, capsys):
     words = ["--sensor", "paper16", "--seed", "4", "--out", "run", "--json"]
     words += ["--controller", "quick.py"]
     assert main(["grasp", "--scenario", "mine.toml", *words]) == 1
-    said = json.loads(capsys.readouterr().out)["scenario"]
-    assert (said["object"], said["seed"], said["sensor"]) == ("vial", 4, "paper16")
+    reported = json.loads(capsys.readouterr().out)["scenario"]
+    assert (reported["object"], reported["seed"], reported["sensor"]) == ("vial", 4, "paper16")
 
 
 PROGRAM = (

@@ -336,14 +336,14 @@ def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
 
 def test_stuck_jaws_after_a_controller_that_raises_are_said_and_recorded():
     facts = {}
-    said = []
+    reported = []
 
     class Notes(Observer):
         def note(self, **new):
             facts.update(new)
 
         def message(self, text):
-            said.append(text)
+            reported.append(text)
 
     def fails(observation):
         world.stuck = True
@@ -352,7 +352,7 @@ def test_stuck_jaws_after_a_controller_that_raises_are_said_and_recorded():
     world = World()
     _, message = world.run("", controller=fails, error=ControllerError, observer=Notes())
     assert message == "boom"
-    assert said == [f"not verified safe: {facts['not_verified_safe']}"]
+    assert reported == [f"not verified safe: {facts['not_verified_safe']}"]
     assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm instead of 65.0 mm")
 
 

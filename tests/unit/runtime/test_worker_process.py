@@ -26,8 +26,8 @@ def test_arrays_arrive_as_they_were_whether_they_fit_or_not(ends, count):
     numbers = RNG.normal(size=count)
     odd = RNG.integers(0, 256, (1, 1, 1), np.uint8)  # the next one begins at an even place
     one.send("seen", [odd, numbers], {"time": 0.5})
-    word, (first, second), said = other.receive(1.0)
-    assert (word, said) == ("seen", {"time": 0.5})
+    word, (first, second), reported = other.receive(1.0)
+    assert (word, reported) == ("seen", {"time": 0.5})
     np.testing.assert_array_equal(first, odd)
     np.testing.assert_array_equal(second, numbers)
     assert not second.flags.writeable or not count

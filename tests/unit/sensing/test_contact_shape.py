@@ -33,16 +33,16 @@ def sensor():
     """The chain of `dense` with the rest of the film, which the independent sheet shares to 2 um,
     and the finder of shapes."""
     design = load_sensor("dense")
-    chain = SensingPipeline(design)
-    film = QuasistaticMembrane(design, (41, 31))
-    rest = seen(in_order(benchmarks.quasistatic._markers(film, film.rest)))
-    state = chain.load_rest_reference(chain.initial_state(), rest, film.gauge_pressure)
-    return chain, state, chain.make_shape_estimator(state)
+    pipeline = SensingPipeline(design)
+    solver = QuasistaticMembrane(design, (41, 31))
+    rest = seen(in_order(benchmarks.quasistatic._markers(solver, solver.rest)))
+    state = pipeline.load_rest_reference(pipeline.initial_state(), rest, solver.gauge_pressure)
+    return pipeline, state, pipeline.make_shape_estimator(state)
 
 
 def shape_of(sensor, *touches):
-    chain, state, finder = sensor
-    return chain.estimate_contact_shape(state, touches, finder)
+    pipeline, state, finder = sensor
+    return pipeline.estimate_contact_shape(state, touches, finder)
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +59,9 @@ def seen(places, rng=None):
 
 
 def touch_of(sensor, places, seed=0) -> Touch:
-    chain, state, _ = sensor
+    pipeline, state, _ = sensor
     markers = seen(places, np.random.default_rng(seed))
-    return chain.estimate_touch(state, markers, chain.fitter.fit(markers), 0.0)[0]
+    return pipeline.estimate_touch(state, markers, pipeline.fitter.fit(markers), 0.0)[0]
 
 
 def in_order(places):
@@ -106,11 +106,11 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
 def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     """Markers of a film of 0.5 mm between nodes, on a sharp rim: small and large, lightly and firmly
     pressed, as large as it is."""
-    film = QuasistaticMembrane(load_sensor("dense"), (81, 61))
+    solver = QuasistaticMembrane(load_sensor("dense"), (81, 61))
     radius = 1e-3 * radius_mm
-    height = film.rest.heights.max() - 1e-3 * depth_mm
-    cylinder = film.obstacle("cylinder", (radius, 0.02), (1e-3, -0.5e-3, 0.02 + height))
-    places = in_order(benchmarks.quasistatic._markers(film, film.solve(cylinder)))
+    height = solver.rest.heights.max() - 1e-3 * depth_mm
+    cylinder = solver.obstacle("cylinder", (radius, 0.02), (1e-3, -0.5e-3, 0.02 + height))
+    places = in_order(benchmarks.quasistatic._markers(solver, solver.solve(cylinder)))
     shape = shape_of(sensor, touch_of(sensor, places))
     assert shape.kind == "flat" and shape.family == "disc"
     # markers are 3 and 4 mm apart: half a millimetre of a rim's place
@@ -120,8 +120,8 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
 
 
 def test_nothing_is_said_of_what_does_not_touch(sensor):
-    chain, state, _ = sensor
-    still = touch_of(sensor, chain.inverse.positions(state.reference.rest.c))
+    pipeline, state, _ = sensor
+    still = touch_of(sensor, pipeline.inverse.positions(state.reference.rest.c))
     shape = shape_of(sensor, still)
     assert shape.kind == "unknown" and shape.status != "ok"
     assert attach_shape(still, shape).contact.area_source == "nodal"
@@ -131,21 +131,21 @@ def test_nothing_is_said_of_what_does_not_touch(sensor):
 
 def test_gas_that_came_since_raises_the_markers(sensor):
     """The response to a share of gas against the sheet's own, solved with that much more."""
-    chain, state, finder = sensor
+    pipeline, state, finder = sensor
     rest = state.reference.rest
     fraction = 2e-3
     gas = type(rest.gas)(rest.gas.gauge_pressure, (1 + fraction) * rest.gas.constant)
-    more = chain.inverse.membrane.equilibrium(gas, rest.stiffness_scale, start=rest.c)
-    rise = (chain.inverse.positions(more) - chain.inverse.positions(rest.c))[:, 2]
+    more = pipeline.inverse.membrane.equilibrium(gas, rest.stiffness_scale, start=rest.c)
+    rise = (pipeline.inverse.positions(more) - pipeline.inverse.positions(rest.c))[:, 2]
     # the sheet's splines are 3 mm wide, and the response is linear to a per cent of it
     assert finder.forward.by_gas * fraction == pytest.approx(rise, rel=0.05, abs=0.05 * rise.max())
 
 
 def follow(sensor, touches, rubber=None):
     """Each image's findings, in the order of a press."""
-    chain, state, finder = sensor
+    pipeline, state, finder = sensor
     rest = state.reference.rest
-    p_rest = chain.inverse.positions(rest.c) + rest.offset
+    p_rest = pipeline.inverse.positions(rest.c) + rest.offset
     found, press = [], None
     for touch in touches:
         found.append(finder.follow(touch, press, p_rest, rubber))
@@ -153,9 +153,9 @@ def follow(sensor, touches, rubber=None):
     return found
 
 
-def pressed(sensor, film, bodies, seed, time=0.0):
+def pressed(sensor, solver, bodies, seed, time=0.0):
     """Return the touch of a membrane on the obstacles `bodies`."""
-    places = in_order(benchmarks.quasistatic._markers(film, film.solve(bodies)))
+    places = in_order(benchmarks.quasistatic._markers(solver, solver.solve(bodies)))
     return replace(touch_of(sensor, places, seed), time=time)
 
 
@@ -188,8 +188,8 @@ def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monk
         return solve(self, bodies, start)
 
     monkeypatch.setattr(ForwardModel, "solve", counted)
-    chain, state, finder = sensor
-    p_rest = chain.inverse.positions(state.reference.rest.c) + state.reference.rest.offset
+    pipeline, state, finder = sensor
+    p_rest = pipeline.inverse.positions(state.reference.rest.c) + state.reference.rest.offset
     press = None
     for touch in touches:
         counts.append(0)
@@ -277,7 +277,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     By statics, shear at a height adds a torque of that height times it, more on sharp shapes.
     """
     touch = touch_of(sensor, layout_places(cases[2]))
-    films = sensor[2].forward
+    membranes = sensor[2].forward
     press = follow(sensor, [touch])[0].press
     state = press.now.state
     weights = state.contact_forces / state.contact_forces.sum()
@@ -288,7 +288,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
 
     def taken(s):
         """Return the part of the load's components due to shear at the height of blunt shapes."""
-        return contact_load(films, press, touch.traction.wrench, 2.0, s).rows @ shear
+        return contact_load(membranes, press, touch.traction.wrench, 2.0, s).rows @ shear
 
     # of a ball: edge and tip are a thousandth
     assert press.kinds(("smooth", "edge", "point", "flat", "multiple"))["smooth"] > 0.99
@@ -300,15 +300,15 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
 
 def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
-    films = sensor[2].forward
-    frame = films.membrane.design.frame
+    membranes = sensor[2].forward
+    frame = membranes.membrane.design.frame
     half = frame.length / 2 - 1.5e-3
     radius = 12e-3
     across = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # along x, not z
 
     def below(*body):
-        state = films.solve([(obstacle(*body),)])[0]
-        return below_frame(films, state), state.force_normal
+        state = membranes.solve([(obstacle(*body),)])[0]
+        return below_frame(membranes, state), state.force_normal
 
     ball, _ = below("sphere", (radius,), (0, 0, radius - 3e-4))
     high, _ = below("cylinder", (radius, half), (0, 0, radius + 3e-4), across)
@@ -365,15 +365,15 @@ def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
 
     Its center of pressure is constant: only the shape's motion shows the slip.
     """
-    chain, state, _ = sensor
+    pipeline, state, _ = sensor
     sample = SlipSample(0.0, np.zeros(2), np.zeros(3), np.array([0.5, 0.0, 0.0]))
     before = replace(state, slip=SlipHistory((sample,), np.ones(1), np.zeros((1, 3)), 0.0, 0.9))
     touch = Touch(0.0, 0.0, 1.0, 0.1, True, slip=Slip("sticking", np.zeros(2), 0.0, 0.5))
     zero, none = np.zeros(2), np.zeros((2, 2))
-    for spinning, said in ((0.0, "sticking"), (1.0, "slipping")):
+    for spinning, reported in ((0.0, "sticking"), (1.0, "slipping")):
         motion = RelativeMotion(zero, none, zero, none, zero, spinning, 0.05)
-        estimated, after = chain.track_contact_shape(before, before, touch, KnownMotion(motion))
-        assert estimated.slip.state == said
+        estimated, after = pipeline.track_contact_shape(before, before, touch, KnownMotion(motion))
+        assert estimated.slip.state == reported
         assert after.slip.distance == estimated.slip.distance
 
 
@@ -413,8 +413,8 @@ def test_a_followed_fit_that_is_stuck_is_looked_at_before_all_families(sensor, c
     alone = follow(sensor, [touch, touch])[1]
     goes_on, asked = following._refit_best, []
 
-    def stuck(films, press, hint, data):
-        found = goes_on(films, press, hint, data)
+    def stuck(membranes, press, hint, data):
+        found = goes_on(membranes, press, hint, data)
         off = replace(found.now.at, residual=10 * found.now.at.residual)
         return replace(found, now=replace(found.now, at=off))
 

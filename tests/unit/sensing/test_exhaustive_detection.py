@@ -36,10 +36,10 @@ def beside(circles, margin_px, *, dot, ground, window):
     low = rims.min(axis=0) - margin_px
     high = rims.max(axis=0) + margin_px
     v, u = np.mgrid[:480, :640]
-    sheet = ((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])).astype(float)
+    membrane = ((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])).astype(float)
     cover = marker_scenes.coverage(CAMERA, circles, 0.0)
     image = cv2.GaussianBlur(
-        window + sheet * (ground - window + (dot - ground) * cover), (0, 0), 0.7
+        window + membrane * (ground - window + (dot - ground) * cover), (0, 0), 0.7
     )
     return (
         np.rint(image + np.random.default_rng(0).normal(0, 2, image.shape))

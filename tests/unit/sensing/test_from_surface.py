@@ -16,29 +16,29 @@ SMOOTHING = 2e-3
 
 
 @pytest.fixture(scope="module")
-def film():
+def membrane():
     return QuasistaticMembrane(load_sensor("dense"), (61, 46))
 
 
-def points_of(film, state):
-    x, y = np.meshgrid(film.x, film.y, indexing="ij")
+def points_of(membrane, state):
+    x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
     return np.stack([x + state.x[0], y + state.x[1], state.x[2]], axis=-1).reshape(-1, 3)
 
 
-def outline_of(film):
-    half = [film.x[-1], film.y[-1]]
+def outline_of(membrane):
+    half = [membrane.x[-1], membrane.y[-1]]
     return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
 
 
-def rest_of(film):
-    return RestSurface(points_of(film, film.rest), film.rest.gauge_pressure)
+def rest_of(membrane):
+    return RestSurface(points_of(membrane, membrane.rest), membrane.rest.gauge_pressure)
 
 
-def pressed(film, at, radius, depth):
+def pressed(membrane, at, radius, depth):
     state = None
     for down in np.linspace(0, depth, 12)[1:]:
-        height = film.rest.heights.max() + radius - down
-        state = film.solve(film.obstacle("sphere", (radius,), (*at, height)), state)
+        height = membrane.rest.heights.max() + radius - down
+        state = membrane.solve(membrane.obstacle("sphere", (radius,), (*at, height)), state)
     assert state is not None
     return state
 
@@ -47,13 +47,13 @@ def pressed(film, at, radius, depth):
     ("at", "radius", "depth"),
     [((0, 0), 8e-3, 3e-3), ((0, 0), 20e-3, 2e-3), ((4e-3, 3e-3), 6e-3, 2.5e-3)],
 )
-def test_force_is_the_films(film, at, radius, depth):
-    state = pressed(film, at, radius, depth)
-    seen = points_of(film, state)
+def test_force_is_the_films(membrane, at, radius, depth):
+    state = pressed(membrane, at, radius, depth)
+    seen = points_of(membrane, state)
     # camera errors: 10 um, as of a depth camera for so small an object
     seen = seen + np.random.default_rng(1).normal(0, [0, 0, 1e-5], seen.shape)
     found = estimate_force_from_surface(
-        seen, state.gauge_pressure, outline_of(film), rest_of(film), smoothing=SMOOTHING
+        seen, state.gauge_pressure, outline_of(membrane), rest_of(membrane), smoothing=SMOOTHING
     )
     # the membrane's tension varies over its surface, and one factor is modelled: 3 %
     assert found.force[2] == pytest.approx(state.wrench[2], rel=0.06)
@@ -63,19 +63,23 @@ def test_force_is_the_films(film, at, radius, depth):
     assert found.place == pytest.approx(np.array(at), abs=6e-4)
 
 
-def test_nothing_touches(film):
+def test_nothing_touches(membrane):
     found = estimate_force_from_surface(
-        points_of(film, film.rest), 1000.0, outline_of(film), rest_of(film), smoothing=SMOOTHING
+        points_of(membrane, membrane.rest),
+        1000.0,
+        outline_of(membrane),
+        rest_of(membrane),
+        smoothing=SMOOTHING,
     )
     assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.place).all()
 
 
-def test_shift_turn_and_pressure(film):
+def test_shift_turn_and_pressure(membrane):
     # statics: a quarter's turn and a shift of the frame take the force along; twice all pressures
     # on the same shapes, twice the force
-    state = pressed(film, (4e-3, 3e-3), 6e-3, 2.5e-3)
-    given = [points_of(film, state), points_of(film, film.rest)]
-    corners = outline_of(film)
+    state = pressed(membrane, (4e-3, 3e-3), 6e-3, 2.5e-3)
+    given = [points_of(membrane, state), points_of(membrane, membrane.rest)]
+    corners = outline_of(membrane)
     own = estimate_force_from_surface(
         given[0], 1020.0, corners, RestSurface(given[1], 1000.0), smoothing=SMOOTHING
     )
@@ -102,12 +106,12 @@ def test_shift_turn_and_pressure(film):
         ({"points": np.full((100, 3), np.nan)}, "points"),
     ],
 )
-def test_what_cannot_be_is_refused(film, change, field):
+def test_what_cannot_be_is_refused(membrane, change, field):
     given = {
-        "points": points_of(film, film.rest),
+        "points": points_of(membrane, membrane.rest),
         "pressure": 1000.0,
-        "outline": outline_of(film),
-        "membrane": rest_of(film),
+        "outline": outline_of(membrane),
+        "membrane": rest_of(membrane),
         "smoothing": SMOOTHING,
     }
     with pytest.raises(InputError, match=field):

@@ -21,24 +21,26 @@ NO_MARKERS = Markers(np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3)), np.ze
 
 
 @pytest.fixture(scope="module")
-def chain():
+def sensing_pipeline():
     return SensingPipeline(DESIGN)
 
 
 @pytest.fixture(scope="module")
-def flat(chain):
-    return chain.measure_flat_reference(chain.initial_state(), membrane_images.sequence().flat)
+def flat(sensing_pipeline):
+    return sensing_pipeline.measure_flat_reference(
+        sensing_pipeline.initial_state(), membrane_images.sequence().flat
+    )
 
 
-def test_no_images_are_no_reference(chain, flat):
+def test_no_images_are_no_reference(sensing_pipeline, flat):
     with pytest.raises(DeviceError, match="flat reference: 0 images"):
-        chain.measure_flat_reference(chain.initial_state(), [])
+        sensing_pipeline.measure_flat_reference(sensing_pipeline.initial_state(), [])
     with pytest.raises(DeviceError, match="rest reference: no images"):
-        chain.measure_rest_reference(flat, [], 1000.0)
+        sensing_pipeline.measure_rest_reference(flat, [], 1000.0)
 
 
 @pytest.mark.parametrize("count", [0, 1, 16])
-def test_markers_that_are_none_or_nowhere_are_no_reference(chain, flat, count):
+def test_markers_that_are_none_or_nowhere_are_no_reference(sensing_pipeline, flat, count):
     nowhere = Markers(
         np.arange(count),
         np.full((count, 3), np.nan),
@@ -46,19 +48,19 @@ def test_markers_that_are_none_or_nowhere_are_no_reference(chain, flat, count):
         np.full((count, 3, 3), np.nan),
     )
     with pytest.raises(DeviceError, match="only 0 of 16 markers found"):
-        chain.load_rest_reference(flat, nowhere, 1000.0)
+        sensing_pipeline.load_rest_reference(flat, nowhere, 1000.0)
 
 
 @pytest.mark.parametrize("pressure", [None, np.nan, np.inf, "1000"])
-def test_what_is_no_pressure_is_said(chain, flat, pressure):
+def test_what_is_no_pressure_is_said(sensing_pipeline, flat, pressure):
     with pytest.raises(InputError, match=r"gauge_pressure: .* is not a (number|pressure in Pa)"):
-        chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
+        sensing_pipeline.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
 @pytest.mark.parametrize("pressure", [1e9, -1e9, 1e5])
-def test_a_pressure_that_nothing_holds_is_refused(chain, flat, pressure):
+def test_a_pressure_that_nothing_holds_is_refused(sensing_pipeline, flat, pressure):
     with pytest.raises(MjtactileError, match="no equilibrium of the membrane was found"):
-        chain.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
+        sensing_pipeline.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
 
 @pytest.mark.parametrize("young", [np.nan, np.inf])
@@ -70,11 +72,13 @@ def test_a_stiffness_that_is_not_finite_is_said(flat, young):
         )
 
 
-def test_touch_without_markers_says_so(chain, flat):
-    rest = chain.measure_rest_reference(
+def test_touch_without_markers_says_so(sensing_pipeline, flat):
+    rest = sensing_pipeline.measure_rest_reference(
         flat, membrane_images.sequence().rest, membrane_images.GAUGE
     )
-    touch, _ = chain.estimate_touch(rest, NO_MARKERS, chain.fitter.fit(NO_MARKERS), 0.0)
+    touch, _ = sensing_pipeline.estimate_touch(
+        rest, NO_MARKERS, sensing_pipeline.fitter.fit(NO_MARKERS), 0.0
+    )
     assert touch.status == "only 0 of 16 markers detected"
     assert np.isnan(touch.force_normal)
 
@@ -103,16 +107,18 @@ def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
     mN."""
     design = load_sensor(sensor)
     images = membrane_images.sequence(sensor)
-    chain = SensingPipeline(design)
-    state = chain.measure_flat_reference(chain.initial_state(), images.flat)
-    state = spotted = chain.measure_rest_reference(state, images.rest, membrane_images.GAUGE)
-    markers, _ = chain.detect_markers(state, images.rest[0])
-    seen = project(chain.camera, markers.p_SM - design.camera.p_SC)
+    sensing_pipeline = SensingPipeline(design)
+    state = sensing_pipeline.measure_flat_reference(sensing_pipeline.initial_state(), images.flat)
+    state = spotted = sensing_pipeline.measure_rest_reference(
+        state, images.rest, membrane_images.GAUGE
+    )
+    markers, _ = sensing_pipeline.detect_markers(state, images.rest[0])
+    seen = project(sensing_pipeline.camera, markers.p_SM - design.camera.p_SC)
     middle = seen[len(seen) // 2]
-    radius = larger * chain.camera.fx * design.markers.radius / design.camera.distance
+    radius = larger * sensing_pipeline.camera.fx * design.markers.radius / design.camera.distance
     for image in images.pressed:
-        clean, state = chain.step(state, image, image.time)
-        touch, spotted = chain.step(spotted, enlarged(image, middle, radius), image.time)
+        clean, state = sensing_pipeline.step(state, image, image.time)
+        touch, spotted = sensing_pipeline.step(spotted, enlarged(image, middle, radius), image.time)
         assert touch.status == "ok"
         assert touch.markers is not None
         assert len(touch.markers) >= design.markers.count - 1

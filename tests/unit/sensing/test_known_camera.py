@@ -126,19 +126,19 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
 def estimate_after_loss(sensor, fraction, load):
     """First and fourth touch, less the load, once a share of the gas has gone; without a gauge."""
     design = load_sensor(sensor)
-    sheet = InverseMembrane(design).membrane
-    rest = sheet.equilibrium(Gas(membrane_images.GAUGE))
-    gas = sheet.seal(sheet.state(rest), membrane_images.GAUGE)
+    rubber = InverseMembrane(design).membrane
+    rest = rubber.equilibrium(Gas(membrane_images.GAUGE))
+    gas = rubber.seal(rubber.state(rest), membrane_images.GAUGE)
     less = replace(gas, constant=(1 - fraction) * gas.constant)
-    c = sheet.equilibrium(less, load=membrane_images._load(sheet, 0.0, load), start=rest)
+    c = rubber.equilibrium(less, load=membrane_images._load(rubber, 0.0, load), start=rest)
     images = membrane_images.sequence(sensor)
-    chain = StatefulPipeline.of(design)
-    chain.measure_flat_reference(images.flat)
-    chain.measure_rest_reference(images.rest, membrane_images.GAUGE)
-    chain.perceive(images.rest[0], 0.0)
+    sensing_pipeline = StatefulPipeline.of(design)
+    sensing_pipeline.measure_flat_reference(images.flat)
+    sensing_pipeline.measure_rest_reference(images.rest, membrane_images.GAUGE)
+    sensing_pipeline.perceive(images.rest[0], 0.0)
     view = Renderer(design, seed=5)
-    now = membrane_images._image(design, sheet, view, c, 0.1)
-    found = [chain.perceive(now, 0.1) for _ in range(4)]
+    now = membrane_images._image(design, rubber, view, c, 0.1)
+    found = [sensing_pipeline.perceive(now, 0.1) for _ in range(4)]
     return [(touch.force_normal - load, touch.force_normal_sd) for touch in (found[0], found[-1])]
 
 

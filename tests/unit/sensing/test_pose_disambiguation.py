@@ -15,7 +15,7 @@ R = 0.0025
 PITCH = 0.009
 
 
-def sheet(slope, bend, rows=5, columns=6):
+def membrane(slope, bend, rows=5, columns=6):
     """Circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the sheet's own normals."""
     x, y = (
         PITCH * c.ravel()
@@ -43,7 +43,7 @@ def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
     """At the image's edges the right pose of a tilted sheet is often the one that is more tilted to
     the camera's axis."""
     for slope, bend in (((0.5, 0.3), 0.0), ((-0.2, 0.4), 15.0)):
-        circles = sheet(slope, bend)
+        circles = membrane(slope, bend)
         decided, sure = right(
             detect_circles(marker_scenes.image(CAMERA, circles), CAMERA, R), circles
         )
@@ -53,7 +53,7 @@ def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
 
 def test_an_error_that_all_normals_share_does_not_hide_the_plane():
     """All normals of a plane are off by 14 degrees, at a standard deviation of 0.3 degrees."""
-    circles = sheet((0.8, 0.3), 0.0)
+    circles = membrane((0.8, 0.3), 0.0)
     p = np.array([c.p_C for c in circles])
     turned = np.array([c.n_C for c in circles]) + [0.25, 0.0, 0.0]
     near = turned / np.linalg.norm(turned, axis=1, keepdims=True)

@@ -70,12 +70,14 @@ def test_overriding_leaves_the_defaults_and_all_others_alone():
 
 
 def test_a_chain_works_with_what_it_is_given():
-    chain = SensingPipeline(
+    sensing_pipeline = SensingPipeline(
         load_sensor("paper16"),
         settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}),
     )
-    assert (len(chain.inverse.x), len(chain.inverse.y)) == (11, 9)
-    assert not np.allclose(chain.fitter.prior, SensingPipeline(load_sensor("paper16")).fitter.prior)
+    assert (len(sensing_pipeline.inverse.x), len(sensing_pipeline.inverse.y)) == (11, 9)
+    assert not np.allclose(
+        sensing_pipeline.fitter.prior, SensingPipeline(load_sensor("paper16")).fitter.prior
+    )
     press = Traction(
         np.zeros(2),
         np.zeros(2),
@@ -85,7 +87,7 @@ def test_a_chain_works_with_what_it_is_given():
         0.0,
         "",
     )
-    deaf = chain.settings.override({"zero.touch_min": 0.5}).zero
+    deaf = sensing_pipeline.settings.override({"zero.touch_min": 0.5}).zero
     assert (
         contact_detection.detect_touch(1.0, press, None).touching
         and not contact_detection.detect_touch(1.0, press, None, deaf).touching

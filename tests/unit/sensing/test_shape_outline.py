@@ -21,14 +21,16 @@ class Round:
         self.flat = design.markers.p_SM
         self.pipeline = SensingPipeline(design)
         sides = (design.frame.length, design.frame.width)
-        self.film = QuasistaticMembrane(design, tuple(2 * round(side / 1e-3) + 1 for side in sides))
-        self.carried = interpolation_matrix(self.film, self.flat[:, :2])
-        rest = self.seen(self.film.rest.x)
+        self.membrane = QuasistaticMembrane(
+            design, tuple(2 * round(side / 1e-3) + 1 for side in sides)
+        )
+        self.carried = interpolation_matrix(self.membrane, self.flat[:, :2])
+        rest = self.seen(self.membrane.rest.x)
         self.state = self.pipeline.load_rest_reference(
-            self.pipeline.initial_state(), rest, self.film.gauge_pressure
+            self.pipeline.initial_state(), rest, self.membrane.gauge_pressure
         )
         self.finder = self.pipeline.make_shape_estimator(self.state)
-        self.top = float(self.film.rest.heights.max())
+        self.top = float(self.membrane.rest.heights.max())
 
     def seen(self, x, rng=None):
         places = self.flat + self.carried @ x.reshape(3, -1).T
@@ -40,7 +42,7 @@ class Round:
         )
 
     def shape(self, body, seed):
-        state = self.film.solve(body)
+        state = self.membrane.solve(body)
         markers = self.seen(state.x, np.random.default_rng(seed))
         touch = self.pipeline.estimate_touch(
             self.state, markers, self.pipeline.fitter.fit(markers), 0.0
@@ -55,7 +57,7 @@ def sensor(request):
 
 @pytest.mark.parametrize(("radius", "at"), [(9e-3, (-2e-3, 3e-3)), (14e-3, (4e-3, -2e-3))])
 def test_a_ball_is_a_ball_of_its_radius(sensor, radius, at):
-    ball = sensor.film.obstacle("sphere", (radius,), (*at, sensor.top - 2e-3 + radius))
+    ball = sensor.membrane.obstacle("sphere", (radius,), (*at, sensor.top - 2e-3 + radius))
     state, shape = sensor.shape(ball, 7)
     assert shape.kind == "smooth"
     assert abs(shape.radius - radius) < 2.5 * shape.radius_sd
@@ -65,11 +67,11 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, radius, at):
 
 
 def test_a_face_is_a_face_and_a_lying_rod_goes_on_to_the_rim(sensor):
-    face = sensor.film.obstacle("cylinder", (4e-3, 6e-3), (2e-3, -1e-3, sensor.top + 4.5e-3))
+    face = sensor.membrane.obstacle("cylinder", (4e-3, 6e-3), (2e-3, -1e-3, sensor.top + 4.5e-3))
     assert sensor.shape(face, 8)[1].kind == "flat"
     lying = [[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]  # along y
     at = (1e-3, 0, sensor.top + 8.2e-3)
-    rod = sensor.film.obstacle("capsule", (10e-3, 12e-3), at, lying)
+    rod = sensor.membrane.obstacle("capsule", (10e-3, 12e-3), at, lying)
     found = sensor.shape(rod, 9)[1]
     assert found.kind == "smooth"
     across = max(found.curvatures)

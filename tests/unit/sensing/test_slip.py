@@ -66,7 +66,7 @@ def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=
     estimator, rest, flat = sensor
     count = len(shear)
     history = None
-    said = []
+    reported = []
     dragged = np.zeros(count) if dragged is None else dragged
     turned = np.zeros(count) if turned is None else turned
     sticks = np.broadcast_to(sticks, count)
@@ -90,12 +90,12 @@ def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE, sticks=
         verdict, history = slip.classify(
             k / rate, estimator, shape, find_patches(estimator, shape, rest), history
         )
-        said.append(verdict)
-    return said
+        reported.append(verdict)
+    return reported
 
 
-def states(said):
-    return [verdict.state for verdict in said]
+def states(reported):
+    return [verdict.state for verdict in reported]
 
 
 def ramp(before, rising, after=0):
@@ -125,8 +125,8 @@ def test_stick_ratio_is_mindlins(sensor):
 def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
     """Rigid translation by 2 mm: shear grows, the patch stays where it was on the material."""
     grown = ramp(10, 20, 20)
-    said = verdicts(sensor, 0.8 * NORMAL * grown, np.zeros(50), dragged=2e-3 * grown)
-    assert set(states(said)) <= {"sticking", "incipient"} and said[-1].distance == 0.0
+    reported = verdicts(sensor, 0.8 * NORMAL * grown, np.zeros(50), dragged=2e-3 * grown)
+    assert set(states(reported)) <= {"sticking", "incipient"} and reported[-1].distance == 0.0
 
 
 @pytest.mark.parametrize(
@@ -143,14 +143,14 @@ def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, 
     place = np.r_[np.zeros(still), speed * np.arange(1, sliding + 1) / rate] - np.sign(speed) * 2e-3
     shear = np.full(still + sliding, np.sign(speed) * 0.4 * NORMAL)
     slides = np.r_[np.full(still, STICKS), np.full(sliding, PARTLY)]
-    said = verdicts(sensor, shear, place, rate=rate, sticks=slides)
-    assert "slipping" not in states(said)[:still]
-    first = states(said).index("slipping") - still + 1
+    reported = verdicts(sensor, shear, place, rate=rate, sticks=slides)
+    assert "slipping" not in states(reported)[:still]
+    first = states(reported).index("slipping") - still + 1
     assert abs(speed) * first / rate < max(0.5e-3, 2.01 * abs(speed) / rate)
     # a parabola on a grid of 3 mm: its centre moves unevenly, right on average over a cell
-    assert np.mean([v.velocity[0] for v in said[still + 8 :]]) == pytest.approx(speed, rel=0.3)
-    assert said[-1].distance == pytest.approx(abs(speed) * sliding / rate, rel=0.4)
-    assert said[-1].stick_ratio == 0.0
+    assert np.mean([v.velocity[0] for v in reported[still + 8 :]]) == pytest.approx(speed, rel=0.3)
+    assert reported[-1].distance == pytest.approx(abs(speed) * sliding / rate, rel=0.4)
+    assert reported[-1].stick_ratio == 0.0
 
 
 def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
@@ -158,9 +158,9 @@ def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
     file's friction. Below a fifth of the normal force it rolls, or is as smooth as nothing dry."""
     slides = np.r_[np.full(8, STICKS), np.full(8, SLIDES), np.full(4, STICKS)]
     for load, seen in ((0.25, "slipping"), (0.15, "sticking")):
-        said = states(verdicts(sensor, np.full(20, load * NORMAL), np.zeros(20), sticks=slides))
-        assert "slipping" not in said[:8] and set(said[8:16]) == {seen}, load
-        assert said[-1] != "slipping"
+        reported = states(verdicts(sensor, np.full(20, load * NORMAL), np.zeros(20), sticks=slides))
+        assert "slipping" not in reported[:8] and set(reported[8:16]) == {seen}, load
+        assert reported[-1] != "slipping"
 
 
 def test_unevenness_is_that_of_shear_over_pressure(sensor):
@@ -214,16 +214,16 @@ def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
     assert slip.turning(estimator, holds)[0] > 0.6
     straight = replace(flat, traction=patch(estimator, (0.3, 0.0, -NORMAL), (0, 0), 9e-3))
     assert slip.turning(estimator, straight)[0] == np.inf
-    history, said = None, []
+    history, reported = None, []
     shapes = [holds] * 4 + [slides] * 2 + [holds]
     for k, shape in enumerate(shapes):
         verdict, history = slip.classify(
             k / RATE, estimator, shape, find_patches(estimator, shape, rest), history
         )
-        said.append(verdict.state == "slipping")
-        if said[-1]:
+        reported.append(verdict.state == "slipping")
+        if reported[-1]:
             assert history.friction == pytest.approx(0.5, rel=0.05)
-    assert said == [False] * 5 + [True] + [False]
+    assert reported == [False] * 5 + [True] + [False]
 
 
 def test_what_turns_beside_its_middle_slips_too(sensor):
@@ -245,8 +245,8 @@ def test_what_turns_beside_its_middle_slips_too(sensor):
 def test_a_slip_that_ends_is_over(sensor):
     way = 4e-3 * ramp(12, 24, 12)
     slides = np.r_[np.full(12, STICKS), np.full(24, PARTLY), np.full(12, STICKS)]
-    said = verdicts(sensor, np.full(48, 0.4 * NORMAL), way - 2e-3, sticks=slides)
-    assert states(said)[30] == "slipping" and states(said)[-1] != "slipping"
+    reported = verdicts(sensor, np.full(48, 0.4 * NORMAL), way - 2e-3, sticks=slides)
+    assert states(reported)[30] == "slipping" and states(reported)[-1] != "slipping"
 
 
 def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
@@ -266,8 +266,10 @@ def test_rolling_and_turning_do_not_slip(sensor):
     """A patch that wanders without shear rolls; one that turns with the rubber sticks."""
     place = np.linspace(-2e-3, 2e-3, 40)
     assert set(states(verdicts(sensor, np.full(40, 0.02 * NORMAL), place))) == {"sticking"}
-    said = verdicts(sensor, np.full(20, 0.4 * NORMAL), np.zeros(20), turned=np.linspace(0, 0.2, 20))
-    assert "slipping" not in states(said)
+    reported = verdicts(
+        sensor, np.full(20, 0.4 * NORMAL), np.zeros(20), turned=np.linspace(0, 0.2, 20)
+    )
+    assert "slipping" not in states(reported)
 
 
 def test_what_goes_along_while_its_middle_plainly_sticks_rolls(sensor):
@@ -316,6 +318,6 @@ def test_friction_is_learnt_from_a_slip_and_from_a_hold(sensor):
     ]
     shear = NORMAL * np.r_[np.full(still + sliding, 0.4), np.full(20, 0.2)]
     slides = np.r_[np.full(still, STICKS), np.full(sliding, PARTLY), np.full(20, STICKS)]
-    said = verdicts(sensor, shear, place, sticks=slides)
-    assert said[0].stick_ratio == pytest.approx((1 - 0.4 / 0.9) ** (2 / 3), abs=1e-6)
-    assert said[-1].stick_ratio == pytest.approx((1 - 0.5) ** (2 / 3), abs=0.02)
+    reported = verdicts(sensor, shear, place, sticks=slides)
+    assert reported[0].stick_ratio == pytest.approx((1 - 0.4 / 0.9) ** (2 / 3), abs=1e-6)
+    assert reported[-1].stick_ratio == pytest.approx((1 - 0.5) ** (2 / 3), abs=0.02)

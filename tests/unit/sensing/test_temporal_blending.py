@@ -12,7 +12,7 @@ from mjtactile.sensing.force.temporal_blending import BlendEstimator
 SD = 2e-6  # marker noise, m
 
 
-def pictures(design, fraction, count=60, motion=None, missing=(), seed=3):
+def shots(design, fraction, count=60, motion=None, missing=(), seed=3):
     """Yield the markers of `count` images. The fraction `fraction` of each is the previous image;
     `motion` (N, 3) m is the displacement per image."""
     rng = np.random.default_rng(seed)
@@ -29,7 +29,7 @@ def pictures(design, fraction, count=60, motion=None, missing=(), seed=3):
 def blend(design, fraction, **how):
     found = None
     finder = BlendEstimator(design.markers.p_SM)
-    for markers in pictures(design, fraction, **how):
+    for markers in shots(design, fraction, **how):
         found = finder.after(found, markers)
     return found
 
@@ -63,7 +63,7 @@ def test_what_moves_is_no_lag():
     assert blend(design, 0.0, motion=dent).images == 0.0
     finder = BlendEstimator(design.markers.p_SM)
     found = blend(design, 0.5)
-    for markers in pictures(design, 0.5, motion=dent, seed=4):
+    for markers in shots(design, 0.5, motion=dent, seed=4):
         found = finder.after(found, markers)
     assert found.fraction == pytest.approx(0.5, abs=0.15)
 

@@ -135,9 +135,11 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
     """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by
     0.1 K before it."""
     estimator, rest = sensor
-    chain = SensingPipeline(estimator.design)
+    sensing_pipeline = SensingPipeline(estimator.design)
     rng = np.random.default_rng(3)
-    state = chain.load_rest_reference(chain.initial_state(), seen(estimator, rest.c), SUPPLY)
+    state = sensing_pipeline.load_rest_reference(
+        sensing_pipeline.initial_state(), seen(estimator, rest.c), SUPPLY
+    )
     assert state.reference is not None
     rest = state.reference.rest
     surface = state.reference.surface
@@ -150,7 +152,9 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
         c, _ = pressed(
             estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3)
         )
-        touch, state = chain.estimate_touch(state, seen(estimator, c, rng), surface, time)
+        touch, state = sensing_pipeline.estimate_touch(
+            state, seen(estimator, c, rng), surface, time
+        )
         estimated.append(touch.force_normal)
     # the noise of a mean of ten images is 2 mN; light touches are estimated a seventh too low; the
     # rate of the zero absorbed 30 mN before
@@ -159,17 +163,19 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
 
 
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
-    chain = SensingPipeline(load_sensor("paper16"))
-    estimator = chain.inverse
+    sensing_pipeline = SensingPipeline(load_sensor("paper16"))
+    estimator = sensing_pipeline.inverse
     detect_rest_markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
-    state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
+    state = sensing_pipeline.load_rest_reference(
+        sensing_pipeline.initial_state(), detect_rest_markers, SUPPLY
+    )
     assert state.reference is not None
     rest = state.reference.rest
-    surface = chain.fitter.fit(detect_rest_markers)
+    surface = sensing_pipeline.fitter.fit(detect_rest_markers)
     markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
-    _, state = chain.estimate_touch(state, detect_rest_markers, surface, 0.0)
+    _, state = sensing_pipeline.estimate_touch(state, detect_rest_markers, surface, 0.0)
     for k in range(40):
-        touch, state = chain.estimate_touch(state, markers, surface, (k + 1) * FRAME)
+        touch, state = sensing_pipeline.estimate_touch(state, markers, surface, (k + 1) * FRAME)
     assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
@@ -179,11 +185,11 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     bulged = seen(
         estimator, estimator.membrane.equilibrium(hot, rest.stiffness_scale, start=rest.c)
     )
-    warm, _ = chain.estimate_touch(state, bulged, surface, 10.0)
+    warm, _ = sensing_pipeline.estimate_touch(state, bulged, surface, 10.0)
     assert warm.status == "ok" and abs(warm.force_normal) < 3 * warm.force_normal_sd
     pulled = seen(estimator, pressed(estimator, rest, np.array([0, 0, 0.25]))[0])
     for k in range(40):
-        touch, state = chain.estimate_touch(state, pulled, surface, 10 + k * FRAME)
+        touch, state = sensing_pipeline.estimate_touch(state, pulled, surface, 10 + k * FRAME)
         if touch.status != "ok":
             break
     assert touch.status.code in ("reference lost", "fit failed") and np.isnan(touch.force_normal)
@@ -193,17 +199,19 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
 def loaded(sensor):
     """Provide a chain, its markers under 1.5 N, and its state after two such images."""
     estimator, _ = sensor
-    chain = SensingPipeline(load_sensor("paper16"))
+    sensing_pipeline = SensingPipeline(load_sensor("paper16"))
     detect_rest_markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
-    state = chain.load_rest_reference(chain.initial_state(), detect_rest_markers, SUPPLY)
+    state = sensing_pipeline.load_rest_reference(
+        sensing_pipeline.initial_state(), detect_rest_markers, SUPPLY
+    )
     assert state.reference is not None
     strong = seen(estimator, pressed(estimator, state.reference.rest, np.array([0, 0, -1.5]))[0])
-    surface = chain.fitter.fit(detect_rest_markers)
+    surface = sensing_pipeline.fitter.fit(detect_rest_markers)
     for k in range(8):
         shown = strong if k else detect_rest_markers
-        touch, state = chain.estimate_touch(state, shown, surface, k * FRAME)
+        touch, state = sensing_pipeline.estimate_touch(state, shown, surface, k * FRAME)
     assert touch.force_normal == pytest.approx(1.5, abs=5 * touch.force_normal_sd)
-    return chain, strong, surface, state
+    return sensing_pipeline, strong, surface, state
 
 
 def torn(markers):
@@ -214,25 +222,27 @@ def torn(markers):
 
 
 def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
-    chain, strong, surface, state = loaded
-    before = chain.estimate_touch(state, strong, surface, 0.3)[0]
-    touch, lost = chain.estimate_touch(state, torn(strong), surface, 0.3)
+    sensing_pipeline, strong, surface, state = loaded
+    before = sensing_pipeline.estimate_touch(state, strong, surface, 0.3)[0]
+    touch, lost = sensing_pipeline.estimate_touch(state, torn(strong), surface, 0.3)
     assert touch.status.code == "fit failed" and lost.shape is state.shape
-    again, state = chain.estimate_touch(lost, strong, surface, 0.3)
+    again, state = sensing_pipeline.estimate_touch(lost, strong, surface, 0.3)
     assert again.status == "ok" and state.unexplained == 0
     assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
 
 
 def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_much(loaded):
-    chain, strong, surface, state = loaded
-    said = []
+    sensing_pipeline, strong, surface, state = loaded
+    reported = []
     for k in range(20):
-        touch, state = chain.estimate_touch(state, torn(strong), surface, 0.3 + k * FRAME)
-        said.append(touch.status)
-    assert [status.code for status in said[:3]] == ["fit failed", "overloaded", "overloaded"]
-    assert "a normal force of 1.5 N and a shear force of 0.0 N" in said[-1]
+        touch, state = sensing_pipeline.estimate_touch(
+            state, torn(strong), surface, 0.3 + k * FRAME
+        )
+        reported.append(touch.status)
+    assert [status.code for status in reported[:3]] == ["fit failed", "overloaded", "overloaded"]
+    assert "a normal force of 1.5 N and a shear force of 0.0 N" in reported[-1]
     assert state.shape is None  # half a second ago is forgotten
-    touch, state = chain.estimate_touch(state, strong, surface, 1.0)
+    touch, state = sensing_pipeline.estimate_touch(state, strong, surface, 1.0)
     assert touch.status == "ok" and state.lost_at is None
 
 
@@ -241,9 +251,9 @@ def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
 
     All of the force may have appeared just then.
     """
-    chain, strong, surface, state = loaded
-    first, state = chain.estimate_touch(state.without_history(), strong, surface, 0.3)
-    second, _ = chain.estimate_touch(state, strong, surface, 0.3 + FRAME)
+    sensing_pipeline, strong, surface, state = loaded
+    first, state = sensing_pipeline.estimate_touch(state.without_history(), strong, surface, 0.3)
+    second, _ = sensing_pipeline.estimate_touch(state, strong, surface, 0.3 + FRAME)
     assert 0.25 * 1.5 < first.force_normal_sd < 0.5 * 1.5
     assert second.force_normal_sd < 0.06 * 1.5
 
@@ -253,20 +263,20 @@ def light_estimate(sensor, **settings):
     a coarse camera."""
     estimator, _ = sensor
     coarse = 5 * NOISE
-    chain = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
+    sensing_pipeline = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
     empty = estimator.membrane.equilibrium(Gas(SUPPLY))
-    state = chain.load_rest_reference(
-        chain.initial_state(), seen(estimator, empty, noise=coarse), SUPPLY
+    state = sensing_pipeline.load_rest_reference(
+        sensing_pipeline.initial_state(), seen(estimator, empty, noise=coarse), SUPPLY
     )
     assert state.reference is not None
     rest = state.reference.rest
     light = pressed(estimator, rest, np.array([0, 0, -0.05]), (1e-3, 1e-3), 2.5e-3)[0]
-    surface = chain.fitter.fit(seen(estimator, empty))
+    surface = sensing_pipeline.fitter.fit(seen(estimator, empty))
     rng = np.random.default_rng(3)
     found = []
     for k in range(20):
         shown = seen(estimator, empty if k < 10 else light, rng, coarse)
-        touch, state = chain.estimate_touch(state, shown, surface, k * FRAME)
+        touch, state = sensing_pipeline.estimate_touch(state, shown, surface, k * FRAME)
         found.append((touch.force_normal, touch.force_normal_sd))
     return np.array(found).T
 

@@ -23,7 +23,7 @@ from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.rendering.image_faults import STEPS, FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
-from mjtactile.sim.sensor.effect_switches import CAMERA as DRAWN
+from mjtactile.sim.sensor.effect_switches import CAMERA as SAMPLED
 from mjtactile.sim.sensor.effect_switches import Effect
 
 DESIGN = load_sensor("dense")
@@ -65,7 +65,7 @@ STRONG = {
 
 
 @pytest.fixture(scope="module")
-def pictures():
+def images():
     """The flat sheet, and one period later the sheet 2 mm higher."""
     renderer = Renderer(DESIGN, seed=1)
     low = DESIGN.markers.p_SM
@@ -76,43 +76,43 @@ def faults(**table):
     return from_table(CameraFaults, table, "my.toml")
 
 
-def shown(pictures, seed=0, **table):
+def shown(images, seed=0, **table):
     """The second of the pictures as it arrives after the first."""
     camera = FaultyImage(faults(**table), seed)
-    return [camera(picture) for picture in pictures][-1].pixels.astype(float)
+    return [camera(view) for view in images][-1].pixels.astype(float)
 
 
-def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(pictures):
+def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(images):
     switches = [name for step in STEPS for name in step.switches]
     assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
-    assert FaultyImage(UNTROUBLED)(pictures[0]) is pictures[0]
+    assert FaultyImage(UNTROUBLED)(images[0]) is images[0]
     assert not FaultyImage(faults(dust_px=9, flicker_Hz=50)).has_faults
 
 
 @pytest.mark.parametrize("key", STRONG)
-def test_each_changes_the_picture_and_is_the_same_again(pictures, key):
-    before = pictures[1].pixels
-    one = shown(pictures, **{key: STRONG[key]})
+def test_each_changes_the_picture_and_is_the_same_again(images, key):
+    before = images[1].pixels
+    one = shown(images, **{key: STRONG[key]})
     assert one.shape == before.shape and not np.array_equal(one, before)
-    assert np.array_equal(one, shown(pictures, **{key: STRONG[key]}))
+    assert np.array_equal(one, shown(images, **{key: STRONG[key]}))
 
 
-def test_nothing_happens_before_its_time(pictures):
+def test_nothing_happens_before_its_time(images):
     camera = FaultyImage(faults(gamma=2, from_s=0.02))
-    first, second = [camera(picture) for picture in pictures]
-    assert first is pictures[0] and not np.array_equal(second.pixels, pictures[1].pixels)
+    first, second = [camera(view) for view in images]
+    assert first is images[0] and not np.array_equal(second.pixels, images[1].pixels)
 
 
-def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
+def test_a_zoom_and_a_knock_move_the_circles_as_they_say(images):
     """A zoom about the image center and a shift move the circles by the stated amounts.
 
     Circles are located to 0.02 px; the resampling adds as much.
     """
     middle = np.array([319.5, 239.5])
-    before = detect(pictures[1]).center_px
+    before = detect(images[1]).center_px
     camera = FaultyImage(faults(scale_percent=1, image_shift_px=[3, 2]))
-    after = detect(camera(pictures[1])).center_px
+    after = detect(camera(images[1])).center_px
     requested = middle + 1.01 * (before - middle) + [3, 2]
     nearest = np.linalg.norm(after[:, None] - requested, axis=2).min(axis=0)
     assert len(after) == len(before) and nearest.max() < 0.1
@@ -133,22 +133,22 @@ def test_levels_follow_their_curves():
     assert len(np.unique(curve(yuyv=1))) == 220
 
 
-def test_noise_reduction_and_rolling_shutter_mix_the_last_two_pictures(pictures):
-    first, second = [picture.pixels.astype(float) for picture in pictures]
-    half = shown(pictures, noise_reduction_percent=50)
+def test_noise_reduction_and_rolling_shutter_mix_the_last_two_pictures(images):
+    first, second = [view.pixels.astype(float) for view in images]
+    half = shown(images, noise_reduction_percent=50)
     assert np.abs(half - (first + second) / 2).max() <= 0.5
-    rolled = shown(pictures, rolling_shutter_ms=1e3 / 30)  # the first row is a picture old
+    rolled = shown(images, rolling_shutter_ms=1e3 / 30)  # the first row is a picture old
     assert np.abs(rolled[0] - first[0]).max() <= 0.5
     middle = len(rolled) // 2
     assert np.abs(rolled[middle] - (first + second)[middle] / 2).max() <= 0.5
-    ends = shown(pictures, torn_percent=100)
+    ends = shown(images, torn_percent=100)
     assert np.array_equal(ends[0], second[0]) and np.array_equal(ends[-1], first[-1])
 
 
-def test_jpeg_is_that_of_the_codec(pictures):
-    data = cv2.imencode(".jpg", pictures[1].pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+def test_jpeg_is_that_of_the_codec(images):
+    data = cv2.imencode(".jpg", images[1].pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
     want = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-    assert np.array_equal(shown(pictures, jpeg_quality=80), want)
+    assert np.array_equal(shown(images, jpeg_quality=80), want)
 
 
 def test_a_rig_file_and_a_variation_name_them():
@@ -168,16 +168,16 @@ def test_a_rig_file_and_a_variation_name_them():
 def test_a_seed_draws_them_for_each_finger():
     variation = load_variation("camera")
     assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
-    drawn = variation.sample(3, fingers=("left", "right"), markers=81)
-    left, right = (drawn.as_built_sensor(finger).camera for finger in ("left", "right"))
-    assert left != right and left.gamma == drawn.values["left.camera.gamma"]
-    assert replace(drawn.as_built_sensor("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
+    sampled = variation.sample(3, fingers=("left", "right"), markers=81)
+    left, right = (sampled.as_built_sensor(finger).camera for finger in ("left", "right"))
+    assert left != right and left.gamma == sampled.values["left.camera.gamma"]
+    assert replace(sampled.as_built_sensor("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
 
 
 def test_troubles_without_pictures_are_refused():
     own = AsBuiltSensor("left", camera=CameraFaults(gamma=1.3))
     with pytest.raises(InputError, match="need images"):
-        SimCamera(None, 0, DRAWN - {Effect.IMAGES}, own)  # it is refused before it looks
+        SimCamera(None, 0, SAMPLED - {Effect.IMAGES}, own)  # it is refused before it looks
 
 
 def test_the_page_has_every_field_with_its_range():

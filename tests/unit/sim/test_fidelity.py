@@ -124,11 +124,11 @@ def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
 ):
     """For a round object the quasi-static membrane may meet the requested force error, and the rig
     reports the choice."""
-    film = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-mesh"})
-    monkeypatch.setattr(fidelity, "load_membranes", lambda: [film])
+    membrane = fidelity.row_from_json(_row([21, 16], 0.01, 10.0) | {"effects": "-mesh"})
+    monkeypatch.setattr(fidelity, "load_membranes", lambda: [membrane])
     rig = build_sim_rig(Scenario(object=grasped, accuracy=accuracy, effects=effects))
     rig.close()
-    assert (Effect.SHEET in rig.scene.effects) is mesh
+    assert (Effect.MESH in rig.scene.effects) is mesh
     if not mesh:
         assert tuple(rig.simulated["mesh"]) == QS_GRID
     assert (Effect.FRICTION in rig.scene.effects) is (effects != "-friction")

@@ -23,7 +23,7 @@ def grid(spacing):
     return x - AT[0], y - AT[1], inside
 
 
-def film(spacing, shape, force):
+def membrane(spacing, shape, force):
     x, y, inside = grid(spacing)
     return solve_contact(
         shape(x, y), inside, spacing, pressure=PRESSURE, tension=TENSION, force=force
@@ -40,7 +40,7 @@ def ball(radius):
     ("radius", "force"), [(3e-3, 0.03), (8e-3, 0.03), (8e-3, 0.4), (16e-3, 0.3)]
 )
 def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force):
-    found = film(4e-4, ball(radius), force)
+    found = membrane(4e-4, ball(radius), force)
     # the membrane leaves without a kink: the contact on the ball carries p + 2 T/R everywhere
     visible_from_below = found.fraction.sum() * found.spacing**2
     # of a contact 1.1 mm wide, in cells of 0.4 mm; it falls with the cells' square
@@ -50,14 +50,14 @@ def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force)
 
 
 def test_a_face_is_touched_as_far_as_it_goes():
-    found = film(3e-4, lambda x, y: np.where(np.hypot(x, y) < 5e-3, 0.0, np.inf), 0.8)
+    found = membrane(3e-4, lambda x, y: np.where(np.hypot(x, y) < 5e-3, 0.0, np.inf), 0.8)
     # cells on a circle; and they lie flat but for the rim
     assert found.area == pytest.approx(np.pi * 5e-3**2, rel=0.02)
 
 
 def test_a_ridge_is_touched_over_hardly_anything():
     areas = [
-        film(spacing, lambda x, y: np.where(abs(y) < 5e-3, abs(x), np.inf), 0.2).area
+        membrane(spacing, lambda x, y: np.where(abs(y) < 5e-3, abs(x), np.inf), 0.2).area
         for spacing in (6e-4, 3e-4)
     ]
     # less than the row of cells it crosses, and with their width

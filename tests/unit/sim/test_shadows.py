@@ -244,10 +244,10 @@ def test_camera_rays_meet_the_sheet_where_it_is():
     the pixels there."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     light = ShadowedLight(DENSE, lens)
-    sheet = light._membrane
-    z = sheet.heights(dented(6e-3, width=5e-3))
+    membrane = light._membrane
+    z = membrane.heights(dented(6e-3, width=5e-3))
     places = light._places(z, 4)
-    uv = optics.project(lens, np.dstack([sheet.xy, z + DOWN]))[4:-4, 4:-4]
+    uv = optics.project(lens, np.dstack([membrane.xy, z + DOWN]))[4:-4, 4:-4]
     found = bilinear(places, (uv - 1.5) / 4)  # the middle of the first block of 4 px is at 1.5
     expected = np.stack(np.meshgrid(np.arange(41), np.arange(31)), axis=-1)[4:-4, 4:-4]
     # in nodes of 1 mm: bilinear between blocks; without the sheet's height the places were 3 nodes
@@ -260,21 +260,21 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
     monkeypatch.setattr(shadows, "_NODE", node)
     p = dented(4e-3, at=(5e-3, -3e-3), width=6e-3)
     p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
-    sheet = SmoothMembrane(DENSE)
-    z = sheet.heights(p)
+    membrane = SmoothMembrane(DENSE)
+    z = membrane.heights(p)
     # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm. It is
     # somewhat more since a thin-plate spline's curvature peaks at its points; the peak's part falls
     # with the node spacing, not with its square
-    np.testing.assert_allclose(bilinear(z, sheet.columns_rows(p[:, :2])), p[:, 2], atol=worst)
+    np.testing.assert_allclose(bilinear(z, membrane.columns_rows(p[:, :2])), p[:, 2], atol=worst)
     rim = np.concatenate([z[0], z[-1], z[:, 0], z[:, -1]])
     assert np.abs(rim).max() < 2e-5  # between the points by which it is held, 2.5 mm apart
 
 
 def test_a_circular_frame_holds_the_sheet_too():
     design = replace(DENSE, frame=replace(DENSE.frame, length=40e-3, width=40e-3, shape="circle"))
-    sheet = SmoothMembrane(design)
-    z = sheet.heights(dented(4e-3, design=design))
-    outside = np.hypot(sheet.xy[..., 0], sheet.xy[..., 1]) >= 20e-3
+    membrane = SmoothMembrane(design)
+    z = membrane.heights(dented(4e-3, design=design))
+    outside = np.hypot(membrane.xy[..., 0], membrane.xy[..., 1]) >= 20e-3
     assert outside.any() and z.min() < -3.9e-3
     assert np.abs(z[outside]).max() < 2e-5  # as above
 

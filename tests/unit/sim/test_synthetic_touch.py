@@ -20,7 +20,7 @@ from mjtactile.sim.synthetic_touch import SensingErrorSampler
 
 DENSE = load_sensor("dense")
 PERIOD = 1 / 30
-DRAWN = "-mesh,-pipeline"
+SAMPLED = "-mesh,-pipeline"
 
 
 def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
@@ -51,8 +51,8 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     assert np.abs(z.mean(axis=0)).max() < 4 / np.sqrt(alone)
     assert np.abs(z.T @ z / count - errors.correlation).max() < 4 * np.sqrt(2 / alone)
     for lag in (1, 15, 60):
-        said = lasts * np.exp(-lag * PERIOD / errors.slow_time)
-        assert (z[lag:] * z[:-lag]).mean() == pytest.approx(said, abs=4 / np.sqrt(6 * alone))
+        reported = lasts * np.exp(-lag * PERIOD / errors.slow_time)
+        assert (z[lag:] * z[:-lag]).mean() == pytest.approx(reported, abs=4 / np.sqrt(6 * alone))
 
 
 def test_the_kernel_draws_as_the_formula_does():
@@ -67,10 +67,10 @@ def test_the_kernel_draws_as_the_formula_does():
     here = errors.at(0.4)
     erring = SensingErrorSampler(errors)
     erring.begin(np.random.default_rng(1))
-    drawn = np.random.default_rng(1)
-    slow = spread @ drawn.standard_normal(6)
-    factor = np.exp(here.between * (drawn.standard_normal() - here.between))
-    gain = np.array([1, 1, 0, 0, 0, 0]) * errors.shear_gain * drawn.standard_normal()
+    sampled = np.random.default_rng(1)
+    slow = spread @ sampled.standard_normal(6)
+    factor = np.exp(here.between * (sampled.standard_normal() - here.between))
+    gain = np.array([1, 1, 0, 0, 0, 0]) * errors.shear_gain * sampled.standard_normal()
     rng, again = np.random.default_rng(2), np.random.default_rng(2)
     kept = np.exp(-PERIOD / errors.slow_time)
     lasts = here.sd**2 - here.fresh**2
@@ -101,7 +101,7 @@ def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
 
 
 def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again():
-    results = [run_grasp(Scenario(object="egg", effects=DRAWN, seed=5)) for _ in range(2)]
+    results = [run_grasp(Scenario(object="egg", effects=SAMPLED, seed=5)) for _ in range(2)]
     first, again = (result.summary() for result in results)
     assert first["outcome"] == "held"
     assert not (first["mesh"] or first["pipeline"] or first["images"])
@@ -110,8 +110,8 @@ def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again()
 
 
 def test_without_a_chain_there_are_no_images_and_no_mesh():
-    on = choose(DENSE, overrides=DRAWN).on
-    assert not on & {Effect.SHEET, Effect.CHAIN, Effect.IMAGES}
+    on = choose(DENSE, overrides=SAMPLED).on
+    assert not on & {Effect.MESH, Effect.PIPELINE, Effect.IMAGES}
     for refused, says in (
         ("-pipeline", "needs the quasi-static"),
         ("-mesh,-pipeline,+images", "images are not used"),
@@ -123,7 +123,7 @@ def test_without_a_chain_there_are_no_images_and_no_mesh():
 def test_who_needs_the_chain_is_told():
     reads = Controller(Path("mine.py"), lambda _: None, reads=("contact_shape",))
     with (
-        open_session(Scenario(effects=DRAWN)) as session,
+        open_session(Scenario(effects=SAMPLED)) as session,
         pytest.raises(
             InputError, match=r"mine.py: REQUIRES: 'contact_shape' needs the effect 'pipeline'"
         ),

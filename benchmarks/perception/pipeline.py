@@ -38,7 +38,7 @@ _MIN_PX = 4.0  # minimum radius of circles; the blob detector has an area limit 
 _LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))
 
 
-class PressedSheet:
+class PressedMembrane:
     """Height z(x, y), m, of a membrane of uniform tension over the frame's opening.
 
     It sags under pressure towards -z or bulges to +z. A ball at (x, y), m, pushes it to -z.
@@ -72,12 +72,12 @@ class PressedSheet:
         return self.spline(y, x, dx=dy, dy=dx, grid=False)
 
 
-def picture(design: SensorDesign, sheet: Callable[..., Array], seed: int) -> Image:
-    """Render the design's camera image of its markers on `sheet`."""
+def view(design: SensorDesign, membrane: Callable[..., Array], seed: int) -> Image:
+    """Render the design's camera image of its markers on `membrane`."""
     x = design.markers.p_SM[:, 0]
     y = design.markers.p_SM[:, 1]
-    p = np.column_stack([x, y, sheet(x, y)]) - design.camera.p_SC
-    n = normal_from_slope(sheet(x, y, 1, 0), sheet(x, y, 0, 1))
+    p = np.column_stack([x, y, membrane(x, y)]) - design.camera.p_SC
+    n = normal_from_slope(membrane(x, y, 1, 0), membrane(x, y, 0, 1))
     n = np.where((np.einsum("ni,ni->n", n, p) > 0)[:, None], -n, n)
     radius = np.broadcast_to(design.markers.radius, (len(p),))
     circles = [marker_scenes.Circle(p[i], n[i], float(radius[i])) for i in range(len(p))]
@@ -95,22 +95,24 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     design = load_sensor("dense")
     rng = np.random.default_rng(6)
     sheets = [
-        PressedSheet(design, *rng.uniform(-0.004, 0.004, 2), deep=rng.uniform(0.0015, 0.0035))
+        PressedMembrane(design, *rng.uniform(-0.004, 0.004, 2), deep=rng.uniform(0.0015, 0.0035))
         for _ in range(frames)
     ]
-    images = [picture(design, sheet, seed) for seed, sheet in enumerate(sheets)]
+    images = [view(design, membrane, seed) for seed, membrane in enumerate(sheets)]
     errors: dict[str, list[Array]] = {"spline": [], "delaunay": []}
     seen = []
     x, y = np.meshgrid(*grid_of(design.frame, 0.0005))
-    for sheet, image in zip(sheets, images, strict=True):
-        chain = SensingPipeline(design)
-        markers, _ = chain.detect_markers(chain.initial_state(), image)
+    for membrane, image in zip(sheets, images, strict=True):
+        sensing_pipeline = SensingPipeline(design)
+        markers, _ = sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), image)
         seen.append(len(markers))
-        spline: Spline = chain.fitter.fit_spline(markers.p_SM, markers.cov_p, markers.n_S)
-        truth = sheet(x, y)
+        spline: Spline = sensing_pipeline.fitter.fit_spline(
+            markers.p_SM, markers.cov_p, markers.n_S
+        )
+        truth = membrane(x, y)
         errors["spline"].append(spline.evaluate(x.ravel(), y.ravel()).reshape(x.shape) - truth)
         flat = reconstruct_delaunay(design, markers.p_SM)
-        errors["delaunay"].append(flat.z - sheet(*np.meshgrid(flat.x, flat.y)))
+        errors["delaunay"].append(flat.z - membrane(*np.meshgrid(flat.x, flat.y)))
     result: dict[str, Any] = {
         "frames": frames,
         "markers": design.markers.count,
@@ -119,20 +121,20 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     for name, parts in errors.items():
         result[f"{name}_rms_mm"] = float(np.sqrt(np.mean([np.mean(e**2) for e in parts])) * 1e3)
         result[f"{name}_worst_mm"] = float(max(np.abs(e).max() for e in parts) * 1e3)
-    return result | {"chain_ms": _chain_ms(design, images, repeats)}
+    return result | {"pipeline_ms": _pipeline_ms(design, images, repeats)}
 
 
-def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[float]:
+def _pipeline_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[float]:
     """Processor time of each run from image to surface, ms, in turn through `images` as in a
     recording."""
-    chain = SensingPipeline(design)
-    markers, state = chain.detect_markers(chain.initial_state(), images[0])
-    chain.fitter.fit(markers)
+    sensing_pipeline = SensingPipeline(design)
+    markers, state = sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), images[0])
+    sensing_pipeline.fitter.fit(markers)
     spent = []
     for k in range(repeats):
         begin = time.thread_time()
-        markers, state = chain.detect_markers(state, images[k % len(images)])
-        chain.fitter.fit(markers)
+        markers, state = sensing_pipeline.detect_markers(state, images[k % len(images)])
+        sensing_pipeline.fitter.fit(markers)
         spent.append(1e3 * (time.thread_time() - begin))
     return spent
 
