@@ -97,11 +97,11 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
         membranes = quasistatic_is_valid(design, grasped, overrides)
         fidelity = Fidelity.parse(scenario.accuracy, membranes=membranes)
         overrides = fidelity.with_effects(overrides)
-    sampled = replace(sampled, object=_with_task(sampled.object, sample_task, grasped, design))
+    sampled = replace(sampled, object=object_in_task(sampled.object, sample_task, grasped, design))
     grasped = grasped.changed(sampled.object)
     if sample_task.liquid is not None:
         grasped = with_liquid(grasped, sample_task.liquid)
-    grasped = _breaking(grasped, task, sample_task, fingers)
+    grasped = strength_in_task(grasped, task, sample_task, fingers)
     force_error = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
     as_built = tuple(sampled.as_built_sensor(finger.name) for finger in file.fingers)
@@ -253,7 +253,7 @@ def _limits(file: SimRigFile) -> CommandLimits:
     )
 
 
-def _with_task(
+def object_in_task(
     change: ObjectChange, task: SampledTask, grasped: ObjectModel, design: SensorDesign
 ) -> ObjectChange:
     """Return the object's changes with the mass and the friction of the task, if specified."""
@@ -265,7 +265,9 @@ def _with_task(
     return change
 
 
-def _breaking(grasped: ObjectModel, task: Task, sampled: SampledTask, fingers: int) -> ObjectModel:
+def strength_in_task(
+    grasped: ObjectModel, task: Task, sampled: SampledTask, fingers: int
+) -> ObjectModel:
     """Return the object with a break force proportional to the required force, if specified."""
     if sampled.breaking is None or sampled.friction is None:
         return grasped

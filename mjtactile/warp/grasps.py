@@ -7,6 +7,7 @@ device; nothing waits for the host. On a GPU the physics of a control step is on
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -17,14 +18,16 @@ import warp as wp
 from mjtactile.core import policy
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import load_task
-from mjtactile.core.types import Array
+from mjtactile.core.task import SuccessCriteria, load_task
+from mjtactile.core.types import Array, TaskGoal
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import movable
 from mjtactile.sim.rig import build_sim_rig
+from mjtactile.sim.scenes.disturbances import UP
 from mjtactile.sim.scenes.objects import PREFIX
 from mjtactile.sim.sensing_error_model import SensingErrorModel, load_errors
+from mjtactile.warp.device.disturbances import KINDS, disturb_worlds
 from mjtactile.warp.device.grasp_phase import (
     Commands,
     TaskLimits,
@@ -43,6 +46,8 @@ EPISODES = 4
 """Different initial states of each world; the fifth episode starts like the first."""
 _CPU_ITERATIONS = 30
 """Iterations of MuJoCo's solver on a CPU, which always does all; a grasp needs ten."""
+TASKS = ("lift", "pour", "shake", "bump", "wet", "weigh")
+"""Shipped tasks that run on a device."""
 _REQUIRED = "Grasp-v0 with a device"
 
 
@@ -98,6 +103,9 @@ class Grasps:
             self._m.opt.warn_overflow &= ~mjw.OverflowType.ITERATIONS
         self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
         self._scene = _scene(self.model, self._m, worlds, world.sensors[0].friction)
+        self._up_since = wp.full(worlds, -1.0, dtype=float)
+        gravity = np.tile(self.model.opt.gravity.astype(np.float32), (worlds, 1))
+        self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
         self._poses = Poses()
         for name in Poses.vars:
             setattr(self._poses, name, getattr(self._d, name))
@@ -117,7 +125,7 @@ class Grasps:
         is_varied = self.scenario.randomization != NONE
         self._errors = error_model(load_errors(self.rig.fingers[0].design, is_varied))
         self._estimates = arrays_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
-        self._limits = _limits(self.rig)
+        self._limits = _limits(self.rig, load_task(self.scenario.task).goal.task_goal())
         maximum = policy.policy_bounds(self.fingers)
         self._maximum = wp.array(maximum.astype(np.float32), dtype=float)
         self.observation = wp.zeros((worlds, len(maximum)), dtype=float)
@@ -127,6 +135,7 @@ class Grasps:
         self._progress = wp.array(table, dtype=float)
         self._time_limit = time_limit
         task = load_task(self.scenario.task)
+        self._is_disturbed = bool(task.disturbances)
         self._max_drop = float(task.success.max_drop)
         self._body = self.model.body(f"{PREFIX}object").id
 
@@ -143,7 +152,8 @@ class Grasps:
                 count = self.worlds * EPISODES
                 self.seeds = np.arange(seed, seed + count)
                 sampled = sample_starts(self.scenario, self.rig, self.seeds.tolist(), self.worlds)
-                self._starts = sampled.starts
+                self._starts, self._events = sampled.starts, sampled.events
+                self._graph = None  # it holds the arrays of the previous seeds
                 self._seed_generators(seed)
                 mask = wp.full(self.worlds, True, dtype=bool)
             self._restart(mask)
@@ -213,6 +223,8 @@ class Grasps:
                     *(d.qpos, d.ctrl),
                 ],
             )
+            if self._is_disturbed:
+                self._disturb()
             mjw.step(m, d)
             wp.launch(
                 score_step,
@@ -224,6 +236,19 @@ class Grasps:
                 ],
             )
 
+    def _disturb(self) -> None:
+        m, d = self._m, self._d
+        up = UP * float(self._limits.lift_height)
+        wp.launch(
+            disturb_worlds,
+            dim=self.worlds,
+            inputs=[
+                *(self.fingers, up, wp.vec3(*self.model.opt.gravity), self._events, self._starts),
+                *(self._scene, self._drive, self.touch.membrane_friction, d.time, d.qpos),
+                *(self._up_since, m.opt.gravity, d.xfrc_applied),
+            ],
+        )
+
     def _restart(self, mask: Any) -> None:
         d = self._d
         wp.launch(
@@ -234,7 +259,7 @@ class Grasps:
                 *(self._commands, self.scores, self._errors, self._estimates),
                 *(self.touch.membrane_friction, self.touch.membranes.modulus),
                 *(self.touch.membrane_volume, d.time, d.qpos, d.qvel),
-                *(d.qacc_warmstart, d.ctrl, d.actuator_force, self._poses),
+                *(d.qacc_warmstart, d.ctrl, d.actuator_force, self._poses, self._up_since),
             ],
         )
         self.touch.reset(mask)
@@ -272,9 +297,11 @@ class Grasps:
 def _require_supported(scenario: Scenario, rig: Rig) -> None:
     world = rig.scene
     task = load_task(scenario.task)
-    if not task.is_plain:
-        text = f"{scenario.task!r} has disturbances, which do not run on a device yet"
-        raise InputError(text, source=_REQUIRED, field="task", choices=["lift"])
+    kinds = {one.kind for one in task.disturbances}
+    strict = replace(task.success, max_drop=SuccessCriteria().max_drop) != SuccessCriteria()
+    if task.waypoints or task.object.liquid or kinds - set(KINDS) or strict:
+        text = f"{scenario.task!r} needs more than {', '.join(KINDS)}; it does not run on a device"
+        raise InputError(text, source=_REQUIRED, field="task", choices=TASKS)
     if not movable(world):
         text = "a soft or jointed object, or one with loose geoms, does not run on a device"
         raise InputError(text, source=str(world.object.path), field="object")
@@ -317,9 +344,9 @@ def _drive(rig: Rig, m: Any, worlds: int) -> Any:
     return drive
 
 
-def _limits(rig: Rig) -> Any:
+def _limits(rig: Rig, goal: TaskGoal) -> Any:
     limits = TaskLimits()
-    goal, of_rig = rig.goal, rig.limits
+    of_rig = rig.limits
     limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
     limits.place_height = float(goal.place_height)
     limits.opening_min, limits.opening_max = (float(one) for one in of_rig.opening)

@@ -12,14 +12,17 @@ import warp as wp
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import SampledTask, load_task
 from mjtactile.core.types import Array
 from mjtactile.rig.as_built_sensor import AsBuiltSensor
 from mjtactile.rig.domain_randomization import NONE, SampledWorld, load_variation
 from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import object_roots, planar_pose
-from mjtactile.sim.rig import place, start_of
+from mjtactile.sim.rig import object_in_task, place, start_of, strength_in_task
+from mjtactile.sim.scenes.disturbances import ROTATION_MAX
 from mjtactile.sim.scenes.objects import PREFIX, load_object
 from mjtactile.warp.as_built_membranes import match_membranes
+from mjtactile.warp.device.disturbances import COLUMNS, KINDS, VALUES
 from mjtactile.warp.device.restart import Starts
 
 # parameters of a variation that have an effect here; those of the camera are in the error model
@@ -37,10 +40,14 @@ _SEEN = ("fx_percent", "center_px", "k1_offset", "k1", "camera_shift_mm", "camer
 
 @dataclass(frozen=True)
 class SampledStarts:
-    """Device arrays of the initial states of `seeds`, with the seeds (rows,)."""
+    """Device arrays of the initial states of `seeds`, with the seeds (rows,).
+
+    `events` (rows, n, COLUMNS) are the disturbances of `mjtactile.warp.device.disturbances`.
+    """
 
     starts: Any
     seeds: Array
+    events: Any
 
 
 def ignored_parameters(randomization: str) -> list[str]:
@@ -68,12 +75,23 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
     fingers = [finger.name for finger in rig.fingers]
     variation = load_variation(scenario.randomization)
     markers = rig.fingers[0].design.markers.count
-    sampled = [variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds]
-    _check(sampled, model, rig.period)
-    poses = [
-        place(grasped.changed(one.object), start_of(seed)[0])
-        for one, seed in zip(sampled, seeds, strict=True)
+    task = load_task(scenario.task)
+    tasks = [task.sample(seed, len(fingers)) for seed in seeds]
+    design = rig.fingers[0].design
+    sampled = [
+        replace(one, object=object_in_task(one.object, in_task, grasped, design))
+        for one, in_task in zip(
+            (variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds),
+            tasks,
+            strict=True,
+        )
     ]
+    _check(sampled, model, rig.period)
+    objects = [
+        strength_in_task(grasped.changed(one.object), task, in_task, len(fingers))
+        for one, in_task in zip(sampled, tasks, strict=True)
+    ]
+    poses = [place(one, start_of(seed)[0]) for one, seed in zip(objects, seeds, strict=True)]
     now = place(world.object, start_of(scenario.seed)[0])
     roots = object_roots(model)
     free = [body for body in roots if model.body_jntnum[body]]
@@ -106,8 +124,7 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
     starts.modulus, starts.volume = (_floats(one.reshape(stiffness.shape)) for one in found)
-    own = [grasped.changed(one.object).break_force for one in sampled]
-    starts.break_force = _floats(np.minimum(own, 1e6))
+    starts.break_force = _floats(np.minimum([one.break_force for one in objects], 1e6))
     main = model.body(f"{PREFIX}object").id
     middle = scale * model.body_ipos[main, 2]  # the object stands upright, or has its middle there
     heights = starts.free.numpy()[:, free.index(main), 2] + middle if main in free else middle
@@ -118,7 +135,23 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
          for c in (one.rig for one in sampled)]
     )  # fmt: skip
     starts.episode = wp.zeros(worlds, dtype=int)
-    return SampledStarts(starts, np.asarray(seeds))
+    starts.row = wp.zeros(worlds, dtype=int)
+    return SampledStarts(starts, np.asarray(seeds), _floats(_events(tasks)))
+
+
+def _events(tasks: Sequence[SampledTask]) -> Array:
+    """Return the disturbances of each world as rows."""
+    table = np.zeros((len(tasks), max(1, *(len(one.events) for one in tasks)), COLUMNS))
+    table[:, :, 0], table[:, :, 2] = -1, 1
+    for rows, task in zip(table, tasks, strict=True):
+        for row, event in zip(rows, task.events, strict=False):
+            values = [event.values.get(name, 0.0) for name in VALUES[event.kind]]
+            row[:3] = KINDS.index(event.kind), event.start, event.duration
+            row[3 : 3 + len(values)] = values
+            row[6:9], row[9] = event.direction, event.finger or 0
+            if event.kind == "shake":
+                row[5] = min(row[5], ROTATION_MAX)
+    return table
 
 
 def _check(sampled: Sequence[SampledWorld], model: mujoco.MjModel, period: float) -> None:
@@ -193,4 +226,4 @@ def _ints(values: Sequence[int]) -> Any:
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
     """Return the scenario of an episode without its randomization, which `sample_starts` adds."""
-    return replace(scenario, seed=seed, randomization=NONE, effects="-mesh,-pipeline")
+    return replace(scenario, seed=seed, randomization=NONE, effects="-mesh,-pipeline", task="lift")

@@ -25,7 +25,7 @@ from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 if TYPE_CHECKING:
     from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-_UP = 0.9
+UP = 0.9
 """Fraction of the commanded lift height at which the gripper counts as lifted."""
 _PLACES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
@@ -33,7 +33,7 @@ _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger 
 _FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed
 _RAMP_PERIOD = 0.01  # update period of mass and friction, s
 _RAMPS = ("fill", "friction")
-_ROTATION_MAX = math.radians(60)
+ROTATION_MAX = math.radians(60)
 
 
 class DisturbanceSchedule:
@@ -54,7 +54,7 @@ class DisturbanceSchedule:
         self._world = world
         self._events = [_in_world(event, path_axes(world.start)) for event in events]
         self._path = path
-        self._up = _UP * lift_height
+        self._up = UP * lift_height
         self._bodies = moving_bodies(model, PREFIX)
         self._fraction = model.body_mass[self._bodies] / model.body_mass[self._bodies].sum()
         self._lift_speed = world.rig.lift.speed
@@ -198,7 +198,7 @@ def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float)
     moved = gravity + swell * event.values["acceleration"] * math.sin(phase) * np.array(
         event.direction
     )
-    tilt = min(event.values.get("tilt", 0.0), _ROTATION_MAX) * swell
+    tilt = min(event.values.get("tilt", 0.0), ROTATION_MAX) * swell
     axis = np.cross([0.0, 0.0, 1.0], event.direction)
     length = float(np.linalg.norm(axis))
     if tilt == 0 or length < 1e-6:

@@ -21,7 +21,8 @@ class Starts:
     model are `scale`, the object's size, `mass`, `friction` (rows, 1 + fingers) of its geoms and of
     each membrane, and `modulus` (rows, fingers) of the membranes. `volume` (rows, fingers) are
     their rest volumes, m^3. `break_force` is in N. `rig` (rows, 5): delay, jitter, play, speed,
-    force noise. `episode` (worlds,) counts.
+    force noise. `episode` (worlds,) counts; `row`
+    (worlds,) is the present one.
     """
 
     qpos: wp.array(dtype=float)
@@ -43,6 +44,7 @@ class Starts:
     rest_height: wp.array(dtype=float)
     rig: wp.array2d(dtype=float)
     episode: wp.array(dtype=int)
+    row: wp.array(dtype=int)
 
 
 @wp.struct
@@ -192,12 +194,15 @@ def restart_worlds(
     ctrl: wp.array2d(dtype=float),
     actuator_force: wp.array2d(dtype=float),
     poses: Poses,
+    up_since: wp.array(dtype=float),
 ):
     w = wp.tid()
     if not mask[w]:
         return
     row = (w + starts.episode[w] * mask.shape[0]) % starts.scale.shape[0]
     starts.episode[w] += 1
+    starts.row[w] = row
+    up_since[w] = -1.0
     _place(starts, scene, qpos, w, row)
     _change(starts, scene, w, row)
     _write_fixed(starts, scene, poses, w)

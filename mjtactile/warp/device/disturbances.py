@@ -1,0 +1,136 @@
+"""Disturbances of the held objects in all worlds, as `mjtactile.sim.scenes.disturbances`."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.device.gripper import Drive, height_of
+from mjtactile.warp.device.restart import Scene, Starts
+
+wp.set_module_options({"enable_backward": False})
+
+FILL = wp.constant(0)
+FRICTION = wp.constant(1)
+SHAKE = wp.constant(2)
+PUSH = wp.constant(3)
+KINDS = ("fill", "friction", "shake", "push")
+COLUMNS = 10
+"""Kind, start s, duration s, three values, direction (3,), finger from 1 (0: all).
+
+The values are those of `VALUES`; a row of kind -1 is empty.
+"""
+VALUES = {
+    "fill": ("mass",),
+    "friction": ("friction",),
+    "shake": ("acceleration", "rate", "tilt"),
+    "push": ("impulse",),
+}
+
+
+@wp.func
+def _ramp(final: float, now: float, fraction: float) -> float:
+    return now + (final - now) * fraction
+
+
+@wp.func
+def _shaken(
+    gravity: wp.vec3,
+    way: wp.vec3,
+    acceleration: float,
+    rate: float,
+    tilt: float,
+    time: float,
+    fraction: float,
+) -> wp.vec3:
+    """Return gravity in a gripper that moves along a direction and tilts, with smooth ends."""
+    swell = wp.sqrt(wp.sin(wp.pi * fraction))
+    moved = gravity + swell * acceleration * wp.sin(2.0 * wp.pi * rate * time) * way
+    axis = wp.cross(wp.vec3(0.0, 0.0, 1.0), way)
+    length = wp.length(axis)
+    if length > 1.0e-6:
+        turn = wp.quat_from_axis_angle(axis / length, tilt * swell)
+        moved = wp.quat_rotate(turn, moved)
+    return moved
+
+
+@wp.func
+def _fill(starts: Starts, scene: Scene, world: int, row: int, mass: float, fraction: float) -> None:
+    """Change mass and inertia of the object towards a total of `mass` kg."""
+    s = starts.scale[row]
+    first = starts.mass[row] * s * s * s
+    total = float(0.0)
+    for b in range(starts.free_bodies.shape[0]):
+        total += first * scene.mass[starts.free_bodies[b]]
+    ratio = 1.0 + (mass / total - 1.0) * fraction
+    for b in range(starts.free_bodies.shape[0]):
+        body = starts.free_bodies[b]
+        scene.body_mass[world, body] = ratio * first * scene.mass[body]
+        scene.body_subtreemass[world, body] = ratio * first * scene.mass[body]
+        scene.body_inertia[world, body] = ratio * first * s * s * scene.inertia[body]
+
+
+@wp.kernel
+def disturb_worlds(
+    fingers: int,
+    up: float,
+    gravity: wp.vec3,
+    events: wp.array3d(dtype=float),
+    starts: Starts,
+    scene: Scene,
+    drive: Drive,
+    membrane_friction: wp.array(dtype=float),
+    time: wp.array(dtype=float),
+    qpos: wp.array2d(dtype=float),
+    up_since: wp.array(dtype=float),
+    world_gravity: wp.array(dtype=wp.vec3),
+    xfrc: wp.array2d(dtype=wp.spatial_vector),
+):
+    """Set masses, friction, gravity and forces of the coming step.
+
+    Times count from the end of the lift: from a height of `up` m.
+    """
+    world = wp.tid()
+    row = starts.row[world]
+    if up_since[world] < 0.0 and height_of(drive, qpos, world) >= up:
+        up_since[world] = time[world]
+    force = wp.vec3(0.0, 0.0, 0.0)
+    turned = gravity
+    if up_since[world] >= 0.0:
+        since = time[world] - up_since[world]
+        smallest = float(1.0e6)
+        for k in range(fingers):
+            f = world * fingers + k
+            friction = scene.membrane_friction * starts.friction[row, 1 + k]
+            for e in range(events.shape[1]):
+                x = wp.clamp((since - events[row, e, 1]) / events[row, e, 2], 0.0, 1.0)
+                finger = int(events[row, e, 9])
+                if int(events[row, e, 0]) == FRICTION and (finger == 0 or finger == k + 1):
+                    friction = _ramp(events[row, e, 3], friction, x)
+            membrane_friction[f] = friction
+            smallest = wp.min(smallest, friction)
+        for g in range(starts.geoms.shape[0]):
+            geom = starts.geoms[g]
+            own = scene.friction[geom]
+            surface = wp.min(starts.friction[row, 0] * own[0], smallest)
+            scene.geom_friction[world, geom] = wp.vec3(surface, own[1], own[2])
+        for e in range(events.shape[1]):
+            kind = int(events[row, e, 0])
+            passed = since - events[row, e, 1]
+            x = wp.clamp(passed / events[row, e, 2], 0.0, 1.0)
+            way = wp.vec3(events[row, e, 6], events[row, e, 7], events[row, e, 8])
+            if x > 0.0 and kind == FILL:
+                _fill(starts, scene, world, row, events[row, e, 3], x)
+            if x > 0.0 and x < 1.0 and kind == SHAKE:
+                turned = _shaken(
+                    turned, way, events[row, e, 3], events[row, e, 4], events[row, e, 5], passed, x
+                )
+            if x > 0.0 and x < 1.0 and kind == PUSH:
+                force += events[row, e, 3] / events[row, e, 2] * way
+    world_gravity[world] = turned
+    total = float(0.0)
+    for b in range(starts.free_bodies.shape[0]):
+        total += scene.body_mass[world, starts.free_bodies[b]]
+    for b in range(starts.free_bodies.shape[0]):
+        body = starts.free_bodies[b]
+        share = scene.body_mass[world, body] / total * force
+        xfrc[world, body] = wp.spatial_vector(share, wp.vec3(0.0, 0.0, 0.0))
