@@ -118,7 +118,7 @@ def test_as_built_membranes_have_the_rest_volume_of_their_own_design():
     [
         ({"object": "tofu"}, "soft"),
         ({"object": "random"}, "random:SEED"),
-        ({"task": "shake"}, "disturbances"),
+        ({"task": "place"}, "needs more than fill"),
         ({"reward": "nothing"}, "outcome, progress"),
         ({"autoreset_mode": "Disabled"}, "autoreset_mode"),
     ],
