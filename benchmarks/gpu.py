@@ -85,7 +85,7 @@ def _actions(observation: Array) -> Array:
 
 def _pairs(name: str, count: int, device: str) -> tuple[dict[str, Any], Array]:
     """Return the agreement of paired episodes, and the commands (steps, 3) of the first one."""
-    how = {"object": name, "randomization": "default"}
+    how: dict[str, Any] = {"object": name, "randomization": "default"}
     episodes = [_on_the_cpu(_SEED + k, how) for k in range(count)]
     many = _worlds(count, device, how)
     many.reset(seed=_SEED)
@@ -114,7 +114,7 @@ def _pairs(name: str, count: int, device: str) -> tuple[dict[str, Any], Array]:
     return row, episodes[0]["actions"]
 
 
-def _on_the_cpu(seed: int, how: Mapping[str, str]) -> dict[str, Any]:
+def _on_the_cpu(seed: int, how: Mapping[str, Any]) -> dict[str, Any]:
     """Run an episode; return its actions, true force in the hold, and outcome."""
     env = gymnasium.make(NAME, effects="-mesh,-pipeline", **how)
     observation, _ = env.reset(seed=seed)
@@ -133,7 +133,7 @@ def _on_the_cpu(seed: int, how: Mapping[str, str]) -> dict[str, Any]:
     return {"actions": actions, "forces": forces, "outcome": outcome}
 
 
-def _worlds(count: int, device: str, how: Mapping[str, str]) -> Any:
+def _worlds(count: int, device: str, how: Mapping[str, Any]) -> Any:
     return gymnasium.make_vec(
         NAME, count, vectorization_mode="vector_entry_point", device=device, **how
     )
@@ -177,9 +177,9 @@ def _solutions(count: int, device: str) -> dict[str, Any]:
     from mjtactile.warp import Membranes
     from mjtactile.warp.device.obstacles import SPHERE
 
-    membranes = Membranes("dense", count, device=device)
+    membranes: Any = Membranes("dense", count, device=device)
     top = float(membranes.membrane.rest.x[2].max())
-    places = []
+    places: list[Any] = []
     for step in range(24):
         geoms = membranes.geoms.numpy().copy()
         geoms["kind"][:, 0], geoms["size"][:, 0, 0] = SPHERE, 0.01
