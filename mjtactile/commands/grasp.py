@@ -63,7 +63,9 @@ a rig without ground truth "not set down": the run ended with a loaded, raised g
 "not held: set down": it ended early, and the object stood; "device_fault" if a device was the
 cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
-(ground truth, simulation only), real_time_factor, frames, perception_ms_median, object, sensor,
+(ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
+"probability", "area_mm2", "area_interval_mm2" of 68 %, "status"; null: there was none),
+real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
 conditions that reduce the accuracy of the simulation, by kind
@@ -279,6 +281,16 @@ def _write_report(
         print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
+def _contact_text(contact: dict[str, Any]) -> str:
+    if contact["kind"] == "unknown":
+        return f"unknown: {contact['status']}"
+    low, high = contact["area_interval_mm2"]
+    return (
+        f"{contact['kind']} ({100 * contact['probability']:.0f} %), area "
+        f"{contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
+    )
+
+
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
     def newton(key: str) -> str:
         value = summary.get(key)
@@ -295,6 +307,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         f"{newton('hold_force_true_N')})"
     )
     print(f"  peak      {newton('peak_force_N')} (ground truth {newton('peak_force_true_N')})")
+    for contact in filter(None, summary.get("contacts", ())):
+        print(f"  contact   {_contact_text(contact)}")
     for name, text in fidelity_notes(summary).items():
         print(f"  {name:<9} {text}")
     if math.isfinite(summary["slip_mm_true"]):

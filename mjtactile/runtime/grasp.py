@@ -23,6 +23,7 @@ from mjtactile.runtime.controller import LoadedController, load_controller
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.device_faults import DeviceFaults
 from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
+from mjtactile.runtime.held_contact import HeldContacts
 from mjtactile.runtime.retreat import may_hold
 from mjtactile.runtime.session import open_session
 from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SafeSetDown, SetDown
@@ -66,6 +67,8 @@ class GraspResult:
     """False on a rig without ground truth: the outcome is then the controller's, or recorded."""
     success_criterion: str = ""
     """Criterion of the task."""
+    contacts: tuple[Mapping[str, Any] | None, ...] = ()
+    """Kind and area of the contact of each finger at the end of the hold; None: there was none."""
     device_fault: str = ""
     """Fault of a device during the run, for an object that was set down early; "": none."""
 
@@ -89,6 +92,8 @@ class GraspResult:
         if not math.isnan(self.peak_stress_true):
             found["peak_stress_kPa_true"] = 1e-3 * self.peak_stress_true
             found["peak_energy_kJ_m3_true"] = 1e-3 * self.peak_energy_true
+        if any(self.contacts):
+            found["contacts"] = [None if one is None else dict(one) for one in self.contacts]
         found |= self.measures
         if self.reason:
             found["reason"] = self.reason
@@ -131,6 +136,7 @@ class _Log(Observer):
         self.score = score
         self.estimate = estimate
         self.forces: list[tuple[float, ...]] = []
+        self.contacts = HeldContacts()
         self.phases: list[str] = []
         self.stated_reason = ""
         self.left = ""
@@ -158,6 +164,7 @@ class _Log(Observer):
         self.devices.watch(cycle)
         if cycle.sent.phase == "done" and self.phases[-1:] != ["done"]:
             self.left = "" if self._is_set_down(cycle) else _left(cycle)
+        self.contacts.add(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
         self.stated_reason = cycle.sent.reason or self.stated_reason
@@ -249,6 +256,8 @@ def run_grasp(
         factor = duration / (wall.perf_counter() - begin)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
+        contacts = log.contacts.estimate(session.perceptions)
+        result = replace(result, contacts=contacts)
         result = replace(result, flags=flags, recorded=rig.recorded, success_criterion=criterion)
         if result.outcome_from == "recording":
             reason = str(rig.recorded["error"] or "")

@@ -1,0 +1,63 @@
+"""Kind and area of the contacts of a grasp, estimated once after the run from the images of its
+load and hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from mjtactile.core.status import OK
+from mjtactile.core.types import ContactShape, Touch
+from mjtactile.runtime.cycle import Cycle
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+
+_GROWN = 2.0  # force ratio between two kept images of a load
+_KEPT = 3  # images of a load
+_FIRST = 0.05  # force of the first of them, N
+
+
+class HeldContacts:
+    """Touches of each finger that show its contact: some of the load, and the last of the hold."""
+
+    def __init__(self) -> None:
+        self._loads: list[list[Touch]] = []
+        self._held: list[Touch | None] = []
+
+    def add(self, cycle: Cycle) -> None:
+        """Keep the touches of a cycle that are informative."""
+        if len(self._loads) != len(cycle.touch):
+            self._loads = [[] for _ in cycle.touch]
+            self._held = [None for _ in cycle.touch]
+        for number, touch in enumerate(cycle.touch):
+            if touch.status != OK or not touch.touching:
+                continue
+            load = self._loads[number]
+            needed = _GROWN * load[-1].force_normal if load else _FIRST
+            if cycle.sent.phase == "hold":
+                self._held[number] = touch
+            elif self._held[number] is None and len(load) < _KEPT and touch.force_normal > needed:
+                load.append(touch)
+
+    def estimate(self, perceptions: Sequence[Any]) -> tuple[dict[str, Any] | None, ...]:
+        """Return kind and area of the contact of each finger at the end of the hold; None: there
+        was none. It takes some 0.1 s."""
+        found = zip(perceptions, self._loads, self._held, strict=False)
+        return tuple(_contact(*one) for one in found)
+
+
+def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str, Any] | None:
+    if held is None or not isinstance(perception, StatefulPipeline):
+        return None
+    shape = perception.shape([*load, held]) if held.shape is None else held.shape
+    return _report(shape)
+
+
+def _report(shape: ContactShape) -> dict[str, Any]:
+    """Return kind, probability, and area, mm^2, with its 68 % interval; unknown values are NaN."""
+    return {
+        "kind": shape.kind,
+        "probability": float(shape.probabilities.get(shape.kind, float("nan"))),
+        "area_mm2": 1e6 * float(shape.area),
+        "area_interval_mm2": [1e6 * float(end) for end in shape.area_interval],
+        "status": str(shape.status),
+    }

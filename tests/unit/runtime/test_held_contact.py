@@ -1,0 +1,65 @@
+"""Tests of the contact that a grasp reports: from which images, and with which values."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import SHAPES, ContactShape, Touch
+from mjtactile.runtime.held_contact import HeldContacts
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
+
+
+class Fitted(StatefulPipeline):
+    """A pipeline that keeps what it is asked, and has one answer."""
+
+    def __init__(self):
+        self.asked = []
+
+    def shape(self, touches):
+        self.asked.append([touch.force_normal for touch in touches])
+        shares = dict.fromkeys(SHAPES, 0.0) | {"flat": 0.8, "edge": 0.2}
+        return ContactShape("flat", shares, area=4e-5, area_interval=(3e-5, 6e-5))
+
+
+def cycle(phase, *forces, shape=None):
+    touches = tuple(Touch(0.0, 0.0, force, 0.01, force > 0.02, shape=shape) for force in forces)
+    return SimpleNamespace(touch=touches, sent=SimpleNamespace(phase=phase))
+
+
+def test_the_load_and_the_last_image_of_the_hold_count():
+    contacts = HeldContacts()
+    for phase, force in (
+        ("close", 0.0),
+        ("close", 0.06),
+        ("close", 0.07),  # less than twice the last kept one
+        ("regulate", 0.13),
+        ("hold", 0.4),
+        ("hold", 0.5),
+        ("release", 0.2),
+    ):
+        contacts.add(cycle(phase, force, 0.0))
+    fingers = [Fitted(), Fitted()]
+    found, other = contacts.estimate(fingers)
+    assert fingers[0].asked == [[0.06, 0.13, 0.5]]
+    assert fingers[1].asked == [] and other is None  # it never touched
+    assert found["kind"] == "flat" and found["probability"] == 0.8
+    assert found["area_mm2"] == pytest.approx(40)
+    np.testing.assert_allclose(found["area_interval_mm2"], [30, 60])
+
+
+def test_a_run_with_shapes_has_its_own():
+    shape = ContactShape("unknown", dict.fromkeys(SHAPES, np.nan))
+    contacts = HeldContacts()
+    contacts.add(cycle("hold", 0.4, shape=shape))
+    finger = Fitted()
+    (found,) = contacts.estimate([finger])
+    assert not finger.asked and found["kind"] == "unknown" and np.isnan(found["area_mm2"])
+
+
+def test_synthetic_touch_has_no_contact_shape():
+    contacts = HeldContacts()
+    contacts.add(cycle("hold", 0.4))
+    assert contacts.estimate([object()]) == (None,)
