@@ -75,6 +75,43 @@ KINDS = (
         ),
     ),
     Kind(
+        "scenarios that name sensors which no rig builds, or programs that no option names",
+        "built as named, or rejected; no program of a file runs",
+        ("tests/unit/rig/test_scenario.py",),
+    ),
+    Kind(
+        "files that need much memory or time by what they name: included files, textures, height "
+        "fields, images, archives; pipes, devices, names beyond 255 bytes",
+        "rejected within the limits; this process never has the memory",
+        (
+            "tests/unit/sim/test_mjcf.py",
+            "tests/unit/core/test_foreign_file.py",
+            "tests/unit/core/test_image_decoding.py",
+            "tests/unit/core/test_policy_file.py",
+            "tests/unit/core/test_camera_file.py",
+        ),
+    ),
+    Kind(
+        "requests of other pages, names and origins to servers on this computer; used ports",
+        "refused; Studio and Foxglove connect",
+        (
+            "tests/unit/core/test_loopback.py",
+            "tests/unit/studio/test_local_server.py",
+            "tests/unit/studio/test_serve.py",
+        ),
+    ),
+    Kind(
+        "membranes that are too stiff for their camera",
+        "no contact is as uncertain as the minimum detectable force; named above 0.1 N",
+        ("tests/unit/sensing/test_touch_state.py",),
+    ),
+    Kind(
+        "copies of a bound sensor, another model, options changed after `bind`, steps before a "
+        "reset or after the end",
+        "one named error",
+        ("tests/plugin/test_misuse.py",),
+    ),
+    Kind(
         "controller state with functions, objects, recursive lists, 10^6 entries",
         "not recorded, reported once; the grasp continues",
         ("tests/unit/core/test_controller_state.py",),

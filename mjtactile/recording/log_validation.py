@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -63,6 +63,13 @@ _PARTS = {
     "shape_place": 3,
 }
 """Number of values per finger; the default is one."""
+_LENGTHS = {"object_position_true": 3, "object_quaternion_true": 4}
+"""Number of values of a list that is not one per finger; a cycle has all of them, or none."""
+_REQUIRED = (
+    *("time", "phase", "images", "image_time", "status", "touching", "force_normal"),
+    *("opening", "lift_height", "valve_open"),
+)
+"""Columns of every recording; others may be from a later version."""
 _VALVES = ("valve_open", "gauge_pressure", "valve_time", "valve_age")
 _FINGERS = (
     "image_time",
@@ -103,6 +110,13 @@ _HEADER = {
     "files": TABLE,
     "versions": TABLE,
 }
+_SCENARIO = {
+    **dict.fromkeys(("object", "task", "controller", "rig", "sensor"), (TEXT,)),
+    **dict.fromkeys(("effects", "accuracy", "randomization"), (TEXT,)),
+    **dict.fromkeys(("seed", "time_limit_s"), (NUMBER,)),
+    "contact_shapes": (FLAG,),
+}
+"""Kinds of the fields of a recorded scenario."""
 _NOTES = {
     "start_opening": NUMBER,
     "start_lift_height": NUMBER,
@@ -139,8 +153,11 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
     A column is invalid if its kind is wrong, or if its shape differs from the recording's `first`
     cycle.
     """
-    if row.get("time") is None:
+    time = row.get("time")
+    if time is None or kind(time) != NUMBER or time < 0:
         return "time"
+    if missing := _missing(row):
+        return f"{missing[0]} is missing"
     for key in (key for key in first if key != "kind"):
         found = kind(row.get(key, ...))
         if key in _ONE:
@@ -149,6 +166,8 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
             good = isinstance(found, tuple) and all(
                 isinstance(each, tuple) and set(each) <= {_MANY[key]} for each in found
             )
+        elif key in _LENGTHS:
+            good = found == (NUMBER,) * _LENGTHS[key]
         elif key == "images":
             good = (
                 isinstance(found, tuple)
@@ -173,6 +192,12 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
     )
 
 
+def _missing(row: Mapping[str, Any]) -> list[str]:
+    """Return the columns that a cycle lacks."""
+    needed = (*_REQUIRED, *_LENGTHS) if any(key in row for key in _LENGTHS) else _REQUIRED
+    return [key for key in needed if key not in row]
+
+
 def wrong_note(row: Mapping[str, Any]) -> str | None:
     """The same of a line that is not a cycle: the recording's header, its notes, a reference."""
     if row.get("kind") == "reference":
@@ -185,26 +210,24 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
             good = found == want or (row[key] is None and want != TABLE)
         if not good:
             return key
-    if "simulated" in row and not _is_simulated(row["simulated"]):
-        return "simulated"
-    if not {kind(value) for value in row.get("versions", {}).values()} <= {TEXT}:
-        return "versions"
-    if not all(map(_is_flag, row.get("flags", {}).values())):
-        return "flags"
-    if not all(map(has_its_checksum, row.get("sensors", {}).values())):
-        return "sensors"
-    keys = ("files", "calibration")
-    return next((key for key in keys if not _has_tables(row, key)), None)
+    return next((key for key, test in _TESTS.items() if key in row and not test(row[key])), None)
 
 
-def _has_tables(row: Mapping[str, Any], key: str) -> bool:
-    """Return True if all values under `key` are tables; those of "files" may contain text only."""
-    for table in row.get(key, {}).values():
-        if kind(table) != TABLE:
-            return False
-        if key == "files" and not {kind(value) for value in table.values()} <= {TEXT}:
-            return False
-    return True
+def _are_distinct(names: Any) -> bool:
+    """Return True for names that differ and are not empty; null is none."""
+    return all(names or ()) and len(set(names or ())) == len(names or ())
+
+
+def _has_texts(tables: Mapping[str, Any]) -> bool:
+    """Return True if all values are tables of texts."""
+    return _has_tables(tables) and all(
+        {kind(value) for value in table.values()} <= {TEXT} for table in tables.values()
+    )
+
+
+def _has_tables(tables: Mapping[str, Any]) -> bool:
+    """Return True if all values are tables."""
+    return all(kind(table) == TABLE for table in tables.values())
 
 
 def has_its_checksum(file: Any) -> bool:
@@ -212,6 +235,16 @@ def has_its_checksum(file: Any) -> bool:
     if kind(file) != TABLE or {kind(file.get(key)) for key in ("name", "sha256", "text")} != {TEXT}:
         return False
     return hashlib.sha256(file["text"].encode()).hexdigest() == file["sha256"]
+
+
+def _is_scenario(scenario: Any) -> bool:
+    """Return True for a table of texts, numbers and flags, and of sensors by finger."""
+    if kind(scenario) != TABLE:
+        return False
+    sensors = scenario.get("sensors", {})
+    if kind(sensors) != TABLE or not {kind(one) for one in sensors.values()} <= {TEXT}:
+        return False
+    return all(kind(scenario[key]) in kinds for key, kinds in _SCENARIO.items() if key in scenario)
 
 
 def _is_simulated(how: Mapping[str, Any]) -> bool:
@@ -268,3 +301,16 @@ def _are_names(values: list[Any]) -> bool:
         and ".." not in PurePosixPath(value).parts
         for value in values
     )
+
+
+_TESTS: dict[str, Callable[[Any], bool]] = {
+    "scenario": _is_scenario,
+    "fingers": _are_distinct,
+    "simulated": _is_simulated,
+    "versions": lambda value: {kind(one) for one in value.values()} <= {TEXT},
+    "flags": lambda value: all(map(_is_flag, value.values())),
+    "sensors": lambda value: all(map(has_its_checksum, value.values())),
+    "files": _has_texts,
+    "calibration": _has_tables,
+}
+"""Tests of the values of a header or a note, by key."""

@@ -278,6 +278,8 @@ def load_recording(path: str | Path) -> Recording:
     header = rows[0] if rows else {}
     if header.get("format") != FORMAT or header.get("version") not in READABLE:
         found = f"{header.get('format')} version {header.get('version')}"
+        if problems and header.get("kind") != "start":
+            found = problems[0]
         raise InputError(
             f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1"
         )
@@ -294,13 +296,42 @@ def load_recording(path: str | Path) -> Recording:
     columns = _columns(cycles)
     if header["version"] == 1:
         _keep_force_limit(columns)
+    references = _references(folder, rows, problems)
+    width = len(cycles[0]["image_time"]) if cycles else 0
+    problems += _contradictions(notes, references, width)
+    sound = tuple(one for one in references if not width or len(one.names) == width)
+    return Recording(folder, header, notes, columns, complete, tuple(problems), sound)
+
+
+def _references(
+    folder: Path, rows: Sequence[Mapping[str, Any]], problems: list[str]
+) -> list[RecordedReference]:
+    """Return the references of the recording; add what is missing to `problems`."""
     references: list[RecordedReference] = []
     for row in rows:
         if row.get("kind") == "reference":
             reference, lost = _reference(folder, row)
             references += [] if reference is None else [reference]
             problems += lost
-    return Recording(folder, header, notes, columns, complete, tuple(problems), tuple(references))
+    return references
+
+
+def _contradictions(
+    notes: dict[str, Any], references: Sequence[RecordedReference], width: int
+) -> list[str]:
+    """Return notes and references of another number of fingers than the cycles; take them out."""
+    if not width:
+        return []
+    found = [
+        f"the reference {one.stage!r} has {len(one.names)} fingers, the cycles {width}: left out"
+        for one in references
+        if len(one.names) != width
+    ]
+    names = notes.get("fingers")
+    if names and len(names) != width:
+        del notes["fingers"]
+        found.append(f"{len(names)} names of fingers for {width} cameras: left out")
+    return found
 
 
 def _without_damaged_files(header: Mapping[str, Any], problems: list[str]) -> dict[str, Any]:

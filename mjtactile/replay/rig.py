@@ -198,7 +198,8 @@ def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Ri
 
 def _require_replayable(recording: Recording, folder: str) -> None:
     """Raise InputError for an incomplete recording."""
-    has_cycles = len(recording) > 0 and "start_opening" in recording.notes
+    starts = [recording.notes.get(key) for key in ("start_opening", "start_lift_height")]
+    has_cycles = len(recording) > 0 and None not in starts
     if not has_cycles or len(recording.references) != 2:
         raise InputError(
             "cannot be replayed: it has no cycles or no reference images", source=folder

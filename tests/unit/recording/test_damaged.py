@@ -153,3 +153,88 @@ def test_without_any_image_the_log_is_read(tmp_path):
 )
 def test_what_pages_show_of_a_header_is_checked(row, wrong):
     assert wrong_note(row) == wrong
+
+
+def rewritten(source, folder, change):
+    """A copy of a recording whose lines went through `change(row)`."""
+    rows = [json.loads(line) for line in (source / "log.jsonl").read_text().splitlines()]
+    for row in rows:
+        change(row)
+    folder.mkdir(exist_ok=True)
+    (folder / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def of_kind(kind, **values):
+    """A change of all lines of a kind; None removes a key."""
+
+    def change(row):
+        if row["kind"] == kind:
+            for key, value in values.items():
+                row.pop(key, None)
+                if value is not None:
+                    row[key] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["time", "phase", "images", "image_time", "status", "touching", "force_normal", "opening"]
+    + ["lift_height", "valve_open"],
+)
+def test_a_cycle_without_a_required_column_is_left_out(tmp_path, whole, key):
+    """Readers use these columns without a check of their own, in every version."""
+    found = load_recording(rewritten(whole, tmp_path / "a", of_kind("cycle", **{key: None})))
+    assert not len(found)
+    assert f"corrupt: {key}" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("values", "wrong"),
+    [
+        ({"object_position_true": [1.0, 2.0, 3.0]}, "object_quaternion_true is missing"),
+        (
+            {"object_position_true": [1.0], "object_quaternion_true": [1.0, 0.0, 0.0, 0.0]},
+            "object_position_true",
+        ),
+        ({"time": -1.0}, "time"),
+    ],
+)
+def test_contradicting_columns_are_left_out(tmp_path, whole, values, wrong):
+    found = load_recording(rewritten(whole, tmp_path / "a", of_kind("cycle", **values)))
+    assert not len(found) and f"corrupt: {wrong}" in found.problems[0]
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        *({"task": []}, {"task": {}}, {"controller": 3}, {"sensors": {"left": 3}}, {"seed": "x"}),
+        *([], "egg", {"contact_shapes": "yes"}),
+    ],
+)
+def test_a_header_with_a_wrong_scenario_is_refused_with_its_field(tmp_path, whole, scenario):
+    with pytest.raises(InputError, match="line 1 is corrupt: scenario"):
+        load_recording(rewritten(whole, tmp_path / "a", of_kind("start", scenario=scenario)))
+
+
+def test_names_of_another_number_of_fingers_are_left_out(tmp_path, whole):
+    def change(row):
+        if row["kind"] == "end":
+            row["fingers"] = ["one", "two", "three"]
+
+    found = load_recording(rewritten(whole, tmp_path / "a", change))
+    assert found.fingers == ("left", "right") and len(found) == 6
+    assert "3 names of fingers for 2 cameras: left out" in found.problems
+    for names in (["x", "x"], ["", "x"]):
+        found = load_recording(rewritten(whole, tmp_path / "b", of_kind("end", fingers=names)))
+        assert any("corrupt: fingers" in problem for problem in found.problems)
+
+
+def test_a_reference_of_another_number_of_fingers_is_left_out(tmp_path, whole):
+    row = {"kind": "reference", "stage": "flat", "images": [[]], "image_time": [[0.0]]}
+    lines = (whole / "log.jsonl").read_text() + json.dumps(row | {"gauge_pressure": [0.0]}) + "\n"
+    (tmp_path / "log.jsonl").write_text(lines)
+    found = load_recording(tmp_path)
+    assert found.references == ()
+    assert any("has 1 fingers, the cycles 2" in problem for problem in found.problems)
