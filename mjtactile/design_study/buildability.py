@@ -45,8 +45,8 @@ def check_camera(stand: VirtualBench) -> None:
     """
     design = stand.design
     depth = press_depth(design, HARDWARE)
-    flat = np.zeros_like(stand.quasistatic.rest.x)
-    states = [_state(stand, "flat", flat), _state(stand, "inflated", stand.quasistatic.rest.x)]
+    flat = np.zeros_like(stand.membrane.rest.x)
+    states = [_state(stand, "flat", flat), _state(stand, "inflated", stand.membrane.rest.x)]
     radius = indenter_radius(design)
     for name, place in indentation_places(design).items():
         pressed = stand.indent(ball(place, radius), depth)

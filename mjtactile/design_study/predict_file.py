@@ -129,7 +129,7 @@ def image_use_of(stand: VirtualBench) -> ImageUse:
 
 
 def _longest_lens(stand: VirtualBench) -> float:
-    flat = np.zeros_like(stand.quasistatic.rest.x)
+    flat = np.zeros_like(stand.membrane.rest.x)
     low = 1.0
     high = _LONGEST
     for _ in range(_HALVINGS):
@@ -137,7 +137,7 @@ def _longest_lens(stand: VirtualBench) -> float:
         sampler = EllipseSampler(scaled_lens(stand.design, middle))
         seen = [
             sampler.sample(*stand.poses(x), errors=False).ellipses
-            for x in (flat, stand.quasistatic.rest.x)
+            for x in (flat, stand.membrane.rest.x)
         ]
         whole = all(one is not None and len(one) == stand.circles for one in seen)
         low, high = (middle, high) if whole else (low, middle)

@@ -38,7 +38,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     # the edge length for averaging; a pixel is worth depth / f: f^-3/2 in total
     design = paper16.design
     camera = design.camera
-    rest = paper16.quasistatic.rest
+    rest = paper16.membrane.rest
 
     def sd(changed):
         return np.sqrt(np.trace(VirtualBench(changed).detect_markers(rest).cov_p, axis1=1, axis2=2))
