@@ -95,7 +95,7 @@ ARGUMENTS = (
     ),
     arg.option(
         "--suite SUITE",
-        "run a suite of tasks with fixed seeds (v1, or FILE.json) and compare with its "
+        "run a suite of tasks with fixed seeds (v1, v2, or FILE.json) and compare with its "
         "included results; with --resume, use the results in the folder",
     ),
     arg.option(
