@@ -153,7 +153,7 @@ def _text(name: str, one: DesignCandidate, force: float) -> str:
         f"Written by `mjtactile design`. Predicted at {force:g} N: force sd "
         f"{number(reached['force_sd_mN'])} mN,\n"
         f"edge position sd {number(reached['edge_sd_mm'])} mm; detection threshold "
-        f"{number(reached['touch_mN'])} mN, largest force {number(reached['force_max_N'])} N."
+        f"{number(reached['detection_mN'])} mN, largest force {number(reached['force_max_N'])} N."
     )
     return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
 
