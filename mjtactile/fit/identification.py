@@ -59,8 +59,8 @@ def fit_recordings(
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
     evidence = [read_evidence(path, design, options.finger, options.notify) for path in recordings]
-    image = fit_image_noise(design, evidence[0].flat)
     free, membrane = _fit_membrane(design, evidence, manually["membrane"], options)
+    image = fit_image_noise(_with_lens(design, membrane.focal_scale), evidence[0].flat)
     gas = _gas(membrane, evidence, manually["chamber"], options)
     numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, image))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
@@ -103,6 +103,12 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
     return text, sensor_from_table(
         tomllib.loads(text), name=Path(files[0]["name"]).stem, source=files[0]["name"]
     )
+
+
+def _with_lens(design: SensorDesign, scale: float) -> SensorDesign:
+    """Return the design with focal lengths times a scale: the light falls off with the angle."""
+    camera = design.camera
+    return replace(design, camera=replace(camera, fx=scale * camera.fx, fy=scale * camera.fy))
 
 
 def _with_fixed_values(

@@ -32,6 +32,9 @@ FAST_FLOOR = 5e-5
 SHIFT_SD = 4e-6  # common height error in a hold, m
 LOAD_CELL_SD = 0.01  # load cell error, N
 PRIOR = 1.0  # 1/sd of the scaled parameters without measurements: a factor of e, 0.2 of stretch
+# significant error of all heights, thus of the lens: in sd, and its minimum as a fraction
+_LENS_SURE = 3.0
+LENS_MIN = 0.005
 _NOWHERE = "sphere:8"
 # search for the unknown depth under a weight: first depth, m; iterations; relative force tolerance
 _FIRST_DEPTH = 2e-3
@@ -107,6 +110,13 @@ class MembraneFit:
     offsets: tuple[float, ...]
     misfit: float = 1.0
     heights: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def focal_scale(self) -> float:
+        """Focal length relative to the sensor file; 1: no significant difference."""
+        error, sd = self.heights
+        is_sure = abs(error) > max(_LENS_SURE * sd, LENS_MIN)
+        return 1 / (1 + error) if is_sure else 1.0
 
 
 def simulate(

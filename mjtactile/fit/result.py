@@ -15,12 +15,9 @@ from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit
 from mjtactile.fit.image_noise import ImageNoiseFit
 from mjtactile.fit.measurements import Evidence
-from mjtactile.fit.membrane_fit import MembraneFit
+from mjtactile.fit.membrane_fit import LENS_MIN, MembraneFit
 from mjtactile.fit.parameter_info import ABOUT, FittedParameter, classify, missing
 
-# a reported error of the lens: in sd, and its minimum as a fraction
-_LENS_SURE = 3.0
-_LENS_MIN = 0.005
 _UNKNOWN_FRACTION = 0.3  # relative uncertainty of an unmeasured thickness
 SI = {
     label: (section, attribute, number.unit)
@@ -67,19 +64,19 @@ class FitResult:
         """Statement on the lens: the error of all heights that the recordings show."""
         error, sd = self.membrane.heights
         camera = self.design.camera
-        sure = abs(error) > max(_LENS_SURE * sd, _LENS_MIN)
+        scale = self.membrane.focal_scale
         found = f"{100 * error:+.1f} % (sd {100 * sd:.1f} %)"
-        if sure:
-            fx, fy = (f / (1 + error) for f in (camera.fx, camera.fy))
+        if scale != 1:
+            fx, fy = (scale * f for f in (camera.fx, camera.fy))
             return (
                 f"the lens differs from the sensor file: all measured heights are off by {found}; "
                 f"the focal lengths are about {fx:.0f}, {fy:.0f} px in place of {camera.fx:g}, "
                 f"{camera.fy:g} px: measure them (`mjtactile calibrate camera`)"
             )
-        if sd <= _LENS_MIN:
+        if sd <= LENS_MIN:
             return f"the lens agrees with the indentations: error of all heights {found}"
         distance = ""
-        if max((e.height_fraction for e in self.evidence), default=0.0) > _LENS_MIN:
+        if max((e.height_fraction for e in self.evidence), default=0.0) > LENS_MIN:
             distance = "the flat membrane does not have the file's distance, by lens or mount; "
         return (
             f"{distance}the recordings do not determine the lens (error of all heights {found}): "

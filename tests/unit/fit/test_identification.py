@@ -60,6 +60,7 @@ def test_a_lens_that_differs_is_reported(heights, words):
     membrane = replace(membrane_of(np.eye(2)), heights=heights)
     result = FitResult(DENSE, "", (), (), (), membrane, None, None, (), 1.0)
     assert words in result.lens
+    assert membrane.focal_scale == (pytest.approx(1.0204, abs=1e-4) if "612" in words else 1.0)
 
 
 def test_a_membrane_at_another_distance_leaves_the_lens_open():
