@@ -330,7 +330,7 @@ def test_the_detectable_force_is_that_of_the_membrane_and_the_camera(sensor):
 @pytest.mark.parametrize("name", ["dense", "paper16"])
 def test_a_soft_sensor_keeps_its_own_uncertainty(name):
     bench = VirtualBench(stiff(1.0, name))
-    touch = bench.estimate_touch(bench.film.rest).touch
+    touch = bench.estimate_touch(bench.membrane.rest).touch
     assert bench.reference.min_force < 0.01
     assert touch.force_normal_sd == np.sqrt(touch.traction.wrench_cov[2, 2])
 
@@ -341,7 +341,7 @@ def test_no_contact_of_a_stiff_sensor_is_as_uncertain_as_its_min_force(young, le
     that of the prior. A sensor that cannot detect 0.1 N is named when its reference is taken."""
     _warn_of_insensitivity.cache_clear()
     bench = VirtualBench(stiff(young))
-    touch = bench.estimate_touch(bench.film.rest).touch
+    touch = bench.estimate_touch(bench.membrane.rest).touch
     assert (touch.status, touch.touching) == ("ok", False)
     assert least[0] < bench.reference.min_force < least[1]
     assert touch.force_normal_sd == bench.reference.min_force
