@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+_LONGEST = 1200  # characters of a message
+
 
 class MjtactileError(Exception):
     """Base of all errors that this package raises on purpose.
@@ -56,7 +58,14 @@ class InputError(MjtactileError):
         text = f"{where}: {message}" if where else message
         if choices is not None:
             text += f" (valid: {', '.join(str(choice) for choice in choices)})"
-        super().__init__(text)
+        super().__init__(_shortened(text))
+
+
+def _shortened(text: str) -> str:
+    """Return a message without the middle of a value of thousands of characters."""
+    if len(text) <= _LONGEST:
+        return text
+    return f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"
 
 
 class ControllerError(InputError):

@@ -63,6 +63,8 @@ def _value(value: Any, digits: int) -> str:
 
 
 def _toml(text: str) -> dict[str, Any]:
+    if re.search(r"\b0[xob][0-9a-fA-F_]{99}", text):  # Python cannot print it
+        raise ValueError("a number has more than 99 digits")
     for piece in re.split(r"[,=\[\]{}#\n]", text):
         if (
             piece.count(".") >= DEEPEST

@@ -67,7 +67,7 @@ _LENGTHS = {"object_position_true": 3, "object_quaternion_true": 4}
 """Number of values of a list that is not one per finger; a cycle has all of them, or none."""
 _REQUIRED = (
     *("time", "phase", "images", "image_time", "status", "touching", "force_normal"),
-    *("opening", "lift_height", "valve_open"),
+    *("opening", "speed", "effort", "lift_height", "valve_open"),
 )
 """Columns of every recording; others may be from a later version."""
 _VALVES = ("valve_open", "gauge_pressure", "valve_time", "valve_age")

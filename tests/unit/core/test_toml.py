@@ -7,7 +7,7 @@ import re
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.core.toml import LARGEST, Section, read_json, read_toml
+from mjtactile.core.toml import LARGEST, Section, parse_toml, read_json, read_toml
 
 
 def test_a_byte_order_mark_is_not_part_of_the_file(tmp_path):
@@ -60,3 +60,16 @@ def test_null_is_a_missing_field():
     with pytest.raises(InputError, match="missing field"):
         Section({"a": None}, "", "f").number("a", 0, 1)
     assert Section({"a": None}, "", "f").number("a", 0, 1, default=7) == 7
+
+
+@pytest.mark.parametrize("text", ["a = 0x" + "f" * 6000, "a = -0b" + "1" * 9000])
+def test_a_number_of_thousands_of_digits_is_refused(text):
+    """Python cannot print it, so that no message could name it."""
+    with pytest.raises(InputError, match="more than 99 digits"):
+        parse_toml(text, "a.toml")
+
+
+def test_a_message_about_a_long_value_is_short():
+    error = InputError(f"{'x' * 100_000!r} is unknown", source="a.toml", choices=["y"])
+    assert len(str(error)) < 1500
+    assert str(error).startswith("a.toml: 'xxx") and str(error).endswith("is unknown (valid: y)")

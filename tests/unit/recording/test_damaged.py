@@ -181,7 +181,7 @@ def of_kind(kind, **values):
 @pytest.mark.parametrize(
     "key",
     ["time", "phase", "images", "image_time", "status", "touching", "force_normal", "opening"]
-    + ["lift_height", "valve_open"],
+    + ["speed", "effort", "lift_height", "valve_open"],
 )
 def test_a_cycle_without_a_required_column_is_left_out(tmp_path, whole, key):
     """Readers use these columns without a check of their own, in every version."""
