@@ -35,7 +35,7 @@ def test_an_old_file_key_is_refused_with_the_new_one():
         (["bench", "speed", "--against", "."], "`--against` is now `--baseline`"),
         (["bench", "bars"], "`bars` is now `uncertainty`"),
         (["shadow", "runs/egg"], "`shadow` is now `compare-sim`"),
-        (["effects", "--effects=-sheet"], "`membrane` is now `mesh`"),
+        (["effects", "--effects=-sheet"], "`sheet` is now `mesh`"),
     ],
 )
 def test_an_old_option_is_refused_with_the_new_one(capsys, words, text):
