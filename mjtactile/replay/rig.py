@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pipeline
+from itertools import chain
 
 from mjtactile.core.calibration import calibration_from_table
 from mjtactile.core.design import SensorDesign
@@ -214,7 +214,7 @@ def build(request: RigRequest) -> Rig:
 
 
 def _reference_images(recording: Recording, finger: int) -> Iterator[Image]:
-    return pipeline.from_iterable(reference.images(finger) for reference in recording.references)
+    return chain.from_iterable(reference.images(finger) for reference in recording.references)
 
 
 def _pressure(value: object) -> float | None:
