@@ -46,6 +46,10 @@ TESTED = {
     ): "studio/test_user_scene.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
     ("docs/how-to/many_worlds.md", 0): "../many_worlds/test_example.py::test_eggs_are_lifted",
     (
+        "docs/how-to/many_worlds.md",
+        1,
+    ): "../many_worlds/test_grasps.py::test_randomized_grasps_follow_the_environment_on_the_cpu",
+    (
         "docs/tutorials/policy.md",
         0,
     ): "../examples/test_policy_tutorial.py::test_the_tutorial_fits_the_recorded_actions",
