@@ -199,12 +199,11 @@ def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Ri
 def _require_replayable(recording: Recording, folder: str) -> None:
     """Raise InputError for an incomplete recording."""
     starts = [recording.notes.get(key) for key in ("start_opening", "start_lift_height")]
-    has_cycles = len(recording) > 0 and None not in starts
-    if not has_cycles or len(recording.references) != 2:
+    recording.require_images()
+    if not len(recording) or None in starts or len(recording.references) != 2:
         raise InputError(
             "cannot be replayed: it has no cycles or no reference images", source=folder
         )
-    recording.require_images()
 
 
 def build(request: RigRequest) -> Rig:

@@ -256,8 +256,10 @@ def run_grasp(
         factor = duration / (wall.perf_counter() - begin)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
-        contacts = log.contacts.estimate(session.perceptions)
-        result = replace(result, contacts=contacts)
+        try:
+            result = replace(result, contacts=log.contacts.estimate(session.perceptions))
+        except (OSError, ImportError) as error:  # no descriptors left; the run itself is over
+            watching.message(f"contacts are not estimated: {error}")
         result = replace(result, flags=flags, recorded=rig.recorded, success_criterion=criterion)
         if result.outcome_from == "recording":
             reason = str(rig.recorded["error"] or "")

@@ -155,7 +155,7 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
         assert wait_for(lambda: not any(emulator.truth()["torque"].values()), WAIT)
         termios.tcflow(writer, termios.TCOON)  # Ctrl-Q: resume the output
         output, _ = running.ends()
-        assert running.process.returncode == 0
+        assert running.process.returncode == 0, output
         running.has_set_down()
         result = json.loads(output)
         assert result["outcome"] == "held" and result["recording_problem"]
