@@ -281,14 +281,18 @@ def _write_report(
         print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
+_CLEAR = 0.9
+"""Probability of a kind of contact from which it is printed without reserve."""
+
+
 def _contact_text(contact: dict[str, Any]) -> str:
     if contact["kind"] == "unknown":
         return f"unknown: {contact['status']}"
     low, high = contact["area_interval_mm2"]
-    return (
-        f"{contact['kind']} ({100 * contact['probability']:.0f} %), area "
-        f"{contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
-    )
+    kind = f"{contact['kind']} ({100 * contact['probability']:.0f} %)"
+    if contact["probability"] < _CLEAR:
+        kind = f"kind unclear, likeliest {kind}"
+    return f"{kind}, area {contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
