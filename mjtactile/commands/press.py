@@ -79,6 +79,8 @@ ARGUMENTS = (
     effects.ESTIMATE,
     arg.out("write press.json and press.png there"),
 )
+_FLAT_RADIUS_MM = 1e3
+"""Radius from which a surface is printed as flat; it falls by 0.2 mm within 20 mm."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -163,11 +165,14 @@ def _shape_line(shape: dict[str, Any]) -> str:
         return f"shape unknown: {shape['status']}"
     fraction = shape["probabilities"][shape["kind"]]
     words = [f"shape: {shape['kind']} ({100 * fraction:.0f} %), best model {shape['family']}"]
-    if shape["radius_mm"] is not None:
+    is_flat = (shape["radius_mm"] or 0.0) > _FLAT_RADIUS_MM
+    if is_flat:
+        words.append("flat as far as the frame shows")
+    elif shape["radius_mm"] is not None:
         words.append(f"radius {shape['radius_mm']:.1f} +- {shape['radius_sd_mm']:.1f} mm")
     elif shape["kind"] == "smooth":
         words.append("curvatures {:.0f} and {:.0f} /m".format(*shape["curvatures_per_m"]))
-    if shape["direction_deg"] is not None:
+    if shape["direction_deg"] is not None and not is_flat:
         words.append(f"along {shape['direction_deg']:.0f} deg")
     low, high = shape["area_interval_mm2"]
     words.append(f"area {shape['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})")

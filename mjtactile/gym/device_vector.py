@@ -133,7 +133,10 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._shown(self._grasps.observation), {"seed": self._grasps.episode_seeds}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One camera period in all worlds; those that are over start their next episode."""
+        """One camera period in all worlds; those that are over start their next episode.
+
+        `info["outcome"]` (num_envs,) are numbers of `OUTCOMES`: 0 while an episode continues.
+        """
         if not self._started:
             raise gymnasium.error.ResetNeeded("no episode has started: call reset()")
         self._write(actions)

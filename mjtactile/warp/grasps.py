@@ -7,7 +7,6 @@ device; nothing waits for the host. On a GPU the physics of a control step is on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -16,29 +15,22 @@ import numpy as np
 import warp as wp
 
 from mjtactile.core import policy
-from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import SuccessCriteria, load_task
-from mjtactile.core.types import Array, TaskGoal
+from mjtactile.core.task import load_task
+from mjtactile.core.types import Array
 from mjtactile.rig.domain_randomization import NONE
-from mjtactile.rig.finger import Rig
-from mjtactile.sim.fast_reset import movable
 from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.disturbances import UP
 from mjtactile.sim.scenes.objects import PREFIX
-from mjtactile.sim.sensing_error_model import SensingErrorModel, load_errors
-from mjtactile.warp.device.disturbances import KINDS, disturb_worlds
-from mjtactile.warp.device.grasp_phase import (
-    Commands,
-    TaskLimits,
-    command_all,
-    measure_all,
-    observe_all,
-)
+from mjtactile.sim.sensing_error_model import load_errors
+from mjtactile.warp.arrays import zeros_of
+from mjtactile.warp.device.disturbances import disturb_worlds
+from mjtactile.warp.device.grasp_phase import Commands, command_all, measure_all, observe_all
 from mjtactile.warp.device.grasp_score import OUTCOMES, Scores, finish_step, score_step
-from mjtactile.warp.device.gripper import Drive, Goals, drive_grippers
-from mjtactile.warp.device.restart import Poses, Scene, restart_worlds
-from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, estimate_all
+from mjtactile.warp.device.gripper import Goals, drive_grippers
+from mjtactile.warp.device.restart import Poses, restart_worlds
+from mjtactile.warp.device.sensing_errors import Estimates, estimate_all
+from mjtactile.warp.grasp_setup import drive_of, error_model, limits_of, require_supported, scene_of
 from mjtactile.warp.scene import bind_bodies
 from mjtactile.warp.starts import sample_starts, with_seed
 
@@ -46,9 +38,6 @@ EPISODES = 4
 """Different initial states of each world; the fifth episode starts like the first."""
 _CPU_ITERATIONS = 30
 """Iterations of MuJoCo's solver on a CPU, which always does all; a grasp needs ten."""
-TASKS = ("lift", "pour", "shake", "bump", "wet", "weigh")
-"""Shipped tasks that run on a device."""
-_REQUIRED = "Grasp-v0 with a device"
 
 
 class Grasps:
@@ -85,7 +74,7 @@ class Grasps:
         self.device = wp.get_device(device)
         self.rig = build_sim_rig(with_seed(scenario, scenario.seed))
         world = self.rig.scene
-        _require_supported(scenario, self.rig)
+        require_supported(scenario, self.rig)
         self.fingers = len(self.rig.fingers)
         self.model = world.model
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -102,7 +91,7 @@ class Grasps:
             self._m.opt.iterations = min(self._m.opt.iterations, _CPU_ITERATIONS)
             self._m.opt.warn_overflow &= ~mjw.OverflowType.ITERATIONS
         self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
-        self._scene = _scene(self.model, self._m, worlds, world.sensors[0].friction)
+        self._scene = scene_of(self.model, self._m, worlds, world.sensors[0].friction)
         self._up_since = wp.full(worlds, -1.0, dtype=float)
         gravity = np.tile(self.model.opt.gravity.astype(np.float32), (worlds, 1))
         self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
@@ -118,14 +107,14 @@ class Grasps:
             sensors[0].design,
             (sensors[0].mesh.nx, sensors[0].mesh.ny),
         )
-        self._drive = _drive(self.rig, self._m, worlds)
-        self._goals = arrays_of(Goals, worlds)
-        self._commands = arrays_of(Commands, worlds, measured=4)
-        self.scores = arrays_of(Scores, worlds)
+        self._drive = drive_of(self.rig, self._m, worlds)
+        self._goals = zeros_of(Goals, worlds)
+        self._commands = zeros_of(Commands, worlds, measured=4)
+        self.scores = zeros_of(Scores, worlds)
         is_varied = self.scenario.randomization != NONE
         self._errors = error_model(load_errors(self.rig.fingers[0].design, is_varied))
-        self._estimates = arrays_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
-        self._limits = _limits(self.rig, load_task(self.scenario.task).goal.task_goal())
+        self._estimates = zeros_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
+        self._limits = limits_of(self.rig, load_task(self.scenario.task).goal.task_goal())
         maximum = policy.policy_bounds(self.fingers)
         self._maximum = wp.array(maximum.astype(np.float32), dtype=float)
         self.observation = wp.zeros((worlds, len(maximum)), dtype=float)
@@ -292,120 +281,3 @@ class Grasps:
         streams = np.random.SeedSequence(seed).generate_state(self.worlds * (1 + self.fingers))
         self._commands.random = wp.array(streams[: self.worlds], dtype=wp.uint32)
         self._estimates.random = wp.array(streams[self.worlds :], dtype=wp.uint32)
-
-
-def _require_supported(scenario: Scenario, rig: Rig) -> None:
-    world = rig.scene
-    task = load_task(scenario.task)
-    kinds = {one.kind for one in task.disturbances}
-    strict = replace(task.success, max_drop=SuccessCriteria().max_drop) != SuccessCriteria()
-    if task.waypoints or task.object.liquid or kinds - set(KINDS) or strict:
-        text = f"{scenario.task!r} needs more than {', '.join(KINDS)}; it does not run on a device"
-        raise InputError(text, source=_REQUIRED, field="task", choices=TASKS)
-    if not movable(world):
-        text = "a soft or jointed object, or one with loose geoms, does not run on a device"
-        raise InputError(text, source=str(world.object.path), field="object")
-    designs = {sensor.design.name for sensor in world.sensors}
-    if len(designs) > 1:
-        text = f"the fingers have different sensors ({', '.join(sorted(designs))})"
-        raise InputError(text, source=_REQUIRED, field="rig")
-    if world.linear_drive is None:
-        text = "its jaws or lift are not linear, which does not run on a device"
-        raise InputError(text, source=rig.name, field="rig")
-
-
-def _drive(rig: Rig, m: Any, worlds: int) -> Any:
-    """Return the drive of the rig, with force limits of each world's own."""
-    world = rig.scene
-    linear = world.linear_drive
-    model = world.model
-    jaws = world.jaw_actuators
-    drive = Drive()
-    drive.opening = float(linear.opening)
-    joints = {int(model.jnt_qposadr[j]): int(model.jnt_dofadr[j]) for j in range(model.njnt)}
-    drive.read = _ints(linear.read)
-    drive.velocity = _ints([joints[int(q)] for q in linear.read])
-    drive.per = _floats(linear.per)
-    drive.controls, drive.affine = _ints(linear.controls), _floats(linear.affine)
-    drive.jaws = _ints([actuator.id for actuator, _ in jaws])
-    drive.ratios = _floats([law.ratio for _, law in jaws])
-    drive.stiffness = _floats([actuator.stiffness for actuator, _ in jaws])
-    drive.damping = _floats([actuator.damping for actuator, _ in jaws])
-    whole = np.where(
-        model.actuator_forcelimited[:, None], model.actuator_forcerange, [-np.inf, np.inf]
-    ).astype(np.float32)
-    drive.force_range = wp.array(whole, dtype=wp.vec2)
-    drive.forces = m.actuator_forcerange = wp.array(np.tile(whole, (worlds, 1, 1)), dtype=wp.vec2)
-    drive.fraction = 2 / len(rig.fingers)
-    drive.opening_max = float(rig.limits.opening[1])
-    drive.lift_speed = float(rig.limits.lift_speed)
-    lift = world.lift_joint
-    drive.lift_read, drive.lift_ratio = lift if lift is not None else (-1, 0.0)
-    return drive
-
-
-def _limits(rig: Rig, goal: TaskGoal) -> Any:
-    limits = TaskLimits()
-    of_rig = rig.limits
-    limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
-    limits.place_height = float(goal.place_height)
-    limits.opening_min, limits.opening_max = (float(one) for one in of_rig.opening)
-    limits.speed, limits.force = float(of_rig.speed), float(of_rig.force)
-    limits.lift_max, limits.lift_speed = float(of_rig.lift[1]), float(of_rig.lift_speed)
-    limits.period = float(rig.period)
-    return limits
-
-
-def _scene(model: mujoco.MjModel, m: Any, worlds: int, friction: float) -> Any:
-    """Return the model's fields that differ between worlds, as arrays with a row for each."""
-    scene = Scene()
-    kinds = {"body_quat": wp.quat, "body_mass": float, "body_subtreemass": float,
-             "geom_rbound": float}  # fmt: skip
-    for name in (
-        *("body_pos", "body_quat", "body_ipos", "body_mass", "body_subtreemass", "body_inertia"),
-        *("geom_size", "geom_pos", "geom_rbound", "geom_friction"),
-    ):
-        own = getattr(m, name).numpy()
-        rows = np.repeat(own[:1], worlds, axis=0)
-        array = wp.array(rows, dtype=kinds.get(name, wp.vec3))
-        setattr(m, name, array)
-        setattr(scene, name, array)
-    scene.geom_quat = m.geom_quat
-    scene.body_of = _ints(model.geom_bodyid)
-    scene.ipos = wp.array(model.body_ipos.astype(np.float32), dtype=wp.vec3)
-    scene.mass = _floats(model.body_mass)
-    scene.inertia = wp.array(model.body_inertia.astype(np.float32), dtype=wp.vec3)
-    scene.size = wp.array(model.geom_size.astype(np.float32), dtype=wp.vec3)
-    scene.pos = wp.array(model.geom_pos.astype(np.float32), dtype=wp.vec3)
-    scene.rbound = _floats(model.geom_rbound)
-    scene.friction = wp.array(model.geom_friction.astype(np.float32), dtype=wp.vec3)
-    scene.membrane_friction = float(friction)
-    return scene
-
-
-def error_model(errors: SensingErrorModel) -> Any:
-    model = ErrorModel()
-    model.loads, model.table = _floats(errors.loads), _floats(errors.at_loads)
-    model.gain = _floats(errors.gain)
-    model.spread = _floats(np.linalg.cholesky(errors.correlation))
-    model.outlier_size = _floats(errors.outlier_size)
-    model.slow_time, model.shear_gain = float(errors.slow_time), float(errors.shear_gain)
-    model.touch_force, model.release = float(errors.touch_force), float(errors.release)
-    return model
-
-
-def arrays_of(struct: Any, count: int, **columns: int) -> Any:
-    """Return a struct of Warp whose arrays have `count` rows, and `columns` where named."""
-    found = struct()
-    for name, variable in struct.vars.items():
-        shape = (count, columns[name]) if name in columns else count
-        setattr(found, name, wp.zeros(shape, dtype=variable.type.dtype))
-    return found
-
-
-def _floats(values: Any) -> Any:
-    return wp.array(np.ascontiguousarray(values, np.float32), dtype=float)
-
-
-def _ints(values: Any) -> Any:
-    return wp.array(np.asarray(values, np.int32).reshape(-1), dtype=int)

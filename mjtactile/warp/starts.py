@@ -21,6 +21,7 @@ from mjtactile.sim.fast_reset import object_roots, planar_pose
 from mjtactile.sim.rig import object_in_task, place, start_of, strength_in_task
 from mjtactile.sim.scenes.disturbances import ROTATION_MAX
 from mjtactile.sim.scenes.objects import PREFIX, load_object
+from mjtactile.warp.arrays import floats, ints
 from mjtactile.warp.as_built_membranes import match_membranes
 from mjtactile.warp.device.disturbances import COLUMNS, KINDS, VALUES
 from mjtactile.warp.device.restart import Starts
@@ -98,11 +99,11 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
     fixed = [body for body in roots if not model.body_jntnum[body]]
     scale = np.array([1 + one.object.size for one in sampled])
     starts = Starts()
-    starts.free_bodies, starts.fixed_bodies = _ints(free), _ints(fixed)
+    starts.free_bodies, starts.fixed_bodies = ints(free), ints(fixed)
     address = [int(model.jnt_qposadr[model.body_jntadr[body]]) for body in free]
-    starts.address = _ints(address)
+    starts.address = ints(address)
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] in roots]
-    starts.geoms = _ints(geoms)
+    starts.geoms = ints(geoms)
     current = {
         **{body: data.qpos[at : at + 7] for body, at in zip(free, address, strict=True)},
         **{body: np.r_[model.body_pos[body], model.body_quat[body]] for body in fixed},
@@ -111,32 +112,32 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
         table = np.zeros((len(seeds), max(len(bodies), 1), 7))
         for k, body in enumerate(bodies):
             table[:, k] = _moved(current[body], now, poses, scale, world)
-        setattr(starts, name, _floats(table))
-    starts.qpos, starts.ctrl = _floats(data.qpos), _floats(data.ctrl)
+        setattr(starts, name, floats(table))
+    starts.qpos, starts.ctrl = floats(data.qpos), floats(data.ctrl)
     starts.opening, starts.force = float(world.opening), float(rig.limits.force)
-    starts.scale = _floats(scale)
-    starts.mass = _floats([1 + one.object.mass for one in sampled])
-    starts.friction = _floats([_frictions(one, fingers) for one in sampled])
+    starts.scale = floats(scale)
+    starts.mass = floats([1 + one.object.mass for one in sampled])
+    starts.friction = floats([_frictions(one, fingers) for one in sampled])
     sensor = world.sensors[0]
     stiffness = np.array([_of(one, fingers, _stiffness) for one in sampled])
     offsets = np.array([_of(one, fingers, _pre_stretch) for one in sampled])
     found = match_membranes(
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
-    starts.modulus, starts.volume = (_floats(one.reshape(stiffness.shape)) for one in found)
-    starts.break_force = _floats(np.minimum([one.break_force for one in objects], 1e6))
+    starts.modulus, starts.volume = (floats(one.reshape(stiffness.shape)) for one in found)
+    starts.break_force = floats(np.minimum([one.break_force for one in objects], 1e6))
     main = model.body(f"{PREFIX}object").id
     middle = scale * model.body_ipos[main, 2]  # the object stands upright, or has its middle there
     heights = starts.free.numpy()[:, free.index(main), 2] + middle if main in free else middle
-    starts.rest_height = _floats(heights)
+    starts.rest_height = floats(heights)
     speed = world.rig.gripper.speed
-    starts.rig = _floats(
+    starts.rig = floats(
         [(c.delay, c.jitter, c.backlash, (1 + c.speed) * speed, c.force_noise)
          for c in (one.rig for one in sampled)]
     )  # fmt: skip
     starts.episode = wp.zeros(worlds, dtype=int)
     starts.row = wp.zeros(worlds, dtype=int)
-    return SampledStarts(starts, np.asarray(seeds), _floats(_events(tasks)))
+    return SampledStarts(starts, np.asarray(seeds), floats(_events(tasks)))
 
 
 def _events(tasks: Sequence[SampledTask]) -> Array:
@@ -213,15 +214,6 @@ def _stiffness(built: AsBuiltSensor) -> float:
 
 def _pre_stretch(built: AsBuiltSensor) -> float:
     return built.pre_stretch
-
-
-def _floats(values: Any) -> Any:
-    array = np.ascontiguousarray(values, np.float32)
-    return wp.array(array, dtype=float)
-
-
-def _ints(values: Sequence[int]) -> Any:
-    return wp.array(np.asarray(values, np.int32).reshape(-1), dtype=int)
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:

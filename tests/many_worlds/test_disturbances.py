@@ -11,7 +11,8 @@ pytest.importorskip("mujoco_warp")
 
 import warp as wp
 
-from mjtactile.warp.grasps import TASKS, Grasps
+from mjtactile.warp.grasp_setup import TASKS
+from mjtactile.warp.grasps import Grasps
 
 pytestmark = pytest.mark.slow(15)  # compiles kernels
 WORLDS, SEED = 2, 60

@@ -15,9 +15,10 @@ pytest.importorskip("warp")
 
 import warp as wp
 
+from mjtactile.warp.arrays import zeros_of
 from mjtactile.warp.device import grasp_phase, sensing_errors
 from mjtactile.warp.device.gripper import Goals
-from mjtactile.warp.grasps import arrays_of, error_model
+from mjtactile.warp.grasp_setup import error_model
 
 pytestmark = pytest.mark.slow(20)  # compiles kernels
 WORLDS, PERIOD = 400, 1 / 31  # no whole number of periods in a time limit
@@ -43,8 +44,8 @@ def limits_of_kernel():
 def test_commands_and_phases_follow_command_from_action_through_whole_grasps():
     """The touch is random but persistent, so that all phases occur; forces are known."""
     rng = np.random.default_rng(0)
-    commands, goals = arrays_of(grasp_phase.Commands, WORLDS, measured=4), arrays_of(Goals, WORLDS)
-    estimates = arrays_of(sensing_errors.Estimates, 2 * WORLDS, wrench=6, slow=6)
+    commands, goals = zeros_of(grasp_phase.Commands, WORLDS, measured=4), zeros_of(Goals, WORLDS)
+    estimates = zeros_of(sensing_errors.Estimates, 2 * WORLDS, wrench=6, slow=6)
     estimates.known.fill_(1)
     measured = np.tile([0.06, 0.0, 0.0, 0.0], (WORLDS, 1)).astype(np.float32)
     commands.opening.fill_(0.06)
@@ -115,7 +116,7 @@ def test_the_distribution_of_sensing_errors_is_that_of_the_cpu(load):
     true = np.array([0.1 * load, -0.05 * load, -load, 1e-3 * load, 0.0, 5e-4 * load])
     count, images, elapsed = 10_000, 10, PERIOD
     model = error_model(errors)
-    estimates = arrays_of(sensing_errors.Estimates, count, wrench=6, slow=6)
+    estimates = zeros_of(sensing_errors.Estimates, count, wrench=6, slow=6)
     estimates.random.assign(np.random.SeedSequence(1).generate_state(count))
     wp.launch(sensing_errors.begin_all, count, [model, estimates])
     wrench = wp.array(np.tile(true, (count, 1)).astype(np.float32), dtype=float)
