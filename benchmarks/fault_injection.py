@@ -198,7 +198,8 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
 
 
 def _report(tests: Sequence[str], path: Path) -> ET.Element:
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", f"--junitxml={path}"]
+    report = f"--junitxml={path.resolve()}"  # pytest runs in the checkout
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", report]
     # exit code 1: some tests failed; they are counted
     done = subprocess.run(
         [*command, *tests], cwd=CHECKOUT, capture_output=True, text=True, check=False
