@@ -38,7 +38,8 @@ range of the material model. If a solution does not converge, `state.converged` 
 values are NaN.
 
 Frame S, SI units. The gas follows p V^gamma with the design's gamma, or its pressure is held.
-Equations: docs/theory/quasistatic_membrane.md, X1-X8. Rationale: docs/decisions/0025-film.md.
+Equations: docs/theory/quasistatic_membrane.md, X1-X8.
+Rationale: docs/decisions/0025-quasistatic-membrane.md.
 """
 
 from mjtactile.quasistatic.membrane import QuasistaticMembrane

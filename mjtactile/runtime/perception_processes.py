@@ -2,7 +2,7 @@
 
 At the start of a run a process receives the sensing pipelines with their states, then images. At
 the end of the run it returns the states. The result of a pipeline does not depend on where it runs
-(docs/decisions/0024-a-process-beside-the-world.md). The only inputs are images and pressures.
+(docs/decisions/0024-perception-process-in-simulation.md). The only inputs are images and pressures.
 """
 
 from __future__ import annotations

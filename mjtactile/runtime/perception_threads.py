@@ -2,7 +2,7 @@
 
 The pipeline's kernels and MuJoCo release Python's lock while they compute, so threads use several
 processors. Each pipeline is independent of the others. A run is therefore bit-identical for any
-number of threads (docs/decisions/0017-threads.md).
+number of threads (docs/decisions/0017-perception-threads.md).
 """
 
 from __future__ import annotations

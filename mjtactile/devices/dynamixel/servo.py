@@ -2,7 +2,7 @@
 
 Sequence and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A
 servo is never rebooted from here: a reboot drops the held object. State after the loss of the host:
-docs/decisions/0019-a-dead-host.md.
+docs/decisions/0019-host-failure.md.
 """
 
 from __future__ import annotations
