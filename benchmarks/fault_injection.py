@@ -33,7 +33,7 @@ class Kind:
     `quick` kinds need no emulated rig.
     """
 
-    what: str
+    fault: str
     required: str
     tests: Sequence[str]
     quick: bool = True
@@ -184,16 +184,16 @@ def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
     notify = Progress().message
     path = out / "attacks.json"
     before = json.loads(path.read_text())["kinds"] if resume and path.is_file() else []
-    done = {row["what"]: row for row in before}
+    done = {row["fault"]: row for row in before}
     kinds = [kind for kind in KINDS if kind.quick or not quick]
     for number, kind in enumerate(kinds):
-        if kind.what in done:
+        if kind.fault in done:
             continue
         counts = count(_report(kind.tests, out / f"attacks_{number}.xml"))
-        done[kind.what] = {"what": kind.what, "required": kind.required, **counts}
-        notify(f"{kind.what}: {counts['passed']} of {counts['cases']}")
+        done[kind.fault] = {"fault": kind.fault, "required": kind.required, **counts}
+        notify(f"{kind.fault}: {counts['passed']} of {counts['cases']}")
         write_json(path, {"kinds": list(done.values())})
-    rows = [done[kind.what] for kind in kinds]
+    rows = [done[kind.fault] for kind in kinds]
     return {"stamp": stamp(), "system": platform.system(), "kinds": rows}
 
 
@@ -231,7 +231,7 @@ def table(result: Mapping[str, Any]) -> str:
         came = "met in all cases"
         if row["wrong"]:
             came = f"met in {row['passed']} cases, not in: {', '.join(row['wrong'])}"
-        lines.append(f"| {row['what']} | {row['cases']} | {row['required']} | {came} |")
+        lines.append(f"| {row['fault']} | {row['cases']} | {row['required']} | {came} |")
     cases = sum(row["cases"] for row in result["kinds"])
     passed = sum(row["passed"] for row in result["kinds"])
     return "\n".join(lines) + f"\n\n{passed} of {cases} cases meet the requirement.\n"

@@ -275,14 +275,14 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
     ]
     return [
         {
-            "what": what,
+            "quantity": quantity,
             "true": t,
             "found": f,
             "error": f / t - 1,
             "sd": result.number(field).sd * scale / t,
             "is_fitted": result.number(field).state == "fitted",
         }
-        for what, field, t, f, scale in rows
+        for quantity, field, t, f, scale in rows
     ]
 
 
@@ -297,7 +297,7 @@ def table(result: Mapping[str, Any]) -> str:
     for i, number in enumerate(rows[0]["numbers"]):
         cells = [_cell(row["numbers"][i]) for row in rows]
         lines.append(
-            f"| {number['what']} | {100 * FRACTION_REQUESTED:g} | {100 * FRACTION_AIM:g} | "
+            f"| {number['quantity']} | {100 * FRACTION_REQUESTED:g} | {100 * FRACTION_AIM:g} | "
             f"{' | '.join(cells)} |"
         )
     worst = [
@@ -342,7 +342,7 @@ def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     if (figure := new_figure("fit.png", (10.0, 4.6))) is None:
         return
     left, right = figure.subplots(1, 2, width_ratios=[2, 1])
-    names = [number["what"] for number in rows[0]["numbers"]]
+    names = [number["quantity"] for number in rows[0]["numbers"]]
     for k, row in enumerate(rows):
         label = row["label"]
         shown = [(i, n) for i, n in enumerate(row["numbers"]) if n["is_fitted"]]

@@ -18,7 +18,7 @@ from mjtactile.core.errors import InputError
 class Number:
     """One number, and the cell that it is taken from."""
 
-    what: str
+    quantity: str
     page: str
     """Name of the page in docs/ whose tables have it."""
     row: str
@@ -33,7 +33,7 @@ class Number:
 
 NUMBERS = (
     Number(
-        what="normal force: mean absolute error (worst), N",
+        quantity="normal force: mean absolute error (worst), N",
         page="validation/benchmarks/touch",
         row="normal force, mean absolute",
         column="dense",
@@ -41,14 +41,14 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="grasps held: egg, strawberry, vial and random objects, domain randomization",
+        quantity="grasps held: egg, strawberry, vial and random objects, domain randomization",
         page="how-to/evaluate",
         row="gentle",
         column="held",
         command="evaluate",
     ),
     Number(
-        what="speed of a complete grasp with two cameras at 30 Hz on two cores, x real time",
+        quantity="speed of a complete grasp with two cameras at 30 Hz on two cores, x real time",
         page="validation/accuracy",
         row="30 Hz loop",
         column="complete grasp",
@@ -56,21 +56,21 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="slips detected before 0.5 mm and within 100 ms",
+        quantity="slips detected before 0.5 mm and within 100 ms",
         page="validation/benchmarks/slip",
         row="slips detected before",
         column="measured",
         command="bench slip",
     ),
     Number(
-        what="holds with a false slip alarm",
+        quantity="holds with a false slip alarm",
         page="validation/benchmarks/slip",
         row="holds with a false alarm",
         column="measured",
         command="bench slip",
     ),
     Number(
-        what="six tasks: objects held without damage, with touch / without",
+        quantity="six tasks: objects held without damage, with touch / without",
         page="validation/controller_comparison",
         row="all 6 |",
         column="adaptive | touchless",
@@ -78,7 +78,7 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="objects placed upright at a height other than specified, with touch / without",
+        quantity="objects placed upright at a height other than specified, with touch / without",
         page="validation/controller_comparison",
         row="place |",
         column="adaptive | touchless",
@@ -86,7 +86,7 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="six tasks: grip force / minimum holding force, median, with touch / without",
+        quantity="six tasks: grip force / minimum holding force, median, with touch / without",
         page="validation/controller_comparison",
         row="grip force relative to required force, all tasks, median |",
         column="adaptive | touchless",
@@ -94,7 +94,7 @@ NUMBERS = (
         headline=True,
     ),
     Number(
-        what="faults of the emulated rig that end in a safe state",
+        quantity="faults of the emulated rig that end in a safe state",
         page="validation/benchmarks/rig",
         row="safe state after a fault",
         column="measured",
@@ -111,7 +111,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
         quick: Not used.
 
     Returns:
-        `numbers`: for each of `NUMBERS` its `what`, `value` (text), `page`, `command`, `headline`.
+        `numbers`: `quantity`, `value` (text), `page`, `command`, `headline` for each of `NUMBERS`.
 
     Raises:
         InputError: A page lacks a number.
@@ -124,7 +124,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     return {
         "numbers": [
             {
-                "what": number.what,
+                "quantity": number.quantity,
                 "value": cell(pages[number.page], number.row, number.column, source=number.page),
                 "page": number.page,
                 "command": number.command,
@@ -138,7 +138,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """Return the headline numbers as a table in Markdown."""
     rows = [
-        f"| {n['what']} | {n['value']} | [`{n['command']}`](docs/{n['page']}.md) |"
+        f"| {n['quantity']} | {n['value']} | [`{n['command']}`](docs/{n['page']}.md) |"
         for n in result["numbers"]
         if n["headline"]
     ]

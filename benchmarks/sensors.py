@@ -118,8 +118,8 @@ def table(result: Mapping[str, Any]) -> str:
     rows = result["rows"]
     presses = len(DEPTHS) * len(BODIES)
 
-    def line(what: str, *cells: str) -> str:
-        return f"| {what} | " + " | ".join(cells) + " |"
+    def line(label: str, *cells: str) -> str:
+        return f"| {label} | " + " | ".join(cells) + " |"
 
     lines = [
         line("", *(row["sensor"] for row in rows)),

@@ -31,8 +31,8 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
     return examine(name, sensor=sensor, fix=fix, look=fiducial_findings)
 
 
-def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator[Finding]:
-    """Check that an image of the camera `what` shows the sensor's fiducials at their expected
+def fiducial_findings(subject: str, design: SensorDesign, image: Image) -> Iterator[Finding]:
+    """Check that an image of the camera `subject` shows the sensor's fiducials at their expected
     positions. No findings for a sensor without fiducials."""
     if design.fiducials is None:
         return
@@ -45,7 +45,7 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     if state.fiducials is None or seen < known.min_visible:
         yield Finding(
             "bad",
-            what,
+            subject,
             f"{text}, {known.min_visible} are needed: a shift of the camera by a bump or by heat "
             "stays unknown",
             "check that the image is upright (`flipped`), centered, sharp and clean at its "
@@ -56,7 +56,7 @@ def fiducial_findings(what: str, design: SensorDesign, image: Image) -> Iterator
     level = "ok" if seen == known.count else "warn"
     yield Finding(
         level,
-        what,
+        subject,
         f"{text}; relative to the sensor file the image is shifted by {right:+.1f} px right "
         f"and {down:+.1f} px down, and is {100 * (scale - 1):+.1f} % larger",
         "" if level == "ok" else "clean the glass; check that the light is even",

@@ -58,8 +58,15 @@ def run(
         for finger in FINGERS:
             day.step(f"calibrate camera, {finger}", lambda finger=finger: day.lens(finger))
         day.step("record and fit", day.fit)
-        for what in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"], ["gripper"]):
-            day.step(f"calibrate {what[0]}", lambda what=what: day.calibrate(*what))
+        for arguments in (
+            ["valve", "--seal", "2"],
+            ["frame"],
+            ["force", "--load-cell"],
+            ["gripper"],
+        ):
+            day.step(
+                f"calibrate {arguments[0]}", lambda arguments=arguments: day.calibrate(*arguments)
+            )
         day.step("grasp, after", lambda: day.grasps(day.sensor, day.file, seeds))
         if not quick:
             day.step("shadow", day.shadow)

@@ -35,7 +35,7 @@ class Number:
     force has its own standard deviation `sd`.
     """
 
-    what: str
+    quantity: str
     at: str
     unit: str
     reference: float

@@ -91,24 +91,24 @@ def table(result: dict[str, Any]) -> str:
         if "failed" in row:
             lines.append(f"| {row['about']} | failed: {row['failed']} |{' |' * 10}")
         about = row["about"]
-        kinds = dict.fromkeys(n["what"] for n in row["numbers"] if n["what"] != ESTIMATE)
-        estimates = [n for n in row["numbers"] if n["what"] == ESTIMATE]
-        for what in kinds:
-            values = [n for n in row["numbers"] if n["what"] == what]
-            lines.append(f"| {about} | {_simulated(what, values)} | {_estimated(estimates)} |")
+        kinds = dict.fromkeys(n["quantity"] for n in row["numbers"] if n["quantity"] != ESTIMATE)
+        estimates = [n for n in row["numbers"] if n["quantity"] == ESTIMATE]
+        for quantity in kinds:
+            values = [n for n in row["numbers"] if n["quantity"] == quantity]
+            lines.append(f"| {about} | {_simulated(quantity, values)} | {_estimated(estimates)} |")
             estimates = []
     lines.append(f"| all |{' |' * 6} {result['met']} of {result['numbers']} |{' |' * 4}")
     return "\n".join(lines) + "\n"
 
 
-def _simulated(what: str, numbers: Sequence[dict[str, Any]]) -> str:
+def _simulated(quantity: str, numbers: Sequence[dict[str, Any]]) -> str:
     worst = _worst(numbers)
     unit = f" {worst['unit']}" if worst["unit"] else ""
     fraction = (
         f" ({100 * worst['error'] / worst['reference']:+.1f} %)" if worst["reference"] else ""
     )
     return (
-        f"{what} | {worst['at']} | {worst['reference']:.4g}{unit} | {worst['measured']:.4g} | "
+        f"{quantity} | {worst['at']} | {worst['reference']:.4g}{unit} | {worst['measured']:.4g} | "
         f"{worst['error']:+.2g}{fraction} | {worst['allowed']:.2g} | {_met(numbers)}"
     )
 

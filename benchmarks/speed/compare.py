@@ -142,8 +142,15 @@ def table(result: Mapping[str, Any]) -> str:
 
     first = rounds[0]["now"]
     lines += [_line("", PHASES), "|---" * (1 + len(PHASES)) + "|"]
-    for what, by_phase in sorted(first["core"]["core_ms"].items()):
-        add(f"{_LABELS.get(what, what)}, ms", PHASES, by_phase, "core", "core_ms", what)
+    for operation, by_phase in sorted(first["core"]["core_ms"].items()):
+        add(
+            f"{_LABELS.get(operation, operation)}, ms",
+            PHASES,
+            by_phase,
+            "core",
+            "core_ms",
+            operation,
+        )
     columns = (*PHASES, "touch to release", "all")
     columns = tuple(
         name for name in columns if any(name in one["factors"] for one in first["loop"])

@@ -41,18 +41,18 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     # last call of each kind in the hold, with its arguments
     last: dict[str, tuple[Any, ...]] = {}
 
-    def timed(owner: Any, name: str, what: str) -> None:
+    def timed(owner: Any, name: str, operation: str) -> None:
         inner = getattr(owner, name)
 
         def outer(self: Any, *args: Any) -> Any:
             if phase[0] == "hold":
-                last[what] = (inner, self, *args)
+                last[operation] = (inner, self, *args)
             start = time.thread_time()
             try:
                 return inner(self, *args)
             finally:
-                count = args[0] if what == "a step" and args else 1
-                spent[what, phase[0]].append((time.thread_time() - start) / count)
+                count = args[0] if operation == "a step" and args else 1
+                spent[operation, phase[0]].append((time.thread_time() - start) / count)
 
         setattr(owner, name, outer)
 
@@ -78,15 +78,15 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         core = time.process_time()
         session.run(load_controller("gentle"), time_limit=60.0, on_cycle=on_cycle)
         core = time.process_time() - core
-        for what in last.keys() - {"a step"}:  # the world has moved on
-            spent[what, ALONE] = _alone(*last[what])
+        for operation in last.keys() - {"a step"}:  # the world has moved on
+            spent[operation, ALONE] = _alone(*last[operation])
     rows = {
-        what: {
+        operation: {
             name: 1e3 * sorted(values)[len(values) // 2]
             for (kind_, name), values in spent.items()
-            if kind_ == what
+            if kind_ == operation
         }
-        for what in {what for what, _ in spent}
+        for operation in {operation for operation, _ in spent}
     }
     return {
         "core_ms": rows,

@@ -70,9 +70,11 @@ def table(result: Mapping[str, Any]) -> str:
         "|---" * (3 + len(sensors)) + "|",
     ]
 
-    def line(what: str, asked: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
+    def line(quantity: str, asked: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
         lines.append(
-            f"| {what} | {asked} | {aim} | " + " | ".join(show(s) for s in sensors.values()) + " |"
+            f"| {quantity} | {asked} | {aim} | "
+            + " | ".join(show(s) for s in sensors.values())
+            + " |"
         )
 
     line(

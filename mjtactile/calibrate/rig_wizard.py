@@ -78,7 +78,7 @@ class _PortScan:
         self._notify = notify
         self._ports = None
 
-    def with_(self, what: str, has: Callable[[SerialPort], bool]) -> list[SerialPort]:
+    def with_(self, description: str, has: Callable[[SerialPort], bool]) -> list[SerialPort]:
         if self._ports is None:
             self._ports = serial_ports(self._more, notify=self._notify)
         if found := [port for port in self._ports if has(port)]:
@@ -88,7 +88,7 @@ class _PortScan:
             for port in self._ports
         ]
         raise InputError(
-            f"no serial port with {what} was found: check power and cable; ports found: "
+            f"no serial port with {description} was found: check power and cable; ports found: "
             f"{', '.join(seen) or 'no port at all'}",
             field="setup",
             choices=["connect it and run again", "--port PATH"],
@@ -271,16 +271,16 @@ def _limits(path: Path, ask: Ask, notify: Notify) -> None:
 
 
 def _choose(
-    what: str, items: Sequence[_T], name: Callable[[_T], str], ask: Ask, notify: Notify
+    description: str, items: Sequence[_T], name: Callable[[_T], str], ask: Ask, notify: Notify
 ) -> _T:
     """Ask the user to choose one of `items`; without a question if there is only one."""
     if len(items) == 1:
-        notify(f"{what}: {name(items[0])}")
+        notify(f"{description}: {name(items[0])}")
         return items[0]
     for number, item in enumerate(items, 1):
         notify(f"  {number}  {name(item)}")
     while True:
-        answer = ask(f"{what}, which one? [1]: ").strip() or "1"
+        answer = ask(f"{description}, which one? [1]: ").strip() or "1"
         if answer.isdigit() and 1 <= int(answer) <= len(items):
             return items[int(answer) - 1]
         notify(f"{answer!r} is not a number from 1 to {len(items)}")

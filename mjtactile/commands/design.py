@@ -245,8 +245,8 @@ def _print_file(result: dict[str, Any]) -> None:
     print(f"  {plots.image_quality_text(result['picture'])}")
     print("Effect of changes, as a factor on the present value:")
     print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
-    for what, *factors in plots.change_rows(result):
-        print(f"  {what:58s}" + "".join(f"{factor:>15s}" for factor in factors))
+    for change, *factors in plots.change_rows(result):
+        print(f"  {change:58s}" + "".join(f"{factor:>15s}" for factor in factors))
     _print_checked(result.get("checked", []))
 
 

@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         print_json(report)
     else:
         for finding in findings:
-            print(f"{_MARKS[finding.level]}  {finding.what}: {finding.text}")
+            print(f"{_MARKS[finding.level]}  {finding.subject}: {finding.text}")
             if finding.remedy:
                 print(f"      -> {finding.remedy}")
     sys.stdout.flush()

@@ -33,7 +33,7 @@ examples:
 Start with README.md in the folder. Lengths are in mm; parts are in the sensor's frame (z
 outward, membrane at 0). Needs `pip install 'mjtactile[fabrication]'`. More:
 `mjtactile docs fabricate`.
-JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…},
+JSON: {"sensor": …, "out": …, "files": [...], "checks": {check: result}, "optics": {…},
 "parts": {name: {"size_mm", "volume_mm3"}}} exit codes: 0 written, 2 cannot be built, or bad
 input
 """
@@ -115,7 +115,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(made.report | {"out": options.out, "files": sorted(made.files)})
     else:
-        for what, result in made.report["checks"].items():
-            print(f"{what}: {result}")
+        for check, result in made.report["checks"].items():
+            print(f"{check}: {result}")
         print(f"{len(made.files) + 1} files were written: start with {options.out / 'README.md'}")
     return 0

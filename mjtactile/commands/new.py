@@ -127,14 +127,14 @@ def run(options: argparse.Namespace) -> int:
         require_new(file, "NAME")
     for file, content in files.items():
         _write(file, content)
-    what_next = kind.next.format(
+    next_step = kind.next.format(
         file=path if path.is_absolute() or len(path.parts) > 1 else f"./{path}"
     )
     print_result(
         options,
-        {"file": path, "files": list(files), "like": source.stem, "next": what_next},
+        {"file": path, "files": list(files), "like": source.stem, "next": next_step},
         f"{', '.join(map(str, files))}: copied from {source.stem}; edit it, then run\n"
-        f"  {what_next}\n"
+        f"  {next_step}\n"
         f"  mjtactile docs {page}",
     )
     return 0

@@ -9,21 +9,21 @@ from pathlib import Path
 from mjtactile.core.errors import InputError
 
 
-def read_text(path: Path, largest: int, what: str, field: str | None = None) -> str:
+def read_text(path: Path, largest: int, content: str, field: str | None = None) -> str:
     """Read a UTF-8 file as `read_bytes` does; a byte order mark is ignored.
 
     Raises UnicodeDecodeError if it is not UTF-8.
     """
-    return read_bytes(path, largest, what, field).decode("utf-8-sig")
+    return read_bytes(path, largest, content, field).decode("utf-8-sig")
 
 
-def read_bytes(path: Path, largest: int, what: str, field: str | None = None) -> bytes:
+def read_bytes(path: Path, largest: int, content: str, field: str | None = None) -> bytes:
     """Read a file of at most `largest` bytes.
 
     Args:
         path: The file.
         largest: Maximum size, bytes.
-        what: Kind of the file in the message, such as "an image".
+        content: Kind of the file in the message, such as "an image".
         field: Field or option that names the file.
 
     Returns:
@@ -43,7 +43,7 @@ def read_bytes(path: Path, largest: int, what: str, field: str | None = None) ->
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", source=path, field=field) from error
     if len(data) > largest:
-        message = f"is larger than {_size_text(largest)}, the limit for {what}"
+        message = f"is larger than {_size_text(largest)}, the limit for {content}"
         raise InputError(message, source=path, field=field)
     return data
 

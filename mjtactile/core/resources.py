@@ -34,16 +34,16 @@ def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
     Raises InputError that lists the shipped names if the file does not exist.
     """
     text = str(name_or_path)
-    what = kind.rsplit("/", 1)[-1].rstrip("s")
+    item = kind.rsplit("/", 1)[-1].rstrip("s")
     choices = [*names(kind, suffix), f"FILE{suffix}"]
     if text.endswith(suffix) or "/" in text:
         path = foreign_file.user_path(text)
         if not text.endswith(suffix):
-            raise InputError(f"does not end in {suffix}", source=text, field=what, choices=choices)
+            raise InputError(f"does not end in {suffix}", source=text, field=item, choices=choices)
         if foreign_file.is_file(path):
             return path
-        raise InputError("no such file", source=text, field=what, choices=choices)
+        raise InputError("no such file", source=text, field=item, choices=choices)
     path = folder(kind) / f"{text}{suffix}"
     if foreign_file.is_file(path):
         return path
-    raise InputError(f"unknown {what}", source=text, choices=choices)
+    raise InputError(f"unknown {item}", source=text, choices=choices)

@@ -303,9 +303,9 @@ class Section:
         """Raise InputError for an unknown field."""
         for key in self._table:
             if key not in self._known:
-                what = "section" if isinstance(self._table[key], Mapping) else "field"
+                element = "section" if isinstance(self._table[key], Mapping) else "field"
                 hint = self._similar_key(key)
-                raise self.fail(key, f"unknown {what}{hint}", dict.fromkeys(self._known))
+                raise self.fail(key, f"unknown {element}{hint}", dict.fromkeys(self._known))
 
     def _similar_key(self, key: str) -> str:
         """Return a hint with the known field similar to an unknown one."""

@@ -93,12 +93,12 @@ def study(
         face.append(reacher.at(place, force))
     image_use = image_use_of(stand)
     changes = []
-    for what, variant in variants(design, image_use.longest_lens):
-        notify(f"effect of a change: {what}")
+    for label, variant in variants(design, image_use.longest_lens):
+        notify(f"effect of a change: {label}")
         try:
-            changes.append(Change(what, score(rebuilt(variant), force)))
+            changes.append(Change(label, score(rebuilt(variant), force)))
         except (InputError, MjtactileError) as error:
-            changes.append(Change(what, None, str(error)))
+            changes.append(Change(label, None, str(error)))
     return PredictionReport(design, force, own, tuple(face), image_use, tuple(changes))
 
 

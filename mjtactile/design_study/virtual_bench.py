@@ -96,8 +96,8 @@ class VirtualBench:
         found = 0 if seen.ellipses is None else len(seen.ellipses)
         if found < self.circles:
             count = f"only {found} of {self.circles} circles"
-            what = f"{count} lie completely in the image while the membrane is {state}"
-            raise InputError(what, source=self.design.name, field="camera.fx_px")
+            message = f"{count} lie completely in the image while the membrane is {state}"
+            raise InputError(message, source=self.design.name, field="camera.fx_px")
 
     @property
     def circles(self) -> int:

@@ -165,8 +165,8 @@ class ControlTable:
 
     def __init__(self, model: str):
         if model not in _MODELS:
-            what = f"the emulator does not support the servo {model!r}"
-            raise InputError(what, field="model", choices=_MODELS)
+            message = f"the emulator does not support the servo {model!r}"
+            raise InputError(message, field="model", choices=_MODELS)
         row = _MODELS[model]
         self.size = row.size
         self.volts = row.volts

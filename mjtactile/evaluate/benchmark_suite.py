@@ -121,13 +121,13 @@ def load_suite(name_or_path: str | Path) -> Suite:
     except TypeError as error:
         raise InputError(f"is not a suite of tasks: {error}", source=path) from error
     if suite.scoring_version != VERSION:
-        what = f"was scored by version {suite.scoring_version}, but this is version {VERSION}"
-        raise InputError(what, source=path)
+        message = f"was scored by version {suite.scoring_version}, but this is version {VERSION}"
+        raise InputError(message, source=path)
     now = _hashes(suite.tasks, suite.randomization)
     changed = ", ".join(name for name, known in suite.files.items() if now.get(name) != known)
     if changed:
-        what = f"its results belong to other versions of these files: {changed}"
-        raise InputError(what, source=path)
+        message = f"its results belong to other versions of these files: {changed}"
+        raise InputError(message, source=path)
     return suite
 
 

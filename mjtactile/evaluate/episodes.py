@@ -198,9 +198,9 @@ def _run(
     except Exception as error:  # noqa: BLE001
         # an internal error in one episode does not end the others
         last = traceback.extract_tb(error.__traceback__)[-1]
-        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        message = f"{type(error).__name__}: {' '.join(str(error).split())}"
         where = f"{Path(last.filename).name}, line {last.lineno}"
-        return {"outcome": "error", "reason": f"internal error in {where}: {what}"}
+        return {"outcome": "error", "reason": f"internal error in {where}: {message}"}
 
 
 @contextlib.contextmanager

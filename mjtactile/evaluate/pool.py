@@ -80,13 +80,13 @@ def _dask(scheduler: str) -> Iterator[int]:
 
     if not scheduler:
         choices = [f"--backend {DASK} --scheduler tcp://HOST:8786"]
-        what = "the address of the cluster is missing"
-        raise InputError(what, field="--backend", choices=choices)
+        message = "the address of the cluster is missing"
+        raise InputError(message, field="--backend", choices=choices)
     try:
         from distributed import Client
     except ImportError as error:
-        what = f"needs pip install 'mjtactile[cluster]' ({error})"
-        raise InputError(what, field="--backend") from error
+        message = f"needs pip install 'mjtactile[cluster]' ({error})"
+        raise InputError(message, field="--backend") from error
     try:
         client = Client(scheduler, timeout=_CONNECT_TIME, set_as_default=True)
     except (OSError, ValueError, TypeError) as error:

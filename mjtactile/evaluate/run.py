@@ -110,8 +110,8 @@ def write_report(
     images = {}
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
-        what = f"{line['controller']}, {line['object']}, seed {line['seed']}"
-        notify(f"image {k} of {len(chosen)}: {what}")
+        message = f"{line['controller']}, {line['object']}, seed {line['seed']}"
+        notify(f"image {k} of {len(chosen)}: {message}")
         name = name_of(line["controller"], line["episode"])
         episode = _episode(known, line, folder / store.MANIFEST)
         if only is not None and episode.scenario.controller not in only:
@@ -151,14 +151,14 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
         for name in ("versions", "files", "options"):
             first, other = (each[name] | {"shard": None} for each in (parts[0], part))
             if differing := store.differences(first, other):
-                what = f"its {name} differ from those of {folders[0]}: {differing}"
-                raise InputError(what, source=folder, field="--merge")
+                message = f"its {name} differ from those of {folders[0]}: {differing}"
+                raise InputError(message, source=folder, field="--merge")
     lines = _joined(folders)
     options = parts[0]["options"] | {"shard": [1, 1]}
     missing = _missing(options, lines)
     if missing and not partial:
-        what = f"{missing_text(missing)}; --partial joins the available ones"
-        raise InputError(what, field="--merge")
+        message = f"{missing_text(missing)}; --partial joins the available ones"
+        raise InputError(message, field="--merge")
     whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
@@ -174,8 +174,8 @@ def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
         for line in store.read_lines(folder):
             key = line["episode"], line["controller"]
             if lines.setdefault(key, line) != line:
-                what = f"episode {key[0]} of {key[1]} differs from the one in {homes[key]}"
-                raise InputError(what, source=folder, field="--merge")
+                message = f"episode {key[0]} of {key[1]} differs from the one in {homes[key]}"
+                raise InputError(message, source=folder, field="--merge")
             homes.setdefault(key, folder)
     return lines
 

@@ -83,7 +83,7 @@ class Store:
     Raises InputError if it holds another evaluation, one without `resume`, or unknown results.
     """
 
-    def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
+    def __init__(self, folder: Path, evaluation: Mapping[str, Any], *, resume: bool):
         self.folder = folder
         self.lines = []
         known = folder / MANIFEST
@@ -91,14 +91,14 @@ class Store:
             message = "already holds an evaluation; --resume continues it"
             raise InputError(message, source=folder, field="--out")
         if foreign_file.exists(known):
-            _same(known, what)
+            _same(known, evaluation)
             self.lines = read_lines(folder)
             _keep_damaged(folder / EPISODES, self.lines)
         else:
             _refuse_unknown_files(folder)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
+            known.write_text(json.dumps(evaluation, indent=1) + "\n", encoding="utf-8")
         self._rewrite()  # without a line that was cut off
 
     def add(self, line: dict[str, Any]) -> None:
@@ -200,9 +200,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _same(path: Path, what: Mapping[str, Any]) -> None:
+def _same(path: Path, evaluation: Mapping[str, Any]) -> None:
     before = read_manifest(path.parent)
-    now = json.loads(json.dumps(what))
+    now = json.loads(json.dumps(evaluation))
     old_count, count = (each.get("options", {}).get("count", 0) for each in (before, now))
     if old_count < count:  # more of the same
         before["options"]["count"] = count

@@ -60,8 +60,8 @@ def screen(
         DeviceError: A worker was killed.
     """
     if "-mesh" in scenario.effects.split(","):
-        what = "already omits the membrane mesh: nothing is left to screen"
-        raise InputError(what, field="--effects")
+        message = "already omits the membrane mesh: nothing is left to screen"
+        raise InputError(message, field="--effects")
     both = {"count": count, "controllers": controllers, "objects": objects}
     cheap = replace(scenario, effects=cheap_effects(scenario.effects))
     running.notify(f"screening: {count} episodes with --effects={cheap.effects}")

@@ -282,8 +282,8 @@ def find_episodes(
     else:
         folders = sorted(log.parent for log in within.rglob(LOG))
     if not folders:
-        what = "contains no recording; an evaluation keeps recordings with --record"
-        raise InputError(what, source=path, field="RUN")
+        message = "contains no recording; an evaluation keeps recordings with --record"
+        raise InputError(message, source=path, field="RUN")
     found = with_each(folders, RecordedEpisode, leave_out)
     chosen = [episode for episode in found if outcome in (None, episode.outcome)]
     if not chosen:

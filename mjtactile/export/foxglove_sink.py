@@ -118,12 +118,12 @@ def _channel(item: messages.Message, context: Any) -> Any:
 
 def _schema(item: messages.Message) -> dict[str, Any]:
     """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
-    what = meanings()
+    columns = meanings()
     if item.kind == "wrench":
         kind = {"type": ["number", "null"]}
         fields = {name: {**kind, "description": unit} for name, unit in _WRENCH.items()}
     else:
-        texts = {key: f"{what[key]['unit']}: {what[key]['meaning']}" for key in item.value}
+        texts = {key: f"{columns[key]['unit']}: {columns[key]['meaning']}" for key in item.value}
         fields = {key: {"description": text} for key, text in texts.items()}
     integer = {"type": "integer"}
     stamp = {"type": "object", "properties": {"sec": integer, "nsec": integer}}

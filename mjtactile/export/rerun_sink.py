@@ -89,8 +89,8 @@ class RerunSink:
         parent = self._parents.get(frame, "world")
         return f"{parent}/{frame}" if parent else frame
 
-    def _send(self, path: str, what: Any, *, static: bool = False) -> None:
-        self.stream.log(path.split("/"), what, static=static)  # parts are escaped
+    def _send(self, path: str, entity: Any, *, static: bool = False) -> None:
+        self.stream.log(path.split("/"), entity, static=static)  # parts are escaped
 
     def _in_frame(self, item: messages.Message) -> str:
         """Return the entity path of an item in its frame."""

@@ -106,9 +106,9 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
         raise _collision(f"the {one} and the {other} would intersect by {volume:.3g} mm3")
 
 
-def _collision(what: str) -> InputError:
+def _collision(problem: str) -> InputError:
     action = "use other camera or lens dimensions (--camera-holes-mm, --lens-mm, --pupil-mm)"
-    return InputError(f"{what}; {action}", source="fabricate", field="parts")
+    return InputError(f"{problem}; {action}", source="fabricate", field="parts")
 
 
 def _papers(layout: Layout) -> dict[str, bytes]:

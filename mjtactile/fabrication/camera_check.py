@@ -164,16 +164,17 @@ def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, sou
         if value <= allowed:
             return stop
     stop = min(blurs, key=lambda s: blurs[s])
-    what = f"{blurs[stop]:.2f} px at f/{stop:g} from {near:.1f} to {far:.1f} mm"
+    blur_text = f"{blurs[stop]:.2f} px at f/{stop:g} from {near:.1f} to {far:.1f} mm"
     if hardware.f_number is not None:
         raise InputError(
-            f"{stop:g} gives a blur of {what}; the sensor file allows camera.blur_px = {allowed:g}",
+            f"{stop:g} gives a blur of {blur_text}; the sensor file allows camera.blur_px = "
+            f"{allowed:g}",
             field="--f-number",
         )
     Limit(
         "camera.blur_px",
         allowed,
-        f"is sharper than possible with pixels of {1e3 * hardware.pixel:g} um: {what}",
+        f"is sharper than possible with pixels of {1e3 * hardware.pixel:g} um: {blur_text}",
         blurs[stop],
     ).check(source)
     return stop

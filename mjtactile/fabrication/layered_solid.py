@@ -219,7 +219,7 @@ class Part:
     colour: tuple[float, float, float] = (0.6, 0.62, 0.66)
     bore: Bore | None = None
     make: bool = True
-    what: str = field(default="", compare=False)
+    description: str = field(default="", compare=False)
 
     @property
     def volume(self) -> float:

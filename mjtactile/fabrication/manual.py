@@ -205,9 +205,10 @@ def readme(
         layout=layout,
         source=source,
         parts="\n".join(
-            f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made
+            f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.description} |"
+            for p in made
         ),
-        checks="\n".join(f"| {what} | {value} |" for what, value in checks.items()),
+        checks="\n".join(f"| {check} | {value} |" for check, value in checks.items()),
         fiducials=""
         if layout.design.fiducials is None
         else "| [fiducials.pdf](fiducials.pdf), [fiducials.svg](fiducials.svg), "

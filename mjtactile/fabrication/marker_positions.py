@@ -153,14 +153,14 @@ def simulate_largest_loads(
         indenter = protocol_indenter(protocol, side)
         moves = [move for move in read_moves(protocol) if move.touches]
         depth = min(max(move.depth for move in moves), _DEEPEST_FRACTION * design.chamber.depth)
-        what = f"protocol {protocol} with {indenter}, filled at {1e-3 * pressure:g} kPa"
-        notify(what)
+        load_text = f"protocol {protocol} with {indenter}, filled at {1e-3 * pressure:g} kPa"
+        notify(load_text)
         try:
             world = PressWorld(design, Indenter.parse(indenter))
             world.inflate(pressure, seal=True)
-            states.append(_state(world, f"{what}, inflated"))
+            states.append(_state(world, f"{load_text}, inflated"))
             world.press(depth)
-            states.append(_state(world, what))
+            states.append(_state(world, load_text))
         except SimulationError:
             continue
     return [*states, *_largest_force(design)]

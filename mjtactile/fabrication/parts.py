@@ -86,7 +86,9 @@ def _flange_plate(layout: Layout, low: float, high: float, *holes: Contour) -> L
 
 def _clamp_ring(layout: Layout) -> Part:
     ring = _flange_plate(layout, *layout.z_ring, outline_offset(layout, layout.ring))
-    return Part("clamp_ring", (ring,), _LIGHT, what="clamps the rubber on the frame's flange")
+    return Part(
+        "clamp_ring", (ring,), _LIGHT, description="clamps the rubber on the frame's flange"
+    )
 
 
 def _membrane(layout: Layout) -> Part:
@@ -98,8 +100,8 @@ def _membrane(layout: Layout) -> Part:
         plate(top, 0.0, cover, [rim_outer(layout)]),
         plate(0.0, layout.sheet, cover),
     )
-    what = "rubber sheet with markers on its inside"
-    return Part("membrane", layers, RUBBER, make=False, what=what)
+    description = "rubber sheet with markers on its inside"
+    return Part("membrane", layers, RUBBER, make=False, description=description)
 
 
 def _frame(layout: Layout) -> Part:
@@ -107,8 +109,8 @@ def _frame(layout: Layout) -> Part:
     heights = {layout.z_block, layout.z_flange, 0.0, *(layout.groove or ())[:2]}
     layers = tuple(_frame_layer(layout, low, high) for low, high in pairwise(sorted(heights)))
     bore = Bore(opening(layout), flange(layout), layout.port.radius, 0.0, layout.z_port)
-    what = "airtight frame with the air port on its +x side"
-    return Part("frame", layers, _PRINTED, bore, what=what)
+    description = "airtight frame with the air port on its +x side"
+    return Part("frame", layers, _PRINTED, bore, description=description)
 
 
 def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
@@ -125,13 +127,13 @@ def _frame_layer(layout: Layout, low: float, high: float) -> Layer:
 
 def _gasket(layout: Layout) -> Part:
     layer = _flange_plate(layout, layout.z_glass, layout.z_block, opening(layout))
-    what = "silicone sheet 0.5 mm, cut along gasket.svg"
-    return Part("gasket", (layer,), (0.85, 0.45, 0.35), make=False, what=what)
+    description = "silicone sheet 0.5 mm, cut along gasket.svg"
+    return Part("gasket", (layer,), (0.85, 0.45, 0.35), make=False, description=description)
 
 
 def _glass(layout: Layout) -> Part:
     layer = plate(layout.z_glass_plane, layout.z_glass, Contour(layout.glass_x, layout.glass_y))
-    return Part("glass", (layer,), (0.72, 0.88, 0.92), make=False, what="flat pane")
+    return Part("glass", (layer,), (0.72, 0.88, 0.92), make=False, description="flat pane")
 
 
 def _glass_seat(layout: Layout) -> Part:
@@ -140,7 +142,9 @@ def _glass_seat(layout: Layout) -> Part:
         _flange_plate(layout, layout.z_seat, layout.z_glass_plane, Contour(*layout.opening_view)),
         _flange_plate(layout, layout.z_glass_plane, layout.z_glass, pocket),
     )
-    return Part("glass_seat", layers, _LIGHT, what="presses the glass against gasket and frame")
+    return Part(
+        "glass_seat", layers, _LIGHT, description="presses the glass against gasket and frame"
+    )
 
 
 def _camera_mount(layout: Layout) -> Part:
@@ -162,8 +166,8 @@ def _camera_mount(layout: Layout) -> Part:
         plate(layout.z_plate, layout.z_mount, outside, [inside]),
         _flange_plate(layout, layout.z_mount, layout.z_seat, inside),
     )
-    what = "light-tight tube with seats for LED ring and camera, and four M3 holes for a jaw"
-    return Part("camera_mount", layers, _PRINTED, what=what)
+    description = "light-tight tube with seats for LED ring and camera, and four M3 holes for a jaw"
+    return Part("camera_mount", layers, _PRINTED, description=description)
 
 
 def led_places(layout: Layout) -> list[tuple[float, float]]:
@@ -183,8 +187,8 @@ def _led_ring(layout: Layout) -> Part:
     outer = circle(layout.led_outer)
     board = plate(layout.z_plate, layout.z_leds, outer, [circle(layout.led_inner)])
     leds = _discs(layout.z_leds, layout.z_camera, hw.LED_BODY[1] / 2, led_places(layout))
-    what = "LEDs in the plane of the lens pupil: led_ring.svg"
-    return Part("led_ring", (board, leds), (0.2, 0.55, 0.3), make=False, what=what)
+    description = "LEDs in the plane of the lens pupil: led_ring.svg"
+    return Part("led_ring", (board, leds), (0.2, 0.55, 0.3), make=False, description=description)
 
 
 def _camera(layout: Layout) -> Part:
@@ -194,8 +198,8 @@ def _camera(layout: Layout) -> Part:
     board = plate(front - 1.6, front, Contour(half, half, 1.5))
     barrel = circle(layout.hardware.lens / 2)
     lens = plate(front, layout.z_camera + layout.hardware.lens_front, barrel)
-    what = "camera module on four M2 screws with 2 mm spacers"
-    return Part("camera", (board, lens), (0.15, 0.3, 0.5), make=False, what=what)
+    description = "camera module on four M2 screws with 2 mm spacers"
+    return Part("camera", (board, lens), (0.15, 0.3, 0.5), make=False, description=description)
 
 
 def _bolts(layout: Layout) -> Part:
@@ -205,7 +209,7 @@ def _bolts(layout: Layout) -> Part:
         _discs(ring_top - layout.bolt_length, ring_top, bolt.radius, layout.bolts),
         _discs(ring_top, ring_top + bolt.head_height, bolt.head, layout.bolts),
     )
-    return Part("bolts", layers, (0.78, 0.78, 0.8), make=False, what=bolt.name)
+    return Part("bolts", layers, (0.78, 0.78, 0.8), make=False, description=bolt.name)
 
 
 def _nuts(layout: Layout) -> Part:
@@ -214,7 +218,7 @@ def _nuts(layout: Layout) -> Part:
         Region(circle(bolt.nut, x, y), (circle(bolt.radius, x, y),)) for x, y in layout.bolts
     )
     layer = Layer(layout.z_mount - bolt.nut_height, layout.z_mount, rings)
-    return Part("nuts", (layer,), (0.7, 0.7, 0.72), make=False, what="nuts")
+    return Part("nuts", (layer,), (0.7, 0.7, 0.72), make=False, description="nuts")
 
 
 def _stretch_jig(layout: Layout) -> Part:
@@ -227,8 +231,8 @@ def _stretch_jig(layout: Layout) -> Part:
         plate(-_JIG, 0.0, Contour(x + 11, y + 11, 5.0), [grip]),
         _discs(0.0, _PEG_HEIGHT, PEG, pegs(layout)),
     )
-    what = "tool that holds the rubber at its pre-stretch while it is glued to the rim"
-    return Part("stretch_jig", layers, (0.75, 0.62, 0.35), what=what)
+    description = "tool that holds the rubber at its pre-stretch while it is glued to the rim"
+    return Part("stretch_jig", layers, (0.75, 0.62, 0.35), description=description)
 
 
 _MAKERS = (

@@ -43,7 +43,7 @@ class AirPort:
 
     radius: float
     wall: float
-    what: str
+    description: str
     bore: float  # of the hose that fits
 
 

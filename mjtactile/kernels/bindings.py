@@ -242,10 +242,10 @@ def _converter(function: str, argument: KernelArgument) -> _Converter:
     return convert(name, argument, _DTYPES[argument.kind])
 
 
-def _read(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
+def _read(label: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
     def address(value: Any, size: float, held: list[Any]) -> Any:
         if value is None:
-            return _null(what, argument)
+            return _null(label, argument)
         try:
             if value.dtype == dtype and value.size == size:
                 return ctypes.addressof(ctypes.c_char.from_buffer(value))
@@ -254,7 +254,7 @@ def _read(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
             pass
         whole = np.ascontiguousarray(value, dtype)
         if whole.size != size:
-            raise ValueError(_wrong_size(what, argument, whole, size))
+            raise ValueError(_wrong_size(label, argument, whole, size))
         if whole is not value:
             held.append(whole)
         return whole.ctypes.data
@@ -262,15 +262,15 @@ def _read(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
     return address
 
 
-def _written(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
+def _written(label: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
     def address(value: Any, size: float, _held: list[Any]) -> Any:
         if value is None:
-            return _null(what, argument)
+            return _null(label, argument)
         is_valid = isinstance(value, np.ndarray) and value.dtype == dtype
         if not (is_valid and value.flags.c_contiguous and value.flags.writeable):
-            raise TypeError(f"{what} must be a writable C-contiguous array of {dtype}")
+            raise TypeError(f"{label} must be a writable C-contiguous array of {dtype}")
         if value.size != size:
-            raise ValueError(_wrong_size(what, argument, value, size))
+            raise ValueError(_wrong_size(label, argument, value, size))
         if not size:
             return value.ctypes.data
         return ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
@@ -278,12 +278,12 @@ def _written(what: str, argument: KernelArgument, dtype: np.dtype) -> _Converter
     return address
 
 
-def _null(what: str, argument: KernelArgument) -> None:
+def _null(label: str, argument: KernelArgument) -> None:
     if not argument.optional:
-        raise TypeError(f"{what} is required")
+        raise TypeError(f"{label} is required")
 
 
-def _wrong_size(what: str, argument: KernelArgument, array: np.ndarray, size: float) -> str:
+def _wrong_size(label: str, argument: KernelArgument, array: np.ndarray, size: float) -> str:
     return (
-        f"{what}: shape {array.shape} has {array.size} elements, ({argument.shape}) needs {size:g}"
+        f"{label}: shape {array.shape} has {array.size} elements, ({argument.shape}) needs {size:g}"
     )

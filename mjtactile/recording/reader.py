@@ -396,12 +396,12 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
         yield line
 
 
-def _left_out(what: str, damaged: Sequence[str]) -> list[str]:
+def _left_out(item_name: str, damaged: Sequence[str]) -> list[str]:
     """Return the number of the left out and the first of them as a problem; none: no problem."""
     if not damaged:
         return []
     more = ", ..." if len(damaged) > _NAMED else ""
-    return [f"{len(damaged)} {what} left out: {'; '.join(damaged[:_NAMED])}{more}"]
+    return [f"{len(damaged)} {item_name} left out: {'; '.join(damaged[:_NAMED])}{more}"]
 
 
 def _with_images(

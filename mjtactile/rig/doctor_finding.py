@@ -9,11 +9,11 @@ from dataclasses import dataclass
 class Finding:
     """Result of one check.
 
-    `level` is "ok", "warn" or "bad". `what` names the checked item, `text` is the result, `remedy`
-    the repair ("": none needed).
+    `level` is "ok", "warn" or "bad". `subject` names the checked item, `text` is the result,
+    `remedy` the repair ("": none needed).
     """
 
     level: str
-    what: str
+    subject: str
     text: str
     remedy: str = ""

@@ -54,7 +54,7 @@ def calibration_findings(rig_file: RigFile, default: SensorDesign) -> Iterator[F
 def _finger_findings(
     rig_file: RigFile, camera: CameraConfig, default: SensorDesign
 ) -> Iterator[Finding]:
-    what = f"calibration of {camera.finger}"
+    subject = f"calibration of {camera.finger}"
     try:
         design = finger_design(camera, default)
         calibration = finger_calibration(camera, design)
@@ -63,25 +63,25 @@ def _finger_findings(
             "check that the file is complete and belongs to this finger and sensor, else "
             "repeat the calibration"
         )
-        yield Finding("bad", what, str(error), remedy)
+        yield Finding("bad", subject, str(error), remedy)
         return
     if calibration is None:
         text = "the rig file names none: the values of the sensor file apply"
         line = f'calibration = "{camera.finger}.json"'
         remedy = f"add {line} to its [[camera]], then see `mjtactile calibrate --help`"
-        yield Finding("warn", what, text, remedy)
+        yield Finding("warn", subject, text, remedy)
         return
     has_valve = any(valve.finger == camera.finger for valve in rig_file.valves)
     for state in calibration.states(design):
         if has_valve or state.kind != "valve":
-            what_for = "camera" if state.kind == "lens" else state.kind
+            procedure = "camera" if state.kind == "lens" else state.kind
             options = f"--rig {rig_file.path} --finger {camera.finger}"
-            command = f"mjtactile calibrate {what_for} {options}"
-            yield _finding(f"{what}, {state.kind}", state, command)
+            command = f"mjtactile calibrate {procedure} {options}"
+            yield _finding(f"{subject}, {state.kind}", state, command)
 
 
-def _finding(what: str, state: PartState, command: str) -> Finding:
+def _finding(subject: str, state: PartState, command: str) -> Finding:
     good = state.state == "good"
     missing = state.state == "missing"
     text = state.text if missing else f"{state.state}: {state.text}"
-    return Finding("ok" if good else "warn", what, text, "" if good else f"`{command}`")
+    return Finding("ok" if good else "warn", subject, text, "" if good else f"`{command}`")

@@ -103,35 +103,36 @@ class MarkerDetector:
         text = f"only {seen} of {self.design.markers.count} markers detected"
         return Status(StatusCode.TOO_FEW_MARKERS, text)
 
-    def locate(self, state: PipelineState, image: Image, expected: Array, what: str) -> Markers:
+    def locate(self, state: PipelineState, image: Image, expected: Array, purpose: str) -> Markers:
         """Find the markers of one image near the `expected` positions (N, 3), m, for the reference
-        `what`. Raises DeviceError if the image is overexposed or of another size than the camera's,
-        or too few markers are detected."""
+        `purpose`. Raises DeviceError if the image is overexposed or of another size than the
+        camera's, or too few markers are detected."""
         ellipses, tracks = self._ellipses(None, image)  # searched, not followed
-        self._require_levels(image, ellipses, what)
+        self._require_levels(image, ellipses, purpose)
         afresh = replace(state, expected=expected, reference=None)
         markers, _ = self._identified(afresh, ellipses, tracks)
-        self.require(markers, what)
+        self.require(markers, purpose)
         return markers
 
-    def _require_levels(self, image: Image, ellipses: Ellipses, what: str) -> None:
+    def _require_levels(self, image: Image, ellipses: Ellipses, purpose: str) -> None:
         """Raise DeviceError if the image is overexposed around most circles. Their apparent size
         then changes with the light."""
         if isinstance(image, SyntheticEllipses):
             return
         if is_overexposed(grey_image(image), ellipses, "dark", self.settings.locate):
             raise DeviceError(
-                f"sensor {self.design.name}: {what}: the image is overexposed, white around "
+                f"sensor {self.design.name}: {purpose}: the image is overexposed, white around "
                 "most markers; reduce light, exposure or gain"
             )
 
-    def require(self, markers: Markers, what: str) -> None:
+    def require(self, markers: Markers, purpose: str) -> None:
         """Raise DeviceError for too few markers, or for non-finite positions."""
         known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
         if known < len(markers) or self.check_markers(markers) != OK:
             raise DeviceError(
-                f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
-                "markers found; check lighting, focus and the sensor file"
+                f"sensor {self.design.name}: {purpose}: only {known} of "
+                f"{self.design.markers.count} markers found; check lighting, focus and "
+                "the sensor file"
             )
 
 

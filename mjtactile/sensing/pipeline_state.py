@@ -82,10 +82,10 @@ class PipelineState:
     flat_at: float = -math.inf
     rubber: RelaxationState | None = None
 
-    def required(self, sensor: str, what: str) -> Reference:
-        """Return the rest reference. Raises DeviceError, which names `what`, if it is missing."""
+    def required(self, sensor: str, purpose: str) -> Reference:
+        """Return the rest reference. Raises DeviceError with `purpose` if it is missing."""
         if self.reference is None:
-            raise DeviceError(f"sensor {sensor}: {what} before the rest reference")
+            raise DeviceError(f"sensor {sensor}: {purpose} before the rest reference")
         return self.reference
 
     def without_history(self) -> PipelineState:

@@ -91,27 +91,27 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
     p_WS, z_W = _tips(world)
     centre = p_WS.mean(axis=0)
     for finger, place, inward in zip(world.rig.fingers, p_WS, z_W, strict=True):
-        what = f"finger {finger.name}"
+        subject = f"finger {finger.name}"
         away = centre - place
         cosine = float(away @ inward / max(np.linalg.norm(away), 1e-9)) if len(p_WS) > 1 else 1.0
         angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
         if cosine < _INWARD:
             yield _bad(
-                what,
+                subject,
                 f"z of site {finger.site!r} points {angle:.0f} degrees away from the center "
                 "of the fingertips",
                 "rotate the site: its z points out of the sensor, towards the object",
             )
         elif cosine < _ASKEW:
             yield _warn(
-                what,
+                subject,
                 f"z of site {finger.site!r} misses the center of the fingertips by "
                 f"{angle:.0f} degrees",
                 "the sensor touches with an edge first; rotate or move the site",
             )
         elif abs(inward[2]) > _LEANING:
             yield _warn(
-                what,
+                subject,
                 f"is tilted by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the "
                 "vertical",
                 "the sensor touches with an edge first; choose another keyframe, or rotate "
@@ -119,13 +119,13 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
             )
         elif abs(away[2]) > _UNEVEN:
             yield _warn(
-                what,
+                subject,
                 f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the "
                 "center of the fingertips",
                 "an object tilts when it is gripped; move the site",
             )
         else:
-            yield _ok(what, f"site {finger.site!r} faces the center of the fingertips")
+            yield _ok(subject, f"site {finger.site!r} faces the center of the fingertips")
 
 
 def _frames(world: GripperWorld) -> Iterator[Finding]:

@@ -146,7 +146,7 @@ def _curve(kind: str, signals: Signals, there: Signals, finger: int) -> Array:
         return 1e6 * np.sqrt(total / known.sum(axis=1))  # NaN without a known marker
 
 
-_WHAT = {
+_CAPTIONS = {
     "force": "normal force, N",
     "markers": "marker distance from the recording, rms, um",
     "pressure": "gauge pressure, Pa",
@@ -164,7 +164,7 @@ def _chart(kind: str, shadow: SimComparison, finger: int) -> str:
         del curves["recorded"]
     values = np.concatenate(list(curves.values()))
     if not np.isfinite(values).any():
-        return f"<p>{_WHAT[kind]}: not recorded</p>"
+        return f"<p>{_CAPTIONS[kind]}: not recorded</p>"
     low = float(np.nanmin(values))
     high = float(np.nanmax(values))
     room = max(high - low, 1e-9)
@@ -187,7 +187,8 @@ def _chart(kind: str, shadow: SimComparison, finger: int) -> str:
             'stroke-width="1.6"/>'
         )
     return (
-        f'<figure style="display:inline-block;margin:.3em"><figcaption>{_WHAT[kind]}</figcaption>'
+        '<figure style="display:inline-block;margin:.3em">'
+        f"<figcaption>{_CAPTIONS[kind]}</figcaption>"
         f'<svg width="{_WIDTH}" height="{_HEIGHT}" font-size="10" font-family="sans-serif">'
         f"{''.join(parts)}</svg></figure>"
     )

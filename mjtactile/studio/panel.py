@@ -162,12 +162,12 @@ class Panel(plugin.ViewerPlugin):
                     ),
                 )
 
-    def _upload(self, k: int, what: str, rgb: NDArray[np.uint8]) -> None:
+    def _upload(self, k: int, view: str, rgb: NDArray[np.uint8]) -> None:
         height, width = rgb.shape[:2]
-        self._textures[k, what] = self.viewer.upload_image(
-            self._textures.get((k, what), 0), rgb.tobytes(), width, height, 3
+        self._textures[k, view] = self.viewer.upload_image(
+            self._textures.get((k, view), 0), rgb.tobytes(), width, height, 3
         )
-        self._shapes[k, what] = height / width
+        self._shapes[k, view] = height / width
 
     @messages.handler
     @guarded
@@ -233,9 +233,9 @@ class Panel(plugin.ViewerPlugin):
                 imgui.TextColored(RED, str(estimated.touch.status))
         imgui.End()
 
-    def _build_image(self, k: int, what: str) -> None:
-        if (k, what) in self._textures:
-            imgui.Image(self._textures[k, what], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, what]))
+    def _build_image(self, k: int, view: str) -> None:
+        if (k, view) in self._textures:
+            imgui.Image(self._textures[k, view], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, view]))
 
     def _describe_ellipse(self, k: int, estimated: FingerSnapshot) -> None:
         """Show a tooltip with status and size of the ellipse under the mouse."""

@@ -97,10 +97,10 @@ class Studio:
             assert answer, self.log.read_text()
         return json.loads(answer)
 
-    def until(self, condition, what):
+    def until(self, condition, expected):
         end = time.monotonic() + LIMIT
         while not condition(found := self.ask()):
-            assert time.monotonic() < end, f"waited in vain until {what}: {found}"
+            assert time.monotonic() < end, f"waited in vain until {expected}: {found}"
             time.sleep(0.05)
         return found
 

@@ -111,7 +111,7 @@ def test_doctor_says_what_is_missing_refused_and_outdated(rig, tmp_path, capsys)
         tmp_path / "left.json"
     )
     main(["doctor", "--rig", str(rig), "--json"])
-    found = {f["what"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
     assert found["calibration of left, lens"]["level"] == "ok"
     assert (
         "refused" in found["calibration of left, frame"]["text"]

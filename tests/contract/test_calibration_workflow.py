@@ -163,8 +163,8 @@ def calibrate_cameras(path, file):
     for finger in FINGERS:
         photos = path.parent / f"photos_{finger}"
         photograph_board(photos, true_design(design, as_built.as_built_sensor(finger)).camera)
-        what = ["calibrate", "camera", str(photos), "--rig", str(file), "--finger", finger]
-        assert main([*what, "--sensor", str(path.parent / "slower.toml")]) == 0
+        arguments = ["calibrate", "camera", str(photos), "--rig", str(file), "--finger", finger]
+        assert main([*arguments, "--sensor", str(path.parent / "slower.toml")]) == 0
 
 
 @pytest.mark.slow(100)
@@ -174,8 +174,8 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     # most of it is a minute of jaws and air that move and rest
     with at_pace(2.0), client(path) as (emulator, file):
         calibrate_cameras(path, file)
-        for what in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"]):
-            calibrate(file, emulator, monkeypatch, *what, *sensor)
+        for arguments in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"]):
+            calibrate(file, emulator, monkeypatch, *arguments, *sensor)
     left, right = (load_calibration(tmp_path / f"{finger}.json") for finger in FINGERS)
     # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa
     # of noise over 0.7 s

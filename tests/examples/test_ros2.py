@@ -39,11 +39,11 @@ def message_class(store, kind):
     fields = store.fielddefs[kind][1]
 
     def initial(form):
-        what = form[0].name
+        node_kind = form[0].name
         of = form[1]
-        if what == "BASE":
+        if node_kind == "BASE":
             return ZEROS.get(of[0], 0)
-        return message_class(store, of)() if what == "NAME" else []
+        return message_class(store, of)() if node_kind == "NAME" else []
 
     def __init__(self, **values):
         for name, form in fields:
@@ -62,11 +62,11 @@ def to_wire(store, message):
     """The message as rosbags' own, which checks every type when it is written."""
 
     def real(value, form):
-        what = form[0].name
+        node_kind = form[0].name
         of = form[1]
-        if what == "NAME":
+        if node_kind == "NAME":
             return convert(value)
-        if what == "BASE":
+        if node_kind == "BASE":
             return value
         inner = of[0]
         if inner[0].name == "NAME":

@@ -93,18 +93,20 @@ def implausible(
     if cut); "" if it can."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
-    why = np.full(len(a), "", dtype="<U24")
-    why[_odd(found, s)] = NOT_ELLIPSE
-    why[b <= s.min_border_axes * a] = LONG
-    why[b < min_radius_px] = SMALL
-    fits = why == ""
+    reason = np.full(len(a), "", dtype="<U24")
+    reason[_odd(found, s)] = NOT_ELLIPSE
+    reason[b <= s.min_border_axes * a] = LONG
+    reason[b < min_radius_px] = SMALL
+    fits = reason == ""
     if fits.sum() >= s.min_peers:
         # a border as large as the others' but of another outline is a marker with glare or dirt on
         # it, to be flagged
         size = np.sqrt(a * b)
         alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.size_log_tolerance
-        why[alike & (b > s.min_flawed_axes * a) & (found.misfit < s.max_flawed_misfit * size)] = ""
-    return why
+        reason[
+            alike & (b > s.min_flawed_axes * a) & (found.misfit < s.max_flawed_misfit * size)
+        ] = ""
+    return reason
 
 
 def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
@@ -163,15 +165,15 @@ def validate_fits(
     odd = _odd(found, s) & ~cut
     status[odd] = GLARE
     drop = np.zeros(len(b), dtype=bool)
-    for what, why in (
+    for rejected, reason in (
         ((moved > 1 + s.max_move * b) & ~cut & ~odd, MOVED),
         ((contrast < s.min_contrast_any * noise), LOW_CONTRAST),
         ((doubt > s.max_shape_sd_any) | (fit.residual >= edge_fit.UNSETTLED), NO_FIT),
         (b < s.min_fit_axes * a, LONG),
         (b < s.shrunk_fraction * min_radius_px, SMALL),
     ):
-        drop |= what
-        status[what] = why
+        drop |= rejected
+        status[rejected] = reason
     good = np.flatnonzero(status == "ok")
     status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.min_edge_distance)]] = (
         TOUCHING

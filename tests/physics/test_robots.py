@@ -275,7 +275,7 @@ def test_what_cannot_be_built_is_refused_in_one_line(tmp_path, name, model, rig,
 
 def bad(findings):
     return [
-        f"{finding.level} {finding.what}: {finding.text}"
+        f"{finding.level} {finding.subject}: {finding.text}"
         for finding in findings
         if finding.level != "ok"
     ]
@@ -467,7 +467,7 @@ def test_the_doctor_names_the_pad_in_the_chamber_and_possible_advice(tmp_path):
     site = '<site name="left_fingertip"'
     rig = variant(tmp_path, "sim", model=[(site, pad + site)])
     (finding,) = [one for one in examine_simulated(rig) if "rest on 'pad'" in one.text]
-    assert (finding.level, finding.what) == ("warn", "finger left")
+    assert (finding.level, finding.subject) == ("warn", "finger left")
     assert "contype and conaffinity of the geom to 0" in finding.remedy
 
 

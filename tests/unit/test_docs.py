@@ -345,12 +345,14 @@ REPORTED_ONCE = {
 }
 
 
-@pytest.mark.parametrize(("reported", "what"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values())
-def test_no_page_says_another_number(reported, what):
+@pytest.mark.parametrize(
+    ("reported", "quantity"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values()
+)
+def test_no_page_says_another_number(reported, quantity):
     """No sentence states a number other than the measured one; tables come from benchmarks and name
     their measurement."""
     rows = readme_table.run(Path())["numbers"]
-    (value,) = [row["value"] for row in rows if row["what"].startswith(what)]
+    (value,) = [row["value"] for row in rows if row["quantity"].startswith(quantity)]
     others = [
         (page.name, found)
         for page in PAGES

@@ -39,7 +39,7 @@ class _Kinds:
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         kinds = parser.add_subparsers(
-            title="calibration procedures", metavar="WHAT", dest="what", required=True
+            title="calibration procedures", metavar="PROCEDURE", dest="procedure", required=True
         )
         for name, kind in KINDS.items():
             sub = kinds.add_parser(
@@ -65,4 +65,4 @@ ARGUMENTS = (_Kinds(),)
 
 
 def run(options: argparse.Namespace) -> int:
-    return KINDS[options.what].run(options)
+    return KINDS[options.procedure].run(options)

@@ -183,14 +183,14 @@ class OpenCvCamera:
         if config.gain is not None:
             self._set("gain", cv2.CAP_PROP_GAIN, config.gain, tolerance=0.5)
 
-    def _set(self, what: str, prop: int, value: float, *, tolerance: float = 0.0) -> None:
+    def _set(self, setting: str, prop: int, value: float, *, tolerance: float = 0.0) -> None:
         self._capture.set(prop, value)
         actual = self._capture.get(prop)
         if not math.isfinite(actual) or abs(actual - value) > tolerance:
-            text = _fourcc if what == "FOURCC" else "{:g}".format
+            text = _fourcc if setting == "FOURCC" else "{:g}".format
             raise DeviceError(
-                f"{self.name}: {what} was set to {text(value)} but is {text(actual)}; `mjtactile "
-                "doctor` shows how to list the supported values"
+                f"{self.name}: {setting} was set to {text(value)} but is {text(actual)}; "
+                "`mjtactile doctor` shows how to list the supported values"
             )
 
     # -- the reader

@@ -25,7 +25,7 @@ _TORQUE_OFF_MAX = 1.5
 _MAY_FALL = "a held object falls when the host is lost: use servos that brake, or a cup below"
 
 
-def _check_empty_view(what: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
+def _check_empty_view(subject: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
     return ()
 
 
@@ -91,7 +91,7 @@ def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
 
 def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
     """Report the effect of a late or lost host on a held object."""
-    what = "lost host"
+    subject = "lost host"
     heartbeat = min((valve.heartbeat for valve in rig_file.valves), default=0.0)
     chambers = f"chambers vent {1e3 * heartbeat:.0f} ms after the last line"
     if not rig_file.valves:
@@ -101,13 +101,16 @@ def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
     text = f'on_host_loss = "{rig_file.on_host_loss}": {chambers}'
     if rig_file.emulator is not None and rig_file.emulator.watchdog == "limp":
         yield Finding(
-            "warn", what, f"{text}; the servos switch their torque off and hold nothing", _MAY_FALL
+            "warn",
+            subject,
+            f"{text}; the servos switch their torque off and hold nothing",
+            _MAY_FALL,
         )
     elif rig_file.lift.kind == "servo":
         remedy = "a lift that must not fall needs a brake or a counterweight"
-        yield Finding("ok", what, f"{text}; for jaws and lift see each servo below", remedy)
+        yield Finding("ok", subject, f"{text}; for jaws and lift see each servo below", remedy)
     else:
-        yield Finding("ok", what, f"{text}; for the jaws see each servo below")
+        yield Finding("ok", subject, f"{text}; for the jaws see each servo below")
 
 
 def _has_bad(findings: list[Finding]) -> bool:
@@ -155,18 +158,18 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
         return
     try:
         for valve in valves:
-            what = f"valve {valve.config.finger}"
+            subject = f"valve {valve.config.finger}"
             try:
                 state = valve.state()
             except DeviceError as error:
-                yield Finding("bad", what, str(error))
+                yield Finding("bad", subject, str(error))
                 continue
             if state.gauge_pressure is None:
                 pressure = "no pressure sensor"
             else:
                 pressure = f"{state.gauge_pressure:.0f} Pa"
             board = f"firmware {valve.board.firmware}"
-            yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
+            yield Finding("ok", subject, f"{board}, channel {valve.config.channel}, {pressure}")
     finally:
         for board in boards:
             with contextlib.suppress(DeviceError):

@@ -25,11 +25,11 @@ ViewCheck = Callable[[str, SensorDesign, Image], Iterable[Finding]]
 
 def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) -> Iterator[Finding]:
     """Check a camera: settings, then rate, age and jitter over two seconds, then the image."""
-    what = f"camera {config.finger}"
+    subject = f"camera {config.finger}"
     try:
         camera = OpenCvCamera(config)
     except DeviceError as error:
-        yield Finding("bad", what, str(error), _camera_remedy(config))
+        yield Finding("bad", subject, str(error), _camera_remedy(config))
         return
     try:
         ages = []
@@ -40,22 +40,22 @@ def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) ->
                 image = camera.read()
                 last = image.time
                 ages.append(scaled_clock.monotonic() - last)
-        yield _rate_finding(what, camera, ages)
-        yield _light_finding(what, camera)
-        yield from look(what, design, camera.read())
+        yield _rate_finding(subject, camera, ages)
+        yield _light_finding(subject, camera)
+        yield from look(subject, design, camera.read())
     except DeviceError as error:
-        yield Finding("bad", what, str(error))
+        yield Finding("bad", subject, str(error))
     finally:
         camera.close()
 
 
-def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
+def _rate_finding(subject: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
     counters = camera.counters
     config = camera.config
     if len(counters.intervals) < 3:
         return Finding(
             "bad",
-            what,
+            subject,
             f"{counters.images} images in {_CAMERA_TIME:g} s",
             "use another cable or USB port",
         )
@@ -69,30 +69,33 @@ def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding
     if rate < 0.9 * config.rate:
         return Finding(
             "bad",
-            what,
+            subject,
             f"{text}: the rig file specifies {config.rate:g}",
             "use a shorter exposure (it must fit into the period), MJPG, or a separate USB "
             "controller",
         )
-    return Finding("warn" if counters.duplicates else "ok", what, text)
+    return Finding("warn" if counters.duplicates else "ok", subject, text)
 
 
-def _light_finding(what: str, camera: OpenCvCamera) -> Finding:
+def _light_finding(subject: str, camera: OpenCvCamera) -> Finding:
     pixels = camera.read().pixels
     mean = float(pixels.mean())
     white = float((pixels >= 254).mean())
     if mean < 20:
         return Finding(
-            "bad", what, f"dark: mean gray level {mean:.0f}", "check the LEDs; raise exposure_100us"
+            "bad",
+            subject,
+            f"dark: mean gray level {mean:.0f}",
+            "check the LEDs; raise exposure_100us",
         )
     if white > 0.05:
         return Finding(
             "bad",
-            what,
+            subject,
             f"{100 * white:.0f} % of the image is saturated",
             "lower exposure_100us or gain",
         )
-    return Finding("ok", what, f"mean gray level {mean:.0f}, {100 * white:.1f} % saturated")
+    return Finding("ok", subject, f"mean gray level {mean:.0f}, {100 * white:.1f} % saturated")
 
 
 def _camera_remedy(config: CameraConfig) -> str:

@@ -10,14 +10,14 @@ from pathlib import Path
 from mjtactile.rig.doctor_finding import Finding
 
 
-def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
+def check_port(subject: str, path: str, *, fix: bool) -> Iterator[Finding]:
     """Check that the port is accessible and does not delay received data by 16 ms."""
     if "://" in path:
         return
     if not Path(path).exists():
         yield Finding(
             "bad",
-            what,
+            subject,
             f"{path} does not exist",
             "check the connection; `ls -l /dev/serial/by-id` lists the names that stay the "
             "same; write one of them into the rig file",
@@ -27,31 +27,33 @@ def check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
         group = group_of(path)
         yield Finding(
             "bad",
-            what,
+            subject,
             f"{path} is not accessible to this user",
             f"sudo usermod -aG {group} $USER, then log in again",
         )
         return
     timer = Path("/sys/bus/usb-serial/devices") / Path(path).resolve().name / "latency_timer"
     if timer.is_file():
-        yield from _check_latency(what, timer, fix=fix)
+        yield from _check_latency(subject, timer, fix=fix)
 
 
-def _check_latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
+def _check_latency(subject: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
     value = timer.read_text().strip()
     if value == "1":
-        yield Finding("ok", what, "latency timer 1 ms")
+        yield Finding("ok", subject, "latency timer 1 ms")
         return
     if fix:
         with contextlib.suppress(OSError):
             timer.write_text("1")
             yield Finding(
-                "ok", what, f"latency timer was {value} ms, now 1 ms until the adapter is unplugged"
+                "ok",
+                subject,
+                f"latency timer was {value} ms, now 1 ms until the adapter is unplugged",
             )
             return
     yield Finding(
         "warn",
-        what,
+        subject,
         f"latency timer is {value} ms: each reading takes that long",
         'permanently: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", '
         'DRIVER=="ftdi_sio", ATTR{latency_timer}="1" in '

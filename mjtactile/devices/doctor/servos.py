@@ -55,31 +55,31 @@ def check_servos(rig_file: RigFile) -> Iterator[Finding]:
 
 def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
     """Check one servo against the rig file."""
-    what = f"servo {servo}"
+    subject = f"servo {servo}"
     try:
         number, _ = bus.ping(servo)
         report = read_report(bus, servo)
     except BusError as error:
         yield Finding(
             "bad",
-            what,
+            subject,
             f"does not answer ({error.reason})",
             "check power, cable, id and baud rate; see the search below",
         )
         return
-    yield _identity(what, number, report, model)
+    yield _identity(subject, number, report, model)
     for name, requested, meaning in REQUIRED:
         if report.settings.get(name, requested) != requested:
             yield Finding(
                 "bad",
-                what,
+                subject,
                 f"{name} is {report.settings[name]}, must be {requested}: {meaning}",
                 "set it with Dynamixel Wizard",
             )
     if report.model in MODELS and not MODELS[report.model].watchdog_stops(report.firmware):
         yield Finding(
             "warn",
-            what,
+            subject,
             f"firmware {report.firmware}: its bus watchdog detects a lost host, but does not "
             "stop the servo",
             "update the firmware with Dynamixel Wizard; until then the servo keeps its last "
@@ -88,17 +88,17 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
     if report.hardware_error:
         yield Finding(
             "bad",
-            what,
+            subject,
             f"has latched {report.hardware_error}",
             "find the cause, then switch its power off and on",
         )
     if report.temperature >= _HOT:
         yield Finding(
-            "warn", what, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
+            "warn", subject, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
         )
 
 
-def _identity(what: str, number: int, report: ServoReport, model: str) -> Finding:
+def _identity(subject: str, number: int, report: ServoReport, model: str) -> Finding:
     """Compare the responding servo with the rig file's `model`."""
     text = (
         f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, "
@@ -110,16 +110,16 @@ def _identity(what: str, number: int, report: ServoReport, model: str) -> Findin
         text += f", without a host it {'holds its place' if stops else 'goes on to its last goal'}"
     if number in NO_CURRENT_CONTROL:
         return Finding(
-            "bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
+            "bad", subject, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
         )
     if report.model != model:
         return Finding(
             "bad",
-            what,
+            subject,
             f"{text}: the rig file specifies {model}",
             "correct the model in the rig file, or the ids",
         )
-    return Finding("ok", what, text)
+    return Finding("ok", subject, text)
 
 
 def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Finding:

@@ -180,13 +180,13 @@ class DynamixelBus:
                 self._dirty = error.reason != "refused"
                 raise
             except _LOST as error:
-                what = f"servo port {self.name} is lost: {_one_line(error)}"
-                raise BusError(what, servo=servo, reason="lost") from error
+                reason_text = f"servo port {self.name} is lost: {_one_line(error)}"
+                raise BusError(reason_text, servo=servo, reason="lost") from error
             except (IndexError, ValueError, UnboundLocalError) as error:
                 # the SDK's parser on bad bytes
                 self._dirty = True
-                what = f"servo port {self.name}: unreadable reply ({type(error).__name__})"
-                raise BusError(what, servo=servo, reason="corrupt") from error
+                reason_text = f"servo port {self.name}: unreadable reply ({type(error).__name__})"
+                raise BusError(reason_text, servo=servo, reason="corrupt") from error
             finally:
                 self._port.is_using = False
 
@@ -226,12 +226,16 @@ class DynamixelBus:
     def _parse(self, servo: int, packet: Sequence[int], expected: int) -> Reply:
         error = packet[_ERROR]
         if error & ~ALERT:
-            what = _STATUS_ERRORS.get(error & ~ALERT, f"answered with error {error & ~ALERT}")
-            raise BusError(f"servo {servo} on {self.name} {what}", servo=servo, reason="refused")
+            reason_text = _STATUS_ERRORS.get(
+                error & ~ALERT, f"answered with error {error & ~ALERT}"
+            )
+            raise BusError(
+                f"servo {servo} on {self.name} {reason_text}", servo=servo, reason="refused"
+            )
         count = self._length(packet)
         if count != expected:
-            what = f"servo {servo} on {self.name} sent {count} bytes instead of {expected}"
-            raise BusError(what, servo=servo, reason="short")
+            reason_text = f"servo {servo} on {self.name} sent {count} bytes instead of {expected}"
+            raise BusError(reason_text, servo=servo, reason="short")
         return Reply(bytes(packet[_PARAMETERS : _PARAMETERS + count]), bool(error & ALERT))
 
     def _receive_each(

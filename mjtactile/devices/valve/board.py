@@ -184,10 +184,11 @@ class ValveBoard:
                 self.has_sensors = match[3] == "1"
                 return
             scaled_clock.sleep(0.02)
-        what = f"it said {heard!r}" if heard else "its answer was not readable"
+        answer = f"it answered {heard!r}" if heard else "its answer was not readable"
         raise DeviceError(
             f"valve board {self.name} does not answer as {protocol.NAME} within "
-            f"{_HANDSHAKE_TIME:g} s: {what}; are port and baud rate right, is firmware/valve on it?"
+            f"{_HANDSHAKE_TIME:g} s: {answer}; "
+            "are port and baud rate right, is firmware/valve on it?"
         )
 
     def _check(self, version: str, channels: int, maximum: float) -> None:
@@ -195,9 +196,9 @@ class ValveBoard:
         needed = protocol.HOLD_VERSION if self._hold else protocol.VERSION_MIN
         if self._version < needed:
             oldest = ".".join(map(str, needed))
-            what = " to keep the chambers sealed when the host is lost" if self._hold else ""
+            purpose = " to keep the chambers sealed when the host is lost" if self._hold else ""
             raise DeviceError(
-                f"valve board {self.name} has firmware {version}, needs {oldest} or newer{what}"
+                f"valve board {self.name} has firmware {version}, needs {oldest} or newer{purpose}"
             )
         for channel, config in self._configs.items():
             if channel > channels:

@@ -94,9 +94,9 @@ def _require_images(episode: RecordedEpisode, images: str) -> RecordedEpisode:
     count = len(episode.recording)
     stored = sum(len(names) > 0 for names in episode.recording.columns["images"])
     if images != "none" and stored < count:
-        what = f"{stored} of {count} cycles have their images; record with --frames all"
+        message = f"{stored} of {count} cycles have their images; record with --frames all"
         folder = episode.recording.folder
-        raise InputError(what, source=folder, field="--images", choices=["none"])
+        raise InputError(message, source=folder, field="--images", choices=["none"])
     return episode
 
 

@@ -227,10 +227,12 @@ def latency(s: Scene) -> tuple[bool, str]:
     return False, "the control loop already acts one image late"
 
 
-def has(value: float, what: str) -> tuple[bool, str]:
+def has(value: float, quantity: str) -> tuple[bool, str]:
     return (
         value > 0,
-        f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}",
+        f"the camera's file has {quantity}"
+        if value > 0
+        else f"the camera's file has no {quantity}",
     )
 
 
@@ -284,5 +286,5 @@ def material(name: str) -> Gate:
     return gate
 
 
-def _over(value: float, limit: float, what: str) -> tuple[bool, str]:
-    return value > limit, f"{what}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"
+def _over(value: float, limit: float, quantity: str) -> tuple[bool, str]:
+    return value > limit, f"{quantity}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"

@@ -98,7 +98,7 @@ def choose(
     `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an unbuilt
     effect forced on, or a required one forced off.
     """
-    forced = _with_what_goes_along(parse(overrides))
+    forced = _with_implied(parse(overrides))
     scene = Scene(design, grasped, force_error, *_feature(grasped))
     measured = _measured()
     choices = []
@@ -136,7 +136,7 @@ def parse(text: str) -> dict[Effect, bool]:
     return forced
 
 
-def _with_what_goes_along(forced: dict[Effect, bool]) -> dict[Effect, bool]:
+def _with_implied(forced: dict[Effect, bool]) -> dict[Effect, bool]:
     """Add the overrides implied by leaving out the sensing pipeline. Raises InputError."""
     if forced.get(Effect.PIPELINE, True):
         return forced

@@ -148,9 +148,9 @@ def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:
         first = int(model.mesh_vertadr[mesh])
         return obstacle("mesh", data=model.mesh_vert[first : first + model.mesh_vertnum[mesh]])
     name = model.geom(geom).name or f"geom {geom}"
-    what = _G(kind).name.removeprefix("mjGEOM_").lower()
+    shape = _G(kind).name.removeprefix("mjGEOM_").lower()
     raise InputError(
-        f"{name!r} is a {what}, which a quasi-static membrane does not support: switch 'mesh' on",
+        f"{name!r} is a {shape}, which a quasi-static membrane does not support: switch 'mesh' on",
         field="--effects -mesh",
     )
 

@@ -18,7 +18,7 @@ def test_what_was_skipped_was_not_tried_and_what_failed_is_named():
     counts = fault_injection.count(ET.fromstring(REPORT))
     assert counts == {"cases": 3, "passed": 1, "wrong": ["b[1]", "c"]}
     good = {"cases": 5, "passed": 5, "wrong": []}
-    rows = [{"what": "w", "required": "r", **some} for some in (counts, good)]
+    rows = [{"fault": "w", "required": "r", **some} for some in (counts, good)]
     reported = fault_injection.table({"kinds": rows})
     assert (
         "| w | 3 | r | met in 1 cases, not in: b[1], c |\n| w | 5 | r | met in all cases |"

@@ -56,7 +56,7 @@ def test_the_table_says_what_went_wrong():
         "outcome": "left camera is stale",
         "recording": "torn",
     }
-    reported = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
+    reported = {label: value for label, _, value in soak.soak_rows([LEG, LEG, late, early])}
     longer = [LEG | {"memory_MB": 100.0 + count} for count in range(1, 9)]
     assert reported["long run of 0.33 h, 60 grips of an egg: missed cycles"] == "0.28 % of 72000"
     assert reported["long run: safe state after a fault at a random time"] == (

@@ -74,7 +74,7 @@ def test_devices_and_doctor_list_the_same_ports(monkeypatch):
     built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", serial_number=None, vid=None)
     adapter = SimpleNamespace(device="/dev/ttyU0", description="USB", serial_number="7", vid=1027)
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [adapter, built_in])
-    seen = [f.text.split()[0] for f in _plugged_in() if f.what == "serial port"]
+    seen = [f.text.split()[0] for f in _plugged_in() if f.subject == "serial port"]
     asked = []
     listed = serial_ports(notify=asked.append)
     assert [port.path for port in listed] == seen == ["/dev/ttyS0", "/dev/ttyU0"]

@@ -31,8 +31,8 @@ def line(episode, controller, outcome="held"):
 
 def write_part(folder, part, parts, **changed):
     """The `part`-th of `parts` shards; `changed` are the outcomes of some of its episodes."""
-    what = {"options": OPTIONS | {"shard": [part, parts]}, "versions": {}, "files": {}}
-    kept = store.Store(folder, what, resume=False)
+    evaluation = {"options": OPTIONS | {"shard": [part, parts]}, "versions": {}, "files": {}}
+    kept = store.Store(folder, evaluation, resume=False)
     for episode in range(part - 1, 4, parts):
         for controller in ("gentle", "own"):
             name = f"{controller}{episode}"
@@ -59,12 +59,12 @@ def test_an_empty_folder_is_as_good_as_none(tmp_path):
 
 def test_what_is_gone_on_with_may_become_more_and_not_less(tmp_path):
     write_part(tmp_path / "a", 1, 1)
-    what = store.read_manifest(tmp_path / "a")
-    more = what | {"options": what["options"] | {"count": 9}}
+    evaluation = store.read_manifest(tmp_path / "a")
+    more = evaluation | {"options": evaluation["options"] | {"count": 9}}
     assert len(store.Store(tmp_path / "a", more, resume=True).lines) == 8
     assert store.read_manifest(tmp_path / "a")["options"]["count"] == 9
     with pytest.raises(InputError, match="was started with different options: count 9, now 4"):
-        store.Store(tmp_path / "a", what, resume=True)
+        store.Store(tmp_path / "a", evaluation, resume=True)
 
 
 def test_a_damaged_line_loses_no_other(tmp_path, caplog):
@@ -73,8 +73,8 @@ def test_a_damaged_line_loses_no_other(tmp_path, caplog):
     path = tmp_path / "a" / "episodes.jsonl"
     text = path.read_text().replace('{"episode": 1', "{episode: 1", 1)
     path.write_text(text)
-    what = store.read_manifest(tmp_path / "a")
-    found = store.Store(tmp_path / "a", what, resume=True).lines
+    evaluation = store.read_manifest(tmp_path / "a")
+    found = store.Store(tmp_path / "a", evaluation, resume=True).lines
     assert [(one["episode"], one["controller"]) for one in found] == [
         (k, name) for k in range(4) for name in ("gentle", "own") if (k, name) != (1, "gentle")
     ]
@@ -85,12 +85,12 @@ def test_a_damaged_line_loses_no_other(tmp_path, caplog):
 
 def test_the_differing_field_is_named_with_both_values(tmp_path):
     write_part(tmp_path / "a", 1, 1)
-    what = store.read_manifest(tmp_path / "a")
-    scenario = what["options"]["scenario"] | {"seed": 7}
-    other = what | {"options": what["options"] | {"scenario": scenario}}
+    evaluation = store.read_manifest(tmp_path / "a")
+    scenario = evaluation["options"]["scenario"] | {"seed": 7}
+    other = evaluation | {"options": evaluation["options"] | {"scenario": scenario}}
     with pytest.raises(InputError, match=r"different options: scenario\.seed 0, now 7$"):
         store.Store(tmp_path / "a", other, resume=True)
-    files = what | {"files": {"egg.xml": "a" * 64}}
+    files = evaluation | {"files": {"egg.xml": "a" * 64}}
     with pytest.raises(
         InputError, match=r"different files: egg\.xml none, now aaaaaaaaaaaa\.\.\.$"
     ):

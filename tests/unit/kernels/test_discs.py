@@ -63,10 +63,10 @@ def test_discs_and_opening(scene, blur, lens):
             [-18e-3, 14e-3, 45e-3],
         ]
     )
-    for draw, what in (("render_discs", (p, n, radius)), ("render_opening", (corners,))):
+    for render, shape in (("render_discs", (p, n, radius)), ("render_opening", (corners,))):
         ours, theirs = np.zeros((2, camera.height, camera.width), np.float32)
         for module, image in ((renderer, ours), (numpy_discs, theirs)):
-            getattr(module, draw)(camera, *what, blur, image)
+            getattr(module, render)(camera, *shape, blur, image)
         assert theirs.max() > 0.99
         np.testing.assert_allclose(ours, theirs, atol=2e-3 / blur**0.5)
         assert np.sqrt(np.mean((ours - theirs) ** 2)) < 4e-4
