@@ -80,7 +80,7 @@ def _cases(quick: bool) -> list[Case]:
 
 
 def _explored(case: Case, touches: int) -> dict[str, Any]:
-    begin = time.process_time()
+    start = time.process_time()
     names = {"object": case.name, "seed": case.seed}
     try:
         found, true = explore_on_stage(
@@ -108,7 +108,7 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
         **kept,
         **true,
         "force_max_N": max(forces, default=float("nan")),
-        "seconds": time.process_time() - begin,
+        "seconds": time.process_time() - start,
     }
 
 

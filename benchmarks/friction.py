@@ -56,7 +56,7 @@ class _Signs(Observer):
         self._time = 0.0
         self._scene: Any = None
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         self._scene = session.rig.scene
 
     def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:

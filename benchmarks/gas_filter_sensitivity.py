@@ -83,7 +83,7 @@ def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, 
     gauge = GasFilter(chamber, settings)
     volume = design.chamber_volume_flat
     sealed = Gas(REST, (chamber.ambient + REST) * volume**chamber.polytropic_exponent)
-    state = gauge.begin(sealed, 0.0, volume)
+    state = gauge.start(sealed, 0.0, volume)
     errors = []
     sds = []
     told = 0

@@ -153,11 +153,11 @@ def _speed(worlds: int, commands: Array, device: str) -> dict[str, Any]:
     memory = before - wp.get_device(device).free_memory
     many.reset(seed=_SEED)
     wp.synchronize_device(device)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for row in rows[:120]:
         many.step(row)
     wp.synchronize_device(device)
-    elapsed = time.perf_counter() - begin
+    elapsed = time.perf_counter() - start
     truth = many.unwrapped.truth()
     found = {
         "worlds": worlds,
@@ -187,12 +187,12 @@ def _solutions(count: int, device: str) -> dict[str, Any]:
         places.append(wp.array(geoms, dtype=membranes.geoms.dtype, device=device))
     membranes.solve()
     wp.synchronize_device(device)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for geoms in places:
         wp.copy(membranes.geoms, geoms)
         membranes.solve()
     wp.synchronize_device(device)
-    elapsed = time.perf_counter() - begin
+    elapsed = time.perf_counter() - start
     return {"membranes": count, "solutions_per_s": len(places) * count / elapsed}
 
 

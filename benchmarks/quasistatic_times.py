@@ -46,20 +46,20 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
         for trend, minimum in best.items():
             state = start
             for k, one in enumerate(balls[1:]):
-                begin = time.perf_counter()
+                clock_start = time.perf_counter()
                 state = membrane.solve(one, state if trend else replace(state, trend=None))
-                minimum[k] = min(minimum[k], time.perf_counter() - begin)
+                minimum[k] = min(minimum[k], time.perf_counter() - clock_start)
                 steps = max(steps, state.steps)
     derived = np.inf
     posed = np.inf
     numbers = np.array([1e-3, 0.0, 1.5e-3, 120.0, 60.0, 0.1])
     pressed = membrane.solve(_bowl(numbers))
     for _ in range(bursts):
-        begin = time.perf_counter()
+        start = time.perf_counter()
         membrane.derivatives(pressed, _bowl, numbers)
         between = time.perf_counter()
         membrane.derivatives_by_pose(pressed)
-        derived = min(derived, between - begin)
+        derived = min(derived, between - start)
         posed = min(posed, time.perf_counter() - between)
     rates = {
         f"{size}, {threads}": _rate(membrane, balls, size, threads, bursts)
@@ -88,9 +88,9 @@ def _at_rest(
     spare, batch = batch, membrane.solve_batch(many, batch)
 
     def solve() -> float:
-        begin = time.perf_counter()
+        start = time.perf_counter()
         membrane.solve_batch(many, batch, threads=threads, into=spare)
-        return time.perf_counter() - begin
+        return time.perf_counter() - start
 
     return solve
 

@@ -134,9 +134,9 @@ def _price() -> float:
     for _ in range(_TURNS):
         spent = []
         for world in worlds:
-            begin = time.process_time()
+            start = time.process_time()
             world.step(_TIMED)
-            spent.append(time.process_time() - begin)
+            spent.append(time.process_time() - start)
         ratios.append(spent[0] / spent[1])
     return float(np.median(ratios))
 
@@ -149,11 +149,11 @@ def table(result: Mapping[str, Any]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:
-        begin, end = row["true_N"]
+        start, end = row["true_N"]
         knows, does_not = (1e3 * error for error in row["worst_N"])
         after, after_not = (1e3 * error for error in row["after_N"])
         lines.append(
-            f"| {row['rubber']} | {row['rate']:.0%} | {begin:.3f} to {end:.3f} | {knows:.0f} | "
+            f"| {row['rubber']} | {row['rate']:.0%} | {start:.3f} to {end:.3f} | {knows:.0f} | "
             f"{does_not:.0f} | {after:+.0f} ({after_not:+.0f}) |"
         )
     price = 100 * (result["price"] - 1)

@@ -65,19 +65,19 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
             world.press(depth)
             true = -float(ground_truth.contact_force(world, 0)[2])
             for _ in range(IMAGES):
-                begin = time.process_time()
+                start = time.process_time()
                 image = view.image()
                 sampled = time.process_time()
                 touch = view.perception.perceive(image, image.time)
-                spent[:2] += (sampled - begin, time.process_time() - sampled)
+                spent[:2] += (sampled - start, time.process_time() - sampled)
                 images += 1
                 force.append(touch.force_normal - true)
                 if touch.markers is not None:
                     off = touch.markers.p_SM - world.marker_poses(0)[0][touch.markers.ids]
                     marker.append(float(np.mean(off**2)) ** 0.5)
-            begin = time.process_time()
+            start = time.process_time()
             shape = view.perception.shape([touch])
-            spent[2] += time.process_time() - begin
+            spent[2] += time.process_time() - start
             shapes += 1
             area.append(shape.area / ground_truth.contact_area(world, 0) - 1)
             if kind in _BALLS:

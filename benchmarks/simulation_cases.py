@@ -150,10 +150,10 @@ def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12)
     minimum = [math.inf] * len(actions)
     for _ in range(rounds):
         for k, action in enumerate(actions):
-            begin = time.thread_time()
+            start = time.thread_time()
             for _ in range(count):
                 action()
-            minimum[k] = min(minimum[k], 1e3 * (time.thread_time() - begin) / count)
+            minimum[k] = min(minimum[k], 1e3 * (time.thread_time() - start) / count)
     return minimum
 
 

@@ -160,7 +160,7 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
     for k in range(count):
         pair: dict[str, Any] = {"seed": k, "object": OBJECTS[k % len(OBJECTS)]}
         for way, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
-            begin = time.process_time()
+            start = time.process_time()
             line = run_episode(
                 Episode(
                     k,
@@ -173,7 +173,7 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
                 key: line[key]
                 for key in ("outcome", "hold_force_N", "hold_force_true_N", "peak_force_true_N")
             }
-            pair[way]["core_s"] = time.process_time() - begin
+            pair[way]["core_s"] = time.process_time() - start
         notify(
             f"grasps: {k + 1} of {count}: {pair['object']}, {pair['images']['outcome']}, "
             f"{pair['none']['outcome']}"

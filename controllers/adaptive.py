@@ -79,7 +79,7 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
     command = phases.update_contact_clocks(observation, command, TOUCH_FORCE / 2, MAX_BLIND_TIME)
     forces = [touch.force_normal for touch in observation.touch]
     if not all(isfinite(force) for force in forces):

@@ -37,7 +37,7 @@ START: dict[str, float] = dict.fromkeys(
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
     forces = [touch.force_normal for touch in observation.touch]
     if not all(
         isfinite(force) for force in forces

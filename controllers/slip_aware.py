@@ -55,7 +55,7 @@ START = {
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
     since_slip = command.memory["since_slip"] + observation.period
     command = phases.remember(command, since_slip=since_slip)
     command = phases.update_contact_clocks(observation, command, TOUCH_FORCE, BLIND_TIME_MAX)

@@ -39,7 +39,7 @@ def step(observation: Observation) -> Command:
     gripper = observation.gripper
     goal = observation.goal
     period = observation.period
-    command = phases.begin_cycle(observation, START, SERVO_FORCE_LIMIT)
+    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
     if isfinite(gripper.effort):
         effort = command.memory["effort"]
         effort += min(1.0, period / AVERAGE_TIME) * (gripper.effort - effort)

@@ -47,16 +47,16 @@ class ProgressCallback(BaseCallback):
 
     def _on_training_start(self):
         self.ended = deque(maxlen=100)
-        self.begin = self.reported = time.monotonic()
+        self.start = self.reported = time.monotonic()
 
     def _on_step(self):
         self.ended += [info["outcome"] for info in self.locals["infos"] if "outcome" in info]
         now = time.monotonic()
         if now > self.reported + 30:
             self.reported = now
-            print(f"{now - self.begin:.0f} s, {self.num_timesteps} decisions, the last hundred:")
+            print(f"{now - self.start:.0f} s, {self.num_timesteps} decisions, the last hundred:")
             print("   ", dict(Counter(self.ended)), flush=True)
-        return now < self.begin + self.seconds
+        return now < self.start + self.seconds
 
 
 def save(model, path):

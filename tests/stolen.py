@@ -35,9 +35,9 @@ def stolen_seconds():
 def attempt(item, nextitem):
     """Reports of one try, and the share of the processors' time that was taken from it."""
     stolen = stolen_seconds()
-    begin = time.monotonic()
+    start = time.monotonic()
     reports = runtestprotocol(item, nextitem=nextitem, log=False)
-    return reports, (stolen_seconds() - stolen) / (time.monotonic() - begin) / (os.cpu_count() or 1)
+    return reports, (stolen_seconds() - stolen) / (time.monotonic() - start) / (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -151,11 +151,11 @@ def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[s
     spent = np.zeros(2)
     for state in pressed:
         for _ in range(_FRAMES):
-            begin = time.thread_time()
+            start = time.thread_time()
             image = renderer.render(state.p_SM, state.n_S, effects=effects)
             seen = time.thread_time()
             touch = perception.perceive(image, 0.0)
-            spent += (seen - begin, time.thread_time() - seen)
+            spent += (seen - start, time.thread_time() - seen)
             errors.append(touch.force_normal - state.force)
             if touch.markers is not None:
                 distances.append(

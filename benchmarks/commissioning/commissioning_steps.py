@@ -72,12 +72,12 @@ class Day:
         """
         if any(row["step"] == name and "failed" not in row for row in self.rows):
             return
-        begin = time.monotonic()
+        start = time.monotonic()
         try:
             row: dict[str, Any] = {"step": name, **do()}
         except MjtactileError as error:
             row = {"step": name, "failed": str(error)}
-        row.setdefault("seconds", _since(begin))
+        row.setdefault("seconds", _since(start))
         self.rows = [*(one for one in self.rows if one["step"] != name), row]
         write_json(self._out / "commissioning.json", self.told())
         self._notify(f"{name}: {row}")
@@ -251,9 +251,9 @@ class Day:
             kept = where / "felt_less_true.json"
             if not kept.exists():
                 shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
-                begin = time.monotonic()
+                start = time.monotonic()
                 found = self._grasp(sensor, file, seed, where)
-                write_json(kept, {"errors_N": found.tolist(), "seconds": _since(begin)})
+                write_json(kept, {"errors_N": found.tolist(), "seconds": _since(start)})
             one = read_json(kept)
             errors.append(np.array(one["errors_N"], float))
             seconds += one["seconds"]
@@ -289,9 +289,9 @@ class Day:
         return {"verdict": found["verdict"], "difference_rms": found["difference_rms"]}
 
 
-def _since(begin: float) -> float:
-    """Seconds of the emulated rig's time since `begin`, of the monotonic clock."""
-    return round((time.monotonic() - begin) / scaled_clock.slow(), 1)
+def _since(start: float) -> float:
+    """Seconds of the emulated rig's time since `start`, of the monotonic clock."""
+    return round((time.monotonic() - start) / scaled_clock.slow(), 1)
 
 
 def _held_error(
@@ -302,7 +302,7 @@ def _held_error(
     controller = load_controller("gentle")
     with Recorder(where / "recording", header) as recorder:
         session = Session(rig, threads=0)  # no time-out of a thread that a busy computer keeps
-        recorder.begin(session)
+        recorder.start(session)
         session.take_references(recorder)
 
         class Brief:

@@ -105,10 +105,10 @@ def _time_page(out: Path, decisions: int) -> dict[str, float]:
     meant = re.search(r"learn\(([\d_]+)\)", lines)
     assert meant is not None
     shorter = lines.replace(meant[0], f"learn({decisions})")
-    begin = time.perf_counter()
+    start = time.perf_counter()
     command = [sys.executable, "-c", shorter]
     subprocess.run(command, check=True, cwd=out, env=_one_thread(), stdout=subprocess.DEVNULL)
-    spent = time.perf_counter() - begin
+    spent = time.perf_counter() - start
     return {"decisions": decisions, "seconds": spent, "meant": int(meant[1])}
 
 

@@ -71,7 +71,7 @@ class Compared(Observer):
 
     rows: list[dict[str, Any]] = field(default_factory=list)
 
-    def begin(self, session: Session) -> None:
+    def start(self, session: Session) -> None:
         self._sensors = session.rig.scene.sensors
 
     def on_images(self) -> None:
@@ -124,7 +124,7 @@ def squeeze(scenario: Scenario) -> dict[str, Array]:
     """
     compared = Compared()
     with open_session(scenario, workers=0) as session:
-        compared.begin(session)
+        compared.start(session)
         session.take_references()
         try:
             session.run(Squeezer(scenario.seed), time_limit=20.0, observer=compared)

@@ -102,16 +102,16 @@ def _speed(effects: str, episodes: int) -> dict[str, float]:
     spent = 0.0
     resets = 0.0
     for seed in range(episodes):
-        begin = time.process_time()
+        start = time.process_time()
         shown, info = env.reset(seed=seed)
-        resets += time.process_time() - begin
+        resets += time.process_time() - start
         over = False
-        begin = time.process_time()
+        start = time.process_time()
         while not over:
             shown, _, terminated, truncated, info = env.step(grip(shown, info["phase"]))
             over = terminated or truncated
             steps += 1
-        spent += time.process_time() - begin
+        spent += time.process_time() - start
     env.close()
     return {"steps_a_second": steps / spent, "reset_s": resets / episodes}
 
@@ -121,12 +121,12 @@ def _together(threads: int, quick: bool) -> float:
     envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=SAMPLED, threads=threads)
     shown, info = envs.reset(seed=0)
     steps = _STEPS_QUICK if quick else _STEPS
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for _ in range(steps):
         pairs = zip(shown, info["phase"], strict=True)
         actions = np.array([grip(*pair) for pair in pairs], np.float32)
         shown, *_, info = envs.step(actions)
-    spent = time.perf_counter() - begin
+    spent = time.perf_counter() - start
     envs.close()
     return TOGETHER * steps / spent
 
@@ -142,12 +142,12 @@ def _pair(seed: int, number: int, count: int, notify: Notify) -> dict[str, Any]:
         scenario = Scenario(
             object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
         )
-        begin = time.process_time()
+        start = time.process_time()
         line = run_episode(Episode(number, scenario))
         row[effects] = {
             "outcome": line["outcome"],
             "hold_force_N": line["hold_force_true_N"],
-            "core_s": time.process_time() - begin,
+            "core_s": time.process_time() - start,
         }
     return row
 

@@ -132,10 +132,10 @@ def _pipeline_ms(design: SensorDesign, images: list[Image], repeats: int) -> lis
     sensing_pipeline.fitter.fit(markers)
     spent = []
     for k in range(repeats):
-        begin = time.thread_time()
+        start = time.thread_time()
         markers, state = sensing_pipeline.detect_markers(state, images[k % len(images)])
         sensing_pipeline.fitter.fit(markers)
-        spent.append(1e3 * (time.thread_time() - begin))
+        spent.append(1e3 * (time.thread_time() - start))
     return spent
 
 

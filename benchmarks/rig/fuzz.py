@@ -112,7 +112,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
     }
     try:
         while adversary.fed < count:
-            begin = scaled_clock.monotonic()
+            start = scaled_clock.monotonic()
             try:
                 replies, failures = bus.read_many(SERVOS, START, SIZE)
             except BusError as error:
@@ -120,7 +120,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
                     raise
                 replies = {}
                 failures = dict.fromkeys(SERVOS, error)
-            tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - begin)
+            tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - start)
             tally["calls"] += 1
             tally["refused"] += len(failures)
             for servo, reply in replies.items():
@@ -180,7 +180,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
     answers.bad = True
     try:
         while adversary.fed < count:
-            begin = scaled_clock.monotonic()
+            start = scaled_clock.monotonic()
             tally["calls"] += 1
             try:
                 reading = board.measure(1, _PATIENCE)
@@ -188,7 +188,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
                 tally["refused"] += 1
                 continue
             finally:
-                tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - begin)
+                tally["longest_s"] = max(tally["longest_s"], scaled_clock.monotonic() - start)
             tally[
                 "wrong"
                 if reading.is_open or reading.fault or reading.gauge_pressure != _PRESSURE

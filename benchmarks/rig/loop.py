@@ -103,11 +103,11 @@ class _Usage:
         self.start()
 
     def start(self) -> None:
-        self._begin = time.monotonic()
+        self._start = time.monotonic()
         self._before = self._times()
 
     def shares(self) -> dict[str, float]:
-        passed = time.monotonic() - self._begin
+        passed = time.monotonic() - self._start
         now = self._times()
         return {name: (now[name] - self._before[name]) / passed for name in self._pids} | {
             "load_average": os.getloadavg()[0]

@@ -51,8 +51,8 @@ class Gripping:
     def step(self, observation: Observation) -> Command:
         last = observation.command
         estimated = observation.touch[0].force_normal
-        memory = {"begin": observation.time, "open": last.opening, **last.memory}
-        into = (observation.time - memory["begin"]) % self.period
+        memory = {"start": observation.time, "open": last.opening, **last.memory}
+        into = (observation.time - memory["start"]) % self.period
         if not math.isfinite(estimated):
             speed = 0.0
         elif into > 0.6 * self.period:
@@ -96,7 +96,7 @@ class SoakBench(KeptBench):
                 lambda cycle: leg.add(cycle, recorder),
                 supervisor=leg.supervisor,
                 time_limit=self.leg + 60,
-                on_ready=leg.begin,
+                on_ready=leg.start,
             )
             recorder.close(outcome=outcome)
         result = leg.result(outcome) | {
@@ -126,7 +126,7 @@ class _Leg:
         self._injected = 0.0
         self._rig: Rig | None = None
 
-    def begin(self, rig: Rig) -> None:
+    def start(self, rig: Rig) -> None:
         self._rig = rig
 
     def add(self, cycle: Cycle, recorder: Recorder) -> None:

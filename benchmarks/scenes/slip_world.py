@@ -150,14 +150,14 @@ class SlipWorld(World):
         )
         self.model.dof_damping[self._dofs[:3]] = drag
         self.model.dof_damping[self._dofs[3:]] = drag * _TURNING**2
-        begin = self.time
+        start = self.time
         if self._test:
             grip = float(normal.mean())
             self._test_direction = _TEST_FRACTION * grip / (_SOFT_GRIP + _STIFF_GRIP * grip)
-            self._test_start = begin
+            self._test_start = start
         for _ in range(round(seconds / self.timestep)):
             self._squeeze(self._travel)
-            self._apply(self.time - begin, limit, seconds)
+            self._apply(self.time - start, limit, seconds)
             self.step()
             yield
 

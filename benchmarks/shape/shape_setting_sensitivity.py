@@ -73,7 +73,7 @@ def record(case: Case) -> Pressed:
     view = View(world, load_sensor("dense"), seed=1)
     take_references(world, [view], world.design.chamber.supply_gauge)
     perception = view.perception
-    begin = perception.state
+    start = perception.state
     images = []
     for depth in (*_DEPTHS, *[None] * _HELD):
         if depth is not None:
@@ -84,7 +84,7 @@ def record(case: Case) -> Pressed:
         touch = view.touch()
         if touch.traction is not None and touch.touching:
             images.append((before, perception.state, touch))
-    return Pressed(begin, images)
+    return Pressed(start, images)
 
 
 def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:

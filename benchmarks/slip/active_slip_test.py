@@ -38,12 +38,12 @@ def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
     time = np.array([look.time for look in looks])
     normal = np.array([look.touch.force_normal for look in looks])
     shear = np.array([_shear(look.touch) for look in looks])
-    begins = np.searchsorted(time, time - WINDOW - 1e-9)
+    starts = np.searchsorted(time, time - WINDOW - 1e-9)
     return [
-        evaluate_slip_test(normal[begin : k + 1], shear[begin : k + 1])
+        evaluate_slip_test(normal[start : k + 1], shear[start : k + 1])
         if time[k] - time[0] >= WINDOW - 1e-9
         else evaluate_slip_test([], [])
-        for k, begin in enumerate(begins)
+        for k, start in enumerate(starts)
     ]
 
 

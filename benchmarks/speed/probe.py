@@ -24,7 +24,7 @@ TOUCHING = ("regulate", "lift", "hold", "lower")  # phases from the first touch 
 
 
 def main(rate: float, kind: str) -> dict[str, Any]:
-    begin = time.process_time(), time.perf_counter()
+    process_start = time.process_time(), time.perf_counter()
     from mjtactile.core.design import load_sensor
     from mjtactile.runtime.controller import load_controller
     from mjtactile.runtime.session import open_session
@@ -33,7 +33,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     from mjtactile.sim.rig import SimClock
     from mjtactile.sim.scenes.world import World
 
-    imported = time.perf_counter() - begin[1]
+    imported = time.perf_counter() - process_start[1]
     design = load_sensor("dense")
     design = replace(design, camera=replace(design.camera, rate=rate))
     phase = ["references"]

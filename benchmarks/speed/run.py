@@ -135,14 +135,14 @@ def _loop(accuracy: str, workers: int, notify: Callable[[str], None]) -> dict[st
         wall = time.perf_counter() - start[1]
         core = core_time() - core
         slow = denormals.count(*session.perceptions, *session.rig.cameras)
-    _, first, begin = next(moment for moment in moments if moment[0])
+    _, first, start = next(moment for moment in moments if moment[0])
     _, last, end = next(moment for moment in reversed(moments) if moment[0])
     row = {
         "accuracy": accuracy or "default",
         "workers": workers,
         "camera_rate_Hz": CAMERA_RATE,
         "real_time_factor": simulated / wall,
-        "real_time_factor_held": (last - first) / (end - begin),
+        "real_time_factor_held": (last - first) / (end - start),
         "core_ms_per_s": 1e3 * core / simulated,
         "load_average": os.getloadavg()[0],
         "denormals": slow,

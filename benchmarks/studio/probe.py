@@ -41,17 +41,17 @@ class Watched(SessionBridge):
         self.looks = 0
 
     def on_images(self) -> None:
-        begin = time.perf_counter()
+        start = time.perf_counter()
         super().on_images()
         self.taken.append(time.time())
-        self.spent.append(time.perf_counter() - begin)
+        self.spent.append(time.perf_counter() - start)
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        begin = time.perf_counter()
+        start = time.perf_counter()
         super().add(cycle, view, **truth)
         now = time.perf_counter()
         self.cycles.append((cycle.time, now, core_time()))
-        self.spent[-1] += now - begin
+        self.spent[-1] += now - start
 
     def snapshot(self) -> Any:
         if threading.current_thread().name != "studio":
@@ -76,7 +76,7 @@ def studio() -> dict[str, Any]:
 
     panel.Panel._upload = marked
     bridge.step()
-    threading.Thread(target=_begin, args=(bridge,), daemon=True).start()
+    threading.Thread(target=_start, args=(bridge,), daemon=True).start()
     watch(bridge, browser=False, runs=1)
     return {
         **_speed(bridge.cycles),
@@ -85,7 +85,7 @@ def studio() -> dict[str, Any]:
     }
 
 
-def _begin(bridge: Watched) -> None:
+def _start(bridge: Watched) -> None:
     """Go on when the page is up."""
     while bridge.looks < 3 * _FRAMES:  # three windows ask in each frame
         time.sleep(0.05)
@@ -112,7 +112,7 @@ def plain() -> dict[str, Any]:
 def _speed(cycles: list[Moments]) -> dict[str, float]:
     """Simulated over wall time, and core time of a simulated second, from the third cycle on: with
     Studio the first waits for the page."""
-    simulated, wall, core = (end - begin for begin, end in zip(cycles[2], cycles[-1], strict=True))
+    simulated, wall, core = (end - start for start, end in zip(cycles[2], cycles[-1], strict=True))
     return {"factor": simulated / wall, "core_s": core / simulated}
 
 

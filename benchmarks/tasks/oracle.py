@@ -61,7 +61,7 @@ class Oracle(Observer):
         self._lever = 1.0
         self.need = 0.0
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         """Take hold of the truth."""
         self._scorer = TaskScorer.of(self._scenario, session.rig)
         fingers = len(session.rig.fingers)

@@ -210,7 +210,7 @@ class _Scale(Observer):
         self.found: dict[str, float] = {}
         self._world: Any = None
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         self._world = session.rig.scene
 
     def add(self, cycle: Cycle, view: Any = None, **true: Any) -> None:

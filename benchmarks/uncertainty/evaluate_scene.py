@@ -169,8 +169,8 @@ def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
 def _beat(scene: Scene, world: PressWorld) -> None:
     """Up and down between a little above first touch and the scene's depth."""
     top = -0.3e-3
-    begin = world.time
+    start = world.time
     world.drive(top, 0.0, _FAST)
-    while world.time < begin + _RHYTHM:
-        fraction = (1 - np.cos(2 * np.pi * scene.frequency * (world.time - begin))) / 2
+    while world.time < start + _RHYTHM:
+        fraction = (1 - np.cos(2 * np.pi * scene.frequency * (world.time - start))) / 2
         world.drive(top + fraction * (scene.depth - top), 0.0, 10.0)

@@ -105,7 +105,7 @@ class TouchNode(LifecycleNode):
         q.x, q.y, q.z, q.w = x, y, z, w
         return message
 
-    def begin_cycle(self, now):
+    def start_cycle(self, now):
         """Set the relation of the rig's clock and that of ROS; `now` is on the rig's, s."""
         if self.requested["publish_clock"]:
             clock = Clock()
@@ -202,11 +202,11 @@ class TouchNode(LifecycleNode):
             fingers = session.rig.fingers
             names = [finger.name for finger in fingers]
             cameras = [camera_of(finger).camera for finger in fingers]
-            self.begin_cycle(session.rig.clock.now())
+            self.start_cycle(session.rig.clock.now())
             self.publish_fixed(fingers, session.perceptions, session.rig.clock.now())
 
             def on_cycle(cycle):
-                self.begin_cycle(session.rig.clock.now())
+                self.start_cycle(session.rig.clock.now())
                 self.publish(names, cycle, cameras)
                 feedback = Grasp.Feedback()
                 feedback.phase = cycle.sent.phase

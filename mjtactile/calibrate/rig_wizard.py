@@ -309,14 +309,14 @@ def edited(text: str, changes: Mapping[Place, object]) -> str:
             for i, line in enumerate(lines)
             if re.match(rf"\s*\[+\s*{re.escape(section)}\s*\]+", line)
         ]
-        begin = heads[number]
+        start = heads[number]
         end = next(
-            (i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")),
+            (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("[")),
             len(lines),
         )
         shown = f'"{value}"' if isinstance(value, str) else f"{value!r}"
         found = next(
-            (i for i in range(begin + 1, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[i])),
+            (i for i in range(start + 1, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[i])),
             None,
         )
         if value is None:
@@ -327,5 +327,5 @@ def edited(text: str, changes: Mapping[Place, object]) -> str:
             comment = re.search(r"\s+#[^\"']*$", rest)
             lines[found] = f"{head}= {shown}{comment[0] if comment else ''}"
         else:
-            lines.insert(begin + 1, f"{key} = {shown}")
+            lines.insert(start + 1, f"{key} = {shown}")
     return "\n".join(lines) + "\n"

@@ -159,7 +159,7 @@ def _locate(
         return _without_markers(frame, "cannot be read")
     if mismatch := camera.size_mismatch(frame.pixels, "the camera file"):
         return _without_markers(frame, mismatch)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     found = detect_circles(
         frame.pixels,
         camera,
@@ -168,7 +168,7 @@ def _locate(
         neighbours=options.neighbours,
         gamma=options.gamma,
     )
-    spent = 1e3 * (time.perf_counter() - begin)
+    spent = 1e3 * (time.perf_counter() - start)
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))

@@ -194,7 +194,7 @@ def _run_and_report(
         progress.close()
         if recorder is None:
             raise
-        if recorder.never_began(error):
+        if recorder.never_started(error):
             recorder.discard()
             raise
         _report_fault(error, recorder, out, requested, figure)

@@ -175,29 +175,29 @@ def page_of_table(name: str) -> Path:
     """Return the page of the documentation, or the README, that has the markers of `name`."""
     folder = resources.folder("docs")
     for page in (folder.parent / "README.md", *sorted(folder.rglob("*.md"))):
-        if foreign_file.is_file(page) and _begin(name) in page.read_text(encoding="utf-8"):
+        if foreign_file.is_file(page) and _start_marker(name) in page.read_text(encoding="utf-8"):
             return page
     raise InputError(
-        f"no page of the documentation has {_begin(name)}; give a file", field="--readme"
+        f"no page of the documentation has {_start_marker(name)}; give a file", field="--readme"
     )
 
 
-def _begin(name: str) -> str:
+def _start_marker(name: str) -> str:
     return f"<!-- bench:{name} -->"
 
 
 def insert_table(path: Path, name: str, table: str) -> None:
     """Replace the text between the markers of `name` in a Markdown file. Raises InputError when
     they are missing."""
-    begin = _begin(name)
+    start_marker = _start_marker(name)
     end = "<!-- /bench -->"
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         message = f"the file cannot be read: {error.strerror}"
         raise InputError(message, source=path, field="--readme") from error
-    head, found, rest = text.partition(begin)
+    head, found, rest = text.partition(start_marker)
     _, closed, tail = rest.partition(end)
     if not (found and closed):
-        raise InputError(f"has no {begin} … {end}", source=path, field="--readme")
-    path.write_text(f"{head}{begin}\n{table.strip()}\n{end}{tail}", encoding="utf-8")
+        raise InputError(f"has no {start_marker} … {end}", source=path, field="--readme")
+    path.write_text(f"{head}{start_marker}\n{table.strip()}\n{end}{tail}", encoding="utf-8")

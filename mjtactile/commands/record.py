@@ -291,7 +291,7 @@ def _record(
     import numpy as np
 
     watching = _Watching(progress, stage)
-    recorder.begin(session)
+    recorder.start(session)
     session.take_references(recorder)
     seconds = min(seconds, session.rig.length)
     session.run(

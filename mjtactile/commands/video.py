@@ -27,7 +27,7 @@ EPILOG = """\
 examples:
   mjtactile video runs/grasp                        writes runs/grasp/video.mp4
   mjtactile video runs/grasp --out egg.gif --speed 2
-  mjtactile video runs/grasp --begin 2 --seconds 6 --out egg.webp
+  mjtactile video runs/grasp --start 2 --seconds 6 --out egg.webp
   mjtactile grasp --video egg.mp4                   with the scene
 
 Needs `pip install 'mjtactile[video]'`. exit codes: 0 written, 2 bad input.
@@ -42,7 +42,7 @@ ARGUMENTS = (
         "FILE",
     ),
     arg.option("--speed X", "playback speed, relative to real time", 1.0, type=arg.POSITIVE),
-    arg.option("--begin S", "skip the first S seconds", 0.0, type=arg.number(0)),
+    arg.option("--start S", "skip the first S seconds", 0.0, type=arg.number(0)),
     arg.option("--seconds S", "duration to render (default: all)", math.inf, type=arg.POSITIVE),
 )
 
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
             path,
             recording,
             speed=options.speed,
-            begin=options.begin,
+            start=options.start,
             seconds=options.seconds,
             notify=Progress(quiet=options.json).message,
         )

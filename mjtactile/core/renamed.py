@@ -101,6 +101,7 @@ OPTIONS: Mapping[str, str] = {
     "--screen": "--screening-sample",
     "--cause": "--parameter",
     "--until-s": "--end-s",
+    "--begin": "--start",
     "--fast": "--no-realtime",
     "--turn-deg": "--rotation-deg",
     "shadow": "compare-sim",

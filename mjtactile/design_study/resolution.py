@@ -155,7 +155,7 @@ class ResolutionPredictor:
         prior = Prior(theta / family.sd, np.eye(len(theta)))
         problem = Problem(self._forward, family, hint, data, prior)
         try:
-            at = problem.begin(theta, pressed.state)
+            at = problem.fit_state(theta, pressed.state)
             if at is None:
                 return None
             slopes = exact_jacobian(problem, at)

@@ -94,15 +94,15 @@ class EmulatedWorld:
 
     def _run(self) -> None:
         """Step the simulation in real time."""
-        begin = scaled_clock.monotonic()
+        start = scaled_clock.monotonic()
         try:
             while not self._stop.is_set():
-                behind = scaled_clock.monotonic() - begin - self.scene.time
+                behind = scaled_clock.monotonic() - start - self.scene.time
                 if behind < self.scene.timestep:
                     self._stop.wait(self.scene.timestep - behind)
                     continue
                 if behind > _BEHIND_MAX:
-                    begin += behind
+                    start += behind
                     self._shared["lost"] += behind
                 self._step()
                 self._stop.wait(_BREATH)

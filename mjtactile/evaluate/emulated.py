@@ -74,7 +74,7 @@ class TrueOutcome(Observer):
         self._peak = 0.0
         self._done = False
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         """Store the start height of the object."""
         self._truth = session.rig.truth
         self._start = float(self._truth()["object_height"])

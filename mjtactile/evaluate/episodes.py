@@ -228,7 +228,7 @@ class _Facts(Observer):
         self.time = 0.0
         """Simulated time from the first cycle to the last, s."""
 
-    def begin(self, session: Session) -> None:
+    def start(self, session: Session) -> None:
         """Episodes have a process each, and these fill the processors."""
         if isinstance(session.rig.clock, SimClock):
             session.rig.clock.step_in_turn()

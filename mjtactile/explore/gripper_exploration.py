@@ -73,7 +73,7 @@ def explore_by_gripper(
     with open_session(scenario, workers=0, notify=notify) as session:
         require_two(len(session.rig.fingers))
         heights = _heights(session.rig, goal.touches - before)
-        observers.begin(session)
+        observers.start(session)
         session.take_references(observers)
         controller = GripController(heights, goal.force)
         try:

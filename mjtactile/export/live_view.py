@@ -84,7 +84,7 @@ class LiveView(Observer):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         """Open the viewer, the server or the file.
 
         Args:

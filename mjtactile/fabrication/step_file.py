@@ -238,9 +238,9 @@ def _bore_faces(file: _File, bore: Bore) -> list[int]:
     start, end = bore.ends
     near = _bore_ring(file, bore, start)
     far = _bore_ring(file, bore, end)
-    _, *begins = _bore_points(bore, start)
+    _, *starts = _bore_points(bore, start)
     _, *ends = _bore_points(bore, end)
-    seams = [file.line(a, b) for a, b in zip(begins, ends, strict=True)]
+    seams = [file.line(a, b) for a, b in zip(starts, ends, strict=True)]
     surface = file.cylinder(np.array([start, bore.y, bore.z]), _X, _Y, bore.radius)
     halves = [
         [(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)] for k in (0, 1)

@@ -138,11 +138,11 @@ def fit_gas(
         if name not in known
         and not (name == "heat_exchange" and known.get("polytropic_exponent") == 1)
     )
-    begin = {
+    start = {
         "polytropic_exponent": max(chamber.polytropic_exponent, 1.2),
         "heat_exchange": min(chamber.heat_exchange, 1.0),
     }
-    chamber = replace(chamber, **{name: value for name, value in begin.items() if name in names})
+    chamber = replace(chamber, **{name: value for name, value in start.items() if name in names})
     return _Problem(
         replace(design, chamber=chamber), runs, names, models or [predict] * len(runs), modes
     ).solve(iterations)

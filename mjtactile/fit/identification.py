@@ -54,7 +54,7 @@ def fit_recordings(
     `known` contains manually measured values, by field of the sensor file in its unit. Recordings
     of `held_out` are predicted only. Raises InputError for input that cannot be used.
     """
-    begin = wall.monotonic()
+    start = wall.monotonic()
     known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
@@ -86,7 +86,7 @@ def fit_recordings(
         gas,
         image,
         checks,
-        wall.monotonic() - begin,
+        wall.monotonic() - start,
     )
 
 

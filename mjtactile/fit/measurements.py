@@ -274,8 +274,8 @@ def _holds(
     for move, end in zip(moves, ends, strict=True):
         if move is not None and move.time >= last:
             break  # the recording ended before
-        begin = 0.0 if move is None else move.time + _travel(before, move) + _SETTLING
-        rows = np.flatnonzero((times >= max(begin, end - _HOLD_MAX)) & (times < end - 1e-6))
+        start = 0.0 if move is None else move.time + _travel(before, move) + _SETTLING
+        rows = np.flatnonzero((times >= max(start, end - _HOLD_MAX)) & (times < end - 1e-6))
         gauge = float(np.mean(pressure[rows])) if len(rows) else math.nan
         time = float(times[rows].mean()) if len(rows) else math.nan
         hold = _hold(design, [shots[i] for i in rows.tolist()], gauge, move, time)

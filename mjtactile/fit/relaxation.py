@@ -66,9 +66,9 @@ class RelaxationFit:
 
     @property
     def sentence(self) -> str:
-        begin, end = self.within
+        start, end = self.within
         return (
-            f"from {begin:g} to {end:.0f} s {100 * self.faded:.1f} % of the long-term stress "
+            f"from {start:g} to {end:.0f} s {100 * self.faded:.1f} % of the long-term stress "
             f"relaxes (+-{100 * self.faded_sd:.1f} %)"
         )
 
@@ -105,9 +105,9 @@ def fit_relaxation(path: Path, design: SensorDesign, finger: str) -> RelaxationF
         raise InputError(message, source=path, field="--relaxation")
     fractions, cov = _solve(*memories.equations())
     within = (SHORTEST, lasts)
-    begin, end = (np.exp(-moment / memories.times) for moment in within)
-    sd = math.sqrt((begin - end) @ cov @ (begin - end))
-    return RelaxationFit(memories.times, fractions, within, float(fractions @ (begin - end)), sd)
+    start, end = (np.exp(-moment / memories.times) for moment in within)
+    sd = math.sqrt((start - end) @ cov @ (start - end))
+    return RelaxationFit(memories.times, fractions, within, float(fractions @ (start - end)), sd)
 
 
 def _solve(shown: Array, requested: Array) -> tuple[Array, Array]:
@@ -158,7 +158,7 @@ class _Memories:
         images = [images[number] for images in recording.images()]
         seconds = images[-1].time - at_rest[-1].time
         self.times = 10.0 ** np.arange(0, max(1, math.ceil(math.log10(seconds))) + 1)
-        self._begin(at_rest[-1].time - state.flat_at, at_rest[-1].time)
+        self._start(at_rest[-1].time - state.flat_at, at_rest[-1].time)
         self.free = np.zeros(len(images), bool)
         self._markers = np.zeros((len(images), design.markers.count, 3))
         self._unfaded: list[Array] = []
@@ -189,7 +189,7 @@ class _Memories:
         moved = (self.pressure[self.free] - self._gauge)[:, None] * bulge
         return shown, markers - moved
 
-    def _begin(self, inflated_s: float, now: float) -> None:
+    def _start(self, inflated_s: float, now: float) -> None:
         membrane = self._inverse.membrane
         rest = self._rest
         state = membrane.state(rest.c, rest.stiffness_scale)

@@ -31,21 +31,21 @@ def _put(lines: list[str], section: str, key: str, value: str, number: FittedPar
 
     A value that the recordings do not determine is not added to the file.
     """
-    begin = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
+    start = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
     is_finite_value = number.state != "not in these recordings"
-    if begin is None:
+    if start is None:
         if is_finite_value:
             lines += ["", f"[{section}]", f"{key} = {value}  # {number.comment}"]
         return
     end = next(
-        (i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines)
+        (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines)
     )
-    for i in range(begin + 1, end):
+    for i in range(start + 1, end):
         found = re.match(rf"(\s*{key}\s*=\s*)([^#]*?)(\s*#.*)?$", lines[i])
         if found:
             lines[i] = f"{found[1]}{value if is_finite_value else found[2]}  # {number.comment}"
             return
     if is_finite_value:
-        while end > begin + 1 and not lines[end - 1].strip():
+        while end > start + 1 and not lines[end - 1].strip():
             end -= 1
         lines.insert(end, f"{key} = {value}  # {number.comment}")

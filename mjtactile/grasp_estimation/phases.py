@@ -37,7 +37,7 @@ def abort(command: Command, reason: str) -> Command:
     return replace(enter_phase(command, "abort"), reason=reason)
 
 
-def begin_cycle(observation: Observation, start: Mapping[str, Any], force_limit: float) -> Command:
+def start_cycle(observation: Observation, start: Mapping[str, Any], force_limit: float) -> Command:
     """Return the last command, with this force limit, N, and the clock of its phase advanced.
 
     `start` are the initial values of the memory.

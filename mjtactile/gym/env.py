@@ -171,7 +171,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         names = [finger.name for finger in rig.fingers]
         perceivers = Perceivers(self._session.perceptions, names, threads=0)
         observer = _CycleObserver(self._score)
-        self._cycle = ControlCycle.begin(rig, perceivers, Supervisor(rig.period), observer)
+        self._cycle = ControlCycle.start(rig, perceivers, Supervisor(rig.period), observer)
         self._start = self._cycle.now
         self._look()
         self._opening = max(self._seen.gripper.opening, 1e-6)

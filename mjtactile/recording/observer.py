@@ -21,7 +21,7 @@ class Observer:
     """True if the observer uses the views passed to `add`; without such an observer no views are
     made."""
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         """Receive the session, with the rig ready and before any motion.
 
         Args:
@@ -74,9 +74,9 @@ class Observers(Observer):
         self._observers = tuple(observers)
         self.sees = any(observer.sees for observer in self._observers)
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         for observer in self._observers:
-            observer.begin(session)
+            observer.start(session)
 
     def message(self, text: str) -> None:
         for observer in self._observers:

@@ -102,13 +102,13 @@ class Recorder(Observer):
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is not None and self.never_began(error):
+        if error is not None and self.never_started(error):
             self.discard()
         elif error is not None:
             self.close(outcome="fault", error=" ".join(str(error).split()) or type(error).__name__)
         self.close()
 
-    def begin(self, session: Any) -> None:
+    def start(self, session: Any) -> None:
         """Note how long this world waits for a disk that is behind: a real one does not.
 
         Args:
@@ -223,7 +223,7 @@ class Recorder(Observer):
             if self._thread.is_alive():
                 self._stop_recording("the disk does not respond")
 
-    def never_began(self, error: BaseException) -> bool:
+    def never_started(self, error: BaseException) -> bool:
         """Return True if a run left no useful data, for example because a device was missing.
 
         Args:

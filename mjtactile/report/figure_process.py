@@ -67,7 +67,7 @@ class FigureWriter:
             return
         still = None if scene is None else _still(scene, snapshot)
         try:
-            self._worker.begin(path, recording, snapshot, dict(summary), still)
+            self._worker.start(path, recording, snapshot, dict(summary), still)
             answer = self._worker.outcome(_PATIENCE)
         except DeviceError:
             write_figure(path, recording, snapshot, summary, scene)

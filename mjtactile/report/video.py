@@ -47,13 +47,13 @@ def write_video(
     views: Sequence[tuple[float, SceneCamera]] = (),
     *,
     speed: float = 1.0,
-    begin: float = 0.0,
+    start: float = 0.0,
     seconds: float = math.inf,
     notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write a video of `recording` to `path` (.mp4, .gif or .webp).
 
-    It plays `speed` times faster than the run and covers `seconds` from `begin`, s, on. `views` are
+    It plays `speed` times faster than the run and covers `seconds` from `start`, s, on. `views` are
     scenes with their times, s. Returns the number and the size of the frames.
 
     Raises InputError for another suffix or a recording without images, MjtactileError without
@@ -68,13 +68,13 @@ def write_video(
     rate, scale = FORMATS[path.suffix]
     video = _VideoWriter(recording, views)
     times = np.arange(
-        video.start + begin, min(video.end, video.start + begin + seconds) + 1e-9, speed / rate
+        video.start + start, min(video.end, video.start + start + seconds) + 1e-9, speed / rate
     )
     if not len(times):
         raise InputError(
             f"the recording ends after {video.end - video.start:.1f} s",
             source=recording.folder,
-            field="--begin",
+            field="--start",
         )
     part = path.with_name(path.name + ".part")
     size = (0, 0)
@@ -268,8 +268,8 @@ class _Curve:
         return 22 + (self._top - force) / (self._top - self._low) * (_CURVE - 46)
 
     def _shade(self, recording: Recording) -> None:
-        for name, begin, end in recording.phases():
-            left, right = (int(x) for x in self._x(np.array([begin, end])))
+        for name, start, end in recording.phases():
+            left, right = (int(x) for x in self._x(np.array([start, end])))
             cv2.rectangle(
                 self._image,
                 (left, 22),

@@ -73,7 +73,7 @@ def run_loop(
         memory as limit_memory,
     ):
         supervisor = supervisor or Supervisor(rig.period)
-        cycle = ControlCycle.begin(rig, perceiving, supervisor, observer or Observer())
+        cycle = ControlCycle.start(rig, perceiving, supervisor, observer or Observer())
         _rotate_until_over(cycle, guarded, stop, limit_memory, time_limit)
     _report_flag(cycle)
     if cycle.failure is not None:
@@ -152,9 +152,9 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     cycle.look()
     cycle.rig.clock.advance_towards(deadline)
     observation = cycle.observe()
-    begin = wall.perf_counter()
+    start = wall.perf_counter()
     requested = _think(cycle, controller, observation)
-    controller_ms = 1e3 * (wall.perf_counter() - begin)
+    controller_ms = 1e3 * (wall.perf_counter() - start)
     sent = cycle.send(requested)
     memory, left_out = plain(sent.memory)
     turn = Cycle(

@@ -89,7 +89,7 @@ class ControlCycle:
     _seen: float = field(default=0.0, init=False)
 
     @classmethod
-    def begin(
+    def start(
         cls, rig: Rig, perceptions: Perceiving, supervisor: Supervisor, observer: Observer
     ) -> ControlCycle:
         """Create the first cycle, in which jaws and lift hold their current positions."""
@@ -102,10 +102,10 @@ class ControlCycle:
 
     def look(self) -> None:
         """Read the newest images and the valve states; a simulated world is paused meanwhile."""
-        begin = wall.perf_counter()
+        start = wall.perf_counter()
         self._blind = self._take_images()
         self._seen = wall.perf_counter()
-        self.camera_ms = 1e3 * (self._seen - begin)
+        self.camera_ms = 1e3 * (self._seen - start)
         self.now = self.rig.clock.now()
         self.attempt(self.rig.gripper.request_state)
         if not self.attempt(self._read_valves):

@@ -227,7 +227,7 @@ def run_grasp(
     controller = load_controller(scenario.controller) if controller is None else controller
     with open_session(scenario, workers=workers, notify=watching.message) as session:
         rig = session.rig
-        watching.begin(session)
+        watching.start(session)
         score = _score(scenario, rig, watching)
         # before the gripper moves: files cannot be read on a computer that fails meanwhile
         criterion = load_task(scenario.task).success.text
@@ -238,7 +238,7 @@ def run_grasp(
         session.take_references(watching)
         estimate = _estimate(rig) if error_estimate else None
         log = _Log(watching, score, estimate, rig.goal.place_height)
-        begin = wall.perf_counter()
+        wall_start = wall.perf_counter()
         start = rig.clock.now()
         completed = False
         has_ended = False
@@ -253,7 +253,7 @@ def run_grasp(
                 raise  # else the recording has ended before this controller did
             has_ended = True
         duration = rig.length if has_ended else rig.clock.now() - start
-        factor = duration / (wall.perf_counter() - begin)
+        factor = duration / (wall.perf_counter() - wall_start)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
         try:

@@ -61,7 +61,7 @@ class PerceptionPool:
         self._names = names
         for worker, own in self._parts(perceptions):
             # whole: arrays that may be written to have their address read faster
-            worker.begin("take", pickle.dumps(own))
+            worker.start("take", pickle.dumps(own))
         for worker, _ in self._parts(perceptions):
             if worker.outcome(_START) is None:
                 raise DeviceError(
@@ -86,7 +86,7 @@ class PerceptionPool:
         have answered.
         """
         for worker, own in self._parts(with_readings(images, readings)):
-            worker.begin("perceive", own, now)
+            worker.start("perceive", own, now)
         end = scaled_clock.monotonic() + timeout
         outcomes = list[Outcome | None]([None] * len(images))
         for first, (worker, own) in enumerate(self._parts(self._perceptions)):
@@ -109,7 +109,7 @@ class PerceptionPool:
         """Those of a process that does not answer any more stay in the states that it began in."""
         with contextlib.suppress(DeviceError):
             for worker, own in self._parts(self._perceptions):
-                worker.begin("give")
+                worker.start("give")
                 for perception, state in zip(own, worker.outcome(PATIENCE) or (), strict=False):
                     perception.state = state
 

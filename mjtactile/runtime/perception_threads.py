@@ -107,7 +107,7 @@ class Perceivers:
         given = [(image, now, reading) for image, reading in with_readings(images, readings)]
         for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True):
             if thread is not None:
-                thread.begin(pipeline.perceive, *seen)
+                thread.start(pipeline.perceive, *seen)
         own = [
             outcome_of(pipeline.perceive, *seen) if thread is None else None
             for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True)
@@ -172,7 +172,7 @@ class _Thread:
         self._is_late = False
         threading.Thread(target=self._run, name=f"perception {name}", daemon=True).start()
 
-    def begin(self, act: Callable[..., Any], *arguments: Any) -> None:
+    def start(self, act: Callable[..., Any], *arguments: Any) -> None:
         """Start a call, unless the previous one is still running."""
         while self._due and not self._done.empty():
             self._done.get()  # discard the late result

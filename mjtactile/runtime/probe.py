@@ -111,7 +111,7 @@ def run_probe(
     controller = load_controller(scenario.controller)
     log = _Log()
     with open_session(scenario, settings=settings, notify=watching.message) as session:
-        watching.begin(session)
+        watching.start(session)
         session.take_references(watching)
         session.run(controller, time_limit=scenario.time_limit, observer=Observers([log, watching]))
         flags = session.flags

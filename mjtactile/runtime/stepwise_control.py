@@ -27,7 +27,7 @@ class StepwiseControl:
         names = [finger.name for finger in rig.fingers]
         self._rig = rig
         self._perceivers = Perceivers(perceptions, names, threads)
-        self._cycle = ControlCycle.begin(rig, self._perceivers, Supervisor(rig.period), Observer())
+        self._cycle = ControlCycle.start(rig, self._perceivers, Supervisor(rig.period), Observer())
         self._deadline = self._cycle.now
         self._sent = True
         self.images: tuple[Image, ...] = ()

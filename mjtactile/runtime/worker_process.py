@@ -50,7 +50,7 @@ class WorkerProcess:
                 os.close(file)
             unless_it_starts.pop_all()
 
-    def begin(self, *question: Any) -> None:
+    def start(self, *question: Any) -> None:
         """Send a question to the worker process.
 
         A late answer to an earlier question is discarded first. Raises DeviceError if the process

@@ -199,7 +199,7 @@ class MembraneEstimator:
             return gas
         if gas is None:
             volume = self._inverse.volume(rest.c)
-            gas = self.gas_filter.begin(rest.gas, min(time, reading.time) - 1e-3, volume)
+            gas = self.gas_filter.start(rest.gas, min(time, reading.time) - 1e-3, volume)
         gas = self.gas_filter.switched(gas, reading)
         if gas.is_open:
             gas, _ = self.gas_filter.read(gas, reading)

@@ -264,7 +264,7 @@ class SensingPipeline:
         """Return the relaxation state of the rubber at the rest reference; None: no relaxation."""
         if self.inverse.rubber is None:
             return None
-        return self.inverse.rubber.begin(rest.c, rest.young, inflated_s, time)
+        return self.inverse.rubber.start(rest.c, rest.young, inflated_s, time)
 
     # -- contact shape
 

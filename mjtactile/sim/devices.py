@@ -53,7 +53,7 @@ class SimClock:
 
     def advance_towards(self, time: float) -> None:
         if self._running is None:
-            self._running = self._begin(lambda: self._go(time))
+            self._running = self._start(lambda: self._go(time))
 
     def wait_until(self, time: float) -> None:
         """Step the world until `time`, then run the deferred actions. Raises SimulationError."""
@@ -82,25 +82,25 @@ class SimClock:
         self.close()
         self._pool = None
 
-    def _begin(self, do: Callable[[], None]) -> Future[None] | _Later:
+    def _start(self, do: Callable[[], None]) -> Future[None] | _Later:
         return _Later(do) if self._pool is None else self._pool.submit(do)
 
     def _go(self, time: float) -> None:
         self._advance(time)
-        begin = wall.perf_counter()
+        start = wall.perf_counter()
         first, *others = self.on_arrival or [lambda: None]
-        started = [self._begin(action) for action in others]
+        started = [self._start(action) for action in others]
         first()
         for action in started:
             action.result()
-        self.rendering_time += wall.perf_counter() - begin
+        self.rendering_time += wall.perf_counter() - start
 
     def _advance(self, time: float) -> None:
         missing = round((time - self._world.time) / self._world.timestep)
         if missing > 0:
-            begin = wall.perf_counter()
+            start = wall.perf_counter()
             self._world.step(missing)
-            self.physics_time += wall.perf_counter() - begin
+            self.physics_time += wall.perf_counter() - start
 
 
 class SimValve:

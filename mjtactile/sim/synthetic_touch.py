@@ -56,7 +56,7 @@ class SensingErrorSampler:
         results = (self._row, self._wrench, self._cov)
         self._sample = bound("sample_errors", *model, *settings, *state, *results)
 
-    def begin(self, rng: np.random.Generator) -> None:
+    def start(self, rng: np.random.Generator) -> None:
         """Sample the persistent errors again."""
         self._slow[:] = self._spread @ rng.standard_normal(6)
         grasp, gain = rng.standard_normal(2)
@@ -103,7 +103,7 @@ class SyntheticTouchSource:
     def reseed(self, seed: int) -> None:
         """Sample all future errors from a new generator, including the persistent ones."""
         self._rng = np.random.default_rng(seed)
-        self._error_sampler.begin(self._rng)
+        self._error_sampler.start(self._rng)
         self._drawn = None
 
     def draw(self) -> None:

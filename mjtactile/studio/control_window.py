@@ -55,7 +55,7 @@ class ControlWindow(plugin.ViewerPlugin):
             self._session = bridge.session
             self._pierced = set()
             self._next = bridge.scenario
-        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._layout.start(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Session")[0]:
             self._build_state(snapshot)

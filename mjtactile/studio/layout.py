@@ -17,7 +17,7 @@ _LEAST = 120  # px
 
 
 class WindowLayout:
-    """Window placement: call `begin` for each frame and `place` before each window.
+    """Window placement: call `start` for each frame and `place` before each window.
 
     A window that the user moves keeps its position until the page's size changes.
     """
@@ -26,7 +26,7 @@ class WindowLayout:
         self._size = (0.0, 0.0)
         self._when = int(imgui.Cond.Once)
 
-    def begin(self, size: Any) -> None:
+    def start(self, size: Any) -> None:
         """`size` px of the page."""
         changed = (size.x, size.y) != self._size
         self._size = (size.x, size.y)

@@ -173,7 +173,7 @@ class Panel(plugin.ViewerPlugin):
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         snapshot = self.source.snapshot()
-        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._layout.start(imgui.GetIO().DisplaySize)
         self._build_overlay({} if snapshot is None else snapshot.flags)
         if snapshot is None:
             return

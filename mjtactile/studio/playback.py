@@ -139,7 +139,7 @@ class PlaybackWindow(plugin.ViewerPlugin):
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         tape = self.tape
-        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._layout.start(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Recording")[0]:
             imgui.TextWrapped(str(tape.recording.folder))

@@ -27,7 +27,7 @@ def build(curves: Curves | None, names: Sequence[str]) -> None:
     if curves is None or not imgui.BeginTabBar("##curves"):
         return
     if imgui.BeginTabItem("force"):
-        if _begin("normal force, N", curves):
+        if _begin_plot("normal force, N", curves):
             _forces(curves, names)
             implot.EndPlot()
         imgui.EndTabItem()
@@ -36,7 +36,7 @@ def build(curves: Curves | None, names: Sequence[str]) -> None:
         ("opening", "opening, mm", curves.opening[None], 1e3),
     ):
         if np.isfinite(values).any() and imgui.BeginTabItem(title):
-            if _begin(label, curves):
+            if _begin_plot(label, curves):
                 for name, value in zip(names if len(values) > 1 else [title], values, strict=False):
                     _line(name, curves.time, factor * value)
                 implot.EndPlot()
@@ -44,7 +44,7 @@ def build(curves: Curves | None, names: Sequence[str]) -> None:
     imgui.EndTabBar()
 
 
-def _begin(label: str, curves: Curves) -> bool:
+def _begin_plot(label: str, curves: Curves) -> bool:
     if not implot.BeginPlot(f"##{label}", imgui.Vec2(-1, -1)):
         return False
     implot.SetupAxes("t, s", label, _FIT, _FIT)
@@ -78,8 +78,8 @@ def _bands(curves: Curves) -> None:
     draw = imgui.GetWindowDrawList()
     ink = imgui.GetColorU32(int(imgui.Col.Text), 0.6)
     implot.PushPlotClipRect()
-    for name, begin, end in curves.spans:
-        left, right = (implot.PlotToPixels(time, 0.0).x for time in (begin, end))
+    for name, start, end in curves.spans:
+        left, right = (implot.PlotToPixels(time, 0.0).x for time in (start, end))
         if not math.isfinite(left + right) or right < corner.x or left > corner.x + size.x:
             continue
         draw.AddRectFilled(

@@ -46,7 +46,7 @@ class GeomPool:
         self._used: dict[int, int] = {}
         self.drawn: list[mujoco.MjvGeom] = []
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Start a new frame; the geoms of the last frame are reused."""
         self._used = {}
         self.drawn = []
@@ -110,7 +110,7 @@ def draw(
 
     Surfaces are restricted to parts above the fraction `least` of the color scale (0: all).
     """
-    brush.begin()
+    brush.start()
     fields = [
         None if look.surface == "none" else surface_colormap.field_of(estimated, look.surface)
         for estimated in fingers

@@ -83,7 +83,7 @@ class SessionBridge(Observer):
 
     # called by the session's thread
 
-    def begin(self, session: Session) -> None:
+    def start(self, session: Session) -> None:
         """A session begins."""
         self.session = session
         self.latest = None

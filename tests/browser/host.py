@@ -38,9 +38,9 @@ class Noting:
 
     def __init__(self, real):
         self._real = real
-        self.begin()
+        self.start()
 
-    def begin(self):
+    def start(self):
         self.notes = {"places": {}, "values": {}, "reported": [], "hovered": "", "active": ""}
 
     def __getattr__(self, name):
@@ -124,7 +124,7 @@ class Clerk(plugin.ViewerPlugin):
                 found[name] = (
                     {**found[name], **value} if isinstance(value, dict) else found[name] + value
                 )
-            module.imgui.begin()
+            module.imgui.start()
         frame.update(found)
 
 

@@ -203,7 +203,7 @@ def cameras():
 def test_what_the_node_publishes_is_what_was_felt(ros):
     node = configured()
     cycle = fake_cycle(30)  # at 1 s on the rig's clock, 0.01 s ago
-    node.begin_cycle(1.01)
+    node.start_cycle(1.01)
     node.publish(NAMES, cycle, cameras())
     topics = {topic: message for topic, _, message in ros.topics}
     info = topics["left/camera_info"]
@@ -258,7 +258,7 @@ def test_a_force_that_is_not_known_is_not_published(ros):
     node = configured()
     cycle = fake_cycle(30)
     unknown = SimpleNamespace(traction=None, surface=None, age=0.0)
-    node.begin_cycle(1.0)
+    node.start_cycle(1.0)
     node.publish(
         NAMES,
         SimpleNamespace(
@@ -272,7 +272,7 @@ def test_a_force_that_is_not_known_is_not_published(ros):
 def test_frames_are_those_of_an_exported_bag(ros):
     node = configured()
     cycle = fake_cycle(30)
-    node.begin_cycle(1.0)
+    node.start_cycle(1.0)
     node.publish_frames(NAMES, cycle)
     row = {"opening": cycle.gripper.opening, "lift_height": cycle.gripper.lift_height}
     requested = list(moving_frames(Mounting.assumed(2), NAMES, row))
@@ -290,7 +290,7 @@ def test_frames_are_those_of_an_exported_bag(ros):
 def test_a_simulated_rig_can_be_the_clock(ros):
     """Stamps are then the rig's times, and /clock has the time of the cycle."""
     node = configured(publish_clock=True)
-    node.begin_cycle(1.01)
+    node.start_cycle(1.01)
     node.publish(NAMES, fake_cycle(30), cameras())
     topics = {topic: message for topic, _, message in ros.topics}
     clock = topics["/clock"].clock

@@ -118,7 +118,7 @@ def test_the_distribution_of_sensing_errors_is_that_of_the_cpu(load):
     model = error_model(errors)
     estimates = zeros_of(sensing_errors.Estimates, count, wrench=6, slow=6)
     estimates.random.assign(np.random.SeedSequence(1).generate_state(count))
-    wp.launch(sensing_errors.begin_all, count, [model, estimates])
+    wp.launch(sensing_errors.restart_all, count, [model, estimates])
     wrench = wp.array(np.tile(true, (count, 1)).astype(np.float32), dtype=float)
     device, known = [], []
     for _ in range(images):
@@ -130,7 +130,7 @@ def test_the_distribution_of_sensing_errors_is_that_of_the_cpu(load):
     sampler = SensingErrorSampler(errors)
     cpu = []
     for _ in range(count):
-        sampler.begin(rng)
+        sampler.start(rng)
         cpu.append([sampler.estimated(true, elapsed, rng)[0].copy() for _ in range(images)])
     cpu = np.array(cpu).transpose(1, 0, 2)
     device = np.array(device)

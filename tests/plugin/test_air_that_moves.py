@@ -47,7 +47,7 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
     constant = (chamber.ambient + 1000.0) * volume
     rng = np.random.default_rng(0)
     for loss, maximum in ((0.0, 3.0), (3e-4, 10.0)):  # 1/s; Pa: 0, and 30 Pa/s
-        state = follow.begin(Gas(1000.0, constant), 0.0, volume)
+        state = follow.start(Gas(1000.0, constant), 0.0, volume)
         for k in range(1, 200):
             time = k / 30
             true = (chamber.ambient + 1000.0) * np.exp(-loss * time) - chamber.ambient
@@ -63,7 +63,7 @@ def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
     that a valve has released, and nothing at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
-    begun = follow.begin(Gas(1000.0), 0.0, 24e-6)
+    begun = follow.start(Gas(1000.0), 0.0, 24e-6)
     found = []
     for pressure in (1000.0, 0.0):
         state = begun
@@ -77,7 +77,7 @@ def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
 def test_a_reading_that_is_known_already_changes_nothing() -> None:
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
-    state = follow.begin(Gas(1000.0, (chamber.ambient + 1000.0) * 24e-6), 0.0, 24e-6)
+    state = follow.start(Gas(1000.0, (chamber.ambient + 1000.0) * 24e-6), 0.0, 24e-6)
     once, _ = follow.read(state, reading(990.0, 0.1))
     again, surprised = follow.read(once, reading(950.0, 0.1))
     assert again is once and not surprised

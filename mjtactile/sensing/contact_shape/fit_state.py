@@ -112,7 +112,7 @@ class Problem:
         """Return the parameters within their bounds."""
         return np.clip(theta, self.family.low, self.family.high)
 
-    def begin(self, theta: Array, start: MembraneSolution | None) -> FitState | None:
+    def fit_state(self, theta: Array, start: MembraneSolution | None) -> FitState | None:
         """Return the fit state with parameters `theta`, solved from `start` as in `solve`."""
         theta = self.clip(theta)
         state = self.solve(theta, start)

@@ -238,7 +238,7 @@ def refine(
             continue
         if enough.is_reached(at.cost, step, damping):
             break
-        new = problem.begin(at.theta + step.by * family.sd, at.state)
+        new = problem.fit_state(at.theta + step.by * family.sd, at.state)
         rounds -= 1
         if new is None or new.cost > at.cost:
             if not fresh:

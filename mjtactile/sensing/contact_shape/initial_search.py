@@ -94,7 +94,7 @@ class Suggestions:
         `noise` are those of `search`."""
         theta = family.rebased(self.proposal.theta(family.name), self.reference, hint)
         problem = Problem(forward, family, hint, data, Prior.of(family, theta))
-        at = replace_shape(problem, theta, near) or problem.begin(theta, None)
+        at = replace_shape(problem, theta, near) or problem.fit_state(theta, None)
         if at is None:
             return None
         return refine(problem, at, rounds=_ROUNDS, known=known, noise=noise)
@@ -132,7 +132,7 @@ def _reuse_curvature(
     bent = maximum * np.outer(across, across)
     theta = np.array([*line.theta[:3], bent[0, 0], bent[0, 1], bent[1, 1]])
     problem = Problem(forward, smooth.family, hint, data, smooth.prior)
-    at = problem.begin(theta, line.state)
+    at = problem.fit_state(theta, line.state)
     if at is None or at.cost > smooth.at.cost:
         return found
     other = refine(problem, at, known=min(one.chi2 for one in found), noise=noise)

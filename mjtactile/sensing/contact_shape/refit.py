@@ -61,9 +61,9 @@ def warm_start(
         theta[heights] += np.clip((data.force - newest.force) / stiffness, -1.0, 1.0)
     # on flat faces the solver may oscillate from one start and converge from another
     at = (
-        problem.begin(theta, newest.state)
-        or problem.begin(same, newest.state)
-        or problem.begin(theta, None)
+        problem.fit_state(theta, newest.state)
+        or problem.fit_state(same, newest.state)
+        or problem.fit_state(theta, None)
     )
     if at is None:
         return None
@@ -184,7 +184,7 @@ def _with_part(
         part = np.concatenate([kept[place][:3], start[3:]])
         theta = np.concatenate([*kept[:place], part, *kept[place + 1 :]])
         problem = Problem(forward, family, fit.hint, data, Prior.of(family, theta))
-        at = problem.begin(theta, fit.state)
+        at = problem.fit_state(theta, fit.state)
         if at is not None:
             fits.append(refine(problem, at, rounds=LOOKED, noise=noise))
     return sorted(fits, key=lambda fit: fit.chi2)[:1]

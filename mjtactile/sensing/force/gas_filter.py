@@ -75,7 +75,7 @@ class GasFilter:
         self._ambient = chamber.ambient
         self.settings = settings
 
-    def begin(self, gas: Gas, time: float, volume: float) -> GasState:
+    def start(self, gas: Gas, time: float, volume: float) -> GasState:
         """The gas at rest in `volume` m^3, as it was measured a while ago."""
         pressure = self._ambient + gas.pressure_at(volume, self._ambient, self._gamma)
         is_open = gas.constant is None

@@ -150,7 +150,7 @@ class MarkedMembrane:
 
     def _faded(self, c: Array, scale: float, inflated_s: float) -> Array | None:
         """Return the relaxed stress (3, qx, qy), N/m, of a membrane at `c` since `inflated_s` s."""
-        return None if self.rubber is None else self.rubber.begin(c, scale, inflated_s, 0.0).total
+        return None if self.rubber is None else self.rubber.start(c, scale, inflated_s, 0.0).total
 
     def positions(self, c: Array) -> Array:
         """Marker centres (N, 3) m in S."""

@@ -43,7 +43,7 @@ class RelaxingMembrane:
         self._relaxation = relaxation
         self._fractions = relaxation.fractions[:, None, None, None]
 
-    def begin(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
+    def start(self, c: Array, scale: float, inflated_s: float, time: float) -> RelaxationState:
         """Return the state at `time`, s, of a membrane after inflation. The membrane was always
         flat, then at `c` (3, n), m, for `inflated_s` s."""
         flat = scale * self._membrane.stress(np.zeros_like(c))

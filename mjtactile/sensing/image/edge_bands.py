@@ -41,15 +41,15 @@ def band(
     center_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
     center_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
     center_right = np.maximum(center_right, center_left + 1)
-    begin = np.stack([left, center_right], axis=-1)
+    start = np.stack([left, center_right], axis=-1)
     length = np.stack([center_left - left + 1, right - center_right + 1], axis=-1)
     length = np.where(inside_rows[..., None], np.maximum(length, 0), 0).astype(np.int64)
-    begin = np.where(length > 0, begin, 0).astype(np.int64)
+    start = np.where(length > 0, start, 0).astype(np.int64)
     counts = length.sum(axis=(1, 2))
     flat = length.ravel()
     ends = np.cumsum(flat)
     total = int(ends[-1]) if len(ends) else 0
-    u = np.arange(total) + np.repeat(begin.ravel() - (ends - flat), flat)
+    u = np.arange(total) + np.repeat(start.ravel() - (ends - flat), flat)
     return u, np.repeat(np.repeat(v.ravel(), 2), flat), counts
 
 

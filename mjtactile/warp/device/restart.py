@@ -7,7 +7,7 @@ import warp as wp
 from mjtactile.warp.device.grasp_phase import Commands, measure
 from mjtactile.warp.device.grasp_score import Scores
 from mjtactile.warp.device.gripper import Drive, Goals, limit_force
-from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, begin_errors
+from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, restart_errors
 
 wp.set_module_options({"enable_backward": False})
 
@@ -244,7 +244,7 @@ def restart_worlds(
         membrane_friction[f] = scene.membrane_friction * starts.friction[row, 1 + k]
         modulus[f] = starts.modulus[row, k]
         volume[f] = starts.volume[row, k]
-        begin_errors(model, estimates, f)
+        restart_errors(model, estimates, f)
 
 
 @wp.kernel

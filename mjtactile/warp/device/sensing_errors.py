@@ -85,7 +85,7 @@ def _correlated(model: ErrorModel, normals: vec6) -> vec6:
 
 
 @wp.func
-def begin_errors(model: ErrorModel, estimates: Estimates, f: int) -> None:
+def restart_errors(model: ErrorModel, estimates: Estimates, f: int) -> None:
     """Sample the errors that persist in a grasp."""
     state = estimates.random[f]
     normals = vec6()
@@ -105,8 +105,8 @@ def begin_errors(model: ErrorModel, estimates: Estimates, f: int) -> None:
 
 
 @wp.kernel
-def begin_all(model: ErrorModel, estimates: Estimates):
-    begin_errors(model, estimates, wp.tid())
+def restart_all(model: ErrorModel, estimates: Estimates):
+    restart_errors(model, estimates, wp.tid())
 
 
 @wp.kernel

@@ -208,7 +208,7 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
     rig = tmp_path / "rig.toml"
     rig.write_text("\n".join(lines))
     try:
-        begin = scaled_clock.monotonic()
+        start = scaled_clock.monotonic()
         code = main(
             [
                 "calibrate",
@@ -225,7 +225,7 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
             ]
         )
         assert (
-            scaled_clock.monotonic() - begin < 30 + 15
+            scaled_clock.monotonic() - start < 30 + 15
         )  # never more than was allowed, and connecting
     finally:
         stop.set()

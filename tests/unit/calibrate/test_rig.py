@@ -311,13 +311,13 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
 def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
-        begin = scaled_clock.monotonic()
+        start = scaled_clock.monotonic()
         chambers.leak = 0.1  # leak, Pa every 5 ms
         try:
             fit = interactive.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
         finally:
             boards[0].close()
-        passed = scaled_clock.monotonic() - begin
+        passed = scaled_clock.monotonic() - start
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
     # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not
     # let it tick.

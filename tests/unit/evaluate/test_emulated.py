@@ -18,7 +18,7 @@ def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
         for height, lift in zip(heights, (0.0, 0.04, 0.003), strict=True)
     ]
     true = emulated.TrueOutcome(break_force=1.0)
-    true.begin(SimpleNamespace(rig=SimpleNamespace(truth=lambda: moments[0])))
+    true.start(SimpleNamespace(rig=SimpleNamespace(truth=lambda: moments[0])))
     for phase, moment in (("approach", 0), ("hold", 1), (last, 2)):
         true._truth = lambda moment=moment: moments[moment]
         true.add(SimpleNamespace(sent=SimpleNamespace(phase=phase)))

@@ -137,10 +137,10 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
 def test_progress_says_at_once_why_an_episode_was_an_error(rate, left):
     """Seven are left of ten, at `rate` in a second."""
     line = {"controller": "mine", "object": "vial", "seed": 4, "outcome": "error", "reason": "wide"}
-    begin = "3 of 10: mine, vial, seed 4"
-    assert _progress(line, 3, 10, rate) == f"{begin}: error (wide); {left} left"
+    start = "3 of 10: mine, vial, seed 4"
+    assert _progress(line, 3, 10, rate) == f"{start}: error (wide); {left} left"
     held = line | {"outcome": "held", "reason": "done"}
-    assert _progress(held, 3, 10, rate) == f"{begin}: held; {left} left"
+    assert _progress(held, 3, 10, rate) == f"{start}: held; {left} left"
 
 
 def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):

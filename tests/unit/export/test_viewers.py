@@ -45,7 +45,7 @@ def grasping(view):
             cycles.append(cycle)
 
     with open_session(scenario, workers=0) as session:
-        view.begin(session)
+        view.start(session)
         session.take_references(view)
         session.run(Monitor(0.1), time_limit=5.0, observer=Keep(), on_cycle=view.add)
     view.close()
@@ -137,7 +137,7 @@ def test_who_connects_later_sees_the_scene():
     """A viewer that connects later gets the scene: a server keeps no history, and static parts are
     sent repeatedly."""
     view = mjtactile.LiveView("foxglove:0")
-    view.begin(
+    view.start(
         SimpleNamespace(
             disk_wait_time=1.0, perceptions=(), rig=SimpleNamespace(fingers=(), scene=None)
         )

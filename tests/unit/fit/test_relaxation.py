@@ -62,8 +62,8 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     command += ["--protocol", str(tmp_path / "steps.csv"), "--seconds", "30"]
     assert main([*command, "--out", str(tmp_path / "held")]) == 0
     found = fit_relaxation(tmp_path / "held", load_sensor(nominal), "left")
-    begin, end = found.within
-    faded = sum(fraction * (np.exp(-begin / tau) - np.exp(-end / tau)) for fraction, tau in terms)
+    start, end = found.within
+    faded = sum(fraction * (np.exp(-start / tau) - np.exp(-end / tau)) for fraction, tau in terms)
     assert found.is_finite_value
     # 2.5 sd; one sd is a tenth of the value
     assert found.faded == pytest.approx(faded, abs=2.5 * found.faded_sd)

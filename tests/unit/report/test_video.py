@@ -45,7 +45,7 @@ def test_every_image_shows_its_time(tmp_path, recording):
 
 
 def test_twice_as_fast_a_part_of_it(tmp_path, recording):
-    write_video(tmp_path / "film.mp4", recording, speed=2.0, begin=0.5, seconds=1.0)
+    write_video(tmp_path / "film.mp4", recording, speed=2.0, start=0.5, seconds=1.0)
     greys = [frame[60:300, 60:400].mean() for frame in decoded(tmp_path / "film.mp4")]
     np.testing.assert_allclose(greys, 40 + 3 * np.arange(15, 46, 2), atol=1.4)
 
@@ -100,5 +100,5 @@ def test_bad_input_is_said(tmp_path, recording):
     with pytest.raises(InputError, match="is not a supported video format"):
         write_video(tmp_path / "film.avi", recording)
     with pytest.raises(InputError, match="ends after"):
-        write_video(tmp_path / "film.mp4", recording, begin=100.0)
+        write_video(tmp_path / "film.mp4", recording, start=100.0)
     assert not list(tmp_path.glob("*.part"))

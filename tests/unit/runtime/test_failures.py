@@ -150,7 +150,7 @@ def test_a_command_made_past_its_checks_leads_to_the_retreat(change):
 def test_whatever_sending_raises_leads_to_the_retreat(change):
     """Values are checked where they are obeyed, too: not every command is a controller's."""
     world = World()
-    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
     cycle.look()
     cycle.observe()
     sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
@@ -161,7 +161,7 @@ def test_whatever_sending_raises_leads_to_the_retreat(change):
 def test_a_retreat_that_cannot_be_sent_is_the_end():
     world = World()
     world.command = lambda command: 1 / 0  # type: ignore[method-assign]
-    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
     cycle.look()
     cycle.observe()
     cycle.send(Command(0.05, 4.0))

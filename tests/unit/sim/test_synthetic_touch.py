@@ -43,7 +43,7 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
     here = errors.at(0.7)
     rng = np.random.default_rng(0)
     erring = SensingErrorSampler(errors)
-    erring.begin(rng)
+    erring.start(rng)
     count = 20000
     estimated = np.array([erring.estimated(true, PERIOD, rng)[0].copy() for _ in range(count)])
     z = (estimated - true - errors.gain @ true - here.mean) / here.sd
@@ -66,7 +66,7 @@ def test_the_kernel_draws_as_the_formula_does():
     spread = np.linalg.cholesky(errors.correlation)
     here = errors.at(0.4)
     erring = SensingErrorSampler(errors)
-    erring.begin(np.random.default_rng(1))
+    erring.start(np.random.default_rng(1))
     sampled = np.random.default_rng(1)
     slow = spread @ sampled.standard_normal(6)
     factor = np.exp(here.between * (sampled.standard_normal() - here.between))

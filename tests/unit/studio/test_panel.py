@@ -76,7 +76,7 @@ def bridge():
     bridge = SessionBridge(Scenario(seed=4))
     bridge.fastest = np.inf
     flags = {"sharp_edge": Flag("an edge presses", 0.1, 0.4, 0.2)}
-    bridge.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
+    bridge.start(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes, flags=flags))
     for i in range(40):
         bridge.on_images()
         bridge.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
@@ -207,7 +207,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     brush = scene_overlays.GeomPool()
     corners = np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
-        brush.begin()
+        brush.start()
         brush.triangles(corners[None], np.array([[1.0, 0.5, 0.0]]))
     [geom] = brush.drawn
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # MuJoCo's triangle

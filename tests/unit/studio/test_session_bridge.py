@@ -57,7 +57,7 @@ def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
     bridge = SessionBridge(notify=text.append)
     session = fake_session()
     session.flags = {"sharp_edge": "an edge presses"}
-    bridge.begin(session)
+    bridge.start(session)
     for _ in range(2):
         bridge.note(flags=session.flags)
         bridge.add(fake_cycle(0))
