@@ -20,7 +20,7 @@ COMMANDS = {
     "light",
     "fabricate": "write fabrication files of a sensor: patterns, CAD, bill of materials, assembly",
     "design": "predict the performance of a sensor file, or search designs that meet requirements",
-    "bench": "measure accuracy and speed; writes a table, a JSON and plots",
+    "bench": "measure accuracy and speed; write a table, a JSON file and plots",
     "effects": "list the effects that a sensor and an object require, and their cost",
     "emulate": "run emulated hardware on serial ports and streams until stopped",
     "devices": "list cameras, serial ports and the devices that answer there",

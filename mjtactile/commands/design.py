@@ -24,8 +24,8 @@ the benefit of more pressure, markers or focal length. With a requirement (--det
 --range-N, --edge-mm, --radius-mm), sample designs around the file, predict each, list the
 Pareto-optimal ones and write the best as sensor files.
 
-The quasi-static membrane predicts marker positions, the camera's bound their noise, and the
-covariance of the sensing pipeline the uncertainty of the estimates."""
+The quasi-static membrane predicts marker positions, the Cramer-Rao bound their noise, and
+the sensing pipeline the covariance of its estimates."""
 EPILOG = """\
 examples:
   mjtactile design --sensor dense                      performance of this file
@@ -34,7 +34,7 @@ examples:
       find designs that detect 20 mN and locate an edge to 0.15 mm
   mjtactile design --sensor paper16 --edge-mm 0.2 --frame-mm 24,20 --camera-px 320,240
   mjtactile design --edge-mm 0.2 --fov-deg 60 --focus-mm 30 --camera-px 640,480
-      for a camera that exists: its lens and focus stay, and the markers follow
+      for an existing camera: lens and focus are fixed, markers are adapted
   mjtactile design --edge-mm 0.15 --check 3 --out runs/wanted    also simulate the best three
 
 An sd is the standard deviation that the pipeline would report; it covers 68 % of contacts.
@@ -83,7 +83,7 @@ ARGUMENTS = (
         ),
     ),
     arg.Group(
-        "given hardware (each is held)",
+        "existing hardware (fixed values)",
         (
             arg.option("--frame-mm X,Y", "frame opening (default: the sensor's)", type=arg.pair),
             arg.option(

@@ -23,8 +23,8 @@ controller with 95 % intervals; compare several controllers and test whether the
 significant.
 
 All controllers run the same episodes: the same objects with the same seeds. --randomization
-draws the differences of object, sensors and gripper from their files by the seed; the sensing
-still assumes the files. A controller fails if it raises, hangs, or is stopped by the
+samples deviations of object, sensors and gripper from their files; the sensing still assumes
+the files. A controller fails if it raises, hangs, or is stopped by the
 supervisor; a failed simulation is an error and counts separately. Each finished episode is a
 line in DIR/episodes.jsonl with the command that repeats it alone; --resume continues a stopped
 run. The lines do not depend on the number of workers."""

@@ -35,7 +35,7 @@ and lowers it until the requested force is measured."""
 EPILOG = """\
 examples:
   mjtactile explore --object egg --out runs/egg_shape
-      explore.html (to turn), explore.png, explore.json, surface.ply, surface.stl
+      explore.html (interactive), explore.png, explore.json, surface.ply, surface.stl
   mjtactile explore --object my_fruit.xml --touches 20 --accuracy-mm 0.3 --force-N 0.2
   mjtactile explore --object egg --out runs/egg_shape --touches 20 --resume
       continues a finished or interrupted run; touched.jsonl stores every touch
@@ -53,7 +53,7 @@ Positions are in mm in the holder's frame. The surface is a parametric shape (el
 cylinder, truncated cone, box, or a free form, selected by evidence) plus a Gaussian process of
 the residual; needs manifold3d: pip install 'mjtactile[explore]'. Keys that end in _true exist
 only in simulation.
-exit codes: 0 explored, 1 nothing was found, 2 bad input, 3 interrupted (touches are kept) or
+exit codes: 0 explored, 1 no surface found, 2 bad input, 3 interrupted (touches are kept) or
 the simulation failed.
 """
 _RESULTS = ("explore.json", "explore.html", "explore.png", "surface.ply", "surface.stl")

@@ -59,12 +59,12 @@ examples:
   mjtactile grasp --workers 0              all in one process: same results
 
 The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed", "fault"; on
-a rig without ground truth "not set down": the run ended with a loaded, raised gripper, and
-"not held: set down": it ended early, and the object stood; "device_fault" if a device was the
-cause),
+a rig without ground truth "not set down": the run ended while the raised gripper held the
+object, and "not held: set down": it ended early, with the object set down; "device_fault" if a
+device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
-"probability", "area_mm2", "area_interval_mm2" of 68 %, "status"; null: there was none),
+"probability", "area_mm2", "area_interval_mm2" of 68 %, "status"; null: no contact),
 real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the

@@ -52,7 +52,7 @@ ARGUMENTS = (
         "mm, or FILE.xml: all geoms of an MJCF file, moved along -z",
         required=True,
     ),
-    arg.option("--position-mm X_mm,Y_mm", "where", "0,0", type=arg.pair),
+    arg.option("--position-mm X_mm,Y_mm", "position of the indenter", "0,0", type=arg.pair),
     arg.option(
         "--depth-mm A[:B:STEP]",
         "depth below first contact, or a range, both ends included",

@@ -23,16 +23,14 @@ if TYPE_CHECKING:
     from mjtactile.runtime.cycle import Cycle
 
 DESCRIPTION = """\
-Record an episode without commands: the jaws hold their position, with their holding force when
-a rig is connected. Press the membranes by hand, put weights on, or shake the gripper. First
-every sensor takes its references (valve open, then inflated and sealed); nothing may touch it
-then. Every image is stored losslessly, with capture time, pressures, servo states, estimated
-forces, versions, and the text of the sensor and rig files.
+Record a rig whose jaws hold position and force. First each sensor takes its references (valve
+open, then inflated and sealed), without contact. Then press the membranes by hand, put weights
+on them, or shake the gripper. Every image is stored losslessly, with capture time, pressures,
+servo states, estimated forces, versions, and the text of the sensor and rig files.
 
-With --protocol a person or a stage moves an indenter as the protocol specifies. Each move is
-announced when it is due, and the recording stores the moves, as `mjtactile fit` requires. The
-rig "stage" is one simulated sensor on a stand under a simulated stage, which runs the protocol
-itself.
+With --protocol an operator or a stage moves an indenter. Each move is announced when it is due,
+and stored in the recording for `mjtactile fit`. The rig "stage" is one simulated sensor under a
+simulated stage, which runs the protocol itself.
 
 The recording replays through the same pipeline to the same numbers, bit for bit
 (--rig replay:DIR)."""
@@ -87,7 +85,7 @@ ARGUMENTS = (
         "indenter of the protocol, as in `mjtactile press`: sphere:8, part.stl, … (default: a "
         "sphere for the frame's size)",
     ),
-    arg.option("--position-mm X_mm,Y_mm", "where", "0,0", type=arg.pair),
+    arg.option("--position-mm X_mm,Y_mm", "position of the indenter", "0,0", type=arg.pair),
     arg.option("--finger NAME", "finger under the indenter", "left"),
     arg.option(
         "--as-built FILE.toml",
