@@ -235,6 +235,31 @@ class QuasistaticMembrane:
         run_in_threads(threads, lambda k: fraction(self._rooms[k]))
         return made
 
+    def resume(
+        self,
+        obstacles: Sequence[Obstacle],
+        state: MembraneSolution,
+        tolerance: float = TOLERANCE,
+        max_steps: int = _MAX_STEPS,
+    ) -> MembraneSolution:
+        """Find the equilibrium on other obstacles from `state`, once and unchecked, for fits.
+
+        Args:
+            obstacles: The obstacles.
+            state: Converged initial state.
+            tolerance: Tolerance of the displacements, m.
+            max_steps: Maximum number of steps.
+
+        Returns:
+            The state. An invalid solution has a status and raises no error.
+        """
+        rows, pool = obstacle_rows.rows_and_pool(obstacles, self.grid)
+        found, trend = np.empty(FOUND), np.zeros((4, *self.grid))
+        x, force = state.x.copy(), state.force.copy()
+        settings = np.array([self._gas, self.sealed, tolerance, max_steps, 0.0, 0.0])
+        self._run(settings, rows, pool, (x, force, trend, found))
+        return MembraneSolution(x, force, found, trend)
+
     def relative_force_error(self, obstacles: Obstacle | Sequence[Obstacle]) -> float:
         """Return the force error due to obstacles that are narrow for this grid.
 

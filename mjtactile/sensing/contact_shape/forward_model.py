@@ -22,6 +22,7 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _STEPS = 20  # enough for 49 of 50 converging solutions; those that never converge use all
+_TOLERANCE = 3e-6  # of the displacements, m: a fortieth of the marker noise
 _MORE = 0.02  # of the pressure, for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
 """Membrane sums used in the fit: wrench (N, N m), pressure (Pa), area (m^2)."""
@@ -147,6 +148,9 @@ class ForwardModel:
         if start is None:
             return self.membrane.solve_batch(bodies)
         count = len(bodies)
+        if count == 1:
+            one = self.membrane.resume(bodies[0], start, _TOLERANCE, _STEPS)
+            return MembraneSolutionBatch(one.x[None], one.force[None], one.found[None])
         found = np.empty((count, FOUND))
         found[:] = start.found
         batch = MembraneSolutionBatch(

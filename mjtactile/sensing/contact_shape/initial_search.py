@@ -6,7 +6,7 @@ A ball is lowered until the force matches. Other models start from the shapes fi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ _FORCE_NEAR = 0.1  # tolerance relative to the estimated force
 _STIFFNESS = (0.05, 0.12, 2.0)  # contact stiffness, N/mm: minimum, first, maximum
 _HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
 _ENOUGH = 0.9  # probability of the suggested models together
+_UNLIKELY = 3.5  # log probability behind the likeliest model where a model is not fitted
+_SURE = 0.003  # probability that a network does not exclude
 _ROUNDS = 8  # membrane solutions of a fit from a suggested start
 _FIRST_CURVATURE = 80.0  # 1/m
 _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
@@ -69,12 +71,19 @@ class Suggestions:
     reference: InitialGuess
 
     def names(self, count: int) -> list[str]:
-        """Return the names of the likeliest shape models: at least two, at most `count`."""
+        """Return the names of the likeliest shape models, at most `count`."""
         probabilities = self.proposal.probabilities[: len(FAMILIES)]
         order = np.argsort(-probabilities, kind="stable")
         share = np.cumsum(probabilities[order]) / probabilities.sum()
-        enough = max(int(np.searchsorted(share, _ENOUGH)) + 1, 2)
+        enough = int(np.searchsorted(share, _ENOUGH)) + 1
         return [GROUPS[index] for index in order[: min(count, enough)]]
+
+    def likely(self, logs: Mapping[str, float]) -> set[str]:
+        """Return the names of the models that may be the right one. `logs` is the log evidence of
+        each by earlier images; the probability by this image is added."""
+        behind = {name: log + math.log(max(self.probability(name), _SURE)) for name, log in logs.items()}
+        maximum = max(behind.values(), default=0.0)
+        return {name for name, log in behind.items() if log > maximum - _UNLIKELY}
 
     def probability(self, name: str) -> float:
         """Return the probability of a shape model."""

@@ -13,7 +13,7 @@ from dataclasses import replace
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
-from mjtactile.sensing.contact_shape.hypotheses import Evaluation, PressHistory, weigh
+from mjtactile.sensing.contact_shape.hypotheses import Candidate, Evaluation, PressHistory, weigh
 from mjtactile.sensing.contact_shape.initial_search import Suggestions, search, suggested
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.refit import (
@@ -38,6 +38,7 @@ _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 Suggest = Callable[[Data], Suggestions]
 _SUGGESTED = 3  # models fitted in the first image of a contact episode
 _SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
+_LIKELY_START = 0.1  # probability of a model whose fit is restarted from the suggested start
 _LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
 _SINGLE = tuple(FAMILIES.values())
 
@@ -68,7 +69,7 @@ def follow(
     worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
     if grown and (worse or new.now.misfit > _BAD * s.misfit_max):
-        other = _search_all(forward, hint, data, s, new)
+        other = _search_all(forward, hint, data, s, new, suggest)
         if other is not None and other.now.misfit < _BETTER * new.now.misfit:
             return _with_past(forward, press, new, other, hint, data, s)
         worse = True
@@ -99,6 +100,9 @@ def _search_all(
     else:
         now = rejected.now
         near = rejected.near(_SINGLE)
+        if suggest is not None:
+            likely = suggest(data).likely(dict.fromkeys(FAMILIES, 0.0))
+            near = [family for family in near if family.name in likely]
         fits = search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
     minimum = min((fit.misfit for fit in fits), default=math.inf)
     if len(hint.parts) > 1 and minimum > s.misfit_one:
@@ -167,7 +171,8 @@ def _evaluate_candidates(
     a hold. If the force has grown, a suggested model that is not among them is added."""
     found: list[Evaluation] = []
     suggestions = None if suggest is None else suggest(data)
-    for number, one in enumerate(press.candidates):
+    possible = _possible(press, suggestions)
+    for number, one in enumerate(possible):
         start = press.now if number == 0 else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
@@ -175,18 +180,29 @@ def _evaluate_candidates(
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state
-            if suggestions is not None and not one.family.parts:
+            if suggestions is None or one.family.parts:
+                fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
+            elif fit is None or suggestions.probability(one.family.name) > _LIKELY_START:
                 fit = restart_suggested(
                     forward, one, fit, press.noise, hint, data, known, suggestions, near
                 )
-            else:
-                fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
         if fit is not None:
             found.append(Evaluation(fit, one.image_log, one.common, share))
     if grown and suggestions is not None and found:
         found += _added(forward, press, found, suggestions, hint, data, s)
     new = weigh(forward, found, hint, data, s, press)
     return None if new is None else replace(new, search_misfit=press.search_misfit)
+
+
+def _possible(press: PressHistory, suggestions: Suggestions | None) -> list[Candidate]:
+    """Return the candidates that may be the right model, by earlier images and this one."""
+    every = list(press.candidates)
+    if suggestions is None:
+        return every
+    best = every[0].log
+    logs = {one.family.name: one.log - best for one in every if not one.family.parts}
+    likely = suggestions.likely(logs)
+    return [one for one in every if one is every[0] or one.family.parts or one.family.name in likely]
 
 
 def _added(
@@ -204,8 +220,9 @@ def _added(
     tried = {one.family.name for one in press.candidates}
     best = min((each.fit for each in found), key=lambda fit: fit.chi2)
     added = []
+    likely = suggestions.likely(dict.fromkeys(FAMILIES, 0.0))
     for name in suggestions.names(_SUGGESTED_AGAIN):
-        if name in tried or (name in past and suggestions.probability(name) < _LIKELY_AGAIN):
+        if name not in likely or name in tried or (name in past and suggestions.probability(name) < _LIKELY_AGAIN):
             continue
         family = FAMILIES[name]
         fit = suggestions.fit(forward, family, hint, data, press.noise, best.state, best.chi2)

@@ -9,9 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.contact_area import FACES
-from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
+from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
 from mjtactile.sensing.contact_shape.hypotheses import Candidate
@@ -28,6 +29,7 @@ from mjtactile.sensing.settings import ContactShapeSettings
 FOLLOWED = 3  # rounds of a fit that is followed
 # Thresholds of such a fit: the pose changes little, and the next image continues it
 FOLLOWING = {"settled": 0.5, "far": 25.0}
+_HELD = 0.05  # change of depth, mm, that the first step of a fit corrects
 LOOKED = 5  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
@@ -59,16 +61,24 @@ def warm_start(
     stiffness = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
     if stiffness < 0:
         theta[heights] += np.clip((data.force - newest.force) / stiffness, -1.0, 1.0)
-    # on flat faces the solver may oscillate from one start and converge from another
-    at = (
-        problem.fit_state(theta, newest.state)
-        or problem.fit_state(same, newest.state)
-        or problem.fit_state(theta, None)
-    )
+    at = _start(problem, theta, same, newest)
     if at is None:
         return None
     return refine(
         problem, at, slopes=newest.slopes, rounds=rounds, known=known, noise=noise, **(limits or {})
+    )
+
+
+def _start(problem: Problem, theta: Array, same: Array, newest: Fit) -> FitState | None:
+    """Return the start state at `theta`, or that of the fit `newest`, at `same`, if it is close."""
+    moved = float(np.abs(theta - same).max())
+    if moved < _HELD and (same == problem.clip(same)).all():
+        return problem.state(same, newest.state)
+    # on flat faces the solver may oscillate from one start and converge from another
+    return (
+        problem.fit_state(theta, newest.state)
+        or problem.fit_state(same, newest.state)
+        or problem.fit_state(theta, None)
     )
 
 
