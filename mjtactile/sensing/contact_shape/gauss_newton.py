@@ -267,13 +267,8 @@ def exactly(
     """Return the fit with an exact Jacobian, as needed for reporting. It also refines the fit, at
     most `times` times, where the approximate one stopped early."""
     problem = Problem(forward, fit.family, fit.hint, data, fit.prior)
-    for _ in range(times):
-        if fit.slopes.exact:
-            return fit
-        slopes = exact_jacobian(problem, fit.at)
-        fit = refine(
-            problem, fit.at, slopes=slopes, rounds=_POLISHING, noise=noise, settled=_POLISH
-        )
-    if fit.slopes.exact:
-        return fit
-    return Fit.of(problem, fit.at, exact_jacobian(problem, fit.at))
+    slopes = fit.slopes if fit.slopes.exact else exact_jacobian(problem, fit.at)
+    if times:
+        fit = refine(problem, fit.at, slopes=slopes, rounds=_POLISHING, noise=noise, settled=_POLISH)
+        slopes = fit.slopes if fit.slopes.exact else exact_jacobian(problem, fit.at)
+    return Fit.of(problem, fit.at, slopes)

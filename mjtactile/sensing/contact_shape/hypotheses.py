@@ -57,7 +57,7 @@ class Evaluation:
 
     def exactly(self, forward: ForwardModel, data: Data, noise: float) -> Evaluation:
         """Return the evaluation with the shape's exact Jacobian."""
-        return replace(self, fit=exactly(forward, self.fit, data, noise))
+        return replace(self, fit=exactly(forward, self.fit, data, noise, times=0))
 
     def with_noise(self, noise: float) -> Candidate:
         """Return the candidate for marker variances multiplied by `noise`."""
@@ -173,7 +173,7 @@ def weigh(
         before = (*past.dropped, *past.candidates)
         dropped += [one for one in before if one.family.name not in seen]
     kept.remove(best)
-    now = exactly(forward, best.fit, data, noise, times=0)
+    now = exactly(forward, best.fit, data, noise)
     best = replace(best, fit=now)
     return PressHistory(
         (best, *kept),
