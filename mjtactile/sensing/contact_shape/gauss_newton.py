@@ -28,7 +28,7 @@ _POLISH = 0.05
 # gain that requires fresh slopes; distance behind the best fit where a fit is stopped
 _SETTLED = 0.25
 _FAR = 4.0
-_BEHIND = 30.0
+_BEHIND = 16.0
 _PROMISED = 1.5  # ratio of the total gain of all following steps to the promised gain of one
 _ALIKE = 0.1  # of how much more is left than of the best: less does not matter
 # Maximum steps: mm and rad, and fractions of a curvature (at least `_FLAT`, 1/m) and of a size

@@ -29,7 +29,7 @@ _FORCE_NEAR = 0.1  # tolerance relative to the estimated force
 _STIFFNESS = (0.05, 0.12, 2.0)  # contact stiffness, N/mm: minimum, first, maximum
 _HOPELESS = 120.0  # of the sum of squares over the noise: a family so far behind is not looked for
 _ENOUGH = 0.9  # probability of the suggested models together
-_UNLIKELY = 3.5  # log probability behind the likeliest model where a model is not fitted
+_UNLIKELY = 3.0  # log probability behind the likeliest model where a model is not fitted
 _SURE = 0.003  # probability that a network does not exclude
 _ROUNDS = 8  # membrane solutions of a fit from a suggested start
 _FIRST_CURVATURE = 80.0  # 1/m
@@ -78,12 +78,12 @@ class Suggestions:
         enough = int(np.searchsorted(share, _ENOUGH)) + 1
         return [GROUPS[index] for index in order[: min(count, enough)]]
 
-    def likely(self, logs: Mapping[str, float]) -> set[str]:
-        """Return the names of the models that may be the right one. `logs` is the log evidence of
+    def likely(self, logs: Mapping[str, float]) -> dict[str, float]:
+        """Return the log evidence of the models that may be the right one. `logs` is the log evidence of
         each by earlier images; the probability by this image is added."""
         behind = {name: log + math.log(max(self.probability(name), _SURE)) for name, log in logs.items()}
         maximum = max(behind.values(), default=0.0)
-        return {name for name, log in behind.items() if log > maximum - _UNLIKELY}
+        return {name: log for name, log in behind.items() if log > maximum - _UNLIKELY}
 
     def probability(self, name: str) -> float:
         """Return the probability of a shape model."""

@@ -36,7 +36,7 @@ _BAD = 0.25
 _BETTER = 0.8  # misfit ratio below which a newly fitted shape replaces the tracked one
 _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 Suggest = Callable[[Data], Suggestions]
-_SUGGESTED = 3  # models fitted in the first image of a contact episode
+_SUGGESTED = 2  # models fitted in the first image of a contact episode
 _SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
 _LIKELY_START = 0.1  # probability of a model whose fit is restarted from the suggested start
 _LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
@@ -68,7 +68,8 @@ def follow(
         return _search_all(forward, hint, data, s, None, suggest)
     worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
-    if grown and (worse or new.now.misfit > _BAD * s.misfit_max):
+    explained = min(one.fit.misfit for one in new.candidates)
+    if grown and explained > min(_bad_misfit(press, s), _BAD * s.misfit_max):
         other = _search_all(forward, hint, data, s, new, suggest)
         if other is not None and other.now.misfit < _BETTER * new.now.misfit:
             return _with_past(forward, press, new, other, hint, data, s)
@@ -78,7 +79,11 @@ def follow(
 
 def _is_worse(new: PressHistory, press: PressHistory, s: ContactShapeSettings) -> bool:
     """Return True if the fit is worse than at the last search over all models."""
-    return new.now.misfit > max(_WORSE * press.search_misfit, s.misfit_asks)
+    return new.now.misfit > _bad_misfit(press, s)
+
+
+def _bad_misfit(press: PressHistory, s: ContactShapeSettings) -> float:
+    return max(_WORSE * press.search_misfit, s.misfit_asks)
 
 
 def _search_all(
@@ -172,8 +177,8 @@ def _evaluate_candidates(
     found: list[Evaluation] = []
     suggestions = None if suggest is None else suggest(data)
     possible = _possible(press, suggestions)
-    for number, one in enumerate(possible):
-        start = press.now if number == 0 else one.fit
+    for one in possible:
+        start = press.now if one is press.candidates[0] else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
         fit = warm_start(forward, one, start, press.noise, hint, data, LOOKED, known)
@@ -202,7 +207,9 @@ def _possible(press: PressHistory, suggestions: Suggestions | None) -> list[Cand
     best = every[0].log
     logs = {one.family.name: one.log - best for one in every if not one.family.parts}
     likely = suggestions.likely(logs)
-    return [one for one in every if one is every[0] or one.family.parts or one.family.name in likely]
+    known = [one for one in every if one.family.name in likely]
+    known.sort(key=lambda one: -likely[one.family.name])
+    return [*(one for one in every if one.family.parts), *known] or every[:1]
 
 
 def _added(
