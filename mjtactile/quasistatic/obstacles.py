@@ -164,7 +164,9 @@ def unchecked_obstacle(
         sides[:2] = heights.shape
         pool, minimum, reach = heights.ravel(), math.inf, math.inf
     numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, reach]
-    return Obstacle(kind, np.array(numbers, dtype=float), pool)
+    made = object.__new__(Obstacle)
+    vars(made).update(kind=kind, numbers=np.array(numbers, dtype=float), pool=pool, corners=None)
+    return made
 
 
 def as_list(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:

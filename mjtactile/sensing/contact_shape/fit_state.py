@@ -40,21 +40,25 @@ class Data:
         the model's, `by_gas` (N,), m, the derivative of the marker heights by the relative gas
         amount. `drift` holds the standard deviations of that amount and of the camera displacement,
         m, since the rest reference."""
-        from scipy.linalg import solve_triangular  # takes a while to import
-
         markers = touch.markers
         assert markers is not None
-        gas = drift[0] * by_gas[markers.ids]
-        cov = (
-            np.diag(markers.cov_p[:, 2, 2] + s.membrane_sd**2) + drift[1] ** 2 + np.outer(gas, gas)
-        )
-        root = solve_triangular(np.linalg.cholesky(cov), np.eye(len(cov)), lower=True)
+        sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2)
+        common = np.column_stack([drift[0] * by_gas[markers.ids], np.full(len(sd), drift[1])])
         heights = markers.p_SM[:, 2] - raised[markers.ids]
-        return cls(markers.ids, heights, root, touch.force_normal)
+        return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal)
 
     def residual(self, heights: Array) -> Array:
         """Whitened residual (n,) of markers predicted at `heights` (N,)."""
         return self.root @ (heights[self.ids] - self.heights)
+
+
+def _whitening(sd: Array, common: Array) -> Array:
+    """Return a square root (n, n) of the inverse of diag(`sd`^2) + C C', C = `common` (n, m): a
+    change of the unit matrix in the directions of C."""
+    values, directions = np.linalg.eigh(common.T @ (common / sd[:, None] ** 2))
+    unit = common / sd[:, None] @ directions
+    less = (1 / np.sqrt(1 + values) - 1) / np.maximum(values, 1e-12)
+    return (np.eye(len(sd)) + unit * less @ unit.T) / sd
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,15 +61,7 @@ class ForwardModel:
         x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
         self.nodes: tuple[Array, Array] = (x, y)
         material = design.markers.p_SM
-        self._by_node: Array | None = None
-        if design.frame.outline is not None:
-            self._by_node = interpolation_matrix(self.membrane, material[:, :2])
-        from scipy.interpolate import make_interp_spline  # a fifth of a command's imports
-
-        self._across, self._along = (
-            make_interp_spline(nodes, np.eye(len(nodes)))(np.clip(at, nodes[0], nodes[-1]))
-            for nodes, at in zip((self.membrane.x, self.membrane.y), material[:, :2].T, strict=True)
-        )
+        self._by_node = interpolation_matrix(self.membrane, material[:, :2]).T.copy()
         self.rest_heights = self.heights(self.membrane.rest.x[None])[0]
 
     @cached_property
@@ -91,10 +83,7 @@ class ForwardModel:
 
     def heights(self, x: Array) -> Array:
         """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny)."""
-        if self._by_node is not None:
-            return x[:, -1].reshape(len(x), -1) @ self._by_node.T
-        rows = self._across @ x[:, -1]
-        return np.einsum("nmj,mj->nm", rows, self._along)
+        return x[:, -1].reshape(len(x), -1) @ self._by_node
 
     def stiction_ratio(self, state: MembraneSolution, s: ContactShapeSettings) -> float:
         """Return the ratio of the force with a sticking membrane to that of this sliding model

@@ -7,6 +7,7 @@ The membrane is the forward model. The result includes the model evidence
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,18 +160,19 @@ def _within(
 
 def _straight(family: ShapeModel, theta: Array) -> Array:
     """Return the maximum step (k,) of each parameter."""
-    bent = [abs(value) for value, name in zip(theta, family.names, strict=True) if name[0] == "k"]
-    curved = _BEND_STEP * max([_FLAT, *bent])
-    maximum = []
-    for value, name in zip(theta, family.names, strict=True):
-        kind = name.split("_")[0]
-        if kind == "k":
-            maximum.append(curved)
-        elif kind in ("half", "radius"):
-            maximum.append(_SIZE_STEP * value)
-        else:
-            maximum.append(_STRAIGHT[kind])
-    return np.array(maximum)
+    fixed, curved, sized = _limits(family)
+    maximum = np.where(sized, _SIZE_STEP * theta, fixed)
+    maximum[curved] = _BEND_STEP * max(_FLAT, float(np.abs(theta[curved]).max(initial=0.0)))
+    return maximum
+
+
+@cache
+def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the fixed step limits (k,), and masks (k,) of the curvatures and the sizes."""
+    kinds = [name.split("_")[0] for name in family.names]
+    fixed = np.array([_STRAIGHT.get(kind, 0.0) for kind in kinds])
+    curved = np.array([kind == "k" for kind in kinds])
+    return fixed, curved, np.array([kind in ("half", "radius") for kind in kinds])
 
 
 @dataclass(frozen=True)
