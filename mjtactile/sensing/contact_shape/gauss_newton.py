@@ -271,6 +271,8 @@ def exactly(
     problem = Problem(forward, fit.family, fit.hint, data, fit.prior)
     slopes = fit.slopes if fit.slopes.exact else exact_jacobian(problem, fit.at)
     if times:
-        fit = refine(problem, fit.at, slopes=slopes, rounds=_POLISHING, noise=noise, settled=_POLISH)
+        fit = refine(
+            problem, fit.at, slopes=slopes, rounds=_POLISHING, noise=noise, settled=_POLISH
+        )
         slopes = fit.slopes if fit.slopes.exact else exact_jacobian(problem, fit.at)
     return Fit.of(problem, fit.at, slopes)

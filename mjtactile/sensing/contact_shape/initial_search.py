@@ -79,9 +79,11 @@ class Suggestions:
         return [GROUPS[index] for index in order[: min(count, enough)]]
 
     def likely(self, logs: Mapping[str, float]) -> dict[str, float]:
-        """Return the log evidence of the models that may be the right one. `logs` is the log evidence of
-        each by earlier images; the probability by this image is added."""
-        behind = {name: log + math.log(max(self.probability(name), _SURE)) for name, log in logs.items()}
+        """Return the log evidence of the models that may be the right one. It is that of earlier
+        images, `logs` by name, plus the log probability by this image."""
+        behind = {
+            name: log + math.log(max(self.probability(name), _SURE)) for name, log in logs.items()
+        }
         maximum = max(behind.values(), default=0.0)
         return {name: log for name, log in behind.items() if log > maximum - _UNLIKELY}
 

@@ -229,7 +229,11 @@ def _added(
     added = []
     likely = suggestions.likely(dict.fromkeys(FAMILIES, 0.0))
     for name in suggestions.names(_SUGGESTED_AGAIN):
-        if name not in likely or name in tried or (name in past and suggestions.probability(name) < _LIKELY_AGAIN):
+        if (
+            name not in likely
+            or name in tried
+            or (name in past and suggestions.probability(name) < _LIKELY_AGAIN)
+        ):
             continue
         family = FAMILIES[name]
         fit = suggestions.fit(forward, family, hint, data, press.noise, best.state, best.chi2)

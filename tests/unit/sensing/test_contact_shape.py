@@ -168,7 +168,8 @@ def fine_membrane():
 def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monkeypatch):
     """A contact episode takes a few membrane solutions per image.
 
-    At constant depth this is a handful. The first image, with all shape models, takes tens.
+    At constant depth this is one or two. The first image, with the likely shape models, takes about
+    ten.
     """
     radius = 8e-3
     touches = [
@@ -195,9 +196,9 @@ def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monk
         counts.append(0)
         found = finder.follow(touch, press, p_rest)
         press = found.press
-    assert 10 < counts[0] < 80
-    # one for the initial guess, one or two for the steps, and at most two with new slopes
-    assert max(counts[2:]) <= 5
+    assert 4 < counts[0] < 30
+    # one or two for the steps, and at most one with new slopes
+    assert max(counts[2:]) <= 3
     assert found.shape.kind == "smooth"
     assert found.shape.radius_sd < 0.15 * radius
     assert found.shape.radius == pytest.approx(radius, abs=3 * found.shape.radius_sd)
