@@ -242,7 +242,7 @@ class QuasistaticMembrane:
         tolerance: float = TOLERANCE,
         max_steps: int = _MAX_STEPS,
     ) -> MembraneSolution:
-        """Find the equilibrium on other obstacles from `state`, once and unchecked, for fits.
+        """Find the equilibrium on other obstacles. Arguments are not checked.
 
         Args:
             obstacles: The obstacles.

@@ -53,8 +53,8 @@ class Data:
 
 
 def _whitening(sd: Array, common: Array) -> Array:
-    """Return a square root (n, n) of the inverse of diag(`sd`^2) + C C', C = `common` (n, m): a
-    change of the unit matrix in the directions of C."""
+    """Return a square root (n, n) of the inverse of a covariance. It is diag(`sd`^2) + C C'. C is
+    `common` (n, m)."""
     values, directions = np.linalg.eigh(common.T @ (common / sd[:, None] ** 2))
     unit = common / sd[:, None] @ directions
     less = (1 / np.sqrt(1 + values) - 1) / np.maximum(values, 1e-12)

@@ -79,8 +79,8 @@ class Suggestions:
         return [GROUPS[index] for index in order[: min(count, enough)]]
 
     def likely(self, logs: Mapping[str, float]) -> dict[str, float]:
-        """Return the log evidence of the models that may be the right one. It is that of earlier
-        images, `logs` by name, plus the log probability by this image."""
+        """Return the log evidence of the likely models. It is that of earlier images, `logs`, plus
+        the log probability by this image."""
         behind = {
             name: log + math.log(max(self.probability(name), _SURE)) for name, log in logs.items()
         }

@@ -200,7 +200,7 @@ def _evaluate_candidates(
 
 
 def _possible(press: PressHistory, suggestions: Suggestions | None) -> list[Candidate]:
-    """Return the candidates that may be the right model, by earlier images and this one."""
+    """Return the candidates that are likely by earlier images and this one."""
     every = list(press.candidates)
     if suggestions is None:
         return every

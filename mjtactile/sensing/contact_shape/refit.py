@@ -70,7 +70,7 @@ def warm_start(
 
 
 def _start(problem: Problem, theta: Array, same: Array, newest: Fit) -> FitState | None:
-    """Return the start state at `theta`, or that of the fit `newest`, at `same`, if it is close."""
+    """Return the start state of a fit at `theta`. If it is close to `same`, it is that of `newest`."""
     moved = float(np.abs(theta - same).max())
     if moved < _HELD and (same == problem.clip(same)).all():
         return problem.state(same, newest.state)
