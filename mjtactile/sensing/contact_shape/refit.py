@@ -70,7 +70,7 @@ def warm_start(
 
 
 def _start(problem: Problem, theta: Array, same: Array, newest: Fit) -> FitState | None:
-    """Return the start state of a fit at `theta`. If it is close to `same`, it is that of `newest`."""
+    """Return the start state of a fit at `theta`. Close to `same`, it is that of `newest`."""
     moved = float(np.abs(theta - same).max())
     if moved < _HELD and (same == problem.clip(same)).all():
         return problem.state(same, newest.state)
