@@ -16,8 +16,8 @@ from mjtactile.sim_comparison.discrepancy_parameters import CAUSES
 DESCRIPTION = """\
 Compare a recording of a real or emulated rig with a simulation that gets the same commands at
 the same times (or the same motions of a stage). Report when forces, markers and pressures start
-to differ, and which single cause would explain most of the difference: each cause is tried in
-the simulator. Recommended for the first day with a real sensor."""
+to differ, and which single cause would explain most of the difference: each cause is simulated.
+Recommended for the first day with a real sensor."""
 EPILOG = f"""\
 examples:
   mjtactile grasp --rig my_gripper.toml --object egg --out runs/real

@@ -19,8 +19,8 @@ ring, a bill of materials and assembly.md with a figure for each step.
 
 The simulator first checks the design: the camera sees every marker of the flat, inflated and
 indented membrane, sharp and without smear; markers, walls, bolts and glass can be manufactured;
-parts do not intersect. A design that fails is refused with the wrong number and its limit, and
-nothing is written."""
+parts do not intersect. A design that fails is refused with the field and its limit, and nothing
+is written."""
 EPILOG = """\
 examples:
   mjtactile fabricate dense --out build

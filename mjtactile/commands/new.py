@@ -23,7 +23,7 @@ examples:
   mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
   mjtactile new sensor my_sensor --template dense_fiducials
   mjtactile new object plum --template strawberry
-  mjtactile new object thing --template random:7
+  mjtactile new object sample --template random:7
   mjtactile new scenario my_scene          for `grasp --scenario my_scene.toml`
   mjtactile new task juggle --template shake   for `grasp --task ./juggle.toml`
   mjtactile new variation my_world         for `evaluate --randomization my_world.toml`

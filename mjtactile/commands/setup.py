@@ -21,7 +21,7 @@ examples:
   mjtactile setup my_gripper.toml
   mjtactile setup my_gripper.toml --template one_xl330_linkage
 afterwards:
-  mjtactile doctor --rig my_gripper.toml             until no finding is bad
+  mjtactile doctor --rig my_gripper.toml             until it reports no fault
   mjtactile calibrate camera --help                  then valve, frame, force, gripper
 """
 SIMULATES = False
