@@ -25,7 +25,7 @@ examples:
   mjtactile compare-sim runs/real --rig my_sim_gripper.toml --end-s 4 --out runs/real_shadow
   mjtactile compare-sim runs/press_3 --json                 a recording of `record --protocol`
 
-Writes shadow.html (curves, a table of the tried causes) and shadow.json. Tried causes:
+Writes shadow.html (curves, a table of causes) and shadow.json. Causes:
 {", ".join(cause.name for cause in CAUSES)}.
 Capabilities and limits: docs/how-to/integrations.md.
 exit codes: 0 agrees with the simulator, 1 differs, 2 bad input, 3 the simulation failed.

@@ -18,7 +18,8 @@ that software can change (FTDI latency timer). Also list calibration parts that 
 refused, or older than the parts that they depend on.
 
 Of a simulated rig, check the names in the file, the orientation of the fingertips, the motion
-of the jaws against their transmissions, the lift, the force, and that no sensor touches its own gripper."""
+of the jaws against their transmissions, the lift, the force, and that no sensor touches its own
+gripper."""
 EPILOG = """\
 examples:
   mjtactile doctor                        list connected devices
