@@ -90,7 +90,7 @@ def run(out: Path, quick: bool = False, episodes: int | None = None) -> dict[str
         counts = {SYNTHETIC: episodes, MESH: episodes // 3}
     result: dict[str, Any] = {"episodes": counts, "levels": {}}
     wet = _grasp("wet", "adaptive", _WET_SEED, "vial", LEVELS[MESH])
-    _draw(wet, out / "wet_posterior.png")
+    _plot(wet, out / "wet_posterior.png")
     for level, effects in LEVELS.items():
         grasps = [
             _grasp(task, controller, SEED + k, OBJECTS[k % len(OBJECTS)], effects).rows
@@ -187,7 +187,7 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _draw(wet: _Signs, path: Path) -> None:
+def _plot(wet: _Signs, path: Path) -> None:
     """Plot the posterior over time, with the true coefficient, utilization, slip and grip."""
     if not wet.rows or (figure := new_figure(path.name, (8.0, 5.0))) is None:
         return

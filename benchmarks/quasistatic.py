@@ -69,7 +69,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     ]
     narrow = quasistatic_discretization.run(GRIDS, quick)
     times = [quasistatic_times.times(grid, quick) for grid in TIMED]
-    _draw(out / "quasistatic.png", references["profiles"])
+    _plot(out / "quasistatic.png", references["profiles"])
     found = {"rows": rows, "sticking": sticking, "places": places}
     return found | {"narrow": narrow, "times": times}
 
@@ -206,7 +206,7 @@ def _summary(forces: Array) -> dict[str, float]:
 # -- picture and table -----------------------------------------------------------------------------
 
 
-def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
+def _plot(path: Path, cases: list[dict[str, Any]]) -> None:
     """Plot the membrane from above with its contact, and below a section.
 
     The section shows it next to the full membrane and the obstacle. A missing matplotlib is

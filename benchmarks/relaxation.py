@@ -74,14 +74,14 @@ def hold(rate: float, seconds: float, seed: int = 0) -> dict[str, Any]:
     take_references(world, views, relaxing.chamber.supply_gauge)
     world.step(_steps(world, 1.0))
     world.drive(DEPTH)
-    looks = [_look(world, views, rng)]
-    while looks[-1][0] - looks[0][0] < seconds:
+    estimates = [_measure(world, views, rng)]
+    while estimates[-1][0] - estimates[0][0] < seconds:
         world.step(_steps(world, _EVERY))
-        looks.append(_look(world, views, rng))
+        estimates.append(_measure(world, views, rng))
     world.drive(-DEPTH)
     world.step(_steps(world, AFTER))
-    _, left, *estimate_after = _look(world, views, rng)
-    held = np.array(looks)
+    _, left, *estimate_after = _measure(world, views, rng)
+    held = np.array(estimates)
     errors = held[:, 2:] - held[:, 1:2]
     return {
         "true_N": [float(held[0, 1]), float(held[-1, 1])],
@@ -101,7 +101,7 @@ def _steps(world: PressWorld, seconds: float) -> int:
     return round(seconds / world.timestep)
 
 
-def _look(
+def _measure(
     world: PressWorld, views: Sequence[View], rng: np.random.Generator
 ) -> tuple[float, float, float, float]:
     """Return time, true normal force, and the estimates of both sensors, averaged over some

@@ -181,12 +181,12 @@ def shots(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]
     return found
 
 
-def look(images: Sequence[tuple[Image, RecordedPress]], settings: Settings) -> list[Circles]:
+def detect_all(images: Sequence[tuple[Image, RecordedPress]], settings: Settings) -> list[Circles]:
     """All pictures by `locate` with these settings."""
-    return [_look(image, press, settings) for image, press in images]
+    return [_detect(image, press, settings) for image, press in images]
 
 
-def _look(image: Image, press: RecordedPress, settings: Settings) -> Circles:
+def _detect(image: Image, press: RecordedPress, settings: Settings) -> Circles:
     camera = Camera.from_design(press.design.camera, press.design.glass)
     radius = press.design.markers.radius
     try:
@@ -298,7 +298,7 @@ def _prepare(quick: bool) -> None:
         presses=presses,
         images=images,
         estimated=estimate_presses(presses, DEFAULTS),
-        seen=look(images, DEFAULTS),
+        seen=detect_all(images, DEFAULTS),
     )
 
 
@@ -310,7 +310,7 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
     if stage not in RENDER_STAGES:
         row |= touch_change(_GIVEN["estimated"], estimate_presses(_GIVEN["presses"], settings))
     if stage in (*RENDER_STAGES, *IMAGE_STAGES):
-        row |= image_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
+        row |= image_change(_GIVEN["seen"], detect_all(_GIVEN["images"], settings))
     return row
 
 

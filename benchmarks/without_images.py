@@ -94,7 +94,10 @@ def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
         "images": lambda pose: renderer.render(*pose),
         "none": lambda pose: sampler.sample(*pose),
     }
-    return {way: _errors(design, look, (flat, rest, pressed), count) for way, look in ways.items()}
+    return {
+        way: _errors(design, take_image, (flat, rest, pressed), count)
+        for way, take_image in ways.items()
+    }
 
 
 def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
@@ -110,7 +113,7 @@ def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
 
 
 def _errors(
-    design: SensorDesign, look: Callable[[Pose], Image], poses: Sequence[Pose], count: int
+    design: SensorDesign, take_image: Callable[[Pose], Image], poses: Sequence[Pose], count: int
 ) -> dict[str, Any]:
     sensing_pipeline = SensingPipeline(design)
     state = None
@@ -121,12 +124,12 @@ def _errors(
     for k in range(count):
         if state is None or k % _PER_REFERENCE == 0:
             state = sensing_pipeline.measure_flat_reference(
-                sensing_pipeline.initial_state(), [look(poses[0]) for _ in range(_REFERENCES)]
+                sensing_pipeline.initial_state(), [take_image(poses[0]) for _ in range(_REFERENCES)]
             )
             state = sensing_pipeline.measure_rest_reference(
-                state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0
+                state, [take_image(poses[1]) for _ in range(_REFERENCES)], 1000.0
             )
-        markers, state = sensing_pipeline.detect_markers(state, look(poses[2]))
+        markers, state = sensing_pipeline.detect_markers(state, take_image(poses[2]))
         error = np.full_like(p_SM, np.nan)
         sd = np.full_like(p_SM, np.nan)
         error[markers.ids] = markers.p_SM - p_SM[markers.ids]

@@ -11,7 +11,7 @@ controller = mjtactile.load_controller("gentle")
 seen = []  # (phase, estimated normal forces in N, slip states), one per cycle
 
 
-def look(cycle):
+def on_cycle(cycle):
     left, right = forces = [touch.force_normal for touch in cycle.touch]
     slips = [touch.slip.state if touch.slip else "unknown" for touch in cycle.touch]
     if not seen or seen[-1][0] != cycle.sent.phase:
@@ -22,7 +22,7 @@ def look(cycle):
 with mjtactile.open_session("sim", design, object_name="strawberry", seed=3) as session:
     # each sensor measures itself, flat and inflated; nothing may touch it
     session.take_references()
-    last = session.run(controller, time_limit=60, on_cycle=look)
+    last = session.run(controller, time_limit=60, on_cycle=on_cycle)
 
 held = [forces for phase, forces, _ in seen if phase == "hold"]
 print(

@@ -29,7 +29,7 @@ def watch(seed):
     own = []
     with mjtactile.open_session("sim", DESIGN, object_name="egg", seed=seed) as session:
 
-        def look(cycle):
+        def on_cycle(cycle):
             last = own[-1] if own else cycle.last
             # the policy's phases, not the teacher's
             last = replace(cycle.last, phase=last.phase, memory=last.memory)
@@ -42,7 +42,7 @@ def watch(seed):
             done.append(action)
 
         session.take_references()
-        session.run(TEACHER, time_limit=60, on_cycle=look)
+        session.run(TEACHER, time_limit=60, on_cycle=on_cycle)
     return np.array(seen, float), np.array(done)
 
 

@@ -28,7 +28,7 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
         return examine_simulated(rig)
     from mjtactile.devices.doctor import examine
 
-    return examine(name, sensor=sensor, fix=fix, look=fiducial_findings)
+    return examine(name, sensor=sensor, fix=fix, check_view=fiducial_findings)
 
 
 def fiducial_findings(subject: str, design: SensorDesign, image: Image) -> Iterator[Finding]:

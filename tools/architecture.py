@@ -14,7 +14,7 @@ from html import escape
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PICTURE = ROOT / "docs" / "images" / "architecture.svg"
+FIGURE = ROOT / "docs" / "images" / "architecture.svg"
 
 ROOMS = {
     "cli": "the command line",
@@ -103,7 +103,7 @@ def floors(layers: list[str]) -> list[Floor]:
     return found
 
 
-def draw(pyproject: str) -> str:
+def render(pyproject: str) -> str:
     """Draw the contracts.
 
     Args:
@@ -245,7 +245,7 @@ def _text(
 
 
 def main() -> None:
-    PICTURE.write_text(draw((ROOT / "pyproject.toml").read_text("utf-8")), "utf-8")
+    FIGURE.write_text(render((ROOT / "pyproject.toml").read_text("utf-8")), "utf-8")
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
         moments: list[State],
         effects: Effects = SAMPLED["as designed"],
     ) -> dict[str, Any]:
-        result = {"name": name} | attempt(lambda: _look(seen, moments, effects))
+        result = {"name": name} | attempt(lambda: _evaluate(seen, moments, effects))
         notify(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
         return result
 
@@ -136,7 +136,7 @@ def _state(world: PressWorld) -> State:
     return State(*world.marker_poses(0), float(-ground_truth.contact_force(world, 0)[2]))
 
 
-def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
+def _evaluate(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
     renderer = Renderer(design, seed=1)
     perception = StatefulPipeline.of(design)
     flat, rest, *pressed = states

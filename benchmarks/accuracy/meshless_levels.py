@@ -36,7 +36,7 @@ STEP = 1 / 480  # time step of a rig with quasi-static membranes, s
 FIRST_SEED = 9400  # nothing was fitted or tuned on these
 PAIRS, PAIRS_QUICK = 12, 1
 QUASISTATIC, SAMPLED = "-mesh", "-mesh,-pipeline"
-_DRAWS = 400
+_SAMPLES = 400
 _WITHOUT = PHYSICS - {Effect.MESH}
 
 Notify = Callable[[str], None]
@@ -62,8 +62,8 @@ def run(
     notify("levels: an egg held")
     held = _held()
     rows = [
-        _row(QUASISTATIC, held["force_noise_N"], force, _rms(apart), held["film_ms"]),
-        _row(SAMPLED, 0.0, estimated, math.nan, held["film_ms"] + held["drawing_ms"]),
+        _row(QUASISTATIC, held["force_noise_N"], force, _rms(apart), held["quasistatic_ms"]),
+        _row(SAMPLED, 0.0, estimated, math.nan, held["quasistatic_ms"] + held["sampling_ms"]),
     ]
     count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs
     ended = [_outcomes(FIRST_SEED + k, k, count, notify) for k in range(count)]
@@ -119,7 +119,9 @@ def _estimated(force: float) -> np.ndarray:
     errors = load_errors(load_sensor(SENSOR))
     here = errors.at(force)
     rng = np.random.default_rng(0)
-    return force * (1 + errors.gain[2, 2]) - here.mean[2] + here.sd[2] * rng.standard_normal(_DRAWS)
+    return (
+        force * (1 + errors.gain[2, 2]) - here.mean[2] + here.sd[2] * rng.standard_normal(_SAMPLES)
+    )
 
 
 def _held() -> dict[str, float]:
@@ -133,13 +135,13 @@ def _held() -> dict[str, float]:
         SyntheticTouchSource(sensor, load_errors(design), design.membrane.friction, k)
         for k, sensor in enumerate(world.sensors)
     ]
-    drawing = core_ms(lambda: [one.draw() for one in drawers], 50) * design.camera.rate
+    sampling = core_ms(lambda: [one.sample() for one in drawers], 50) * design.camera.rate
     forces = []
     for _ in range(round(0.2 / STEP)):
         world.step()
         forces.append([ground_truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
     noise = float(np.std(forces, axis=0).mean())
-    return {"film_ms": quasistatic, "drawing_ms": drawing, "force_noise_N": noise}
+    return {"quasistatic_ms": quasistatic, "sampling_ms": sampling, "force_noise_N": noise}
 
 
 def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, str]:

@@ -20,7 +20,7 @@ _LABELS = {
 }
 
 
-def draw(result: dict[str, Any], out: Path, notify: Callable[[str], None]) -> None:
+def plot(result: dict[str, Any], out: Path, notify: Callable[[str], None]) -> None:
     """Write accuracy.png (force) and accuracy_surface.png into `out`.
 
     Print a message if matplotlib is missing.

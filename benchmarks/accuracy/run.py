@@ -107,7 +107,7 @@ def run(
     }
     write_json(out / "fidelity.json", fidelity_table(result))  # before the cameras: it needs none
     result["camera"] = camera.run(quick, notify)
-    plots.draw(result, out, notify)
+    plots.plot(result, out, notify)
     return result
 
 

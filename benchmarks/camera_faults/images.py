@@ -13,7 +13,7 @@ _COLUMNS = 8
 _PART = (slice(150, 330), slice(230, 410))
 
 
-def draw(grasp: Grasp, path: Path) -> None:
+def render(grasp: Grasp, path: Path) -> None:
     """The last of three images under each trouble, a part of it."""
     rows = -(-len(TABLES) // _COLUMNS)
     figure = new_figure(path.name, (1.7 * _COLUMNS, 1.95 * rows))

@@ -21,7 +21,7 @@ from benchmarks.accuracy.run import stamp
 from benchmarks.camera_faults import gas_changes
 from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD, numbers
 from benchmarks.camera_faults.fault_kinds import Kind, kinds, label
-from benchmarks.camera_faults.images import draw
+from benchmarks.camera_faults.images import render
 from benchmarks.camera_faults.replay import Grasp, record, replay_faults
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
@@ -44,7 +44,7 @@ def run(
     for sensor in SENSORS:
         grasp = record(sensor, GRASP_SEED)
         if not rows:
-            draw(grasp, out / "camera_faults.png")
+            render(grasp, out / "camera_faults.png")
         for number, kind in islice(enumerate(kinds()), 0, None, 2 if quick else 1):
             file = folder / f"{sensor}-{number:03}.json"
             if not (resume and file.is_file()):

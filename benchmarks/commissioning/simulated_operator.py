@@ -79,7 +79,7 @@ def photograph_board(folder: Path, camera: CameraDesign) -> None:
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
     points = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], axis=1), K, k, criteria=criteria)
     rays = np.concatenate([points.reshape(*u.shape, 2), np.ones((*u.shape, 1))], axis=2)
-    sampled = cv2.GaussianBlur(BOARD.draw(_PIXELS), (0, 0), 1.5)
+    sampled = cv2.GaussianBlur(BOARD.render(_PIXELS), (0, 0), 1.5)
     rng = np.random.default_rng(5)
     folder.mkdir()
     for i in range(12):

@@ -32,7 +32,7 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
                 "to_N": high,
                 "images": int(here.sum()),
                 "force_rms_mN": 1e3 * _rms(rows["estimated"][here, 2] - rows["wrench"][here, 2]),
-                "drawn_rms_mN": 1e3 * _rms(_drawn(errors, rows["wrench"][here])),
+                "sampled_rms_mN": 1e3 * _rms(_sampled(errors, rows["wrench"][here])),
                 "force_ratio": _rms(z[here, 2]),
                 "shear_ratio": _rms(z[here, :2]),
                 "torque_ratio": _rms(z[here, 3:]),
@@ -41,7 +41,7 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
     return {"rows": by_load, "unknown_percent": 100 * float(np.mean(~known))}
 
 
-def _drawn(errors: SensingErrorModel, wrenches: Array) -> Array:
+def _sampled(errors: SensingErrorModel, wrenches: Array) -> Array:
     """(n,) N: an error of the normal force for each wrench, as it would be drawn."""
     rng = np.random.default_rng(0)
     found = []

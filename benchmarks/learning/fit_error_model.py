@@ -400,7 +400,7 @@ def table(result: dict[str, Any]) -> str:
     for name, checked in result["checks"].items():
         lines += [
             f"| {words[name]} | {row['from_N']:g}-{row['to_N']:g} | {row['images']} "
-            f"| {row['force_rms_mN']:.1f} / {row['drawn_rms_mN']:.1f} | {row['force_ratio']:.2f} "
+            f"| {row['force_rms_mN']:.1f} / {row['sampled_rms_mN']:.1f} | {row['force_ratio']:.2f} "
             f"| {row['shear_ratio']:.2f} | {row['torque_ratio']:.2f} |"
             for row in checked["rows"]
         ]

@@ -84,7 +84,7 @@ class Compared(Observer):
 
 def _true(sensor: QuasistaticSensor) -> dict[str, Any]:
     return {
-        "wrench": sensor.look(),
+        "wrench": sensor.present_wrench(),
         "area": sensor.contact_area,
         "centroid": sensor.middle[:2],
         "depth": sensor.depth,

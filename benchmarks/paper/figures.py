@@ -17,9 +17,9 @@ _COLOURS = {"solid": "tab:blue", "sponge": "tab:red"}  # as in the paper's Fig. 
 
 def save(name: str, result: Mapping[str, Any], out: Path) -> None:
     """Write `out`/NAME.png; report a missing matplotlib on stderr."""
-    draw, size = _DRAW[name]
+    plot, size = _PLOTS[name]
     if (figure := new_figure(f"{name}.png", size, dpi=100)) is not None:
-        draw(figure, result)
+        plot(figure, result)
         figure.savefig(out / f"{name}.png")
 
 
@@ -175,7 +175,7 @@ def plot_pressure(figure: Any, result: Mapping[str, Any]) -> None:
         noise.set_ylim(0, None)
 
 
-_DRAW = {
+_PLOTS = {
     "fig5a": (plot_fig5a, (16.5, 5.4)),
     "fig5b": (plot_fig5b, (9.5, 4.2)),
     "fig5c": (plot_fig5c, (6.4, 4.2)),

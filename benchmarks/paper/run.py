@@ -65,11 +65,11 @@ def _increments(
     """One press in steps. c is fitted to the same points, the best case for the paper's method."""
     station = TestBench(design, indenter, mesh=MESH)
     station.zero(sealed=sealed)
-    rest = station.look(10)
+    rest = station.measure(10)
     steps = []
     for depth in depths:
         station.world.press(depth)
-        seen = station.look(5)
+        seen = station.measure(5)
         steps.append(
             {
                 "depth_mm": 1e3 * depth,
@@ -110,7 +110,7 @@ def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
         given = []
         for depth in depths:
             station.world.press(float(depth))
-            seen = station.look(2)
+            seen = station.measure(2)
             estimated.append(seen["force_N"])
             given.append(float(depth) - seen["indentation_mm"] * 1e-3)
         curves[name] = {
@@ -172,7 +172,7 @@ def fig5c(notify: Notify, quick: bool = False) -> dict[str, Any]:
             ) if depth < DRIVE_DEPTH else station.world.step(8)
             if not (quick and step % 5):
                 rows.append(
-                    (station.world.time - start, station.look()["force_N"], station.load_cell())
+                    (station.world.time - start, station.measure()["force_N"], station.load_cell())
                 )
         time, estimated, cell = np.array(rows).T
         curves[name] = {
@@ -271,7 +271,7 @@ def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
     station.zero(sealed=sealed)
     noise = float(np.std([station.touch().force_normal for _ in range(20)], ddof=1))
     station.world.press(1e-3)
-    seen = station.look(5)
+    seen = station.measure(5)
     return {
         "supply_kPa": 1e-3 * design.chamber.supply_gauge,
         "air_mL": 1e6 * station.world.sensors[0].volume,

@@ -80,7 +80,7 @@ def run(
         **summary(found, rest.pressure),
     }
     write_json(Path(out) / "bubble.json", result)
-    _draw(Path(out), rows[:, 0] - rows[0, 0], wrist, result, field)
+    _plot(Path(out), rows[:, 0] - rows[0, 0], wrist, result, field)
     return result
 
 
@@ -144,7 +144,7 @@ def _read(folder: Path) -> tuple[Array, dict[int, Array]]:
     }
 
 
-def _draw(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field: Any) -> None:
+def _plot(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field: Any) -> None:
     figure = new_figure("bubble.png", (10.0, 3.8))
     if figure is None:
         return

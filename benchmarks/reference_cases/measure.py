@@ -22,7 +22,7 @@ FELT = 0.04
 FORCE_SD = 3.0
 ESTIMATE = "estimated normal force"
 """Kind of the numbers whose reference is the simulated force."""
-_LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
+_IMAGES = 3  # a camera that runs: bars are wide in the image in which the force has just changed
 # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
 _REST = 20
 
@@ -90,7 +90,7 @@ def _press(case: Case) -> list[Number]:
             )
         )
         if view is not None:
-            touch = [view.touch() for _ in range(_LOOKS)][-1]
+            touch = [view.touch() for _ in range(_IMAGES)][-1]
             numbers.append(
                 Number(
                     ESTIMATE,

@@ -19,13 +19,13 @@ def save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         return
     boxes = figure.subplots(height, _COLUMNS, squeeze=False).ravel()
     for axes, row in zip(boxes, rows, strict=False):
-        _draw(axes, row)
+        _plot(axes, row)
     for axes in boxes[len(rows) :]:
         axes.set_axis_off()
     figure.savefig(path)
 
 
-def _draw(axes: Any, row: dict[str, Any]) -> None:
+def _plot(axes: Any, row: dict[str, Any]) -> None:
     numbers = row["numbers"]
     simulated = [n for n in numbers if n["sd"] is None]
     estimated = [n for n in numbers if n["sd"] is not None]

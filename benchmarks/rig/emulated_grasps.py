@@ -72,7 +72,7 @@ class _Watch:
         self.presses: list[float] = []
         self.came_along = True
 
-    def look(self, cycle: Cycle) -> None:
+    def update(self, cycle: Cycle) -> None:
         if cycle.sent.phase != "hold":
             return
         true = self._process.truth()
@@ -102,7 +102,7 @@ def grasp(object_name: str, seed: int) -> dict[str, Any]:
             session = Session(rig)
             session.take_references()
             controller = load_controller(CONTROLLER)
-            last = session.run(controller, time_limit=_TIME_LIMIT, on_cycle=watch.look)
+            last = session.run(controller, time_limit=_TIME_LIMIT, on_cycle=watch.update)
             stands = abs(float(bench.process.truth()["object_height"]) - watch.start) < _STANDS
         finally:
             rig.close()

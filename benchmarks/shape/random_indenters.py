@@ -45,7 +45,7 @@ class Case:
         return path
 
 
-def draw(seed: int) -> Case:
+def sample_case(seed: int) -> Case:
     """The body of a seed; families take turns."""
     rng = np.random.default_rng([seed, 77])
     name = list(_SAMPLED)[seed % len(_SAMPLED)]

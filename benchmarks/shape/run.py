@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.shape import independent_reference
-from benchmarks.shape.random_indenters import Case, draw
+from benchmarks.shape.random_indenters import Case, sample_case
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Array, ContactShape, Touch, Traction
@@ -60,13 +60,13 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
-        reported = [row["kind"] for row in rows if row["seed"] == seed and row["looked"] == "press"]
+        reported = [row["kind"] for row in rows if row["seed"] == seed and row["stage"] == "press"]
         notify(f"body {seed}, {rows[-1]['name']}: {', '.join(reported)}")
     return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
 
 
 def _press(seed: int) -> list[dict[str, Any]]:
-    case = draw(seed)
+    case = sample_case(seed)
     with tempfile.TemporaryDirectory() as folder:
         indenter = Indenter("model", path=case.write(Path(folder)))
         world = PressWorld("dense", indenter, at=case.at, mesh=MESH)
@@ -75,16 +75,16 @@ def _press(seed: int) -> list[dict[str, Any]]:
     finder = view.perception.pipeline.make_shape_estimator(view.perception.state)  # made once
     drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
-    for looked in _stages(world, drag):
+    for stage in _stages(world, drag):
         true = ground_truth.contact_wrench(world, 0)
         row = _followed(case, view, finder, true)
         if row is None or -true[2] < _FORCE_MIN:
             continue
         touch = row.pop("touch")
-        row |= {"seed": seed, "looked": looked, "first": not rows}
+        row |= {"seed": seed, "stage": stage, "first": not rows}
         row |= {"area_true_mm2": 1e6 * ground_truth.contact_area(world, 0)}
         rows.append(row)
-        if looked == "press":
+        if stage == "press":
             rows.append(row | _alone(case, view, touch))
     return rows
 
@@ -140,7 +140,7 @@ def _alone(case: Case, view: View, touch: Touch) -> dict[str, Any]:
     start = time.thread_time()
     shape = view.perception.shape(touch)
     seconds = time.thread_time() - start
-    return {"looked": "image", "milliseconds": 1e3 * seconds, **_reported(case, shape)}
+    return {"stage": "image", "milliseconds": 1e3 * seconds, **_reported(case, shape)}
 
 
 def _reported(case: Case, shape: ContactShape) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape.random_indenters import Case, draw
+from benchmarks.shape.random_indenters import Case, sample_case
 from benchmarks.shape.run import MESH
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import ContactShape, Touch
@@ -62,7 +62,7 @@ class ShapeEstimate:
 def cases() -> list[Case]:
     """The bodies that are pressed."""
     close = Case("multiple", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
-    return [*map(draw, SAMPLED), close]
+    return [*map(sample_case, SAMPLED), close]
 
 
 def record(case: Case) -> Pressed:

@@ -24,8 +24,8 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
         Medians, fractions and counts by name, for tracked sequences and for single images.
     """
     listed = list(rows)
-    followed = [row for row in listed if row["looked"] != "image"]
-    presses = [row for row in listed if row["looked"] == "press"]
+    followed = [row for row in listed if row["stage"] != "image"]
+    presses = [row for row in listed if row["stage"] == "press"]
     sharp = [row for row in presses if row["family"] in _SHARP]
     smooth = [row for row in presses if row["family"] == "smooth"]
     wedges = [row for row in presses if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
@@ -33,7 +33,7 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     ends = _ends(presses)
     return {
         "press": _told(presses),
-        "image": _told([row for row in listed if row["looked"] == "image"]),
+        "image": _told([row for row in listed if row["stage"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
         "kind_end": [_fraction(row["kind"] == row["family"] for row in ends), len(ends)],
         "multiple": [_fraction(row["kind"] == "multiple" for row in two), len(two)],
@@ -48,8 +48,8 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
             for name, some in _sharp(listed).items()
         },
         "first_ms": _median(row["milliseconds"] for row in followed if row["first"]),
-        "hold_ms": _median(row["milliseconds"] for row in listed if row["looked"] == "hold"),
-        "look_ms": _median(row["milliseconds"] for row in presses if not row["first"]),
+        "hold_ms": _median(row["milliseconds"] for row in listed if row["stage"] == "hold"),
+        "update_ms": _median(row["milliseconds"] for row in presses if not row["first"]),
         "kinds": _kinds(ends),
         "bodies": len({row["seed"] for row in presses}),
         "images": len(presses),
@@ -98,13 +98,13 @@ def _broad(rows: list[Row]) -> dict[str, list[Row]]:
 
 def _sharp(rows: list[Row]) -> dict[str, list[Row]]:
     """Group rows of sharp indenters by table name: pressed, dragged, and both."""
-    pushed = [row for row in rows if row["looked"] in ("press", "drag")]
+    pushed = [row for row in rows if row["stage"] in ("press", "drag")]
     named: dict[str, list[Row]] = {}
     for family, name in _SHARP.items():
         own = [row for row in pushed if row["family"] == family]
         named |= {
-            f"{name}, {looked}": [row for row in own if row["looked"] == by]
-            for by, looked in (("press", "pressed"), ("drag", "dragged"))
+            f"{name}, {stage}": [row for row in own if row["stage"] == by]
+            for by, stage in (("press", "pressed"), ("drag", "dragged"))
         }
         named[name] = own
     named["all three"] = [row for row in pushed if row["family"] in _SHARP]
@@ -190,7 +190,7 @@ def table(result: dict[str, Any]) -> str:
             for name, (now, before) in s["chi2"].items()
         ),
         ("processor time, ms: first image of a load", _number(s["first_ms"]), "", ""),
-        ("… force increased by half: all possible kinds fitted", _number(s["look_ms"]), "", ""),
+        ("… force increased by half: all possible kinds fitted", _number(s["update_ms"]), "", ""),
         ("… images of a hold", _number(s["hold_ms"]), "", ""),
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]

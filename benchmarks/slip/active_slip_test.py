@@ -24,20 +24,23 @@ STAYS = 0.7  # of the grip's change in the shear, and two sd: less is no slip
 _ARM = 3e-3  # lever arm in a contact, m, that converts a torque about its normal to a force
 
 
-def states(looks: Sequence[Sample]) -> list[str]:
+def states(samples: Sequence[Sample]) -> list[str]:
     """Classify each image as "slipping" or "sticking", from the images of the last 0.3 s alone."""
-    signs = [look.touch.slip is not None and look.touch.slip.state == "slipping" for look in looks]
+    signs = [
+        sample.touch.slip is not None and sample.touch.slip.state == "slipping"
+        for sample in samples
+    ]
     return [
         "slipping" if sign and not sticks(found) else "sticking"
-        for sign, found in zip(signs, followings(looks), strict=True)
+        for sign, found in zip(signs, followings(samples), strict=True)
     ]
 
 
-def followings(looks: Sequence[Sample]) -> list[SlipTestResult]:
+def followings(samples: Sequence[Sample]) -> list[SlipTestResult]:
     """Estimate up to each image how the shear, force and torque, followed the grip."""
-    time = np.array([look.time for look in looks])
-    normal = np.array([look.touch.force_normal for look in looks])
-    shear = np.array([_shear(look.touch) for look in looks])
+    time = np.array([sample.time for sample in samples])
+    normal = np.array([sample.touch.force_normal for sample in samples])
+    shear = np.array([_shear(sample.touch) for sample in samples])
     starts = np.searchsorted(time, time - WINDOW - 1e-9)
     return [
         evaluate_slip_test(normal[start : k + 1], shear[start : k + 1])

@@ -89,7 +89,7 @@ def run(
     result = summary(rows.get("passive", []), at) | {"rate_Hz": at}
     if "tested" in rows:
         result["with_test"] = with_test(rows["tested"])
-    draw(rows.get("passive", []), Path(out) / "slip.png")
+    plot(rows.get("passive", []), Path(out) / "slip.png")
     return result
 
 
@@ -145,15 +145,15 @@ def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row
 def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
     """One row for each finger."""
     rows = []
-    for name, friction, looks in zip(_FINGERS, case.friction, watched.fingers, strict=True):
+    for name, friction, samples in zip(_FINGERS, case.friction, watched.fingers, strict=True):
         sensing_pipeline = [
-            look.touch.slip.state if look.touch.slip else "unknown" for look in looks
+            sample.touch.slip.state if sample.touch.slip else "unknown" for sample in samples
         ]
-        states = active_slip_test.states(looks) if test else sensing_pipeline
+        states = active_slip_test.states(samples) if test else sensing_pipeline
         found = outcome(
             [
                 Frame(k.time, state, k.used, k.slid, k.onset)
-                for k, state in zip(looks, states, strict=True)
+                for k, state in zip(samples, states, strict=True)
             ]
         )
         rows.append(
@@ -163,7 +163,7 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
                 "body": case.body,
                 "finger": name,
                 "friction": friction,
-                "force_N": looks[0].force,
+                "force_N": samples[0].force,
                 "outcome": found.name,
                 "latency_ms": 1e3 * found.latency,
                 "slid_mm": 1e3 * found.slid,
@@ -286,7 +286,7 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def draw(rows: Sequence[Row], path: Path) -> None:
+def plot(rows: Sequence[Row], path: Path) -> None:
     """Plot the latency of each detected slip over its speed, and the outcomes by kind of case."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return

@@ -333,11 +333,11 @@ def _reason(row: dict[str, Any]) -> str:
 def _save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     if (figure := new_figure(path.name, (11.0, 9.0))) is None:
         return
-    draw(figure, rows)
+    plot(figure, rows)
     figure.savefig(path)
 
 
-def draw(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
+def plot(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
     """The map: a row of cells an axis, coloured by outcome."""
     axes = figure.subplots()
     names = list(dict.fromkeys(row["axis"] for row in rows))

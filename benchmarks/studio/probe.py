@@ -38,7 +38,7 @@ class Watched(SessionBridge):
         # time, s, when each cycle's images were ready, on the clock shared with the page
         self.taken: list[float] = []
         self.spent: list[float] = []  # time of the session's thread in each cycle, s
-        self.looks = 0
+        self.frame_requests = 0
 
     def on_images(self) -> None:
         start = time.perf_counter()
@@ -55,7 +55,7 @@ class Watched(SessionBridge):
 
     def snapshot(self) -> Any:
         if threading.current_thread().name != "studio":
-            self.looks += 1
+            self.frame_requests += 1
         return super().snapshot()
 
 
@@ -87,7 +87,7 @@ def studio() -> dict[str, Any]:
 
 def _start(bridge: Watched) -> None:
     """Go on when the page is up."""
-    while bridge.looks < 3 * _FRAMES:  # three windows ask in each frame
+    while bridge.frame_requests < 3 * _FRAMES:  # three windows ask in each frame
         time.sleep(0.05)
     bridge.paused = False
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile.report.figures import new_figure
 
-_LOOKS = {
+_STYLES = {
     "oracle": ("#999999", "oracle: knows mass and friction"),
     "adaptive": ("#1f5fa8", "adaptive: touch, as hard as required"),
     "slip_aware": ("#5fa05f", "slip_aware: touch, harder at a slip"),
@@ -18,13 +18,13 @@ _LOOKS = {
 _STEP = 0.15  # of a task's row
 
 
-def draw(result: Mapping[str, Any], path: Path) -> None:
+def plot(result: Mapping[str, Any], path: Path) -> None:
     """A row a task, a dot a controller, with its 95 % interval."""
     if (figure := new_figure(path.name, (8.0, 5.2))) is None:
         return
     axes = figure.subplots()
     tasks = list(result["tasks"])
-    for rank, (name, (color, label)) in enumerate(_LOOKS.items()):
+    for rank, (name, (color, label)) in enumerate(_STYLES.items()):
         for row, task in enumerate(tasks):
             group = result["tasks"][task]["controllers"].get(name)
             if group is None or group["episodes"] == group["error"]:

@@ -32,7 +32,7 @@ PULL_ESTIMATE = (
     # pull of a person who takes the object, N: a weaker grip loses it before the pull is detected
     0.5
 )
-_LOOKS = 26
+_MOMENTS = 26
 _LEAST = 0.15  # minimum grip force that can be regulated, N
 _MAX_LEVER = 3.0  # of a torque about the grip, in the need
 
@@ -79,7 +79,7 @@ class Oracle(Observer):
         plain = self._plain(time, time)
         if scorer.in_the_air() and plain > 0 and now > 0:
             self._lever = min(max(now / plain, 1.0), _MAX_LEVER)
-        moments = np.linspace(time, time + AHEAD, _LOOKS)
+        moments = np.linspace(time, time + AHEAD, _MOMENTS)
         ahead = max(self._plain(moment, time) for moment in moments)
         self.need = max(now, ahead * self._lever)
 

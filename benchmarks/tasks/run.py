@@ -17,9 +17,10 @@ import numpy as np
 
 from benchmarks.tasks import oracle
 from benchmarks.tasks.compared_controllers import CONTROLLERS, SHOWN
-from benchmarks.tasks.figure import draw
+from benchmarks.tasks.figure import plot
 from benchmarks.tasks.simulation_levels import LEVELS, MESH, agreement, folder_of
 from benchmarks.tasks.tables import table as table
+from mjtactile.core import renamed
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate.benchmark_suite import Suite, load_suite, new_suite, read, rounds, run_round
 from mjtactile.evaluate.episodes import Episode, run_episode
@@ -77,7 +78,8 @@ def run(
         InputError: There is no such level or controller.
     """
     if level not in LEVELS:
-        raise InputError(f"{level!r} is unknown", field="--level", choices=list(LEVELS))
+        problem = f"{level!r} is unknown{renamed.hint(f'--level {level}', renamed.OPTIONS)}"
+        raise InputError(problem, field="--level", choices=list(LEVELS))
     unknown = [name for name in parts if name not in SHOWN]
     if unknown:
         raise InputError(f"{unknown[0]!r} is unknown", field="--parts", choices=list(SHOWN))
@@ -102,7 +104,7 @@ def run(
     folder = out / folder_of(level)
     suite.with_results(*_kept(folder)).write(folder / f"{suite.name}.json")
     result = results(out, count, level)
-    draw(result, out / "controller_comparison.png")
+    plot(result, out / "controller_comparison.png")
     return result
 
 

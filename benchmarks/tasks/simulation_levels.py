@@ -25,10 +25,10 @@ LEVELS = {
     MESH: Level(
         "-images", "mesh", "complete membrane; complete pipeline on markers with sampled errors"
     ),
-    "film": Level(
+    "quasistatic": Level(
         "-mesh,-images", "quasistatic", "quasi-static membrane; complete pipeline on its markers"
     ),
-    "drawn": Level(
+    "synthetic": Level(
         "-mesh,-pipeline", "synthetic", "quasi-static membrane; touch sampled with pipeline errors"
     ),
 }

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.tasks.figure import draw
+from benchmarks.tasks.figure import plot
 from benchmarks.tasks.run import OBJECTS, TASKS, together
 from benchmarks.tasks.simulation_levels import LEVELS
 from mjtactile.evaluate.benchmark_suite import Suite, new_suite, read, rounds, run_round
@@ -19,7 +19,7 @@ from mjtactile.evaluate.statistics import paired, summarise
 from mjtactile.runtime.progress import Progress
 
 NAME = "v2"
-LEVEL = "drawn"
+LEVEL = "synthetic"
 ALL_TASKS = (*TASKS, "wet", "carry", "stack", "slosh")
 FIRST = "adaptive"
 OTHERS = ("gentle", "slip_aware")
@@ -68,7 +68,7 @@ def run(
         "together": together(lines),
         "pairs": {task: differences(own) for task, own in lines.items()},
     }
-    draw(result, out / "suite_v2.png")
+    plot(result, out / "suite_v2.png")
     return result
 
 

@@ -38,10 +38,10 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     rows = []
     for name, body in (BODIES | FACES).items():
         notify(f"thin: {name}")
-        draw = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(_SEED)
         for _ in range(places):
-            at = draw.uniform(-_AROUND, _AROUND, 2)
-            turn = float(draw.uniform(0, np.pi))
+            at = rng.uniform(-_AROUND, _AROUND, 2)
+            turn = float(rng.uniform(0, np.pi))
             rows.append({"body": name, **_compared(membranes, body, at, turn)})
     return {"places": places, "speeds": list(SPEEDS), "rows": rows}
 
@@ -70,7 +70,7 @@ def _compared(
         "at": at.tolist(),
         "turn": turn,
         "forces": forces,
-        "film": _reference(membranes, body, at, turn),
+        "quasistatic": _reference(membranes, body, at, turn),
         "stated": stated,
         "stopped": stopped,
     }
@@ -81,12 +81,15 @@ def _reference(
 ) -> float | None:
     """Force, N, of the finest film that comes to rest on the body."""
     forces = (
-        _film_force(membrane, body, at, turn) for membrane in membranes[1 if body.tilt else 0 :]
+        _quasistatic_force(membrane, body, at, turn)
+        for membrane in membranes[1 if body.tilt else 0 :]
     )
     return next((force for force in forces if force is not None), None)
 
 
-def _film_force(membrane: QuasistaticMembrane, body: Body, at: Array, turn: float) -> float | None:
+def _quasistatic_force(
+    membrane: QuasistaticMembrane, body: Body, at: Array, turn: float
+) -> float | None:
     """Force, N, of the film at rest on the body; None where it finds none."""
     from scipy.interpolate import RectBivariateSpline
 
@@ -142,16 +145,16 @@ def table(result: dict[str, Any]) -> str:
 def _line(rows: list[dict[str, Any]], name: str) -> str:
     mine = [row for row in rows if row["body"] == name]
     stopped = sum(force is None for row in mine for force in row["forces"])
-    known = [row for row in mine if row["film"] is not None and None not in row["forces"]]
+    known = [row for row in mine if row["quasistatic"] is not None and None not in row["forces"]]
     if not known:
         return f"| {name} | | | | | | {stopped} | |"
-    ratios = np.array([np.array(row["forces"]) / row["film"] for row in known])
+    ratios = np.array([np.array(row["forces"]) / row["quasistatic"] for row in known])
     low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
     worst = ratios.flat[np.abs(ratios - 1).argmax()]
     spread = (ratios.max(axis=1) - ratios.min(axis=1)) / ratios.mean(axis=1)
     stated = np.array([row["stated"] for row in known])[:, None]
     beyond = int((np.abs(ratios - 1) > stated).sum())
-    membrane = np.mean([row["film"] for row in known])
+    membrane = np.mean([row["quasistatic"] for row in known])
     return (
         f"| {name} | {membrane:.3f} | {middle:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
         f"{100 * spread.max():.0f} % | {stopped} | {beyond} of {ratios.size} |"

@@ -25,7 +25,7 @@ from benchmarks.paper.force_methods import MembraneForce, spring_grid_force
 from benchmarks.shape.random_indenters import Case
 from benchmarks.touch import sharp_indenters
 from benchmarks.touch.area_force_constant import calibrate_area
-from benchmarks.touch.tables import draw, summary, table
+from benchmarks.touch.tables import plot, summary, table
 from mjtactile.calibrate.force import AreaCalibration
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.types import Array, Image, Touch
@@ -79,7 +79,7 @@ class LayoutView(View):
             sensing.detect_rest_markers(state, self.images()), pressure
         )
 
-    def look(self, image: Image | None = None) -> Touch:
+    def estimate(self, image: Image | None = None) -> Touch:
         image = self.image() if image is None else image
         touch = self.perception.perceive(image, image.time)
         # once more from the surface on: time on one core
@@ -133,7 +133,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
     quiet = _quiet(60 if quick else QUIET_FRAMES)
     result: dict[str, Any] = {
         "mesh": mesh,
-        "looks": rows,
+        "touches": rows,
         "sharp": edges,
         "quiet": quiet,
         "off_nominal": _off_nominal(),
@@ -144,7 +144,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
     }
     result["sensors"] = {name: summary(name, result) for name in SENSORS}
     result["sharp_sensors"] = {name: sharp_indenters.summary(name, edges) for name in SENSORS}
-    draw(rows, out / "touch.png")
+    plot(rows, out / "touch.png")
     return result
 
 
@@ -199,7 +199,7 @@ def _episode(
             world.press(depth, shear)
         depths[stage] = depth
         for name, view in views.items():
-            touches = [view.look() for _ in range(_FRAMES)]
+            touches = [view.estimate() for _ in range(_FRAMES)]
             rows.append(
                 {
                     "sensor": name,
@@ -326,7 +326,7 @@ def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
                 renderer.render(p[keep], n[keep], 10.0 + k * _PERIOD)
                 for k in range(_OFF_NOMINAL_FRAMES)
             )
-            touch = [view.look(image) for image in images][-1]
+            touch = [view.estimate(image) for image in images][-1]
             assert touch.traction is not None
             rows.append(
                 {

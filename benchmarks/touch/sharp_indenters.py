@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape.random_indenters import Case, draw
+from benchmarks.shape.random_indenters import Case, sample_case
 from mjtactile.core.types import Array, Touch
 from mjtactile.experiments.test_bench import View
 from mjtactile.sim import ground_truth
@@ -36,7 +36,7 @@ def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
         Of each kind as many.
     """
     each = _EACH_QUICK if quick else _EACH
-    sampled = [(seed, draw(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
+    sampled = [(seed, sample_case(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
     return [(seed, case) for seed, case in sampled if case.name in BODIES]
 
 
@@ -66,13 +66,13 @@ def episode(
         if -ground_truth.contact_force(world, 0)[2] > _MAX_FORCE:
             break
         reached = depth
-        rows += _looked(world, views, finders)
+        rows += _estimates(world, views, finders)
     world.press(reached, drag)
-    rows += _looked(world, views, finders)
+    rows += _estimates(world, views, finders)
     return [{"seed": seed, "body": case.name, **row} for row in rows]
 
 
-def _looked(
+def _estimates(
     world: PressWorld, views: Mapping[str, View], finders: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     true = ground_truth.contact_wrench(world, 0)

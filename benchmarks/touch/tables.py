@@ -17,7 +17,7 @@ _DIRECTION_MIN = 0.3  # minimum shear force for a direction error, N
 
 def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     """One sensor's numbers."""
-    rows = [row for row in result["looks"] if row["sensor"] == name]
+    rows = [row for row in result["touches"] if row["sensor"] == name]
     error = np.array([r["error_N"] for r in rows])
     true = np.array([r["force_true_N"] for r in rows])
     torque = np.array([r["torque_error_Nmm"] for r in rows])
@@ -32,7 +32,7 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     }
 
     return {
-        "looks": len(rows),
+        "touches": len(rows),
         "normal_mae_N": _mean(np.abs(error[:, 2])),
         "normal_bias_N": _mean(error[:, 2]),
         "normal_worst_N": float(np.abs(error[:, 2]).max()),
@@ -165,7 +165,7 @@ def _deviation(row: Mapping[str, Any]) -> str:
     return f"{row['force_N'] - row['force_true_N']:+.3f} / {row['sd_N']:.3f}{status}"
 
 
-def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Plot estimated against true normal force, and the errors of normal and shear force with their
     standard deviations."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:

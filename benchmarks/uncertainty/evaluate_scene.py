@@ -58,7 +58,7 @@ class Sample:
 class Watched:
     """All looks of a scene, and the simulation's `flags`."""
 
-    looks: list[Sample]
+    samples: list[Sample]
     flags: Flags
 
 
@@ -66,7 +66,7 @@ def watch(scene: Scene) -> Watched:
     """Take references, then move; every image. Raises SimulationError where that cannot be
     simulated."""
     design = scene.design
-    looks = []
+    samples = []
     world: World = PressWorld(
         design,
         scene.indenter,
@@ -92,7 +92,7 @@ def watch(scene: Scene) -> Watched:
     before = [np.zeros(6) for _ in fingers]
     driven = np.zeros(world.model.nu)
 
-    def look() -> None:
+    def sample() -> None:
         wrenches = [ground_truth.contact_wrench(world, k) for k in fingers]
         rests = bool(np.all(world.data.ctrl == driven))
         if world.step_count % period == 0:
@@ -110,14 +110,14 @@ def watch(scene: Scene) -> Watched:
                 rattles = rests and jump > _JUMP + _JUMP_FRACTION * float(
                     np.linalg.norm(wrenches[k][:3])
                 )
-                looks.append(Sample(touch, wrenches[k], area, rattles))
+                samples.append(Sample(touch, wrenches[k], area, rattles))
         before[:] = wrenches
         driven[:] = world.data.ctrl
 
-    world.after_each_step(look)
+    world.after_each_step(sample)
     for seconds in _moves(scene, world):
         world.step(max(round(seconds / world.timestep), 1))
-    return Watched(looks, world.flags)
+    return Watched(samples, world.flags)
 
 
 def _moves(scene: Scene, world: World) -> Iterator[float]:

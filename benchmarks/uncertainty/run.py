@@ -66,15 +66,15 @@ def scene_rows(seed: int) -> dict[str, Any]:
     except SimulationError as error:
         return about | {"rows": [], "flags": [], "error": " ".join(str(error).split())}
     return about | {
-        "rows": [_row(look) for look in watched.looks],
+        "rows": [_row(sample) for sample in watched.samples],
         "flags": sorted(watched.flags),
         "error": "",
     }
 
 
-def _row(look: Sample) -> dict[str, Any]:
-    touch = look.touch
-    traction = look.touch.traction
+def _row(sample: Sample) -> dict[str, Any]:
+    touch = sample.touch
+    traction = sample.touch.traction
     known = touch.status == OK
     estimated = (
         touch.contact.area
@@ -85,10 +85,10 @@ def _row(look: Sample) -> dict[str, Any]:
         "time": touch.time,
         "status": str(touch.status.code),
         "touching": touch.touching,
-        "rattles": look.rattles,
-        "wrench_true": look.wrench.tolist(),
+        "rattles": sample.rattles,
+        "wrench_true": sample.wrench.tolist(),
         "wrench": traction.wrench.tolist() if known and traction else None,
         "sd": np.sqrt(np.diag(traction.wrench_cov)).tolist() if known and traction else None,
-        "area_true": look.area,
+        "area_true": sample.area,
         "area": estimated,
     }

@@ -79,7 +79,7 @@ class Board:
             (self.columns, self.rows), self.square, self.marker, dictionary
         )
 
-    def draw(self, pixels_per_square: int = 120) -> NDArray[np.uint8]:
+    def render(self, pixels_per_square: int = 120) -> NDArray[np.uint8]:
         """The board as an image to print, with a quiet zone of half a square."""
         size = (self.columns + 1) * pixels_per_square, (self.rows + 1) * pixels_per_square
         return self.make().generateImage(size, marginSize=pixels_per_square // 2)

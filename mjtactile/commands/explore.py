@@ -252,13 +252,13 @@ def _unused(folder: Path) -> Path:
 
 
 def _write(out: Path, found: ExplorationResult, summary: dict[str, Any]) -> None:
-    from mjtactile.explore.html_report import draw, write_page
+    from mjtactile.explore.html_report import plot, write_page
     from mjtactile.explore.surface_export import write_ply, write_stl
 
     write_ply(out / "surface.ply", found)
     write_stl(out / "surface.stl", found)
     write_page(out / "explore.html", found, summary)
-    save_plot(out / "explore.png", lambda figure: draw(figure, found), (9.0, 4.4))
+    save_plot(out / "explore.png", lambda figure: plot(figure, found), (9.0, 4.4))
     write_json(out / "explore.json", summary)
 
 

@@ -78,7 +78,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     from mjtactile.fit.identification import FitOptions, fit_recordings
     from mjtactile.fit.relaxation import fit_relaxation
-    from mjtactile.fit.report import draw, text_of
+    from mjtactile.fit.report import plot, text_of
     from mjtactile.fit.result import to_table
 
     if options.out.suffix != ".toml":
@@ -114,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
         options.out.write_text(sensor, encoding="utf-8")
         write_json(files["json"], table)
         files["txt"].write_text(text, encoding="utf-8")
-        save_plot(files["png"], lambda figure: draw(figure, result), size=(13.0, 7.5))
+        save_plot(files["png"], lambda figure: plot(figure, result), size=(13.0, 7.5))
     print_result(
         options,
         table,

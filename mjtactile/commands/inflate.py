@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
             )
         if out is not None:
             write_json(out / "inflate.json", result)
-            save_plot(out / "inflate.png", lambda figure: _draw(figure, result))
+            save_plot(out / "inflate.png", lambda figure: _plot(figure, result))
     print_result(options, result, lambda: _print_table(result, options.out))
     return 0
 
@@ -81,7 +81,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
         print(f"inflate.json and inflate.png were written to {out}")
 
 
-def _draw(figure: Any, result: dict[str, Any]) -> None:
+def _plot(figure: Any, result: dict[str, Any]) -> None:
     steps = result["steps"]
     axes = figure.subplots()
     pressures = [s["pressure_kPa"] for s in steps]

@@ -148,14 +148,14 @@ def print_result(
 
 
 def save_plot(
-    path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)
+    path: Path, plot: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)
 ) -> None:
-    """Plot with `draw` into a figure of `size` inches and write it. Without matplotlib, print a
+    """Plot with `plot` into a figure of `size` inches and write it. Without matplotlib, print a
     message to stderr."""
     from mjtactile.report.figures import new_figure
 
     if (figure := new_figure(path.name, size)) is not None:
-        draw(figure)
+        plot(figure)
         figure.savefig(path)
 
 

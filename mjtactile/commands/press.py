@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
             )
         if out is not None:
             write_json(out / "press.json", result)
-            save_plot(out / "press.png", lambda figure: _draw(figure, result, design), (11.0, 4.2))
+            save_plot(out / "press.png", lambda figure: _plot(figure, result, design), (11.0, 4.2))
     print_result(options, result, lambda: _print_table(result, options.out))
     return 0
 
@@ -179,7 +179,7 @@ def _shape_line(shape: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
-def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
+def _plot(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
     steps = result["steps"]
     force, gas, body = figure.subplots(1, 3)
     depths = [s["depth_mm"] for s in steps]

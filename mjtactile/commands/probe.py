@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         result = _replay(options) if options.source is not None else _live(options, out)
         if out is not None:
             write_json(out / "probe.json", {**result.summary(), "history": result.history()})
-            save_plot(out / "probe.png", lambda figure: draw(figure, result), (9.0, 6.4))
+            save_plot(out / "probe.png", lambda figure: plot(figure, result), (9.0, 6.4))
     print_result(options, result.summary(), lambda: _print(result, options.out))
     return 0 if result.material.kind != "unknown" else 1
 
@@ -134,7 +134,7 @@ def _range(value: float, interval: Any) -> str:
     return f"{value:.3g} (68 %: {interval[0]:.3g} to {interval[1]:.3g})"
 
 
-def draw(figure: Any, result: ProbeResult) -> None:
+def plot(figure: Any, result: ProbeResult) -> None:
     """Force against deformation and against membrane-and-object indentation; force and width over
     time."""
     s = result.squeeze

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         if out is not None:
             write_json(out / "reconstruct.json", result)
             _write_csv(out / "tracks.csv", frames, found)
-            _draw(out, frames, found)
+            _render(out, frames, found)
     print_result(options, result, lambda: _print(result, options.out))
     return 0
 
@@ -112,7 +112,7 @@ def _write_csv(path: Path, frames: Sequence[NamedImage], found: Sequence[Tracked
                 table.writerow([*row, ellipse.status[i], *place])
 
 
-def _draw(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
+def _render(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
     """Plot the paths of all circles over the last frame, and some frames with the detected
     circles."""
     last = frames[-1].pixels

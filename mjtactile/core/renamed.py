@@ -112,6 +112,8 @@ OPTIONS: Mapping[str, str] = {
     "bars": "uncertainty",
     "cheap": "no-images",
     "drawn": "error-model",
+    "--level drawn": "--level synthetic",
+    "--level film": "--level quasistatic",
     "truth": "references",
     "thin": "thin-objects",
     "trust": "camera-faults",

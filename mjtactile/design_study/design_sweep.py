@@ -115,13 +115,13 @@ def sweep(
         InputError: No design is feasible.
     """
     # as scipy 1.14 calls it; newer ones take it, too
-    drawn = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
+    sequence = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
     candidates: list[DesignCandidate] = []
     refused: Counter[str] = Counter()
     for _ in range(_TRIES * count):
         if len(candidates) == count:
             break
-        unit = drawn.random(1)[0]
+        unit = sequence.random(1)[0]
         numbers = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
         try:
             candidates.append(_evaluate_candidate(design, numbers, force, requirements, given))

@@ -49,7 +49,7 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
     y = sorted({one["y_mm"] for one in places})
     for axes, (key, words, unit) in zip(figure.subplots(1, len(MAPS)), MAPS, strict=True):
         values = np.array([one[key] for one in places], float).reshape(len(y), len(x))
-        drawn = axes.pcolormesh(x, y, values, shading="nearest", cmap="viridis_r", vmin=0)
+        artist = axes.pcolormesh(x, y, values, shading="nearest", cmap="viridis_r", vmin=0)
         dark = 0.55 * np.nanmax(values, initial=0.0)
         for row, column in np.ndindex(values.shape):
             value = float(values[row, column])
@@ -58,7 +58,7 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
                 x[column], y[row], number(value), ha="center", va="center", fontsize=7, color=colour
             )
         axes.set(title=f"{words}, {unit}", xlabel="x, mm", aspect="equal")
-        figure.colorbar(drawn, ax=axes, shrink=0.6)
+        figure.colorbar(artist, ax=axes, shrink=0.6)
     figure.axes[0].set_ylabel("y, mm")
     figure.suptitle(f"sensor {given['sensor']}: predicted performance at {given['force_N']:g} N")
 
@@ -147,11 +147,11 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     meets = np.array([one["meets"] for one in candidates], bool)
     for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
         if those.any():
-            drawn = axes.scatter(
+            artist = axes.scatter(
                 x[those], y[those], c=markers[those], marker=marker, s=28, label=label,
                 vmin=0, vmax=markers.max(), cmap="viridis",
             )  # fmt: skip
-    figure.colorbar(drawn, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
+    figure.colorbar(artist, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
     on_front = np.array([one["on_front"] for one in candidates], bool)
     front = sorted(zip(x[on_front], y[on_front], strict=True))
     axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")

@@ -302,5 +302,5 @@ def _legend(names: Sequence[str]) -> str:
     return f"<p>{' '.join(items)}</p>"
 
 
-def _figure(drawing: str, caption: str) -> str:
-    return f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
+def _figure(chart: str, caption: str) -> str:
+    return f"<figure>{chart}<figcaption>{caption}</figcaption></figure>"

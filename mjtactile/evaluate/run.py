@@ -117,7 +117,7 @@ def write_report(
         if only is not None and episode.scenario.controller not in only:
             notify(f"no image: the controller {episode.scenario.controller!r} is not run here")
             continue
-        images[name] = worst_episodes.draw(episode, folder / "worst" / name)
+        images[name] = worst_episodes.render(episode, folder / "worst" / name)
     path = folder / "report.html"
     with store.writing(path):
         path.write_text(report.page(known, lines, chosen, images), encoding="utf-8")

@@ -93,8 +93,8 @@ def to_run_again(lines: Sequence[Line], sample: int) -> list[int]:
     failed = {line["episode"] for line in lines if line["outcome"] != "held"}
     held = sorted({line["episode"] for line in lines} - failed)
     rng = np.random.default_rng(_SEED)
-    drawn = rng.choice(held, min(sample, len(held)), replace=False).tolist() if held else []
-    return sorted(failed | set(drawn))
+    sampled = rng.choice(held, min(sample, len(held)), replace=False).tolist() if held else []
+    return sorted(failed | set(sampled))
 
 
 def compare(screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:

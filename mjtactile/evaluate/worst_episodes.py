@@ -51,7 +51,7 @@ def _badness(line: Line) -> float:
     return max(squeezed, slipped)
 
 
-def draw(episode: Episode, folder: Path) -> Path | None:
+def render(episode: Episode, folder: Path) -> Path | None:
     """Repeat and record the episode; return its summary image in `folder`, None without one."""
     image = folder / "summary.png"
     if image.exists():

@@ -103,7 +103,7 @@ class TestBench:
         """Return the normal force, N, of a load cell behind the indenter, also in motion."""
         return -float(ground_truth.contact_force(self.world, 0)[2])
 
-    def look(self, images: int = 1) -> dict[str, float]:
+    def measure(self, images: int = 1) -> dict[str, float]:
         """Return means over some images: normal force, membrane area and indentation.
 
         The area is that of the whole membrane. The indentation is NaN if no contact is detected.

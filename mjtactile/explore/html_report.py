@@ -116,7 +116,7 @@ def _words(value: Any, unit: str) -> str:
     return f"{value:{digits}} {unit}".strip()
 
 
-def draw(figure: Any, found: ExplorationResult) -> None:
+def plot(figure: Any, found: ExplorationResult) -> None:
     """Plot stiffness and uncertainty of the surface with the touches, its longest axis up."""
     mesh = mesh_of(found.surface, _EDGE)
     soft = ComplianceMap.of(found.patches, mesh).by_vertex

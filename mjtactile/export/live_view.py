@@ -19,7 +19,7 @@ from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 from mjtactile.export import messages
 from mjtactile.export.episode import Perceived
-from mjtactile.export.viewer_entities import Drawing
+from mjtactile.export.viewer_entities import EntityStream
 from mjtactile.recording.log_schema import make_row
 from mjtactile.recording.mounting import Mounting
 from mjtactile.recording.observer import Observer
@@ -153,7 +153,7 @@ class LiveView(Observer):
 
     def _work(self, source: _Running, sink: Sink) -> None:
         """The background thread."""
-        drawing = Drawing(source)
+        entities = EntityStream(source)
         sent = -np.inf
         while (seen := self._queue.get()) is not None:
             if self.problem:
@@ -162,8 +162,10 @@ class LiveView(Observer):
             is_first = sent < 0 or (sink.forgets and seen.time - sent >= _AGAIN)
             if is_first:
                 sent = seen.time
-                drawing.again()
-            self._attempt(lambda seen=seen, first=is_first: _show(sink, drawing, seen, first=first))
+                entities.again()
+            self._attempt(
+                lambda seen=seen, first=is_first: _show(sink, entities, seen, first=first)
+            )
 
     def _attempt(self, act: Callable[[], None]) -> None:
         """Call a function that may fail; a viewer error does not stop the run."""
@@ -176,14 +178,14 @@ class LiveView(Observer):
             self.problem = self.problem or text
 
 
-def _show(sink: Sink, drawing: Drawing, seen: Perceived, *, first: bool) -> None:
+def _show(sink: Sink, entities: EntityStream, seen: Perceived, *, first: bool) -> None:
     """Send all items of one cycle; the `first` time also the camera poses."""
-    source = drawing.source
+    source = entities.source
     if first:
         sink.log(messages.static(source, seen.time))
     for item in messages.of_cycle(source, seen):
         sink.log(item)
-    for item in drawing.of(seen):
+    for item in entities.of(seen):
         sink.log(item)
 
 

@@ -109,13 +109,13 @@ class RerunSink:
 
     def _mesh(self, item: messages.Message) -> None:
         mesh: RenderedMesh = item.value
-        drawn = self._rr.Mesh3D(
+        surface = self._rr.Mesh3D(
             vertex_positions=mesh.points,
             triangle_indices=mesh.triangles,
             vertex_normals=_normals(mesh),
             albedo_factor=_rgba(mesh.rgba),
         )
-        self._send(self._in_frame(item), drawn)
+        self._send(self._in_frame(item), surface)
 
     def _arrows(self, item: messages.Message) -> None:
         arrows: Arrows = item.value

@@ -51,7 +51,7 @@ class Arrows:
 
 
 @dataclass(eq=False)
-class Drawing:
+class EntityStream:
     """Viewer items of the cycles. Each scene body is sent once, then only its motion."""
 
     source: Source
@@ -104,11 +104,11 @@ class Drawing:
 
 def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
     """Yield all messages of a recording and the graphics of each cycle."""
-    drawing = Drawing(episode)
+    entities = EntityStream(episode)
     yield static(episode, float(episode.recording.columns["time"][0]))
     for seen in episode.cycles():
         yield from of_cycle(episode, seen)
-        yield from drawing.of(seen)
+        yield from entities.of(seen)
 
 
 def curves_of(ellipses: Ellipses) -> ImageCurves:

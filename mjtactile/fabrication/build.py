@@ -66,14 +66,14 @@ def build(
     notify("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap, loads)
-    drawn = _pictures(layout, optics, parts)
+    images = _pictures(layout, optics, parts)
     files = {
         "README.md": manual.readme(layout, parts, checked, source).encode(),
-        "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
+        "assembly.md": manual.assembly(layout, optics, list(images)).encode(),
         "bill.md": manual.bill(layout, optics, loads).encode(),
         "sensor.toml": text.encode(),
     }
-    files |= _papers(layout) | {f"pictures/{name}.png": png for name, png in drawn.items()}
+    files |= _papers(layout) | {f"pictures/{name}.png": png for name, png in images.items()}
     for name, part in parts.items():
         if part.make:
             files[f"cad/{name}.stl"] = mesh.write_stl(mesh.triangles_of(solids[name]))
@@ -126,9 +126,9 @@ def _papers(layout: Layout) -> dict[str, bytes]:
     if fiducials is not None:
         svgs["fiducials"] = fiducials
         pdfs["fiducials"] = [fiducials]
-    drawn = {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()}
-    drawn |= {f"{name}.dxf": write_dxf(svgs[name]).encode() for name in svgs if name != "board"}
-    return drawn | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
+    images = {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()}
+    images |= {f"{name}.dxf": write_dxf(svgs[name]).encode() for name in svgs if name != "board"}
+    return images | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
 
 def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:

@@ -182,11 +182,11 @@ def _figure(sheet: PrintedPage) -> Any:
     axes.set(xlim=(-sheet.width / 2, sheet.width / 2), ylim=(sheet.height / 2, -sheet.height / 2))
     axes.set_axis_off()
     for shape in sheet.shapes:
-        _draw(axes, shape)
+        _plot_shape(axes, shape)
     return figure
 
 
-def _draw(axes: Any, shape: DrawingShape) -> None:
+def _plot_shape(axes: Any, shape: DrawingShape) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 

@@ -49,7 +49,7 @@ def view_axes(view: View) -> Array:
     return np.array([right, np.cross(towards, right), towards])
 
 
-def draw(
+def render(
     bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
 ) -> tuple[Array, list[Array | None]]:
     """Render an image (h, w, 3) with values from 0 to 1; `cut` removes the half y < 0.
@@ -113,7 +113,7 @@ def _anchor(seen: Array) -> Array | None:
 
 def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     """Return the labeled image as PNG; None, with a message on stderr, without matplotlib."""
-    image, places = draw(bodies, **view)
+    image, places = render(bodies, **view)
     rows, columns = image.shape[:2]
     margin = 60
     figure = new_figure(name, (columns / 100, (rows + 2 * margin) / 100), dpi=100)

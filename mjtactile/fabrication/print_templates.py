@@ -191,7 +191,7 @@ def board_page(design: SensorDesign) -> PrintedPage:
     """The board as vectors: its bitmap, with a rectangle for each run of black pixels in a row."""
     board = board_of(design)
     cell = MM * board.square / _BOARD_CELLS
-    pixels = board.draw(_BOARD_CELLS)
+    pixels = board.render(_BOARD_CELLS)
     rows, columns = pixels.shape
     shapes = []
     for v in range(rows):

@@ -69,7 +69,7 @@ def _held(row: Any) -> str:
     )
 
 
-def draw(figure: Any, result: FitResult) -> None:
+def plot(figure: Any, result: FitResult) -> None:
     """Into an empty matplotlib figure."""
     boxes = figure.subplots(2, 3)
     _plot_parameters(boxes[0, 0], result)

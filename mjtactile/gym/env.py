@@ -173,7 +173,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         observer = _CycleObserver(self._score)
         self._cycle = ControlCycle.start(rig, perceivers, Supervisor(rig.period), observer)
         self._start = self._cycle.now
-        self._look()
+        self._update()
         self._opening = max(self._seen.gripper.opening, 1e-6)
         return self._shown(), self._info()
 
@@ -193,7 +193,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         outcome = ""
         try:
             rig.clock.wait_until(deadline)
-            self._look()
+            self._update()
         except (SimulationError, DeviceError) as error:
             outcome = "dropped" if self._score.lost else "error"
             self._problem = " ".join(str(error).split())
@@ -253,10 +253,10 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             self._restart = Restart(rig, seed)
             self._states = [perception.state for perception in self._session.perceptions]  # type: ignore[attr-defined]
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         """Take the current images, estimate the touches and store the controller's observation."""
         self._problem = ""
-        self._cycle.look()
+        self._cycle.read_sensors()
         self._seen = self._cycle.observe()
         if self._cycle.failure is not None:
             raise self._cycle.failure

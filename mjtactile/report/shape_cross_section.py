@@ -49,8 +49,8 @@ def plot_section(
         across = np.array([-way[1], way[0]])
         off = true - shape.p_SO
         own = off[(np.abs(off[:, :, :2] @ across) < 1e-9).all(axis=1)]
-        _draw(panel, [_flat(piece, way) for piece in own], _TRUE, 3)
-        _draw(panel, [_flat(arc - shape.p_SO, way)], _BELIEVED, 1)
+        _render(panel, [_flat(piece, way) for piece in own], _TRUE, 3)
+        _render(panel, [_flat(arc - shape.p_SO, way)], _BELIEVED, 1)
         _write(panel, _NAMES[number], (8, panel.shape[0] - 8))
     return image
 
@@ -60,7 +60,9 @@ def _flat(points: Array, way: Array) -> Array:
     return np.column_stack([points[:, :2] @ way, points[:, 2]])
 
 
-def _draw(panel: NDArray[np.uint8], lines: list[Array], colour: tuple[int, ...], wide: int) -> None:
+def _render(
+    panel: NDArray[np.uint8], lines: list[Array], colour: tuple[int, ...], wide: int
+) -> None:
     scale = panel.shape[1] / (2 * _REACH)
     foot = panel.shape[0] - 0.15 * panel.shape[0]
     for line in lines:

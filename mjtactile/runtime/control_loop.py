@@ -149,7 +149,7 @@ def _has_landed(cycle: ControlCycle) -> bool:
 def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) -> None:
     """One cycle from the images to the command that was sent. The world moves on meanwhile."""
     before = cycle.last
-    cycle.look()
+    cycle.read_sensors()
     cycle.rig.clock.advance_towards(deadline)
     observation = cycle.observe()
     start = wall.perf_counter()

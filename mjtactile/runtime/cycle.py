@@ -58,8 +58,8 @@ class Perceiving(Protocol):
 class ControlCycle:
     """State of a rig between two commands, with its newest images, touch and device states.
 
-    A cycle consists of `look`, `observe`, and `send` with the requested command. Without images the
-    force is unknown. Any other failure makes the supervisor take over.
+    A cycle consists of `read_sensors`, `observe`, and `send` with the requested command. Without
+    images the force is unknown. Any other failure makes the supervisor take over.
 
     Attributes:
         last: The previous command.
@@ -100,7 +100,7 @@ class ControlCycle:
         place = SetDown(rig.goal.place_height)
         return cls(rig, perceptions, supervisor, observer, last, now, set_down=place)
 
-    def look(self) -> None:
+    def read_sensors(self) -> None:
         """Read the newest images and the valve states; a simulated world is paused meanwhile."""
         start = wall.perf_counter()
         self._blind = self._take_images()

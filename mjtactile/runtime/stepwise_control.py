@@ -41,7 +41,7 @@ class StepwiseControl:
             self.send(self._cycle.last)
         rig = self._rig
         rig.clock.wait_until(self._deadline)
-        self._cycle.look()
+        self._cycle.read_sensors()
         self._deadline = max(self._deadline, rig.clock.now() - rig.period) + rig.period
         rig.clock.advance_towards(self._deadline)
         observation = self._cycle.observe()

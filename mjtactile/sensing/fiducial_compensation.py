@@ -48,7 +48,9 @@ class FiducialCompensation:
         right, down, more = np.linalg.lstsq(rows.reshape(-1, 3), moved.ravel())[0]
         return np.array([right, down]), 1 + float(more)
 
-    def look(self, state: PipelineState, ellipses: Ellipses) -> tuple[Ellipses, PipelineState]:
+    def compensate(
+        self, state: PipelineState, ellipses: Ellipses
+    ) -> tuple[Ellipses, PipelineState]:
         """Separate fiducials from markers, and estimate the camera drift from them. With a rest
         reference, the markers' ellipses are transformed back to its image. If too few fiducials are
         detected, the camera drift is assumed near its last estimate."""

@@ -56,7 +56,7 @@ class MarkerDetector:
     ) -> tuple[Markers, PipelineState]:
         """The markers of the ellipses in one image, and the state that expects them there."""
         if self.known is not None:
-            ellipses, state = self.known.look(state, ellipses)
+            ellipses, state = self.known.compensate(state, ellipses)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = marker_matching.identify(

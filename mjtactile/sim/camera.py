@@ -18,7 +18,7 @@ _SHUTTER = (0.0, 0.5, 1.0)  # fractions of the exposure at which the moving mark
 
 
 class SimCamera:
-    """Renderer of one sensor's image, on `read` or earlier by `draw`."""
+    """Renderer of one sensor's image, on `read` or earlier by `render`."""
 
     def __init__(
         self,
@@ -56,22 +56,22 @@ class SimCamera:
         self._moving = Effect.MOTION_BLUR in effects
         self._late = Effect.LATENCY in effects
         self._before: Image | None = None
-        self._drawn: Image | None = None
+        self._rendered: Image | None = None
 
     def reseed(self, seed: int) -> None:
         """Set a new seed for the image noise; an image already rendered is rendered again."""
         # one of them is there
         (self._sampler or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
         self._faulty = FaultyImage(self._faulty.faults, seed)
-        self._drawn = None
+        self._rendered = None
 
-    def draw(self) -> None:
+    def render(self) -> None:
         """Have the image of the membrane now ready for `read`."""
         sensor = self._sensor
         if self._sampler is not None:
             middle = 0.5 * _EXPOSURE if self._moving else 0.0
             poses = sensor.marker_poses_before(middle) if middle else sensor.marker_poses()
-            self._drawn = self._sampler.sample(*poses, sensor.time)
+            self._rendered = self._sampler.sample(*poses, sensor.time)
         else:
             renderer = self._renderer
             assert renderer is not None
@@ -79,14 +79,14 @@ class SimCamera:
                 image = self._blurred(renderer)
             else:
                 image = renderer.render(*sensor.marker_poses(), sensor.time)
-            self._drawn = self._faulty(image)
+            self._rendered = self._faulty(image)
 
     def read(self) -> Image:
         """The image of the membrane now."""
-        if self._drawn is None or self._drawn.time != self._sensor.time:
-            self.draw()
-        image = self._drawn
-        self._drawn = None
+        if self._rendered is None or self._rendered.time != self._sensor.time:
+            self.render()
+        image = self._rendered
+        self._rendered = None
         assert image is not None
         before = self._before
         self._before = image

@@ -97,34 +97,36 @@ class SyntheticTouchSource:
         self._time = math.nan
         self._touching = False
         self._slides: deque[tuple[float, float]] = deque()
-        self._drawn: SyntheticTouch | None = None
+        self._sampled: SyntheticTouch | None = None
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
         """Sample all future errors from a new generator, including the persistent ones."""
         self._rng = np.random.default_rng(seed)
         self._error_sampler.start(self._rng)
-        self._drawn = None
+        self._sampled = None
 
-    def draw(self) -> None:
+    def sample(self) -> None:
         """Have the touch of now ready for `read`."""
-        self._drawn = SyntheticTouch.of(self._touch())
+        self._sampled = SyntheticTouch.of(self._touch())
 
     def read(self) -> SyntheticTouch:
         """Return the simulated measurement at the present time."""
-        if self._drawn is None or self._drawn.time != self._sensor.time:
-            self.draw()
-        drawn = self._drawn
-        self._drawn = None
-        assert drawn is not None
-        return drawn
+        if self._sampled is None or self._sampled.time != self._sensor.time:
+            self.sample()
+        sampled = self._sampled
+        self._sampled = None
+        assert sampled is not None
+        return sampled
 
     def _touch(self) -> Touch:
         sensor = self._sensor
         time = sensor.time
         elapsed = 0.0 if math.isnan(self._time) else max(time - self._time, 0.0)
         self._time = time
-        wrench, cov, here = self._error_sampler.estimated(sensor.look(), elapsed, self._rng)
+        wrench, cov, here = self._error_sampler.estimated(
+            sensor.present_wrench(), elapsed, self._rng
+        )
         if self._rng.random() < here.unknown:
             status = Status(StatusCode.FIT_FAILED, "the markers fit no membrane shape")
             lost = Slip("unknown", _NOWHERE, math.nan, math.nan, status)

@@ -8,7 +8,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 RED = imgui.Vec4(0.9, 0.25, 0.2, 1.0)
 LEFT = 274  # width of the control windows, px
-LOOK = 190  # height of the options window, px
+OPTIONS = 190  # height of the options window, px
 # px
 _ABOVE = 26
 _BELOW = 34
@@ -47,4 +47,4 @@ class WindowLayout:
         imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _LEAST) for one in size)), self._when)
 
 
-ABOVE_CAMERA = -(LOOK + _GAP)  # window height, px, that leaves space for the options window
+ABOVE_CAMERA = -(OPTIONS + _GAP)  # window height, px, that leaves space for the options window

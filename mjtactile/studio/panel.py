@@ -20,7 +20,7 @@ from mjtactile.core.types import Ellipses
 from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import plots, scene_overlays, surface_colormap
 from mjtactile.studio.callback_guard import guarded
-from mjtactile.studio.layout import LEFT, LOOK, RED, WindowLayout
+from mjtactile.studio.layout import LEFT, OPTIONS, RED, WindowLayout
 from mjtactile.studio.snapshot import FingerSnapshot, History, Pose, StudioSnapshot, finger_lines
 from mjtactile.studio.user_scene import UserFingers
 
@@ -65,7 +65,7 @@ class Panel(plugin.ViewerPlugin):
         self.source: SnapshotSource = (
             UserFingers(fingers) if isinstance(fingers, Sequence) else fingers
         )
-        self.look = scene_overlays.OverlayOptions()
+        self.options = scene_overlays.OverlayOptions()
         self._layout = WindowLayout()
         self.error = ""
         self._brush = scene_overlays.GeomPool()
@@ -76,7 +76,7 @@ class Panel(plugin.ViewerPlugin):
         self._ellipses: dict[int, Ellipses] = {}
         self._pictured: tuple[Any, ...] = ()
         self._when = 0.0
-        self._drawn = 0.0
+        self._updated = 0.0
         self._scale = ""
 
     def complain(self, text: str) -> None:
@@ -92,21 +92,21 @@ class Panel(plugin.ViewerPlugin):
         fingers = self._placed(snapshot.fingers)
         now = wall.monotonic()
         # a changed selection is shown immediately
-        is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]
-        if ((snapshot, self.look) != self._marked and is_due) or not self._mine:
-            self._marked = (snapshot, self.look)
-            self._drawn = now
+        is_due = now - self._updated > 1 / _RATE or self.options != self._marked[-1]
+        if ((snapshot, self.options) != self._marked and is_due) or not self._mine:
+            self._marked = (snapshot, self.options)
+            self._updated = now
             before = self._mine
-            scene_overlays.draw(
+            scene_overlays.update(
                 self._brush,
                 fingers,
-                self.look,
+                self.options,
                 minimum=_LEAST if self._has_membranes(snapshot) else 0.0,
             )
-            self._mine = self._brush.drawn
+            self._mine = self._brush.geoms
             scene_overlays.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
-        if (snapshot, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
-            self._pictured = (snapshot, self.look.surface)
+        if (snapshot, self.options.surface) != self._pictured and now - self._when > 1 / _RATE:
+            self._pictured = (snapshot, self.options.surface)
             self._when = now
             self._make_figures(fingers)
 
@@ -136,7 +136,7 @@ class Panel(plugin.ViewerPlugin):
 
     def _make_figures(self, fingers: Sequence[FingerSnapshot]) -> None:
         """Each camera's image with its ellipses, and each membrane."""
-        kind = "indentation" if self.look.surface == "none" else self.look.surface
+        kind = "indentation" if self.options.surface == "none" else self.options.surface
         fields = [surface_colormap.field_of(estimated, kind) for estimated in fingers]
         scale = surface_colormap.scale_of(fields)
         self._scale = surface_colormap.scale_text(kind, scale)
@@ -192,21 +192,21 @@ class Panel(plugin.ViewerPlugin):
 
     def _build_overlay(self, flags: Flags) -> None:
         """Build the window of the overlay options and the simulation's flags."""
-        self._layout.place(8, -LOOK, LEFT, LOOK)
+        self._layout.place(8, -OPTIONS, LEFT, OPTIONS)
         if imgui.Begin("Touch in the scene")[0]:
-            look = self.look
+            options = self.options
             choices = ["none", *surface_colormap.KINDS]
-            _, chosen = imgui.Combo("membranes", choices.index(look.surface), choices)
+            _, chosen = imgui.Combo("membranes", choices.index(options.surface), choices)
             forces, contacts, field, camera = (
                 imgui.Checkbox(text, value)[1]
                 for text, value in (
-                    ("net force", look.forces),
-                    ("outlines, centre of pressure", look.contacts),
-                    ("force distribution", look.field),
-                    ("camera images", look.camera),
+                    ("net force", options.forces),
+                    ("outlines, centre of pressure", options.contacts),
+                    ("force distribution", options.field),
+                    ("camera images", options.camera),
                 )
             )
-            self.look = scene_overlays.OverlayOptions(
+            self.options = scene_overlays.OverlayOptions(
                 choices[chosen], forces, field, contacts, camera
             )
             imgui.TextUnformatted(self._scale)

@@ -75,21 +75,21 @@ def _bands(curves: Curves) -> None:
     implot.SetupFinish()
     corner = implot.GetPlotPos()
     size = implot.GetPlotSize()
-    draw = imgui.GetWindowDrawList()
+    canvas = imgui.GetWindowDrawList()
     ink = imgui.GetColorU32(int(imgui.Col.Text), 0.6)
     implot.PushPlotClipRect()
     for name, start, end in curves.spans:
         left, right = (implot.PlotToPixels(time, 0.0).x for time in (start, end))
         if not math.isfinite(left + right) or right < corner.x or left > corner.x + size.x:
             continue
-        draw.AddRectFilled(
+        canvas.AddRectFilled(
             imgui.Vec2(left, corner.y), imgui.Vec2(right, corner.y + size.y), _colour(name)
         )
         if right - left > 7 * len(name):
-            draw.AddText(imgui.Vec2(max(left, corner.x) + 3, corner.y + 2), ink, name)
+            canvas.AddText(imgui.Vec2(max(left, corner.x) + 3, corner.y + 2), ink, name)
     if math.isfinite(curves.now):
         x = implot.PlotToPixels(curves.now, 0.0).x
-        draw.AddLine(imgui.Vec2(x, corner.y), imgui.Vec2(x, corner.y + size.y), ink, 2.0)
+        canvas.AddLine(imgui.Vec2(x, corner.y), imgui.Vec2(x, corner.y + size.y), ink, 2.0)
     implot.PopPlotClipRect()
 
 

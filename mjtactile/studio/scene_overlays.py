@@ -44,12 +44,12 @@ class GeomPool:
     def __init__(self) -> None:
         self._made: dict[int, list[mujoco.MjvGeom]] = {}
         self._used: dict[int, int] = {}
-        self.drawn: list[mujoco.MjvGeom] = []
+        self.geoms: list[mujoco.MjvGeom] = []
 
     def start(self) -> None:
         """Start a new frame; the geoms of the last frame are reused."""
         self._used = {}
-        self.drawn = []
+        self.geoms = []
 
     def triangles(self, corners: Array, rgb: Array) -> None:
         """`corners` (m, 3, 3) m in W, `rgb` (m, 3) from 0 to 1."""
@@ -95,14 +95,14 @@ class GeomPool:
             )
             made.append(geom)
         self._used[int(kind)] = used + 1
-        self.drawn.append(made[used])
+        self.geoms.append(made[used])
         return made[used]
 
 
-def draw(
+def update(
     brush: GeomPool,
     fingers: Sequence[FingerSnapshot],
-    look: OverlayOptions,
+    options: OverlayOptions,
     *,
     minimum: float = 0.0,
 ) -> None:
@@ -112,7 +112,7 @@ def draw(
     """
     brush.start()
     fields = [
-        None if look.surface == "none" else surface_colormap.field_of(estimated, look.surface)
+        None if options.surface == "none" else surface_colormap.field_of(estimated, options.surface)
         for estimated in fingers
     ]
     scale = surface_colormap.scale_of(fields)
@@ -131,10 +131,10 @@ def draw(
                 brush,
                 estimated,
                 estimated.pose,
-                look,
+                options,
                 [*(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0],
             )
-        if look.camera and estimated.design is not None:
+        if options.camera and estimated.design is not None:
             _camera(brush, estimated, estimated.pose)
 
 
@@ -142,12 +142,12 @@ def _touches(
     brush: GeomPool,
     estimated: FingerSnapshot,
     pose: Pose,
-    look: OverlayOptions,
+    options: OverlayOptions,
     rgba: Sequence[float],
 ) -> None:
     """Render a finger's outlines, shape, center of pressure, net force and force field."""
     centre = surface_colormap.centre_of_pressure(estimated.touch)
-    if look.contacts:
+    if options.contacts:
         for patch in estimated.touch.patches:
             if len(patch.outline):
                 _outline(brush, estimated, pose, patch.outline)
@@ -159,14 +159,14 @@ def _touches(
     if estimated.touch.traction is None:
         return
     if (
-        look.forces
+        options.forces
         and centre is not None
         and np.isfinite(estimated.touch.traction.wrench[:3]).all()
     ):
         tip = pose.place(_over(estimated, centre[None]))[0]
         push = -pose.R_WS @ estimated.touch.traction.wrench[:3]
         brush.connect(_G.mjGEOM_ARROW, 0.002, tip - _METRES_PER_NEWTON * push, tip, rgba)
-    if look.field:
+    if options.field:
         _field(brush, estimated, pose, rgba)
 
 
@@ -229,13 +229,13 @@ def _camera(brush: GeomPool, estimated: FingerSnapshot, pose: Pose) -> None:
 def keep(
     geoms: list[mujoco.MjvGeom],
     mine: list[mujoco.MjvGeom],
-    drawn: list[mujoco.MjvGeom],
+    added: list[mujoco.MjvGeom],
     maximum: int,
 ) -> None:
-    """Replace `mine` by `drawn` in the viewer's list, up to `most` geoms in total.
+    """Replace `mine` by `added` in the viewer's list, up to `most` geoms in total.
 
     The list also holds geoms of other plugins.
     """
     own = {id(geom) for geom in mine}
     geoms[:] = [geom for geom in geoms if id(geom) not in own]
-    geoms += drawn[: max(0, maximum - len(geoms))]
+    geoms += added[: max(0, maximum - len(geoms))]

@@ -26,7 +26,7 @@ CENTERS_PX = [(u, v) for v in (120.25, 240.5, 360.75) for u in (140.5, 320.25, 5
 
 
 @functools.cache
-def draw(dark=True):
+def render(dark=True):
     """Face-on circles, supersampled 8 times, then blurred: radius 30 px at 120 mm."""
     scale = 8
     radius = FX * RADIUS_MM / DEPTH_MM
@@ -52,7 +52,7 @@ def draw(dark=True):
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "camera.yaml").write_text(CAMERA)
-    cv2.imwrite(str(tmp_path / "dark.png"), draw())
+    cv2.imwrite(str(tmp_path / "dark.png"), render())
     return tmp_path
 
 
@@ -104,7 +104,7 @@ def test_an_image(mjtactile, folder):
 
 
 def test_bright_markers_and_16_bit(mjtactile, folder):
-    cv2.imwrite(str(folder / "bright.png"), draw(dark=False).astype(np.uint16) * 200)
+    cv2.imwrite(str(folder / "bright.png"), render(dark=False).astype(np.uint16) * 200)
     (frame,) = locate(mjtactile, "bright.png", "--bright", "--gamma", "auto")
     check(frame)
     assert frame["gamma"]["assumed"] == 1 and not frame["gamma"]["wrong"]
@@ -112,7 +112,7 @@ def test_bright_markers_and_16_bit(mjtactile, folder):
 
 def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, folder):
     (folder / "images").mkdir()
-    cv2.imwrite(str(folder / "images" / "b.png"), draw())
+    cv2.imwrite(str(folder / "images" / "b.png"), render())
     (folder / "images" / "a.png").write_bytes(b"no image")
     cv2.imwrite(str(folder / "images" / "c.png"), np.full((HEIGHT, WIDTH), 190, np.uint8))
     cv2.imwrite(str(folder / "images" / "d.png"), np.full((48, 64), 190, np.uint8))

@@ -172,10 +172,10 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
         session = Session(rig)
         session.take_references()
 
-        def look(cycle):
+        def on_cycle(cycle):
             heights[cycle.sent.phase] = emulator.truth()["object_height"]
 
-        last = session.run(load_controller("adaptive"), time_limit=60.0, on_cycle=look)
+        last = session.run(load_controller("adaptive"), time_limit=60.0, on_cycle=on_cycle)
         stands = emulator.truth()["object_height"]
     finally:
         rig.close()

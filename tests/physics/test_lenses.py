@@ -37,7 +37,7 @@ def force(lens):
     bench = test_bench.TestBench(design, Indenter.parse("sphere:8"), seed=1)
     bench.zero()
     bench.world.press(2.5e-3)
-    return bench.look(6)["force_N"], bench.load_cell()
+    return bench.measure(6)["force_N"], bench.load_cell()
 
 
 @pytest.mark.parametrize("lens", ["equidistant", "rational_polynomial"])

@@ -127,9 +127,11 @@ def test_looking_changes_nothing(leak, ahead):
             world.step(13)
             for sensor in world.sensors if looks else ():
                 assert sensor.temperature > 0 and sensor.volume > 0
-                assert np.isfinite(sensor.look()).all() and np.isfinite(sensor.p_SV).all()
+                assert np.isfinite(sensor.present_wrench()).all() and np.isfinite(sensor.p_SV).all()
                 assert isinstance(sensor.flags(), dict) and sensor.gauge_pressure > 0
-        membranes = [(s.look(), s.p_SV, s.gauge_pressure, s.slid, s.slides) for s in world.sensors]
+        membranes = [
+            (s.present_wrench(), s.p_SV, s.gauge_pressure, s.slid, s.slides) for s in world.sensors
+        ]
         found.append(
             [world.data.qpos.copy(), *(part for membrane in membranes for part in membrane)]
         )

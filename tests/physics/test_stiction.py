@@ -111,11 +111,11 @@ def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     shares = []
     forces = []
 
-    def look():
+    def record():
         shares.append(used_friction_ratio(world))
         forces.append(ground_truth.contact_force(world, 0)[0])
 
-    world.after_each_step(look)
+    world.after_each_step(record)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
     late = slice(2 * len(shares) // 3, None)
     np.testing.assert_allclose(shares[late], 1.0, atol=0.01)  # the project's bound is 3 %

@@ -183,7 +183,7 @@ def _print_board(options: argparse.Namespace, board) -> int:
     import cv2
 
     check_folder(options.print_to, "--print")
-    if not cv2.imwrite(str(options.print_to), board.draw()):
+    if not cv2.imwrite(str(options.print_to), board.render()):
         raise InputError("the image cannot be written", source=options.print_to, field="--print")
     width, height = (1e3 * board.square * (n + 1) for n in (board.columns, board.rows))
     text = (

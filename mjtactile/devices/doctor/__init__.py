@@ -34,12 +34,12 @@ def examine(
     *,
     sensor: str = "dense",
     fix: bool = False,
-    look: ViewCheck = _check_empty_view,
+    check_view: ViewCheck = _check_empty_view,
 ) -> list[Finding]:
     """Return all findings for a rig.
 
-    `sensor` applies to fingers without a sensor in the rig file. `look` checks an image of each
-    finger. Raises InputError for an invalid rig file.
+    `sensor` applies to fingers without a sensor in the rig file. `check_view` checks an image of
+    each finger. Raises InputError for an invalid rig file.
     """
     findings = [*_plugged_in()]
     if rig is None:
@@ -67,7 +67,7 @@ def examine(
     findings += ports if _has_bad(ports) else [*ports, *_check_valves(rig_file)]
     for camera in rig_file.cameras:
         design = finger_design(camera, load_sensor(sensor))
-        findings += check_camera(camera, design, look)
+        findings += check_camera(camera, design, check_view)
     return findings
 
 

@@ -23,7 +23,9 @@ ViewCheck = Callable[[str, SensorDesign, Image], Iterable[Finding]]
 """Check of an image from a camera, given its name and the sensor in front of it."""
 
 
-def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) -> Iterator[Finding]:
+def check_camera(
+    config: CameraConfig, design: SensorDesign, check_view: ViewCheck
+) -> Iterator[Finding]:
     """Check a camera: settings, then rate, age and jitter over two seconds, then the image."""
     subject = f"camera {config.finger}"
     try:
@@ -42,7 +44,7 @@ def check_camera(config: CameraConfig, design: SensorDesign, look: ViewCheck) ->
                 ages.append(scaled_clock.monotonic() - last)
         yield _rate_finding(subject, camera, ages)
         yield _light_finding(subject, camera)
-        yield from look(subject, design, camera.read())
+        yield from check_view(subject, design, camera.read())
     except DeviceError as error:
         yield Finding("bad", subject, str(error))
     finally:

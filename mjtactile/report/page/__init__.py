@@ -180,10 +180,10 @@ def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
     else:
         panels = []
     for finger, name in enumerate(data["fingers"]):
-        drawn = any(
+        has_traction = any(
             shot["pictures"][finger : finger + 1] not in ([], [None]) for shot in data["shots"]
         )
-        if drawn:
+        if has_traction:
             camera = f'<img class="camera" alt="camera of {escape(name)}, ellipses fitted">'
         else:
             camera = '<img class="camera" alt="" hidden><p>no image was kept</p>'
@@ -222,9 +222,9 @@ def _simulated(recording: Recording) -> str:
     varied = ", ".join(
         f"{name} {value}" for name, value in recording.notes.get("randomized", {}).items()
     )
-    drawn = ""
+    has_traction = ""
     if varied:
-        drawn = (
+        has_traction = (
             "<details><summary>randomized values of this "
             f"world</summary><p>{escape(varied)}</p></details>"
         )
@@ -234,7 +234,7 @@ def _simulated(recording: Recording) -> str:
         f"{how['timestep_ms']:.3g} ms. Costs and errors were measured on the shipped sensors "
         "(<code>mjtactile "
         f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>disabled "
-        f"effects</summary>{table(head, rows(False), text=True)}</details>{drawn}"
+        f"effects</summary>{table(head, rows(False), text=True)}</details>{has_traction}"
     )
 
 

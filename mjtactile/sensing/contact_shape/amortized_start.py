@@ -99,12 +99,12 @@ def trained(
     presses: Presses, view: PressView, sd: float, rounds: int, rng: np.random.Generator
 ) -> Iterator[AmortizedStart]:
     """Fit the network to presses. Marker noise has `sd`, m. Yield it after each round."""
-    draws = []
-    for _ in range(_DRAWS):
+    views = []
+    for _ in range(_SAMPLES):
         noise = sd * rng.standard_normal(presses.heights.shape)
-        draws.append(view(presses.heights + noise))
+        views.append(view(presses.heights + noise))
     targets, weights = _targets(presses)
-    targets[:, _CENTER] -= draws[0][1]
+    targets[:, _CENTER] -= views[0][1]
     count = np.maximum(weights.sum(axis=0), 1)
     mean = (weights * targets).sum(axis=0) / count
     spread = np.sqrt((weights * (targets - mean) ** 2).sum(axis=0) / count)
@@ -112,9 +112,9 @@ def trained(
     mean[classes], spread[classes] = 0.0, 1.0
     mean[_AREA.stop - 1], spread[_AREA.stop - 1] = -1.5, 1.0
     spread = np.maximum(spread, 1e-6)
-    moments = np.array([draws[0][0].mean(axis=0), draws[0][0].std(axis=0) + 1e-6], np.float32)
-    samples = [((x - moments[0]) / moments[1]).astype(np.float32) for x, _ in draws]
-    shifts = [((center - draws[0][1]) / spread[_CENTER]).astype(np.float32) for _, center in draws]
+    moments = np.array([views[0][0].mean(axis=0), views[0][0].std(axis=0) + 1e-6], np.float32)
+    samples = [((x - moments[0]) / moments[1]).astype(np.float32) for x, _ in views]
+    shifts = [((center - views[0][1]) / spread[_CENTER]).astype(np.float32) for _, center in views]
     number = [0]
     scaled = ((targets - mean) / spread).astype(np.float32)
     weights = weights.astype(np.float32)
@@ -122,7 +122,7 @@ def trained(
     targets32, spread_area = targets.astype(np.float32), float(spread[area])
 
     def inputs(source: np.random.Generator) -> Array:
-        number[0] = int(source.integers(_DRAWS))
+        number[0] = int(source.integers(_SAMPLES))
         return samples[number[0]]
 
     def slope(y: Array, at: Array) -> Array:
@@ -149,7 +149,7 @@ def trained(
 
 _HUBER = 3.0  # error, in standard deviations of an output, from which it counts less
 _AREA_WEIGHT = 0.1
-_DRAWS = 3  # of the marker noise
+_SAMPLES = 3  # of the marker noise
 
 
 def _targets(presses: Presses) -> tuple[Array, Array]:

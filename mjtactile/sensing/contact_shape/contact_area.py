@@ -104,8 +104,8 @@ def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution)
     """Compute the mean sine of the membrane's slope angle at the rim (length `rim`, m) of a face
     from the force balance: the membrane tension there carries the force that gas pressure on the
     face does not. It is clipped to the range that a membrane can have."""
-    drawn = force - state.gauge_pressure * area
-    slope = drawn / max(float(state.found[TENSION]) * rim, 1e-9)
+    excess = force - state.gauge_pressure * area
+    slope = excess / max(float(state.found[TENSION]) * rim, 1e-9)
     return min(max(slope, _SLOPES[0]), _SLOPES[1])
 
 

@@ -17,9 +17,9 @@ from mjtactile.sensing.contact_shape.hypotheses import Candidate, Evaluation, Pr
 from mjtactile.sensing.contact_shape.initial_search import Suggestions, search, suggested
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.refit import (
+    EVALUATED,
     FOLLOWED,
     FOLLOWING,
-    LOOKED,
     other_parts,
     restart_fit,
     restart_suggested,
@@ -181,7 +181,7 @@ def _evaluate_candidates(
         start = press.now if one is press.candidates[0] else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
-        fit = warm_start(forward, one, start, press.noise, hint, data, LOOKED, known)
+        fit = warm_start(forward, one, start, press.noise, hint, data, EVALUATED, known)
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state

@@ -30,7 +30,7 @@ FOLLOWED = 3  # rounds of a fit that is followed
 # Thresholds of such a fit: the pose changes little, and the next image continues it
 FOLLOWING = {"settled": 0.5, "far": 25.0}
 _HELD = 0.05  # change of depth, mm, that the first step of a fit corrects
-LOOKED = 5  # the same, at an evaluation of all candidates
+EVALUATED = 5  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
 
@@ -165,7 +165,7 @@ def _restart_from_centroid(
     at = replace_shape(problem, theta, near) or approach(problem, theta)
     if at is None:
         return None
-    return refine(problem, at, rounds=LOOKED, known=known, noise=noise)
+    return refine(problem, at, rounds=EVALUATED, known=known, noise=noise)
 
 
 def other_parts(forward: ForwardModel, best: Fit, data: Data, s: ContactShapeSettings) -> list[Fit]:
@@ -196,7 +196,7 @@ def _with_part(
         problem = Problem(forward, family, fit.hint, data, Prior.of(family, theta))
         at = problem.fit_state(theta, fit.state)
         if at is not None:
-            fits.append(refine(problem, at, rounds=LOOKED, noise=noise))
+            fits.append(refine(problem, at, rounds=EVALUATED, noise=noise))
     return sorted(fits, key=lambda fit: fit.chi2)[:1]
 
 

@@ -214,16 +214,16 @@ class _Grid:
                 f"has {len(given)} points over the outline; at least {_FEWEST} are needed",
                 field=field,
             )
-        looks = self._interpolation(given[:, :2])
-        each = np.asarray(looks.sum(axis=0)).ravel()
+        interpolation = self._interpolation(given[:, :2])
+        each = np.asarray(interpolation.sum(axis=0)).ravel()
         usual = float(np.median(each[each > 0]))
         stiff = usual * (self.smoothing / self.spacing) ** 4 * self._bending()
         weight = np.ones(len(given))
-        heights = np.empty(looks.shape[1])
+        heights = np.empty(interpolation.shape[1])
         for _ in range(_ROUNDS):
-            normal = looks.T @ sparse.diags_array(weight) @ looks + stiff
-            heights = splu(normal.tocsc()).solve(looks.T @ (weight * given[:, 2]))
-            off = given[:, 2] - looks @ heights
+            normal = interpolation.T @ sparse.diags_array(weight) @ interpolation + stiff
+            heights = splu(normal.tocsc()).solve(interpolation.T @ (weight * given[:, 2]))
+            off = given[:, 2] - interpolation @ heights
             spread = 1.48 * float(np.median(np.abs(off))) + 1e-9
             weight = 1 / (1 + (off / (_OUTLIER * spread)) ** 2)
         shape = self.inside.shape
@@ -245,11 +245,13 @@ class _Grid:
             (0, 1, (1 - u) * v),
             (1, 1, u * v),
         )
-        looks = sparse.csr_array(shape)
+        interpolation = sparse.csr_array(shape)
         for i, j, fraction in corners:
             column = (cell[:, 0] + i) * self.inside.shape[1] + cell[:, 1] + j
-            looks = looks + sparse.csr_array((fraction, (rows, column)), shape=shape)
-        return looks
+            interpolation = interpolation + sparse.csr_array(
+                (fraction, (rows, column)), shape=shape
+            )
+        return interpolation
 
     def _bending(self) -> Any:
         """The sum of squares of second differences, (nx ny, nx ny), sparse."""

@@ -96,8 +96,8 @@ class ModelErrorVariance:
         toward each contact, which may not cancel. For `excess` see `FitDiagnostics`."""
         loads = np.array(self._sharp_loads(force, excess))
         variance = np.square(self._shares[_SHARP] * loads).sum(axis=0)
-        drawn = np.square(self._shares[_LATERAL] * float(np.abs(force[:2]).sum()))
-        return self._unit**2 * (variance + np.where(_TILTS, 0.0, drawn))
+        from_lateral = np.square(self._shares[_LATERAL] * float(np.abs(force[:2]).sum()))
+        return self._unit**2 * (variance + np.where(_TILTS, 0.0, from_lateral))
 
     def _sharp_loads(self, force: Array, excess: float) -> list[list[float]]:
         excess = min(excess, self._sharp_max)

@@ -63,7 +63,7 @@ class ShadowedLight(Light):
         self._depth = design.chamber.depth
         self._camera = camera
         self._outside = bool((edge_distance(design.frame, self._leds) < LED_RADIUS).any())
-        self._looks = {block: self._lines(block) for block in (BLOCK_PX, _EDGE_PX)}
+        self._views = {block: self._lines(block) for block in (BLOCK_PX, _EDGE_PX)}
         # Beyond the opening the camera sees the frame's wall, which stays where it is.
         rim = edge_distance(design.frame, self._line(*self._lines(1), np.zeros(1)))
         self._opening = (rim > 0).astype(np.float32)
@@ -117,7 +117,7 @@ class ShadowedLight(Light):
 
     def _places(self, z: Array, block: int) -> Array:
         """Return columns and rows (nv, nu, 2) of the height field `z` in pixel blocks."""
-        slopes, shift = self._looks[block]
+        slopes, shift = self._views[block]
         # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
         if block != BLOCK_PX:
             near = bilinear(z, self._places(z, BLOCK_PX))

@@ -88,8 +88,8 @@ class EllipseSampler:
         spread = loss[:, :, None] * loss[:, None] * self._bound(shape, p_SM[keep])
         found = np.concatenate([center, shape], axis=1)
         if errors:
-            drawn = self._rng.standard_normal((len(center), 5))
-            found += np.einsum("nij,nj->ni", np.linalg.cholesky(spread), drawn)
+            noise = self._rng.standard_normal((len(center), 5))
+            found += np.einsum("nij,nj->ni", np.linalg.cholesky(spread), noise)
         n = len(found)
         shape = np.ascontiguousarray(found[:, 2:])
         axes = np.empty((n, 2))

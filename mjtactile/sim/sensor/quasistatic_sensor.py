@@ -258,7 +258,7 @@ class QuasistaticSensor(BaseSensor):
         """True if the contact is at the friction limit."""
         return bool(self._state["slides"])
 
-    def look(self) -> Array:
+    def present_wrench(self) -> Array:
         """Return the wrench at the present time, equal to `wrench` after the next `update`."""
         self._update_membrane()
         return self.wrench

@@ -20,7 +20,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 NEAR = 5e-3
 """Distance, m, of anything that may touch at which a sensor wakes: a step of 4 ms at 1 m/s."""
 STILL = 1e-4
-LEAST = 1e-9
+STILL_MIN = 1e-9
 """Limits of vertex motion between two checks: a fraction of the largest displacement, and a
 minimum, m. Shapes settle within 10 ms."""
 # change of the frame's weight vector or acceleration that wakes the sensor, m/s^2; the membrane
@@ -28,7 +28,7 @@ minimum, m. Shapes settle within 10 ms."""
 SHAKEN = 0.5
 _TURNING = 0.1  # rad/s of the frame
 # period of checks of an awake sensor, s; number of still checks in a row before sleep
-_LOOK = 0.01
+_CHECK_PERIOD = 0.01
 _TIMES = 3
 _HOLD = 0.1  # minimum time that a woken sensor stays awake, s
 _BULGED = 1.2  # ratio of vertex distances on the inflated to those on the flat membrane
@@ -93,7 +93,7 @@ class Sleeper:
     def may_sleep(self, gas_is_still: bool) -> bool:
         """Return True if an awake sensor was still for several checks in a row; call every step."""
         time = float(self._data.time)
-        if 0 <= time - self._time < _LOOK:
+        if 0 <= time - self._time < _CHECK_PERIOD:
             return False
         self._time = time
         settled = self._is_settled()  # also notes where the vertices are
@@ -174,7 +174,7 @@ class Sleeper:
         now = self._load.displacements.copy()
         before = self._before
         self._before = now
-        return np.abs(now - before).max() < max(STILL * np.abs(now).max(), LEAST)
+        return np.abs(now - before).max() < max(STILL * np.abs(now).max(), STILL_MIN)
 
     def _is_near(self) -> bool:
         contact = self._data.contact

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slip import active_slip_test
-from benchmarks.tasks.figure import draw
+from benchmarks.tasks.figure import sample_case
 from benchmarks.tasks.run import TASKS, run, suite_of, table, together, weighed
 from benchmarks.tasks.simulation_levels import agreement
 from mjtactile.core.errors import InputError
@@ -37,7 +37,7 @@ def lines(controller, outcomes, **more):
 def test_the_table_says_what_the_lines_say(tmp_path):
     own = lines("adaptive", ["held"] * 8) + lines("touchless", ["held"] * 4 + ["crushed"] * 4)
     result = {
-        "level": "drawn",
+        "level": "synthetic",
         "agreement": {"adaptive": agreement("adaptive", {"weigh": own}, {"weigh": own[:5]})},
         "episodes": 8,
         "tasks": dict.fromkeys(TASKS, summarise(own)),
@@ -57,7 +57,7 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     assert text.startswith("Level `synthetic`: ")
     # Wilson's interval of 5 of 5 is 56.6 to 100 %
     assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
-    draw(result, tmp_path / "picture.png")
+    sample_case(result, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
 
 
@@ -73,7 +73,7 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
 
 
 def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
-    known = {level: suite_of(level) for level in ("mesh", "film", "drawn")}
+    known = {level: suite_of(level) for level in ("mesh", "quasistatic", "synthetic")}
     assert {one.effects for one in known.values()} == {
         "-images",
         "-mesh,-images",

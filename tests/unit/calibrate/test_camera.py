@@ -45,7 +45,7 @@ def image(rotation, shift, seed, noise=2.0):
     ray = np.concatenate([RAYS, np.ones((*RAYS.shape[:2], 1))], axis=2) @ inverse.T
     xy = ray[..., :2] / ray[..., 2:]
     scale = PIXELS / BOARD.square
-    sampled = BOARD.draw(PIXELS)
+    sampled = BOARD.render(PIXELS)
     # pixel centres at integers; half a square of margin
     at = (xy * scale + PIXELS / 2 - 0.5).astype(np.float32)
     gray = cv2.remap(

@@ -14,7 +14,7 @@ from mjtactile.evaluate.episodes import Episode
 from mjtactile.evaluate.parameter_sensitivity import against, flat, measures
 from mjtactile.evaluate.run import write_report
 from mjtactile.evaluate.statistics import summarise
-from mjtactile.evaluate.worst_episodes import draw, worst
+from mjtactile.evaluate.worst_episodes import render, worst
 from tests.pages import Balanced
 
 
@@ -180,7 +180,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
         (folder / "summary.png").write_bytes(b"png")
         return folder / "summary.png"
 
-    monkeypatch.setattr("mjtactile.evaluate.worst_episodes.draw", image)
+    monkeypatch.setattr("mjtactile.evaluate.worst_episodes.render", image)
     path = write_report(tmp_path, 1)
     assert asked == [Episode(asked[0].index, Scenario(seed=3 + asked[0].index))]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
@@ -199,13 +199,13 @@ def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
         randomization="default",
     )
     episode = Episode(0, scenario)
-    image = draw(episode, tmp_path / "worst")
+    image = render(episode, tmp_path / "worst")
     assert image is not None and image.read_bytes()[:4] == b"\x89PNG"
     assert "--seed 3" in Balanced(image.with_suffix(".html").read_text()).text  # and its page
     assert '"randomized"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
     bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")
-    assert draw(Episode(0, bad), tmp_path / "other") is not None
+    assert render(Episode(0, bad), tmp_path / "other") is not None
 
 
 def test_plots_in_which_everything_is_held_are_folded():

@@ -162,7 +162,7 @@ def test_who_connects_later_sees_the_scene():
     )
     scene = SimpleNamespace(solids=lambda: [solid], soft_bodies=lambda: [])
     seen = SimpleNamespace(view=scene, time=0.0, ellipses=(), touch=())
-    sampled = viewer_entities.Drawing(SimpleNamespace(fingers=()))
+    sampled = viewer_entities.EntityStream(SimpleNamespace(fingers=()))
     assert [i.topic for i in sampled.of(seen)] == ["/scene/egg", "/tf_scene"]
     assert not list(sampled.of(seen))  # it has not moved
     sampled.again()

@@ -144,7 +144,7 @@ def test_contours_that_cross_are_noticed():
 
 
 def test_a_picture_shows_each_part(parts, solids):
-    image, places = part_renderings.draw(
+    image, places = part_renderings.render(
         part_renderings.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120
     )
     frame, glass = (image[tuple(np.rint(place[::-1]).astype(int))] for place in places)

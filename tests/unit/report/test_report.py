@@ -40,7 +40,7 @@ SUMMARY = {
 }
 
 
-def draw(folder, snapshot, scene=None):
+def render(folder, snapshot, scene=None):
     report.write_figure(folder / "summary.png", load_recording(folder), snapshot, SUMMARY, scene)
     image = cv2.imread(str(folder / "summary.png"))
     assert image.shape[0] > 600 and image.std() > 10
@@ -52,7 +52,7 @@ def test_a_whole_run(tmp_path, break_force):
     cycles = write_fake_recording(tmp_path, count=60)
     recording = load_recording(tmp_path)
     recording.notes["break_force_N"] = break_force
-    draw(tmp_path, cycles[40])
+    render(tmp_path, cycles[40])
 
 
 @pytest.mark.parametrize("fingers", [1, 2, 3])
@@ -60,12 +60,12 @@ def test_a_run_with_its_scene_and_any_number_of_fingers(tmp_path, fingers):
     cycles = write_fake_recording(tmp_path, count=60)
     cycle = cycles[40]
     cycle = replace(cycle, touch=(cycle.touch[0],) * fingers, images=(cycle.images[0],) * fingers)
-    draw(tmp_path, cycle, FakeScene(fingers))
+    render(tmp_path, cycle, FakeScene(fingers))
 
 
 def test_a_run_without_a_cycle(tmp_path):
     Recorder(tmp_path, {}).close()
-    draw(tmp_path, None)
+    render(tmp_path, None)
 
 
 @pytest.mark.parametrize("alive", [True, False])
@@ -123,7 +123,7 @@ def test_a_run_that_felt_nothing_known(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         for i in range(3):
             recorder.add(fake_cycle(i, force=np.nan))
-    draw(tmp_path, recorder.snapshot)
+    render(tmp_path, recorder.snapshot)
 
 
 def test_without_matplotlib_there_is_one_clear_line(tmp_path, monkeypatch):

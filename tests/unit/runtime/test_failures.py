@@ -151,7 +151,7 @@ def test_whatever_sending_raises_leads_to_the_retreat(change):
     """Values are checked where they are obeyed, too: not every command is a controller's."""
     world = World()
     cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
-    cycle.look()
+    cycle.read_sensors()
     cycle.observe()
     sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
     assert cycle.failure is not None and cycle.supervisor.state == "safe"
@@ -162,7 +162,7 @@ def test_a_retreat_that_cannot_be_sent_is_the_end():
     world = World()
     world.command = lambda command: 1 / 0  # type: ignore[method-assign]
     cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
-    cycle.look()
+    cycle.read_sensors()
     cycle.observe()
     cycle.send(Command(0.05, 4.0))
     assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)

@@ -16,7 +16,7 @@ GRID = np.stack(np.meshgrid(np.arange(6), np.arange(4)), axis=-1).reshape(-1, 2)
 START = GRID * PITCH + [50.0, 54.0]
 
 
-def draw(places, *, bright=False, noise=0):
+def image_of(places, *, bright=False, noise=0):
     """Dots on uneven ground, drawn finely and averaged: edges as soft as a pixel."""
     fine = np.zeros((240 * ZOOM, 320 * ZOOM), np.uint8)
     for u, v in (np.asarray(places) + 0.5) * ZOOM - 0.5:
@@ -38,7 +38,7 @@ def test_every_dot_keeps_its_number(bright):
     wander = np.cumsum(rng.normal(0, 1.2, (8, len(START), 2)), axis=0)
     common = np.array([[0, 0], [2, 1], [24, 12], [24, 12], [10, 0], [0, 0], [-8, 3], [0, 0]])
     truth = [START + w + c for w, c in zip(wander, common, strict=True)]
-    images = [draw(places, bright=bright, noise=n) for n, places in enumerate(truth)]
+    images = [image_of(places, bright=bright, noise=n) for n, places in enumerate(truth)]
     polarity = "bright" if bright else "dark"
     number = {}
     for places, tracked in zip(truth, track_circles(images, polarity=polarity), strict=True):
@@ -52,7 +52,7 @@ def test_every_dot_keeps_its_number(bright):
 
 
 def test_a_dot_that_was_covered_comes_back_as_itself():
-    images = [draw(START), draw(np.delete(START, 8, axis=0) + 2), draw(START + 4)]
+    images = [image_of(START), image_of(np.delete(START, 8, axis=0) + 2), image_of(START + 4)]
     first, without, again = track_circles(images)
 
     def id_at(tracked, place):
@@ -80,7 +80,7 @@ def test_in_space_where_camera_and_radius_are_known():
 def test_a_folder_of_frames_becomes_a_table(tmp_path, capsys):
     (tmp_path / "in").mkdir()
     for number in range(3):
-        cv2.imwrite(str(tmp_path / f"in/{number}.png"), draw(START + number))
+        cv2.imwrite(str(tmp_path / f"in/{number}.png"), image_of(START + number))
     out = tmp_path / "out"
     options = ["reconstruct", str(tmp_path / "in"), "--marks", "dark", "--out", str(out), "--json"]
     assert main(options) == 0
@@ -97,18 +97,18 @@ def test_a_folder_of_frames_becomes_a_table(tmp_path, capsys):
 
 
 def test_bad_input(tmp_path, capsys):
-    cv2.imwrite(str(tmp_path / "one.png"), draw(START))
+    cv2.imwrite(str(tmp_path / "one.png"), image_of(START))
     source = str(tmp_path / "one.png")
     for options in (["--radius-mm", "1"], ["--marks", "dark", "--radius-mm", "1"]):
         assert main(["reconstruct", source, *options]) == 2
         assert "--radius-mm" in capsys.readouterr().err
     with pytest.raises(InputError, match="must be given together"):
-        next(track_circles([draw(START)], radius=1e-3))
+        next(track_circles([image_of(START)], radius=1e-3))
 
 
 def test_a_camera_file_of_another_size_is_refused(tmp_path, capsys):
     """Otherwise positions in mm would be wrong by the ratio of the sizes."""
-    cv2.imwrite(str(tmp_path / "one.png"), draw(START))
+    cv2.imwrite(str(tmp_path / "one.png"), image_of(START))
     camera = tmp_path / "camera.yaml"
     camera.write_text("width: 64\nheight: 48\nk: [50, 0, 32, 0, 50, 24, 0, 0, 1]\nd: []\n")
     options = ["--marks", "dark", "--camera", str(camera), "--radius-mm", "1"]

@@ -18,7 +18,7 @@ TOUCHING = 40  # nodes
 WRONG = np.hypot(0.03, 1.5 / TOUCHING)  # of a curvature in one look (equations F19)
 
 
-def look(k, J, place_precision=4.0):
+def estimate_of(k, J, place_precision=4.0):
     """Create a fit with marker slopes J (n, 4) by x, y, z and curvature over their sd, exactly at
     curvature k 1/m.
 
@@ -63,7 +63,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
     means, variances = [], []
     for k in (100.0, k2):
         J = rng.normal(size=(81, 4)) * [2.0, 2.0, 5.0, 1.0]
-        fit, own = look(k, J)
+        fit, own = estimate_of(k, J)
         mean, variance = marginal(J, own, fit.theta[:3] / BALL.sd[:3])
         means.append(mean)
         variances.append(variance + (WRONG * k / BALL.sd[3]) ** 2)
@@ -78,7 +78,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
 
 
 def test_one_look_does_not_drift():
-    fit, _ = look(100.0, np.random.default_rng(1).normal(size=(81, 4)))
+    fit, _ = estimate_of(100.0, np.random.default_rng(1).normal(size=(81, 4)))
     assert ShapeFilter.of(BALL).with_observation(fit).drift == 0.0
 
 

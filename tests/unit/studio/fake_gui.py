@@ -86,20 +86,20 @@ class FakeGui:
 
 
 class FakePlot(FakeGui):
-    """`drawn` are the curves: label to times and values."""
+    """`geoms` are the curves: label to times and values."""
 
     def __init__(self, real):
         super().__init__(real)
-        self.drawn = {}
+        self.geoms = {}
 
     def BeginPlot(self, *_):
         return True
 
     def PlotLine(self, label, time, values):
-        self.drawn[label] = np.array(time), np.array(values)
+        self.geoms[label] = np.array(time), np.array(values)
 
     def PlotErrorBars(self, label, time, values, errors):
-        self.drawn[f"{label}, bars"] = np.array(values), np.array(errors)
+        self.geoms[f"{label}, bars"] = np.array(values), np.array(errors)
 
     def GetPlotPos(self):
         return SimpleNamespace(x=0.0, y=0.0)

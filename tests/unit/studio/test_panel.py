@@ -106,14 +106,14 @@ def test_the_panels_numbers_are_the_sessions(gui, bridge):
     assert "gas    closed, 1.00 kPa" in " ".join(gui.texts)
     assert "warning (sharp_edge): an edge presses" in gui.texts
     assert "0.10 to 0.40 s, 20 % of the time" in gui.texts
-    time, force = gui.plot.drawn["left, estimated"]
+    time, force = gui.plot.geoms["left, estimated"]
     assert (
         time[-1] == bridge.snapshot().time
         and force[-1] == bridge.snapshot().fingers[0].touch.force_normal
     )
-    np.testing.assert_allclose(gui.plot.drawn["right, ground truth"][1], 0.2)
-    np.testing.assert_allclose(gui.plot.drawn["left, estimated, bars"][1], 0.06)  # 2 sd
-    np.testing.assert_allclose(gui.plot.drawn["left"][1][0], 1.0)  # kPa
+    np.testing.assert_allclose(gui.plot.geoms["right, ground truth"][1], 0.2)
+    np.testing.assert_allclose(gui.plot.geoms["left, estimated, bars"][1], 0.06)  # 2 sd
+    np.testing.assert_allclose(gui.plot.geoms["left"][1][0], 1.0)  # kPa
 
 
 def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, bridge):
@@ -209,16 +209,16 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     for _ in range(2):  # the second time with the same geoms
         brush.start()
         brush.triangles(corners[None], np.array([[1.0, 0.5, 0.0]]))
-    [geom] = brush.drawn
+    [geom] = brush.geoms
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # MuJoCo's triangle
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)
     estimated = FingerSnapshot(
         "left", fake_image(0), fake_touch(0.6, 0.0), pose=Pose(np.zeros(3), np.eye(3))
     )
-    scene_overlays.draw(
+    scene_overlays.update(
         brush, [estimated], scene_overlays.OverlayOptions(surface="none", contacts=False)
     )
-    [arrow] = brush.drawn
+    [arrow] = brush.geoms
     along = np.asarray(arrow.mat)[:, 2]
     # the finger pushes the object away, along its own z
     np.testing.assert_allclose(along, [0, 0, 1], atol=1e-6)
@@ -238,7 +238,7 @@ def test_why_an_ellipse_is_not_trusted_is_said():
 
 def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, bridge, monkeypatch):
     plugin = Panel(bridge)
-    monkeypatch.setattr(scene_overlays, "draw", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(scene_overlays, "update", lambda *_, **__: 1 / 0)
     build(plugin)
     assert any(
         text.startswith("ZeroDivisionError: division by zero (test_panel.py, line")
