@@ -145,8 +145,8 @@ def change(
 
 
 def _pairs(old: DetectedCircles, new: DetectedCircles) -> list[tuple[int, int]]:
-    apart = old.ellipses.center_px[:, None] - new.ellipses.center_px
-    distance = np.linalg.norm(apart, axis=2)
+    offset = old.ellipses.center_px[:, None] - new.ellipses.center_px
+    distance = np.linalg.norm(offset, axis=2)
     if not distance.size:
         return []
     nearest = distance.argmin(axis=1).tolist()

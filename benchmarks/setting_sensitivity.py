@@ -284,7 +284,7 @@ def variants(source: str = TRIED) -> list[tuple[str, float, Any]]:
 
 def _within(value: float, entry: Any) -> float:
     value = min(max(value, entry.low), entry.high)
-    return round(value) if entry.whole else value
+    return round(value) if entry.integer else value
 
 
 _GIVEN: dict[str, Any] = {}

@@ -80,7 +80,7 @@ def sequence_row(seed: int) -> dict[str, Any]:
         "wrong": 0,
         "missed_twice": 0,
         "missed": 0,
-        "apart_sd": 0.0,
+        "difference_sd": 0.0,
     }
     tracks = None
     missing = np.zeros(design.markers.count, bool)
@@ -105,8 +105,8 @@ def sequence_row(seed: int) -> dict[str, Any]:
         row["missed"] += int(missed.sum())
         row["missed_twice"] += int((missed & missing).sum())
         if both.any():
-            row["apart_sd"] = max(
-                row["apart_sd"], float((np.abs(off - theirs_off) / theirs_sd)[both].max())
+            row["difference_sd"] = max(
+                row["difference_sd"], float((np.abs(off - theirs_off) / theirs_sd)[both].max())
             )
         missing = missed
     return row
@@ -325,7 +325,7 @@ def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
         key: sum(row[key] for row in rows)
         for key in ("images", "searched", "markers", "wrong", "missed", "missed_twice")
     }
-    return total | {"apart_sd": max((row["apart_sd"] for row in rows), default=0.0)}
+    return total | {"difference_sd": max((row["difference_sd"] for row in rows), default=0.0)}
 
 
 _LABELS = {

@@ -192,20 +192,23 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     both = [
         pair for pair in pairs if pair["images"]["outcome"] == pair["none"]["outcome"] == "held"
     ]
-    apart = np.array(
+    differences = np.array(
         [pair["none"]["hold_force_true_N"] - pair["images"]["hold_force_true_N"] for pair in both]
     )
-    mean = float(apart.mean()) if len(apart) else math.nan
+    mean = float(differences.mean()) if len(differences) else math.nan
     return {
         "pairs": len(pairs),
         "same_outcome": sum(p["images"]["outcome"] == p["none"]["outcome"] for p in pairs),
         "held": held,
         "held_interval": {way: list(wilson(held[way], len(pairs))) for way in held},
         "force_mN": 1e3 * mean,
-        "force_interval_mN": 1e3 * 1.96 * float(apart.std(ddof=1)) / math.sqrt(len(apart))
-        if len(apart) > 1
+        "force_interval_mN": 1e3
+        * 1.96
+        * float(differences.std(ddof=1))
+        / math.sqrt(len(differences))
+        if len(differences) > 1
         else math.nan,
-        "force_sd_mN": 1e3 * float(apart.std()) if len(apart) else math.nan,
+        "force_sd_mN": 1e3 * float(differences.std()) if len(differences) else math.nan,
         "an_hour": {
             way: 3600 * len(pairs) / sum(pair[way]["core_s"] for pair in pairs)
             if pairs

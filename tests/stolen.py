@@ -4,7 +4,7 @@ The host of a rented computer may take its processors away for up to a second ("
 /proc/stat). Devices are silent during that time, and a driver that reports it is right. A test
 marked `clock` that fails during such a time is repeated. If it fails each time it is undecided.
 This is reported at the end, and never counts as passed. Without stolen time it fails like any other
-test. If more than `MOST` are undecided, the run fails: a real defect fails every time, and breaks
+test. If more than `UNDECIDED_MAX` are undecided, the run fails: a real defect fails every time, and breaks
 many tests.
 """
 
@@ -16,7 +16,7 @@ import pytest
 from _pytest.runner import runtestprotocol
 
 TRIES = 2
-MOST = 20
+UNDECIDED_MAX = 20
 STOLEN_MAX = 0.03  # of all processors' time: less than that is a few ms now and then
 _undecided: set[Path] = set()  # files with such a test: their others are tried once
 _STEAL = 8  # column of /proc/stat's first line
@@ -74,7 +74,8 @@ def undecided_of(terminalreporter):
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session):
     if (
-        len(undecided_of(session.config.pluginmanager.get_plugin("terminalreporter"))) > MOST
+        len(undecided_of(session.config.pluginmanager.get_plugin("terminalreporter")))
+        > UNDECIDED_MAX
         and not session.exitstatus
     ):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

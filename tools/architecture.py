@@ -80,7 +80,7 @@ class Floor:
     """Rooms that stand side by side."""
 
     rooms: tuple[str, ...]
-    apart: bool
+    is_separate: bool
     """True if the rooms may not import each other."""
 
 
@@ -157,7 +157,7 @@ def _row(
     floor: Floor, x: float, y: float, width: float, height: float, tagged: set[str]
 ) -> list[str]:
     """One floor of the house: a box a room, joined where the rooms may import each other."""
-    gap = GAP if floor.apart else 0
+    gap = GAP if floor.is_separate else 0
     each = (width - gap * (len(floor.rooms) - 1)) / len(floor.rooms)
     parts = []
     for k, room in enumerate(floor.rooms):
@@ -194,7 +194,7 @@ def _panel(contract: dict, x: float, y: float) -> tuple[list[str], float]:
 
 def _lines(floor: Floor, longest: int = 52) -> list[str]:
     """The names of a floor as one line, or as several that fit the panel."""
-    separator = "   |   " if floor.apart else "    "
+    separator = "   |   " if floor.is_separate else "    "
     lines = [""]
     for room in floor.rooms:
         joined = separator.join(part for part in (lines[-1], room) if part)

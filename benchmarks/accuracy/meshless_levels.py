@@ -51,18 +51,18 @@ def run(
     finest = (_QUICK_REFERENCE if quick else _REFERENCE)[1]
     force = []
     estimated = []
-    apart = []
+    distances = []
     for case in cases:
         notify(f"levels: a ball of {1e3 * case.radius:g} mm")
         true = press(finest, case)
         mine = _press(case)
         force.append(mine.force - true.force)
         estimated.append(_estimated(mine.force) - true.force)
-        apart.append(np.linalg.norm(mine.p_SM - true.p_SM, axis=1))
+        distances.append(np.linalg.norm(mine.p_SM - true.p_SM, axis=1))
     notify("levels: an egg held")
     held = _held()
     rows = [
-        _row(QUASISTATIC, held["force_noise_N"], force, _rms(apart), held["quasistatic_ms"]),
+        _row(QUASISTATIC, held["force_noise_N"], force, _rms(distances), held["quasistatic_ms"]),
         _row(SAMPLED, 0.0, estimated, math.nan, held["quasistatic_ms"] + held["sampling_ms"]),
     ]
     count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs

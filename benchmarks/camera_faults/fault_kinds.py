@@ -15,7 +15,7 @@ from mjtactile.rig.camera_faults import CameraFaults
 SEED = 20261
 """Strengths are drawn from this; those of other seeds were used in tuning."""
 _SPREAD = 0.2  # share by which a strength may be another
-_WHOLE = ("count", "bits", "quality", "yuyv", "Hz")
+_INTEGERS = ("count", "bits", "quality", "yuyv", "Hz")
 ALWAYS, RUN, REFERENCES = "always", "run", "references"
 """Periods with the fault: references and run, run only, references only."""
 
@@ -139,7 +139,7 @@ def kinds(seed: int = SEED) -> Iterator[Kind]:
 
 def _near(key: str, value: Any, rng: np.random.Generator) -> Any:
     """Return a strength near `value`; counts stay unchanged."""
-    if any(key.endswith(unit) or unit in key for unit in _WHOLE):
+    if any(key.endswith(unit) or unit in key for unit in _INTEGERS):
         return value
     factor = 1 + _SPREAD * rng.uniform(-1, 1)
     if isinstance(value, list):

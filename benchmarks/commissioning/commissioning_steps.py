@@ -160,7 +160,7 @@ class Day:
             named = f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"'
             text = text.replace(f'[[camera]]\nfinger = "{finger}"', named)
         self.file.write_text(text, encoding="utf-8")
-        return {"questions": len(asked), "cameras_told_apart": right}
+        return {"questions": len(asked), "cameras_assigned": right}
 
     def _as_built_sensor(self, finger: str) -> AsBuiltSensor:
         emulator = load_rig_file(self.world).emulator

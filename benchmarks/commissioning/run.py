@@ -121,7 +121,7 @@ def _came(step: str, row: Mapping[str, Any]) -> str:
             f"{'; '.join(means)}; worst image {row['worst_N']:.3f}"
         )
     if step == "setup":
-        found = "correctly assigned" if row["cameras_told_apart"] else "exchanged"
+        found = "correctly assigned" if row["cameras_assigned"] else "exchanged"
         return f"{row['questions']} questions; cameras {found}"
     if "fx_px" in row:
         (true, found), (cx, found_cx) = row["fx_px"], row["cx_px"]

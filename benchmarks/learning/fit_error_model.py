@@ -116,12 +116,12 @@ def fit(rows: Rows) -> SensingErrorModel:
     mean, sd, between, spread = _by_grasps(left, near, estimated)
     z = (left - near @ mean) / (near @ sd) / between[:, None]
     far = np.asarray((np.abs(z) > _OUTLIER).any(axis=1))
-    apart, middle = _alone(left, estimated)
+    deviation, middle = _alone(left, estimated)
     # var(b - (a + c) / 2) of white noise is 3/2 of its own
-    noise = _median_at(np.abs(apart.mean(axis=0)), near[middle]) / _MEDIAN / math.sqrt(1.5)
+    noise = _median_at(np.abs(deviation.mean(axis=0)), near[middle]) / _MEDIAN / math.sqrt(1.5)
     fresh = np.minimum(noise, sd)
     # a step that stays is none
-    jumps = np.where(apart[0] * apart[1] > 0, np.abs(apart).min(axis=0), 0.0)
+    jumps = np.where(deviation[0] * deviation[1] > 0, np.abs(deviation).min(axis=0), 0.0)
     jumps = jumps / (near[middle] @ fresh)
     out = np.asarray((jumps > _OUTLIER).any(axis=1))
     reported = np.sqrt(np.diagonal(estimated["cov"], axis1=1, axis2=2))
@@ -323,9 +323,9 @@ def _correlation_of(cov: Array) -> Array:
     """Made positive definite, with ones on its diagonal."""
     sd = np.sqrt(np.diag(cov))
     values, vectors = np.linalg.eigh(cov / np.outer(sd, sd))
-    whole = (vectors * np.maximum(values, 1e-3)) @ vectors.T
-    sd = np.sqrt(np.diag(whole))
-    return whole / np.outer(sd, sd)
+    positive = (vectors * np.maximum(values, 1e-3)) @ vectors.T
+    sd = np.sqrt(np.diag(positive))
+    return positive / np.outer(sd, sd)
 
 
 def _alone(left: Array, rows: Rows) -> tuple[Array, Array]:

@@ -158,12 +158,12 @@ def table(result: Mapping[str, Any]) -> str:
         _evaluation_row(LEVELS[level], evaluated) for level, evaluated in result["judged"].items()
     ]
     rate = result["ten_lines"]["decisions"] / result["ten_lines"]["seconds"]
-    whole = result["ten_lines"]["meant"] / rate / 60
+    minutes = result["ten_lines"]["meant"] / rate / 60
     lines += [
         "",
         f"The ten lines above, with one environment, make {rate:.0f} decisions per second "
         f"({result['ten_lines']['decisions']} decisions timed, start included): "
-        f"{whole:.0f} minutes.",
+        f"{minutes:.0f} minutes.",
     ]
     return "\n".join(lines) + "\n"
 

@@ -19,7 +19,7 @@ from mjtactile.runtime.cycle import Cycle
 from mjtactile.runtime.session import Session, open_session
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
-_LEAST, _MOST = 0.05, 1.5  # range of the grip force, N
+_FORCE_MIN, _FORCE_MAX = 0.05, 1.5  # range of the grip force, N
 _CHANGE_EVERY = 0.4  # period of goal changes, s
 _CLOSING = 0.04  # closing speed, m/s
 _GAIN = 0.04  # closing speed per missing force, m/s per N
@@ -48,7 +48,7 @@ class Squeezer:
             return limit
         now = observation.time
         if self._best_start is None:
-            if min(estimated) > _LEAST:
+            if min(estimated) > _FORCE_MIN:
                 self._best_start = now
             opening = last.opening - _CLOSING * observation.period
             return replace(limit, opening=max(opening, 0.0), phase="close")
@@ -56,7 +56,7 @@ class Squeezer:
             return replace(limit, phase="done", lift_height=0.0)
         if now >= self._next:
             self._next = now + _CHANGE_EVERY
-            self._goal = float(np.exp(self._rng.uniform(np.log(_LEAST), np.log(_MOST))))
+            self._goal = float(np.exp(self._rng.uniform(np.log(_FORCE_MIN), np.log(_FORCE_MAX))))
             self._height = float(self._rng.choice([0.0, 0.02, 0.04]))
         speed = float(np.clip(_GAIN * (np.mean(estimated) - self._goal), -_FASTEST, _FASTEST))
         step = _RISE * observation.period

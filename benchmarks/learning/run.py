@@ -170,17 +170,17 @@ def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _compare(rows: list[dict[str, Any]], level: str, other: str) -> dict[str, Any]:
     same = [row[level]["outcome"] == row[other]["outcome"] for row in rows]
-    apart = [
+    differences = [
         row[level]["hold_force_N"] - row[other]["hold_force_N"]
         for row in rows
         if row[level]["outcome"] == row[other]["outcome"] == "held"
     ]
-    spread = float(np.std(apart, ddof=1)) if len(apart) > 1 else math.nan
+    spread = float(np.std(differences, ddof=1)) if len(differences) > 1 else math.nan
     return {
         "same": int(sum(same)),
-        "held_both": len(apart),
-        "force_mN": 1e3 * float(np.mean(apart)) if apart else math.nan,
-        "force_interval_mN": 1e3 * 1.96 * spread / math.sqrt(max(len(apart), 1)),
+        "held_both": len(differences),
+        "force_mN": 1e3 * float(np.mean(differences)) if differences else math.nan,
+        "force_interval_mN": 1e3 * 1.96 * spread / math.sqrt(max(len(differences), 1)),
     }
 
 

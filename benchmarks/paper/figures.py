@@ -56,17 +56,17 @@ def plot_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
 
 def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
     """Force against how far the sensor was driven in, and against the object's own deformation."""
-    whole, own = figure.subplots(1, 2)
+    total, own = figure.subplots(1, 2)
     for name, colour in _COLOURS.items():
         curve = result[name]
         depth = np.asarray(curve["depth_mm"])
         force = np.asarray(curve["force_N"])
-        whole.plot(depth, force, ".", color=colour, label=name)
+        total.plot(depth, force, ".", color=colour, label=name)
         own.plot(curve["own_deformation_mm"], force, ".", color=colour, label=name)
         for power, style in ((1, ":"), (2, "-")):
             columns = np.stack([depth**k for k in range(1, power + 1)], axis=1)
             fit = np.linalg.lstsq(columns, force, rcond=None)[0]
-            whole.plot(depth, columns @ fit, style, color=colour, lw=1)
+            total.plot(depth, columns @ fit, style, color=colour, lw=1)
     law = result["sponge_law"]
     d = np.linspace(0, np.nanmax(result["sponge"]["own_deformation_mm"]), 50)
     own.plot(
@@ -76,13 +76,13 @@ def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
         lw=0.8,
         label="the sponge's law (ground truth)",
     )
-    whole.set(
+    total.set(
         xlabel="driven in, mm",
         ylabel="estimated force, N",
         title="as the paper plots it (dotted: line, full: parabola)",
     )
     own.set(xlabel="the object's own deformation, mm", title="without the membrane's share")
-    whole.legend()
+    total.legend()
     own.legend()
 
 

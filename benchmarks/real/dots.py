@@ -55,18 +55,18 @@ def run(
             for tracked in (found[0], found[len(found) // 2], found[-1]):
                 counts += dots_of(tracked)
             signs.append(_signs(found))
-        whole, seen, trusted, false = counts.tolist()
-        row = {"grip": name, "slips": slips, "whole": whole, "seen": seen, "trusted": trusted}
+        complete, seen, trusted, false = counts.tolist()
+        row = {"grip": name, "slips": slips, "complete": complete, "seen": seen, "trusted": trusted}
         row |= {"false": false} | dict(zip(SIGNS, np.max(signs, axis=0).tolist(), strict=True))
         rows.append(row)
-        notify(f"{name}: {seen} of {whole} dots, {trusted} trusted, {false} false")
+        notify(f"{name}: {seen} of {complete} dots, {trusted} trusted, {false} false")
         write_json(Path(out) / "dots.json", {"rows": rows})
     return {"rows": rows, **summary(rows)}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Sums of the dots, and how well each sign parts slips from holds."""
-    total = {key: sum(row[key] for row in rows) for key in ("whole", "seen", "trusted", "false")}
+    total = {key: sum(row[key] for row in rows) for key in ("complete", "seen", "trusted", "false")}
     slips = np.array([row["slips"] for row in rows], bool)
     signs = {}
     for name in SIGNS:
@@ -77,13 +77,13 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def table(result: Mapping[str, Any]) -> str:
     """Return the results in Markdown."""
-    whole = result["whole"]
+    complete = result["complete"]
     lines = [
         "| real gel sensors with dots |  |",
         "|---|---|",
-        f"| complete dots in 6 frames of each of {result['grips']} grips | {whole} |",
-        f"| detected | {100 * result['seen'] / whole:.1f} % |",
-        f"| trusted | {100 * result['trusted'] / whole:.1f} % |",
+        f"| complete dots in 6 frames of each of {result['grips']} grips | {complete} |",
+        f"| detected | {100 * result['seen'] / complete:.1f} % |",
+        f"| trusted | {100 * result['trusted'] / complete:.1f} % |",
         f"| trusted detections without a dot | {result['false']} |",
     ]
     words = {"relaxes": "slip by return motion", "wanders": "slip by wandering motion"}
@@ -106,9 +106,9 @@ def dots_of(tracked: TrackedCircles) -> NDArray[np.int64]:
     good = (ellipses.status != CUT) & (ellipses.semi_axes_px[:, 1] > 0.6 * size)
     places = ellipses.center_px[good]
     sites, pitch = lattice(places)
-    apart = np.linalg.norm(sites[:, None] - ellipses.center_px[None], axis=2)
+    distance = np.linalg.norm(sites[:, None] - ellipses.center_px[None], axis=2)
     inside = ((sites > size + RIM) & (sites < np.array(PICTURE) - 1 - size - RIM)).all(axis=1)
-    near = apart < NEAR * pitch
+    near = distance < NEAR * pitch
     ok = ellipses.status == "ok"
     seen = near.any(axis=1)
     trusted = (near & ok).any(axis=1)
@@ -124,14 +124,14 @@ def lattice(places: Array) -> tuple[Array, float]:
 
     The lattice extends one row and column beyond the detected dots.
     """
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    pitch = float(np.median(apart.min(axis=1)))
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    pitch = float(np.median(distance.min(axis=1)))
     number = {0: (0, 0)}
     todo = [0]
     while todo:
         one = todo.pop()
-        for other in np.flatnonzero(apart[one] < 1.3 * pitch).tolist():
+        for other in np.flatnonzero(distance[one] < 1.3 * pitch).tolist():
             step = np.round((places[other] - places[one]) / pitch).astype(int)
             if other in number or np.abs(step).sum() != 1:
                 continue

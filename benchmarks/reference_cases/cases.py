@@ -17,7 +17,7 @@ Each is a TOML file with a sensor, one motion, and a reference with its source.
     [reference]
     source = "who computed or measured it, and how"
     percent = 5.0                           required: within this percentage of the reference,
-    least = 0.01                            or within this, in the unit of the reference
+    tolerance_min = 0.01                    or within this, in the unit of the reference
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Case:
     """One case.
 
     `motion` names its kind. `plan` holds the values read for that kind by `MOTIONS`, in the file's
-    units. Each number must lie within `percent` of its reference or within `least` of it.
+    units. Each number must lie within `percent` of its reference or within `tolerance_min` of it.
     """
 
     name: str
@@ -153,7 +153,7 @@ def load_case(path: Path) -> Case:
         plan,
         reference.text("source"),
         reference.number("percent", 0.0, 1000.0),
-        reference.number("least", 0.0, _LARGE),
+        reference.number("tolerance_min", 0.0, _LARGE),
         path,
     )
     reference.done()

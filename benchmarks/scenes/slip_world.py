@@ -14,7 +14,7 @@ from mjtactile.sim.scenes.world import World
 
 MESH = DEFAULT_MESH
 # initial jaw distance from the center, m; filling time, s; offset of the object meanwhile, m
-_APART = 0.05
+_JAW_DISTANCE = 0.05
 _FILLING = 0.3
 _AWAY = 0.06
 # stiffness, N/m, and mass, kg, of a jaw
@@ -84,7 +84,7 @@ class SlipWorld(World):
         self, spec: mujoco.MjSpec, design: SensorDesign, prefix: str, mesh: tuple[int, int]
     ) -> Attachment:
         sign = -1 if prefix == "left/" else 1
-        jaw = spec.worldbody.add_body(name=prefix + "jaw", pos=[sign * _APART, 0, 0])
+        jaw = spec.worldbody.add_body(name=prefix + "jaw", pos=[sign * _JAW_DISTANCE, 0, 0])
         jaw.mass = _MASS
         jaw.inertia = [1e-4] * 3
         jaw.explicitinertial = True
@@ -124,10 +124,14 @@ class SlipWorld(World):
         """Close on the body, which is held until both fingers press."""
         top = max(sensor.height_at(0.0, 0.0) for sensor in self.sensors)
         goal = (
-            _APART - top - self.sensors[0].design.membrane.thickness / 2 - self._reach - _CLEARANCE
+            _JAW_DISTANCE
+            - top
+            - self.sensors[0].design.membrane.thickness / 2
+            - self._reach
+            - _CLEARANCE
         )
         self._close(0.0, goal, 0.15)
-        while np.mean([self.press(k) for k in range(2)]) < self.case.grip and goal < _APART:
+        while np.mean([self.press(k) for k in range(2)]) < self.case.grip and goal < _JAW_DISTANCE:
             goal += _CLOSING * self.timestep
             self._squeeze(goal)
             self._hold_body()

@@ -159,7 +159,7 @@ class PinchWorld(World):
         attachments = []
         for prefix, sign in (("left/", -1), ("right/", 1)):
             jaw = spec.worldbody.add_body(
-                name=prefix + "jaw", pos=[sign * _APART, 0, 0], gravcomp=1.0
+                name=prefix + "jaw", pos=[sign * _JAW_DISTANCE, 0, 0], gravcomp=1.0
             )
             jaw.mass = _MASS
             jaw.inertia = [1e-4] * 3
@@ -186,7 +186,7 @@ class PinchWorld(World):
         for device in self.sensors:
             device.close_valve()
         top = self.sensors[0].height_at(0.0, 0.0) + attachments[0].design.membrane.thickness / 2
-        self._close(_APART - top - half + squeeze)
+        self._close(_JAW_DISTANCE - top - half + squeeze)
         self.model.opt.gravity = gravity
 
     @property
@@ -274,7 +274,7 @@ class FaceWorld(World):
 
 # height of the object during filling, m; jaw distance from the center, m; filling time, s
 _HIGH = 0.5
-_APART = 0.04
+_JAW_DISTANCE = 0.04
 _FILLING = 0.3
 _HALF_FACE = 0.004  # half the thickness of a face, m
 _OFF_CENTER = 0.005  # of the face along y, m: seams do not pass through the center

@@ -33,7 +33,7 @@ PULL_ESTIMATE = (
     0.5
 )
 _MOMENTS = 26
-_LEAST = 0.15  # minimum grip force that can be regulated, N
+_FORCE_MIN = 0.15  # minimum grip force that can be regulated, N
 _MAX_LEVER = 3.0  # of a torque about the grip, in the need
 
 
@@ -86,7 +86,7 @@ class Oracle(Observer):
     def step(self, observation: Observation) -> Command:
         """Return the command of `adaptive` with the oracle's grip force."""
         command = observation.command
-        target = max(_LEAST, MARGIN * self.need)
+        target = max(_FORCE_MIN, MARGIN * self.need)
         command = replace(command, memory={**command.memory, "target": target})
         return self._adaptive.step(replace(observation, command=command))
 

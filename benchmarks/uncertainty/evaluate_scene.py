@@ -37,7 +37,7 @@ _JUMP = 0.02
 _JUMP_FRACTION = 0.05
 # images between two looks at the area; N from which on there is one
 _AREA_EVERY = 5
-_LEAST = 0.02
+_FORCE_MIN = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def watch(scene: Scene) -> Watched:
                 )
                 area = (
                     ground_truth.contact_area(world, k)
-                    if with_area and -wrenches[k][2] > _LEAST
+                    if with_area and -wrenches[k][2] > _FORCE_MIN
                     else np.nan
                 )
                 jump = float(np.abs(wrenches[k] - before[k])[:3].max())

@@ -9,7 +9,7 @@ import numpy as np
 
 COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # minimum true force of a touch, N; maximum true force without a touch, N
-LEAST = 0.02
+FORCE_MIN = 0.02
 NOTHING = 1e-3
 FAR = 5.0  # standard deviations that none may be off
 COARSE = ("sharp_edge", "small_feature")
@@ -32,7 +32,7 @@ def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     ]
     known = [row for row in rows if row["wrench"] is not None]
     steady = [row for row in known if not row["rattles"]]
-    touches = [row for row in steady if _force(row) > LEAST]
+    touches = [row for row in steady if _force(row) > FORCE_MIN]
     sure = [row for row in touches if not set(UNSURE) & set(row["flags"])]
     groups = {
         "everything that is ok": known,
@@ -50,7 +50,7 @@ def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         row for row in touches if set(UNSURE) & set(row["flags"])
     ]
     groups["touches at rest whose true force rattles"] = [
-        row for row in known if row["rattles"] and _force(row) > LEAST
+        row for row in known if row["rattles"] and _force(row) > FORCE_MIN
     ]
     reported = [row["status"] for row in rows]
     return {

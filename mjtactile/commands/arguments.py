@@ -132,7 +132,7 @@ def number(
     return _reader(float, low, high, above)
 
 
-def whole(low: int, high: float = math.inf) -> Callable[[str], int]:
+def integer(low: int, high: float = math.inf) -> Callable[[str], int]:
     """Return a reader of an integer from `low` to `high`."""
     return _reader(int, low, high, False)
 

@@ -51,7 +51,7 @@ ARGUMENTS = (
         "--workers N",
         "number of simulation processes (default: half of the processors)",
         max(1, (os.cpu_count() or 1) // 2),
-        type=arg.whole(1, 64),
+        type=arg.integer(1, 64),
     ),
     arg.out("folder for the HTML report and its numbers"),
 )

@@ -108,13 +108,13 @@ ARGUMENTS = (
             ),
         ),
     ),
-    arg.option("--count N", "number of designs to sample", 48, type=arg.whole(1, 2000)),
+    arg.option("--count N", "number of designs to sample", 48, type=arg.integer(1, 2000)),
     arg.option(
         "--check N",
         "load the best N designs, or the file, in the full simulation and compare (default: "
         "0; some minutes each)",
         0,
-        type=arg.whole(0, 20),
+        type=arg.integer(0, 20),
     ),
     arg.option("--seed N", "seed of the sampling", 0, type=int),
     arg.out(

@@ -41,7 +41,7 @@ ARGUMENTS = (
     arg.option(
         "--rig NAME|FILE.toml", "rig file of the servos, valves and cameras to emulate", "emulated"
     ),
-    arg.option("--seed N", "seed of placement and noise", 0, type=arg.whole(0)),
+    arg.option("--seed N", "seed of placement and noise", 0, type=arg.integer(0)),
     scenario.TIME_SCALE,
     arg.repeated("--faults KIND=VALUE", "fault from the start; repeatable"),
     arg.out(

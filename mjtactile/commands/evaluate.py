@@ -68,12 +68,12 @@ ARGUMENTS = (
         "shipped names, FILE.xml, 'my/*.xml', random (a different object each time), grasped "
         "in turn (default: egg,strawberry,vial)",
     ),
-    arg.option("--episodes N", "number of episodes for each controller", 30, type=arg.whole(1)),
+    arg.option("--episodes N", "number of episodes for each controller", 30, type=arg.integer(1)),
     *scenario.arguments(_DEFAULT, leave_out=("object", "controller")),
     arg.option(
         "--workers N",
         "number of parallel processes (default: one per processor)",
-        type=arg.whole(1),
+        type=arg.integer(1),
     ),
     arg.option(
         "--backend B",
@@ -102,13 +102,13 @@ ARGUMENTS = (
         "--screening-sample N",
         "run all episodes with --effects=-mesh,-pipeline, then repeat its failures and N of "
         "its successes in full; one report of both (screen.md, screen.json)",
-        type=arg.whole(0),
+        type=arg.integer(0),
     ),
     arg.option(
         "--worst N",
         "number of episodes shown with images in the report; they are run again at the end",
         10,
-        type=arg.whole(0),
+        type=arg.integer(0),
     ),
     arg.out("folder for the results (default: runs/<time>-evaluate)"),
     arg.option(

@@ -71,7 +71,7 @@ ARGUMENTS = (
         "two fingers of --rig, which grasp it where it stands, at different heights and, in "
         "simulation, yaw angles (default if --rig is given)",
     ),
-    arg.option("--touches N", "maximum number of touches", 12, type=arg.whole(1)),
+    arg.option("--touches N", "maximum number of touches", 12, type=arg.integer(1)),
     arg.option(
         "--accuracy-mm MM",
         "stop when the estimated sd of the surface is below this value, root mean square "

@@ -9,7 +9,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import print_result, stdout_to_stderr, whole_folder
+from mjtactile.commands.output import complete_folder, print_result, stdout_to_stderr
 from mjtactile.runtime.progress import Progress
 
 SIMULATES = False
@@ -69,7 +69,7 @@ ARGUMENTS = (
         "--crf N",
         "lerobot: H.264 quality: 0 lossless (default), 18-30 small files",
         0,
-        type=arg.whole(0, 51),
+        type=arg.integer(0, 51),
     ),
     arg.option("--outcome NAME", "only recordings with this outcome, such as held"),
     arg.option("--task TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
         for one in episodes
         if one.recording.problems
     }
-    with whole_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
+    with complete_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
         result = _write(options, episodes, out, progress, left_out.append)
     result |= {"format": options.format, "out": str(options.out)}
     result |= {"left_out": left_out, "problems": problems}

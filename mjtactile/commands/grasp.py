@@ -97,7 +97,7 @@ ARGUMENTS = (
         "number of workers that process camera images in parallel to the control loop: "
         "processes in simulation, threads on a real rig; at most one per camera; the result "
         "does not depend on it (default: one per camera, limited by the processors)",
-        type=arg.whole(0, 8),
+        type=arg.integer(0, 8),
     ),
     scenario.FRAMES,
     arg.option(

@@ -44,7 +44,7 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def whole_folder(path: Path, *results: str) -> Iterator[Path]:
+def complete_folder(path: Path, *results: str) -> Iterator[Path]:
     """Provide an empty folder whose contents are moved to `path` at the end: all, or none after a
     failure. Raises InputError as `output_folder`."""
     with (

@@ -68,7 +68,7 @@ ARGUMENTS = (
         "closed: the chamber keeps its gas (default); open: it keeps its pressure",
         "closed",
     ),
-    arg.option("--seed N", "seed of the camera noise", 0, type=arg.whole(0)),
+    arg.option("--seed N", "seed of the camera noise", 0, type=arg.integer(0)),
     *effects.SHARED,
     arg.option(
         "--mesh NXxNY",

@@ -98,7 +98,9 @@ ARGUMENTS = (
         "estimate the contact shape of every touch; of a recording, from its images",
     ),
     scenario.TIME_SCALE,
-    arg.option("--seed N", "sim and emulated: placement and noise (default: 0)", type=arg.whole(0)),
+    arg.option(
+        "--seed N", "sim and emulated: placement and noise (default: 0)", type=arg.integer(0)
+    ),
 )
 
 

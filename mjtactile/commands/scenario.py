@@ -77,7 +77,7 @@ def arguments(
         arg.option(
             f"--{name} {metavar}",
             f"{text} (default: {values[name]})",
-            type=arg.whole(0) if name == "seed" else str,
+            type=arg.integer(0) if name == "seed" else str,
         )
         for name, (metavar, text) in _VALUES.items()
         if name not in leave_out

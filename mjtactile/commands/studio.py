@@ -37,7 +37,7 @@ ARGUMENTS = (
         "--port N",
         "port of the page (default: the first free one from 8080)",
         0,
-        type=arg.whole(1, 65535),
+        type=arg.integer(1, 65535),
     ),
     arg.OneOf(
         (

@@ -89,9 +89,9 @@ def number(
     return entry(Number(key=key, low=low, high=high, unit=unit, **more), default)
 
 
-def whole(key: str, low: int, high: int, *, default: Any = _REQUIRED, **more: Any) -> Any:
+def integer(key: str, low: int, high: int, *, default: Any = _REQUIRED, **more: Any) -> Any:
     """Return an integer field; see `number`."""
-    return entry(Number(key=key, low=low, high=high, whole=True, **more), default)
+    return entry(Number(key=key, low=low, high=high, integer=True, **more), default)
 
 
 def numbers(

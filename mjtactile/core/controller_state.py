@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 # maximum count of numbers and letters in a cycle's line, which is then some 100 kB long
-MOST = 10_000
+ENTRIES_MAX = 10_000
 DEEPEST = 16  # lists within lists; a list that contains itself is deeper
 _LARGEST = 2**63  # limit of integers in JSON readers
 _NAMED_MAX = 20  # entries that are left out; after so many the rest is not looked at
@@ -43,14 +43,14 @@ class _SizeBudget:
 
 
 def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Copy the serializable entries of a controller's memory, at most `MOST` in total.
+    """Copy the serializable entries of a controller's memory, at most `ENTRIES_MAX` in total.
 
     These are numbers, strings, None, and lists, arrays and tables of them. Also return the names of
     the other entries with their types.
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
-    room = _SizeBudget(MOST)
+    room = _SizeBudget(ENTRIES_MAX)
     for key, value in memory.items():
         before = room.left
         try:

@@ -23,9 +23,9 @@ from mjtactile.core.types import Array
 SensorDesign: TypeAlias = Any  # that of `mjtactile.core.design`, which imports this module
 
 SURFACES = ("rim", "pane")
-FEWEST = 4
+COUNT_MIN = 4
 """Minimum number of fiducials for a camera's position, rotation and scale, plus one spare."""
-_MOST = 64
+_COUNT_MAX = 64
 _WALL = 0.5e-3  # wall thickness that must remain behind the step, m
 _INK = 5e-6  # thickness of a print on the glass, m
 _BORDER_PX = 6.0  # margin between a circle's edge and the image border, needed for its fit
@@ -130,8 +130,8 @@ class Fiducials:
     def check(self, design: SensorDesign, section: Section) -> None:
         """Raise InputError unless the circles are on their surface, separate, and visible in
         `design`."""
-        if not FEWEST <= self.count <= _MOST:
-            message = f"has {self.count} circles; {FEWEST} to {_MOST} are allowed"
+        if not COUNT_MIN <= self.count <= _COUNT_MAX:
+            message = f"has {self.count} circles; {COUNT_MIN} to {_COUNT_MAX} are allowed"
             raise section.fail("fiducials.positions_mm", message)
         if self.surface == "rim" and self.step + _WALL > design.frame.rim:
             message = (
@@ -142,9 +142,11 @@ class Fiducials:
             message = f"{self.lip / MM:g} is not less than the chamber depth"
             raise section.fail("fiducials.lip_mm", message)
         xy = np.array(self.places)
-        apart = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
-        if apart.min() < 2 * self.radius + self.ground:
-            message = f"circles {apart.min() / MM:.3g} mm apart leave no white ground between them"
+        distances = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
+        if distances.min() < 2 * self.radius + self.ground:
+            message = (
+                f"circles {distances.min() / MM:.3g} mm apart leave no white ground between them"
+            )
             raise section.fail("fiducials.positions_mm", message)
         for place, why in zip(self.places, self._wrong(design), strict=True):
             if why:

@@ -58,15 +58,15 @@ class Number(Entry):
     low: float
     high: float
     unit: float = 1.0
-    whole: bool = False
+    integer: bool = False
 
     def read(self, section: Section, default: Any) -> Any:
-        if self.whole:
-            return section.whole(self.key, int(self.low), int(self.high), default)
+        if self.integer:
+            return section.integer(self.key, int(self.low), int(self.high), default)
         return section.number(self.key, self.low, self.high, self.unit, default)
 
     def write(self, value: Any) -> dict[str, Any]:
-        if value is None or self.whole:
+        if value is None or self.integer:
             return {self.key: value}
         return {self.key: in_unit(value, self.unit)} if math.isfinite(value) else {}
 
@@ -82,12 +82,12 @@ class Numbers(Number):
         high = self.high
         if self.names:
             return section.numbers(
-                self.key, self.names, low, high, self.unit, default, whole=self.whole
+                self.key, self.names, low, high, self.unit, default, integer=self.integer
             )
         return section.wholes(self.key, int(low), int(high), default)
 
     def write(self, value: Any) -> dict[str, Any]:
-        items = [item if self.whole else in_unit(item, self.unit) for item in value]
+        items = [item if self.integer else in_unit(item, self.unit) for item in value]
         return {self.key: items}
 
 

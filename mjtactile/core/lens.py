@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
-MOST_COEFFICIENTS = 8
+COEFFICIENTS_MAX = 8
 """Maximum number of coefficients of a model; the size of the kernels' array."""
 _NEWTON_STEPS = 30
 # normalized image plane: one more Newton step from here is exact to about 1e-13
@@ -175,7 +175,7 @@ class Lens:
     @cached_property
     def numbers(self) -> Array:
         """Code of the model and its coefficients (9,), for the kernels."""
-        padding = MOST_COEFFICIENTS - len(self.coefficients)
+        padding = COEFFICIENTS_MAX - len(self.coefficients)
         return np.array([self.definition.code, *self.coefficients, *(0.0,) * padding])
 
     def distort(self, xy: ArrayLike) -> Array:

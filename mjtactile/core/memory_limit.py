@@ -12,14 +12,14 @@ import importlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-MOST = 512 << 20
+BYTES_MAX = 512 << 20
 """Bytes that a run may allocate beyond the memory used after a controller's first step. That step
 may import modules; a recording is written continuously."""
 _STATUS = Path("/proc/self/status")
 
 
 @contextlib.contextmanager
-def limited(maximum: int = MOST) -> Iterator[Callable[[], None]]:
+def limited(maximum: int = BYTES_MAX) -> Iterator[Callable[[], None]]:
     """Limit this process's memory to `maximum` bytes beyond the used ones, on Linux.
 
     Yield the function that starts the limit on its first call. It has no effect if the system has

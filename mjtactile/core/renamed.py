@@ -55,6 +55,7 @@ KEYS: Mapping[str, str] = {
     "said": "reported_sd",
     # cases of bench references
     "felt": "estimate",
+    "least": "tolerance_min",
 }
 """File key before 0.2.0 to file key now."""
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import foreign_file, resources
-from mjtactile.core.config_fields import entry, flag, text, whole
+from mjtactile.core.config_fields import entry, flag, integer, text
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Entry, Number
@@ -139,7 +139,7 @@ class Scenario:
     randomization: str = _file(
         "randomization", "models/randomization", ".toml", "none", default="none"
     )
-    seed: int = whole("seed", 0, 2**63 - 1, default=0)
+    seed: int = integer("seed", 0, 2**63 - 1, default=0)
     time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
     contact_shapes: bool = flag("contact_shapes", default=False)
 

@@ -22,9 +22,9 @@ from mjtactile.core.config_fields import (
     ML_S_KPA,
     MM,
     entry,
+    integer,
     number,
     read,
-    whole,
     write_fields,
 )
 from mjtactile.core.field_types import LensCoefficients, Pairs, Text
@@ -200,8 +200,8 @@ class MarkerLayout:
     circles remain. They lie at least `_CLEAR` radii within it.
     """
 
-    rows: int = whole("rows", 2, 200, about="along y")
-    columns: int = whole("columns", 2, 200, about="along x")
+    rows: int = integer("rows", 2, 200, about="along y")
+    columns: int = integer("columns", 2, 200, about="along x")
     pitch_x: float = number(
         "pitch_x_mm", 0.1, 200, MM, about="distance of marker centers along x, mounted and flat"
     )
@@ -302,8 +302,8 @@ class Glass:
 class Pinhole:
     """Intrinsics of a camera, pixels."""
 
-    width: int = whole("width_px", 16, 8192, about="size of the image")
-    height: int = whole("height_px", 16, 8192, about="size of the image")
+    width: int = integer("width_px", 16, 8192, about="size of the image")
+    height: int = integer("height_px", 16, 8192, about="size of the image")
     fx: float = number("fx_px", 10, 1e5, ONE, about="focal length along u")
     fy: float = number("fy_px", 10, 1e5, ONE, about="focal length along v")
     cx: float = number(
@@ -413,7 +413,7 @@ class CameraDesign(Pinhole):
 class Leds:
     """LEDs on a ring around the camera, m, and the grey levels (0-255) under them."""
 
-    count: int = whole(
+    count: int = integer(
         "count", 0, 1000, default=4, about="number of LEDs on a ring around the camera"
     )
     ring_radius: float = number(

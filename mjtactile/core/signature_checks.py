@@ -114,7 +114,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
 
 
-def _is_whole(value: Any) -> bool:
+def _is_integer(value: Any) -> bool:
     return isinstance(value, Integral) and not isinstance(value, (bool, np.bool_))
 
 
@@ -136,7 +136,7 @@ _SIMPLE = {
     None: _Kind(lambda value: value is None, "None"),
     type(None): _Kind(lambda value: value is None, "None"),
     bool: _Kind(lambda value: isinstance(value, (bool, np.bool_)), "True or False"),
-    int: _Kind(_is_whole, "a whole number"),
+    int: _Kind(_is_integer, "a whole number"),
     float: _Kind(_is_number, "a number"),
     str: _Kind(lambda value: isinstance(value, str) and "\0" not in value, "text"),
     Path: _Kind(_is_path, "a path"),

@@ -15,10 +15,10 @@ from mjtactile.core.config_fields import (
     PERCENT,
     entries,
     flag,
+    integer,
     number,
     numbers,
     text,
-    whole,
 )
 from mjtactile.core.toml import Section
 from mjtactile.core.types import TaskGoal
@@ -142,7 +142,7 @@ class Disturbance:
         only_if=("kind", _DIRECTED),
         about="direction of the force or the motion; default: sampled",
     )
-    finger: int | None = whole(
+    finger: int | None = integer(
         "finger",
         1,
         8,

@@ -147,12 +147,12 @@ class Section:
         scale: float = 1.0,
         default: Any = ...,
         *,
-        whole: bool = False,
+        integer: bool = False,
     ) -> Any:
         """Return one number for each of `names` as a tuple of floats.
 
-        Each lies within [low, high] (in the file's unit) and is multiplied by `scale`. With `whole`
-        the numbers are ints.
+        Each lies within [low, high] (in the file's unit) and is multiplied by `scale`. With
+        `integer` the numbers are ints.
         """
         value = self._get(key, default)
         if value is None:
@@ -161,9 +161,9 @@ class Section:
             raise self.fail(
                 key, f"{value!r} is not a list of {len(names)} numbers ({', '.join(names)})"
             )
-        if whole:
+        if integer:
             return tuple(
-                self._whole(f"{key}[{i}]", item, low, high) for i, item in enumerate(value)
+                self._integer(f"{key}[{i}]", item, low, high) for i, item in enumerate(value)
             )
         return tuple(
             float(self._number(f"{key}[{i}]", item, low, high) * scale)
@@ -201,12 +201,12 @@ class Section:
         array.flags.writeable = False
         return array
 
-    def whole(self, key: str, low: int, high: int, default: Any = ...) -> Any:
+    def integer(self, key: str, low: int, high: int, default: Any = ...) -> Any:
         """Return an integer within [low, high]."""
         value = self._get(key, default)
         if value is None:
             return default
-        return self._whole(key, value, low, high)
+        return self._integer(key, value, low, high)
 
     def wholes(self, key: str, low: int, high: int, default: Any = ...) -> Any:
         """Return a list of integers within [low, high] as a tuple."""
@@ -339,7 +339,7 @@ class Section:
         near = difflib.get_close_matches(key, rest, 1)
         return f"; there is {near[0]!r}: wrong name?" if near else ""
 
-    def _whole(self, key: str, value: Any, low: float, high: float) -> int:
+    def _integer(self, key: str, value: Any, low: float, high: float) -> int:
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fail(key, f"{value!r} is not a whole number")
         return self._number(key, value, low, high)

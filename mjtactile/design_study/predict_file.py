@@ -139,8 +139,8 @@ def _longest_lens(stand: VirtualBench) -> float:
             sampler.sample(*stand.poses(x), errors=False).ellipses
             for x in (flat, stand.membrane.rest.x)
         ]
-        whole = all(one is not None and len(one) == stand.circles for one in seen)
-        low, high = (middle, high) if whole else (low, middle)
+        is_complete = all(one is not None and len(one) == stand.circles for one in seen)
+        low, high = (middle, high) if is_complete else (low, middle)
     return low
 
 

@@ -159,8 +159,8 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
     if missing and not partial:
         message = f"{missing_text(missing)}; --partial joins the available ones"
         raise InputError(message, field="--merge")
-    whole = parts[0] | {"options": options, "command": store.command(options)}
-    joined = store.Store(out, whole, resume=False)
+    merged = parts[0] | {"options": options, "command": store.command(options)}
+    joined = store.Store(out, merged, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
     joined.finish()
     return summarise(joined.lines) | ({"missing": missing} if missing else {})

@@ -195,7 +195,7 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
 def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
     """Return quantiles of the available values."""
     known = [value for value in values if value is not None]
-    levels = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
+    levels = {"min": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "max": 1.0}
     return {name: float(np.quantile(known, q)) if known else None for name, q in levels.items()}
 
 

@@ -117,10 +117,10 @@ def compare(screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
 
 def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
     cheap = {line["episode"]: line for line in screened if line["controller"] == name}
-    whole = {line["episode"]: line for line in full if line["controller"] == name}
+    complete = {line["episode"]: line for line in full if line["controller"] == name}
     held = {number for number, line in cheap.items() if line["outcome"] == "held"}
     of_failed, of_held = (
-        _stratum([number for number in sorted(numbers) if number in whole], cheap, whole)
+        _stratum([number for number in sorted(numbers) if number in complete], cheap, complete)
         for numbers in (cheap.keys() - held, held)
     )
     # all failures are run again; the sample represents the others, within its exact limits
@@ -140,11 +140,11 @@ def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) ->
 
 
 def _stratum(
-    numbers: Sequence[int], cheap: Mapping[int, Line], whole: Mapping[int, Line]
+    numbers: Sequence[int], cheap: Mapping[int, Line], complete: Mapping[int, Line]
 ) -> dict[str, Any]:
     count = len(numbers)
-    holds = sum(whole[number]["outcome"] == "held" for number in numbers)
-    differ = [k for k in numbers if whole[k]["outcome"] != cheap[k]["outcome"]]
+    holds = sum(complete[number]["outcome"] == "held" for number in numbers)
+    differ = [k for k in numbers if complete[k]["outcome"] != cheap[k]["outcome"]]
     return {
         "run_again": count,
         "holds": holds,
@@ -153,7 +153,7 @@ def _stratum(
         "differ": len(differ),
         "differ_interval": list(exact_limits(len(differ), count)) if count else [0.0, 1.0],
         "differing": [
-            {"episode": k, "screened": cheap[k]["outcome"], "full": whole[k]["outcome"]}
+            {"episode": k, "screened": cheap[k]["outcome"], "full": complete[k]["outcome"]}
             for k in differ
         ],
     }

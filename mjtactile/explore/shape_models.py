@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.explore.superquadric import WHOLE
+from mjtactile.explore.superquadric import UNCUT
 
 HALF = 15.0
 """Prior half size of a graspable object, mm."""
@@ -68,7 +68,7 @@ def _family(
     fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
 ) -> ObjectFamily:
     """Return a family with exponents `along` and `across` as mean and sd, and the taper's sd."""
-    end, end_sd = _CUT if cut else (WHOLE, _TIED)
+    end, end_sd = _CUT if cut else (UNCUT, _TIED)
     mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2 + [end])
     pose = [_PLACE_SD**2] * 3 + [_ROTATION_SD**2] * 3
     shape = [along[1] ** 2, across[1] ** 2, taper**2, taper**2, end_sd**2]

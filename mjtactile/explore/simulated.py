@@ -40,7 +40,7 @@ _GRIP_TIME = 30.0  # time limit of a grip, s
 _GENTLE = 0.5  # maximum fraction of the breaking force
 _FACETS = 5e-5  # reduction of a size by flat triangles, m
 _TOUCHED_SD = 3e-5  # error of the triangulation itself, m
-_APART = 2e-3  # distance to the nearest vertex above which the plane is not used, m
+_PLANE_DISTANCE_MIN = 2e-3  # distance to the nearest vertex above which the plane is not used, m
 
 
 def explore_on_stage(
@@ -245,4 +245,4 @@ def _missed(mesh: Mesh, points: Array) -> Array:
     the plane of the nearest vertex, or to that vertex if it is far away."""
     distance, nearest = cKDTree(mesh.vertices).query(points)
     across = np.einsum("ni,ni->n", points - mesh.vertices[nearest], mesh.normals[nearest])
-    return np.where(distance < _APART, across, distance)
+    return np.where(distance < _PLANE_DISTANCE_MIN, across, distance)

@@ -16,9 +16,9 @@ COUNT = 14
 (3), exponents (2; 1: round, 0: sharp) along and across its axis z, tapers (2), the relative
 increase of the width at its upper end, and cut, the remaining fraction of its lower half up to a
 flat end."""
-WHOLE = 1.3  # cut of a shape without a flat end
+UNCUT = 1.3  # cut of a shape without a flat end
 LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
-HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2 + [WHOLE + 0.2])
+HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2 + [UNCUT + 0.2])
 STEP = np.array([1e-3] * 3 + [1e-4] * 11)  # of finite differences
 _TINY = 1e-9
 

@@ -27,7 +27,7 @@ _FIRST_FIELD = (0.05, 8.0)  # mm; a larger field would absorb the errors of outl
 _FREE_SD = 0.5  # standard deviation of a free-space residual, mm; neighboring points are correlated
 _FREE_MAX = 1.0  # mm: no further does one such point pull
 _FREE_OUT = 0.3  # distance of free points outside the surface, and its standard deviation, mm
-_FREE_APART = 2.5  # mm between such points
+_FREE_SPACING = 2.5  # mm between such points
 _WIDE = 3.0  # sd beyond which a point pulls less and less
 _ALLOWED = 0.1  # tolerated distance of a patch of the correct kind from the shape, mm
 _OUTLIER_SD = 4.0  # sd, from which on a whole patch may be elsewhere: an edge taken for a face
@@ -175,7 +175,7 @@ class _Data:
         chosen: list[Array] = []
         for index in np.argsort(inside)[: np.count_nonzero(inside < 0)]:
             place = self.free[index]
-            if all(np.linalg.norm(place - other) > _FREE_APART for other in chosen):
+            if all(np.linalg.norm(place - other) > _FREE_SPACING for other in chosen):
                 chosen.append(place)
         if not chosen:
             return self
@@ -189,7 +189,7 @@ class _Data:
 
 def _thinned(places: Array) -> Array:
     """Return one of the points in each cell as wide as their minimum distance."""
-    cells = np.floor(places / _FREE_APART).astype(int)
+    cells = np.floor(places / _FREE_SPACING).astype(int)
     return places[np.unique(cells, axis=0, return_index=True)[1]]
 
 

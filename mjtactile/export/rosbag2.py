@@ -202,7 +202,7 @@ class _Bag:
     def _camera(self, item: messages.Message) -> Any:
         c = item.value
         size = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
-        whole = self._of("sensor_msgs/msg/RegionOfInterest", **size, do_rectify=False)
+        full_image = self._of("sensor_msgs/msg/RegionOfInterest", **size, do_rectify=False)
         return self._of(
             "sensor_msgs/msg/CameraInfo",
             header=self._header(item),
@@ -215,7 +215,7 @@ class _Bag:
             p=np.column_stack([c.K, np.zeros(3)]).ravel(),
             binning_x=0,
             binning_y=0,
-            roi=whole,
+            roi=full_image,
         )
 
     def _vector(self, values: Any) -> Any:

@@ -33,7 +33,12 @@ from mjtactile.report.figures import new_figure
 from mjtactile.sim.rendering.renderer import Renderer
 
 _VOLUME = 2e-3  # tolerance as a fraction of a part's volume, since chords replace arcs
-_APART = (("clamp_ring", "frame"), ("glass", "frame"), ("camera", "led_ring"), ("camera", "glass"))
+_SEPARATE = (
+    ("clamp_ring", "frame"),
+    ("glass", "frame"),
+    ("camera", "led_ring"),
+    ("camera", "glass"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +69,7 @@ def build(
     loads = PressureLoads.of(design, states, load_states_of(design, notify))
     glass_limit(design, loads.highest.gauge_pressure, loads.highest.name).check(source)
     notify("drawing")
-    gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
+    gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _SEPARATE)
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap, loads)
     images = _pictures(layout, optics, parts)
     files = {
@@ -142,7 +147,7 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
         if step.parts:
             shifts = dict.fromkeys(step.parts, 0.0)
             if not step.cut:
-                shifts = part_renderings.pulled_apart(parts, step.parts)
+                shifts = part_renderings.explode(parts, step.parts)
             bodies = part_renderings.bodies_of(parts, solids, shifts)
             name = f"{step.picture}.png"
             found[step.picture] = part_renderings.save_png(bodies, name, **step.view)

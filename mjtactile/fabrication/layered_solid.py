@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 from mjtactile.core.outline import Outline
 from mjtactile.core.types import Array
 
-_APART = 1e-3  # mm
+_GAP = 1e-3  # mm
 _STRAIGHT = 5e-3  # deviation of an outline's harmonics from a straight side, mm
 _CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
 
@@ -255,16 +255,16 @@ def crossing(part: Part) -> tuple[Contour, Contour] | None:
                 continue
             of_one = [other.distance(x, y) for x, y in one.polygon(8)]
             of_other = [one.distance(x, y) for x, y in other.polygon(8)]
-            apart = min(of_one) > _APART and min(of_other) > _APART
-            if not (apart or max(of_one) < -_APART or max(of_other) < -_APART):
+            is_separate = min(of_one) > _GAP and min(of_other) > _GAP
+            if not (is_separate or max(of_one) < -_GAP or max(of_other) < -_GAP):
                 return one, other
     return None
 
 
 def _near(one: Contour, other: Contour) -> bool:
     return (
-        abs(one.x - other.x) < one.hx + other.hx + _APART
-        and abs(one.y - other.y) < one.hy + other.hy + _APART
+        abs(one.x - other.x) < one.hx + other.hx + _GAP
+        and abs(one.y - other.y) < one.hy + other.hy + _GAP
     )
 
 

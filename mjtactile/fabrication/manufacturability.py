@@ -196,5 +196,5 @@ def _rounded(value: float, *, up: bool = False) -> str:
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - _DIGITS)
-    whole = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
-    return f"{whole * unit:.{_DIGITS}g}"
+    steps = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
+    return f"{steps * unit:.{_DIGITS}g}"

@@ -148,7 +148,7 @@ def _label(
             axes.plot(*place, "o", ms=3.5, color=gray)
 
 
-def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:
+def explode(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:
     """Return the shifts along z, mm, that place the parts of `order` one behind the other.
 
     Bolts stay in the following ring by a third. Nuts are behind the flange of the mount.

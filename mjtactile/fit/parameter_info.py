@@ -160,10 +160,10 @@ def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) ->
             continue
         one, two = (ABOUT[n].name if n in ABOUT else n for n in (names[i], names[j]))
         advice = next((ABOUT[n].record for n in (names[j], names[i]) if n in ABOUT), "")
-        apart = all(states.get(n, "fitted") == "fitted" for n in (names[i], names[j]))
+        is_separable = all(states.get(n, "fitted") == "fitted" for n in (names[i], names[j]))
         verb = (
             "are determined better together than separately"
-            if apart
+            if is_separable
             else "cannot be separated by these recordings"
         )
         sentences.append(f"{one} and {two} {verb} (correlation {rho:+.2f}): {advice}")

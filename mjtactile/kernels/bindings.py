@@ -252,12 +252,12 @@ def _read(label: str, argument: KernelArgument, dtype: np.dtype) -> _Converter:
         except (AttributeError, TypeError, ValueError):
             # a list, or an array that is read-only, empty or with gaps
             pass
-        whole = np.ascontiguousarray(value, dtype)
-        if whole.size != size:
-            raise ValueError(_wrong_size(label, argument, whole, size))
-        if whole is not value:
-            held.append(whole)
-        return whole.ctypes.data
+        contiguous = np.ascontiguousarray(value, dtype)
+        if contiguous.size != size:
+            raise ValueError(_wrong_size(label, argument, contiguous, size))
+        if contiguous is not value:
+            held.append(contiguous)
+        return contiguous.ctypes.data
 
     return address
 

@@ -46,8 +46,8 @@ def cut_grid(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
     free_corners = sum(
         inside[i : len(x) - 1 + i, j : len(y) - 1 + j].astype(int) for i, j in _CORNERS
     )
-    whole = np.zeros(inside.shape)
-    whole[:-1, :-1] = free_corners == 4
+    uncut = np.zeros(inside.shape)
+    uncut[:-1, :-1] = free_corners == 4
     padded = np.pad(inside, 1)
     shifts = [(1 + i, 1 + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     near = np.any([padded[i : len(x) + i, j : len(y) + j] for i, j in shifts], axis=0)
@@ -57,8 +57,8 @@ def cut_grid(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
     groups, area = _group(triangles, len(y), cell)
     nodes = np.where(inside, 1, np.where(near, 0, -1))
     header = (float(crossings.lopsided), float(len(groups)))
-    kept = np.concatenate([header, nodes.ravel(), whole.ravel(), groups.ravel()])
-    return kept, area + cell * float(whole.sum())
+    kept = np.concatenate([header, nodes.ravel(), uncut.ravel(), groups.ravel()])
+    return kept, area + cell * float(uncut.sum())
 
 
 def free_nodes(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
@@ -177,7 +177,7 @@ def _triangulate(
 
 def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
     """Groups (n, 13, 8) of triangles for the kernel, and the area of all."""
-    line = _whole_groups(rows)
+    line = _full_groups(rows)
     found = []
     total = 0.0
     for one in triangles:
@@ -196,12 +196,12 @@ def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Arra
         area = one.fraction * doubled / 2
         total += area
         found.append([area, *by_x, *by_y, *numbers, *links])
-    groups = np.zeros((_whole_groups(len(found)), 13))
+    groups = np.zeros((_full_groups(len(found)), 13))
     groups[: len(found)] = found
     return np.ascontiguousarray(groups.reshape(-1, _TOGETHER, 13).swapaxes(1, 2)), total
 
 
-def _whole_groups(count: int) -> int:
+def _full_groups(count: int) -> int:
     """Round `count` up to a multiple of the group size."""
     return math.ceil(count / _TOGETHER) * _TOGETHER
 

@@ -17,7 +17,7 @@ from mjtactile.quasistatic.membrane import QuasistaticMembrane
 _BEYOND = 4.0  # spacings that are continued; a spline forgets to a quarter with each
 _ABOUT = 3.0  # radius of the fitted region around the nearest rim point, spacings
 _POINTS = 1440  # of the outline
-_APART = 0.7  # spacings, of those that are fitted
+_SPACING = 0.7  # spacings, of those that are fitted
 
 
 def interpolation_matrix(membrane: QuasistaticMembrane, places: Array) -> Array:
@@ -58,7 +58,7 @@ def _extrapolation(membrane: QuasistaticMembrane) -> tuple[Array, Array]:
     free = free_nodes(membrane._cut, membrane.grid).ravel()
     rim = outline.points(_POINTS)
     length = np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum()
-    fitted = rim[:: max(int(_APART * spacing.min() / length * _POINTS), 1)] / spacing
+    fitted = rim[:: max(int(_SPACING * spacing.min() / length * _POINTS), 1)] / spacing
     inner = np.flatnonzero(free)
     candidates = np.flatnonzero(~free & (outline.distance(nodes) > -_BEYOND * spacing.max()))
     by_free = np.zeros((len(candidates), len(nodes)))

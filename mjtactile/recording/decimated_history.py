@@ -6,7 +6,7 @@ from typing import Any
 
 from mjtactile.recording.log_schema import Seen
 
-_MOST = 32  # cycles
+_CYCLES_MAX = 32  # cycles
 _ROOM = 96e6  # bytes of images
 
 
@@ -15,7 +15,7 @@ class DecimatedHistory:
     large. When it is full, every second one goes, and from then on every second one is not
     taken."""
 
-    def __init__(self, maximum: int = _MOST):
+    def __init__(self, maximum: int = _CYCLES_MAX):
         self.kept: list[tuple[Seen, Any]] = []
         """Cycles, each with its scene."""
         self._maximum = maximum - maximum % 2

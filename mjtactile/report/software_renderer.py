@@ -24,7 +24,7 @@ _HEIGHT = 1.5  # image height over image width
 _PIXELS = 320
 _SAMPLES = 2
 # Half of the image width: minimum, m, and multiple of the sensors' distance from their center
-_LEAST = 0.07
+_HALF_WIDTH_MIN = 0.07
 _AROUND = 2.4
 _PER_NEWTON = 0.75  # arrow length per newton, in halves of the image width
 
@@ -84,7 +84,7 @@ def render_view(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLE
 def _framing(view: SceneCamera) -> tuple[Array, float, Array]:
     """Return the image center (3,) in W, m, half of the image width, m, and the image axes."""
     middle = view.p_WS.mean(axis=0)
-    half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
+    half = max(_HALF_WIDTH_MIN, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
     return middle, half, image_axes(view.p_WS)
 
 

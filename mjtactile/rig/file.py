@@ -22,13 +22,13 @@ from mjtactile.core.config_fields import (
     file_path,
     flag,
     given,
+    integer,
     number,
     part,
     parts,
     read,
     read_fields,
     text,
-    whole,
 )
 from mjtactile.core.errors import InputError
 from mjtactile.core.field_types import Pairs
@@ -54,7 +54,7 @@ class BusConfig:
     """
 
     port: str = text("port")
-    baud: int = whole("baud", 9600, 4_000_000, default=1_000_000)
+    baud: int = integer("baud", 9600, 4_000_000, default=1_000_000)
     reply_timeout: float = number("reply_timeout_ms", 0.5, 100, MS, default=0.008)
     # register 98: 1 to 127 units of 20 ms
     watchdog: float = number("watchdog_ms", 20, 2540, MS, default=0.1)
@@ -71,19 +71,19 @@ class ServoConfig:
     `mjtactile.devices.dynamixel.jaw_kinematics`. `torque_per_A` is in N m/A (None: data sheet).
     """
 
-    id: int = whole("id", 0, 252)
+    id: int = integer("id", 0, 252)
     model: str = text("model")
     transmission: str = text("transmission", ("rack", "crank", "table"), default="rack")
     per_rad: float = number(
         "mm_per_rad", -500, 500, MM, default=0.0, required=True, only_if=_RATIO_LAWS
     )
     opening_part: float = number("jaw_offset_mm", -500, 500, MM, default=0.0)
-    zero_ticks: int = whole("zero_ticks", -1_048_575, 1_048_575, default=2048)
+    zero_ticks: int = integer("zero_ticks", -1_048_575, 1_048_575, default=2048)
     table: tuple[tuple[float, float], ...] = entry(
         Pairs(key="table_deg_mm", units=(DEGREE, MM), only_if=("transmission", ("table",))), ()
     )
     torque_per_A: float | None = number("torque_Nm_per_A", 1e-3, 100, default=None)
-    position_p_gain: int | None = whole("position_p_gain", 0, 16383, default=None)
+    position_p_gain: int | None = integer("position_p_gain", 0, 16383, default=None)
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class LiftConfig:
     travel: float = number(
         "travel_mm", 0, 2000, MM, default=0.15, required=True, only_if=_SERVO_LIFT
     )
-    id: int = whole("id", 0, 252, default=3, required=True, only_if=_SERVO_LIFT)
+    id: int = integer("id", 0, 252, default=3, required=True, only_if=_SERVO_LIFT)
     model: str = text("model", default="", required=True, only_if=_SERVO_LIFT)
     per_rad: float = number(
         "mm_per_rad", -500, 500, MM, default=0.02, required=True, only_if=_SERVO_LIFT
@@ -146,8 +146,8 @@ class CameraConfig:
 
     finger: str = text("finger", FINGERS)
     source: str = text("source")
-    width: int = whole("width_px", 16, 8192)
-    height: int = whole("height_px", 16, 8192)
+    width: int = integer("width_px", 16, 8192)
+    height: int = integer("height_px", 16, 8192)
     rate: float = number("rate_Hz", 0.1, 2000)
     backend: str = text("backend", default="v4l2")
     fourcc: str | None = text("fourcc", default=None)
@@ -172,8 +172,8 @@ class ValveConfig:
 
     finger: str = text("finger", FINGERS)
     port: str = text("port")
-    channel: int = whole("channel", 1, 99, default=1)
-    baud: int = whole("baud", 300, 4_000_000, default=115200)
+    channel: int = integer("channel", 1, 99, default=1)
+    baud: int = integer("baud", 300, 4_000_000, default=115200)
     pressure_max: float = number("pressure_max_kPa", 0.01, 1000, KPA, default=3000.0, required=True)
     pressure_rate: float = number("pressure_rate_kPa_s", 0.01, 100, KPA, default=1200.0)
     heartbeat: float = number("heartbeat_ms", 20, 60000, MS, default=0.25)
@@ -205,7 +205,7 @@ class EmulatorConfig:
     valve_sensors: bool = flag("valve_sensors", default=True)
     torque_fraction: float = number("torque_percent", -50, 100, PERCENT, default=0.0)
     backlash: float = number("backlash_mm", 0, 5, MM, default=0.0)
-    servo_firmware: int | None = whole("servo_firmware", 1, 255, default=None)
+    servo_firmware: int | None = integer("servo_firmware", 1, 255, default=None)
     watchdog: str = text("watchdog", ("brake", "limp"), default="brake")
     as_built: tuple[AsBuiltSensor, ...] = ()
 

@@ -50,8 +50,8 @@ def load_scenario(source: str | Path) -> Scenario:
         )
     if path.suffix == ".toml":
         return scenario_from_table(read_toml(path), path)
-    whole = read_json(path)
-    table = whole.get("scenario") if isinstance(whole, Mapping) else None
+    content = read_json(path)
+    table = content.get("scenario") if isinstance(content, Mapping) else None
     if not isinstance(table, Mapping):
         raise InputError("contains no scenario", source=path, field="scenario")
     return scenario_from_table(table, path, label="scenario")

@@ -11,7 +11,7 @@ from mjtactile.rig.workload import Workload
 
 SLOW = 0.3  # of real time
 _WINDOW = 4.0  # wall time of a measurement, s
-_MOST = 0.5  # fraction of the time of a part that is a cause
+_CAUSE_FRACTION = 0.5  # fraction of the time of a part that is a cause
 _MANY = 4  # geoms near the membranes that count as many
 
 
@@ -79,7 +79,9 @@ class SlownessMonitor(Observer):
         fractions = {name: min(1.0, spent / (now - before)) for name, spent in seconds.items()}
         largest = max(fractions, key=lambda name: fractions[name])
         # parts that run in parallel may each take most of the time
-        causes = [name for name in fractions if fractions[name] > _MOST or name == largest]
+        causes = [
+            name for name in fractions if fractions[name] > _CAUSE_FRACTION or name == largest
+        ]
         if self._named.issuperset(causes):
             return
         self._named.update(causes)

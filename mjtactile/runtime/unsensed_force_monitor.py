@@ -20,7 +20,7 @@ from mjtactile.recording.observer import Observer
 KIND = "unsensed_force"
 _LASTS = 0.3  # window, s: images are older than currents, and stopped jaws push for a moment
 _FREE = 1.5  # factor on the no-load effort: gear friction grows with load
-_LEAST = 0.5  # excess that is always allowed, N
+_EXCESS_MIN = 0.5  # excess that is always allowed, N
 _SHARE = 0.3  # allowed fraction of the servo force: data sheet torque, current resolution
 
 
@@ -63,8 +63,8 @@ class UnsensedForceMonitor(Observer):
         if len(self._efforts) < (self._efforts.maxlen or 0):
             return
         if not any(touch.touching for touch in cycle.touch):
-            # effort above `_LEAST` is not friction but a load that no finger senses
-            self._free = max(self._free, min(abs(float(np.mean(self._efforts))), _LEAST))
+            # effort above `_EXCESS_MIN` is not friction but a load that no finger senses
+            self._free = max(self._free, min(abs(float(np.mean(self._efforts))), _EXCESS_MIN))
         is_up = self._exceeds(np.array(self._efforts), np.array(self._estimated))
         self._tracker.update(cycle.time, {KIND: self._text} if is_up else {}, {Cadence.CYCLE})
 
@@ -73,7 +73,7 @@ class UnsensedForceMonitor(Observer):
         text if it is also the largest so far."""
         beyond = effort - estimated
         minimum = int(beyond.argmin())
-        allowed = _LEAST + _FREE * self._free + _SHARE * abs(float(effort[minimum]))
+        allowed = _EXCESS_MIN + _FREE * self._free + _SHARE * abs(float(effort[minimum]))
         if beyond[minimum] <= allowed:
             return False
         if beyond[minimum] <= self._maximum:

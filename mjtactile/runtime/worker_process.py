@@ -170,11 +170,11 @@ class Channel:
             if not more:
                 raise ConnectionError
             self._filled += more
-        whole = memoryview(self._room).toreadonly()
+        room = memoryview(self._room).toreadonly()
         self._room = bytearray(_NUMBER.size)
         self._filled = 0
         self._sized = False
-        return _value(whole, self._given)
+        return _value(room, self._given)
 
     def close(self) -> None:
         self._end.close()
@@ -183,14 +183,14 @@ class Channel:
             self._lent = None  # a later question then fails at the socket
 
 
-def _value(whole: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:
+def _value(room: memoryview, given: mmap.mmap | None) -> tuple[Any, ...]:
     """Return the content of a message. Arrays in the sender's memory are copied; others are not."""
-    is_lent, count = struct.unpack_from("<2Q", whole)
+    is_lent, count = struct.unpack_from("<2Q", room)
     start = _NUMBER.size * (2 + count)
-    sizes = struct.unpack_from(f"<{count}Q", whole, 2 * _NUMBER.size)
-    pickled = whole[start : start + sizes[0]]
+    sizes = struct.unpack_from(f"<{count}Q", room, 2 * _NUMBER.size)
+    pickled = room[start : start + sizes[0]]
     start += sizes[0]
-    source: memoryview | mmap.mmap = whole
+    source: memoryview | mmap.mmap = room
     if is_lent:
         assert given is not None
         source, start = given, 0

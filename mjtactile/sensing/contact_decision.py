@@ -189,8 +189,8 @@ class ContactDecision:
         followed = contact_detection.follow(
             self._inverse,
             contact_detection.RestTracker.of(rest)
-            if state.apart is None
-            else contact_detection.RestTracker(rest, state.apart),
+            if state.offsets is None
+            else contact_detection.RestTracker(rest, state.offsets),
             estimate.shape,
             estimate.markers,
             elapsed,
@@ -199,6 +199,6 @@ class ContactDecision:
         return replace(
             state,
             reference=replace(state.reference, rest=followed.rest),
-            apart=followed.apart,
+            offsets=followed.offsets,
             gas=None if state.gas is None else state.gas.corrected(followed.fraction),
         )

@@ -88,9 +88,9 @@ class FiducialFinder:
         self.places_px = optics.project(camera, fiducials.p_SF(design) - p_SC)
         markers_px = optics.project(camera, design.markers.p_SM - p_SC)
         others = np.concatenate([self.places_px, markers_px])
-        apart = np.linalg.norm(self.places_px[:, None] - others, axis=2)
-        apart[np.arange(self.count), np.arange(self.count)] = np.inf
-        self._reach = float(apart.min()) / 2
+        distances = np.linalg.norm(self.places_px[:, None] - others, axis=2)
+        distances[np.arange(self.count), np.arange(self.count)] = np.inf
+        self._search_radius = float(distances.min()) / 2
 
     def split(
         self, ellipses: Ellipses, before: FiducialDetections | None
@@ -107,7 +107,7 @@ class FiducialFinder:
             places[before.ids] = before.center_px
         u, v = ellipses.center_px.T
         distance = np.hypot(places[:, :1] - u, places[:, 1:] - v)
-        within = distance < self._reach
+        within = distance < self._search_radius
         good = within & (ellipses.status == "ok")
         ids = np.flatnonzero(good.any(axis=1))
         nearest = np.where(good, distance, np.inf)[ids].argmin(axis=1)

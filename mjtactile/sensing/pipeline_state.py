@@ -44,7 +44,7 @@ class PipelineState:
     - `flat`, and `reference` once at rest: the sensor's own references.
     - `expected` (M, 3): expected marker positions, m, frame S.
     - `shape`: membrane shape; `detection`, `slip`: histories of touch and slip.
-    - `tracks`: marker tracks; `apart` (M, 3): deviation of the markers from the zero, m.
+    - `tracks`: marker tracks; `offsets` (M, 3): deviation of the markers from the zero, m.
     - `gas`: gas state, with a pressure sensor.
     - `set_aside`: markers excluded because their apparent positions cannot be explained.
     - `displaced`: number of successive images in which the camera seemed displaced. With fiducials,
@@ -67,7 +67,7 @@ class PipelineState:
     detection: contact_detection.Detection | None = None
     slip: slip.SlipHistory | None = None
     tracks: tracking.Tracks | None = None
-    apart: Array | None = None
+    offsets: Array | None = None
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
     displaced: int = 0
@@ -97,7 +97,7 @@ class PipelineState:
             detection=None,
             slip=None,
             tracks=None,
-            apart=None,
+            offsets=None,
             set_aside=(),
             face=None,
             unexplained=0,

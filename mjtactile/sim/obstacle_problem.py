@@ -136,10 +136,10 @@ def _carry(
 def _fraction(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
     """Return the contact fraction of each cell: its force over that with full contact."""
     here = np.isfinite(psi)
-    whole = load - stiffness @ np.where(here, psi, 0.0)
+    total = load - stiffness @ np.where(here, psi, 0.0)
     at_edge = (abs(stiffness) @ (~here).astype(float)) > 0
     return np.where(
-        at_edge | (whole <= 0), 1.0, np.clip(q / np.where(whole > 0, whole, 1.0), 0.0, 1.0)
+        at_edge | (total <= 0), 1.0, np.clip(q / np.where(total > 0, total, 1.0), 0.0, 1.0)
     )
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from mjtactile.core.errors import DeviceError, SimulationError
 from mjtactile.core.types import Array
 from mjtactile.sim_comparison.discrepancy_parameters import DiscrepancyParameter
-from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, Signals, apart
+from mjtactile.sim_comparison.signals import KINDS, TOLERANCE, Signals, differences
 
 POINTS = 90
 """Number of times at which rigs are compared."""
@@ -59,7 +59,7 @@ class SimComparison:
         recorded: Signals of the rig, at the compared times.
         simulated: Signals of the simulator.
         explained: Signals of the simulator with the reported cause; None without one.
-        apart: Rms difference of each kind and finger, SI.
+        differences: Rms difference of each kind and finger, SI.
         left: Rms difference between `recorded` and `explained`.
         tried: All causes, in order of decreasing explained fraction.
         named: The reported cause; None if nothing differs or no single cause explains the
@@ -74,7 +74,7 @@ class SimComparison:
     recorded: Signals
     simulated: Signals
     explained: Signals | None
-    apart: Mapping[str, Array]
+    differences: Mapping[str, Array]
     left: Mapping[str, Array]
     tried: tuple[TestedParameter, ...]
     named: TestedParameter | None
@@ -147,7 +147,7 @@ def explain(
     time = compare_times(recorded, plain)
     there = recorded.at(time)
     here = plain.at(time)
-    found = apart(there, here)
+    found = differences(there, here)
     tolerances = {kind: found[kind] / TOLERANCE[kind] for kind in KINDS}
     differs = any(np.nanmax(values, initial=0.0) > 1.0 for values in tolerances.values())
     if not differs:
@@ -178,7 +178,7 @@ def explain(
         here,
         best.signals if is_named else None,
         found,
-        apart(there, best.signals) if is_named else {},
+        differences(there, best.signals) if is_named else {},
         tuple(tried),
         best.tried if is_named else None,
         differs=True,

@@ -41,7 +41,9 @@ def verdict(shadow: SimComparison) -> str:
 def parting(shadow: SimComparison) -> list[str]:
     """The kinds that are farther apart than their tolerances."""
     return [
-        kind for kind in KINDS if np.nanmax(shadow.apart[kind] / TOLERANCE[kind], initial=0.0) > 1.0
+        kind
+        for kind in KINDS
+        if np.nanmax(shadow.differences[kind] / TOLERANCE[kind], initial=0.0) > 1.0
     ]
 
 
@@ -87,7 +89,7 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
         "explains": shadow.explains,
         "alike": [one.cause.name for one in shadow.alike],
         "remedy": "" if shadow.named is None else shadow.named.cause.remedy,
-        "difference_rms": rms(shadow.apart),
+        "difference_rms": rms(shadow.differences),
         "left": rms(shadow.left),
         "tested": [tested(one) for one in shadow.tried],
     }
@@ -104,7 +106,7 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
         body.append(f"<h2>{escape(finger)}</h2>")
         body += [_chart(kind, shadow, number) for kind in KINDS]
     head = ["", *fingers, "tolerance", "remaining with the cause"]
-    body += ["<h2>Differences, rms</h2>", html.table(head, _apart_rows(shadow))]
+    body += ["<h2>Differences, rms</h2>", html.table(head, _difference_rows(shadow))]
     if shadow.tried:
         rows = [
             (escape(one.cause.name), escape(notify(one, fingers)), f"{100 * one.explains:.0f} %")
@@ -115,11 +117,11 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     return html.document(title, body)
 
 
-def _apart_rows(shadow: SimComparison) -> list[tuple[str, ...]]:
+def _difference_rows(shadow: SimComparison) -> list[tuple[str, ...]]:
     rows = []
     for kind in KINDS:
         scale, unit = UNIT[kind]
-        own = [f"{scale * value:.3g}" for value in shadow.apart[kind]]
+        own = [f"{scale * value:.3g}" for value in shadow.differences[kind]]
         left = "-"
         if shadow.left:
             left = ", ".join(f"{scale * value:.3g}" for value in shadow.left[kind])

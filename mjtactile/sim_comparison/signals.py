@@ -108,7 +108,7 @@ def recorded(episode: RecordedEpisode) -> Signals:
     return Signals(found.time, np.array(rows), found.markers, found.pressure)
 
 
-def apart(recorded: Signals, simulated: Signals) -> dict[str, Array]:
+def differences(recorded: Signals, simulated: Signals) -> dict[str, Array]:
     """rms difference (f,) of each kind, in SI units; NaN where one of them is unknown."""
     found = {}
     for kind in KINDS:

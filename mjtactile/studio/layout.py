@@ -13,7 +13,7 @@ OPTIONS = 190  # height of the options window, px
 _ABOVE = 26
 _BELOW = 34
 _GAP = 4
-_LEAST = 120  # px
+_SIZE_MIN = 120  # px
 
 
 class WindowLayout:
@@ -44,7 +44,7 @@ class WindowLayout:
         top = _ABOVE + (y if y >= 0 else down + y)
         size = (width if width > 0 else across + width, height if height > 0 else down + height)
         imgui.SetNextWindowPos(imgui.Vec2(max(left, 0), max(top, _ABOVE)), self._when)
-        imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _LEAST) for one in size)), self._when)
+        imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _SIZE_MIN) for one in size)), self._when)
 
 
 ABOVE_CAMERA = -(OPTIONS + _GAP)  # window height, px, that leaves space for the options window

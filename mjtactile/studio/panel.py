@@ -26,7 +26,7 @@ from mjtactile.studio.user_scene import UserFingers
 
 # maximum number of geoms sent to the browser (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
 _GEOMS = 1024
-_LEAST = 0.04  # of the colours' scale
+_SCALE_MIN = 0.04  # of the colours' scale
 _RATE = 15.0  # maximum image rate, Hz: textures are sent to the browser
 # size of transmitted images, px; rendered larger by the factor below, for smooth ellipses
 _IMAGE = (320, 240)
@@ -101,7 +101,7 @@ class Panel(plugin.ViewerPlugin):
                 self._brush,
                 fingers,
                 self.options,
-                minimum=_LEAST if self._has_membranes(snapshot) else 0.0,
+                minimum=_SCALE_MIN if self._has_membranes(snapshot) else 0.0,
             )
             self._mine = self._brush.geoms
             scene_overlays.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)

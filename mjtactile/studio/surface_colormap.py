@@ -14,7 +14,7 @@ from mjtactile.core.types import Array, Touch
 from mjtactile.studio.snapshot import FingerSnapshot
 
 KINDS = ("indentation", "traction")
-_LEAST = {"indentation": 1e-3, "traction": 1e3}  # minimum upper limit of the scale, m and Pa
+_SCALE_MIN = {"indentation": 1e-3, "traction": 1e3}  # minimum upper limit of the scale, m and Pa
 _UNITS = {"indentation": (1e3, "mm"), "traction": (1e-3, "kPa")}
 _MAP = cv2.COLORMAP_VIRIDIS
 _WHITE = (255, 255, 255)
@@ -58,7 +58,7 @@ def scale_of(fields: Sequence[Field | None]) -> float:
     known = [
         float(np.nanmax(f.values)) for f in fields if f is not None and np.isfinite(f.values).any()
     ]
-    return max([_LEAST[f.kind] for f in fields if f is not None] + known, default=1.0)
+    return max([_SCALE_MIN[f.kind] for f in fields if f is not None] + known, default=1.0)
 
 
 def scale_text(kind: str, scale: float) -> str:

@@ -66,11 +66,11 @@ def drive_of(rig: Rig, m: Any, worlds: int) -> Any:
     drive.ratios = floats([law.ratio for _, law in jaws])
     drive.stiffness = floats([actuator.stiffness for actuator, _ in jaws])
     drive.damping = floats([actuator.damping for actuator, _ in jaws])
-    whole = np.where(
+    ranges = np.where(
         model.actuator_forcelimited[:, None], model.actuator_forcerange, [-np.inf, np.inf]
     ).astype(np.float32)
-    drive.force_range = wp.array(whole, dtype=wp.vec2)
-    drive.forces = m.actuator_forcerange = wp.array(np.tile(whole, (worlds, 1, 1)), dtype=wp.vec2)
+    drive.force_range = wp.array(ranges, dtype=wp.vec2)
+    drive.forces = m.actuator_forcerange = wp.array(np.tile(ranges, (worlds, 1, 1)), dtype=wp.vec2)
     drive.fraction = 2 / len(rig.fingers)
     drive.opening_max = float(rig.limits.opening[1])
     drive.lift_speed = float(rig.limits.lift_speed)

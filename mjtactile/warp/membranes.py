@@ -111,9 +111,9 @@ class Membranes:
         """Return all membranes to rest without contact."""
         rest = self.membrane.rest
         x = rest.x.reshape(3, -1).astype(np.float32)
-        whole = np.broadcast_to(x, (self.count, *x.shape))
+        repeated = np.broadcast_to(x, (self.count, *x.shape))
         for field in (self.fields.u, self.fields.kept):
-            field.assign(whole)
+            field.assign(repeated)
         self.fields.force.zero_()
         self.fields.kept_force.zero_()
         self.fields.pressure.fill_(float(self.membrane.gauge_pressure))

@@ -17,7 +17,7 @@ from mjtactile.studio import control_window, panel, playback, serve, session_bri
 
 _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
-_WHOLE = panel.finger_lines
+_COMPLETE = panel.finger_lines
 _PERIOD = 0.05  # minimum frame period, s
 _PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
 MODULES = (panel, control_window, playback)
@@ -143,7 +143,7 @@ def describe(estimated):
 
 def answer():
     for line in sys.stdin:
-        panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(
+        panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _COMPLETE}.get(
             line.strip(), panel.finger_lines
         )
         # start a new line: another thread may have written part of one

@@ -66,7 +66,7 @@ _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
 _EXCESS = 0.1
 _WAIT = 5e-3  # time step, s; two longer steps are too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
-_LEAST = 1e-24  # in place of zero in a denominator or under a root
+_TINY = 1e-24  # in place of zero in a denominator or under a root
 # a slide stops when the mean speed of the sliding contacts falls below this fraction in one step
 _SLOWER = 0.9
 _LAPSE = 0.02  # time without any contact, s, after which the slide is forgotten
@@ -251,7 +251,7 @@ class Stiction:
         shift = np.where(slides, _KEPT * shift, shift + c.travel)
         target = (1 + _EXCESS) * c.limit
         back = held - (_SHIFT_FRACTION / step**2 * c.mass) * shift
-        along = target / np.sqrt(np.maximum(_dot(tried, tried), _LEAST)) * tried
+        along = target / np.sqrt(np.maximum(_dot(tried, tried), _TINY)) * tried
         held = np.where(slides, along, _shorten(back, target))
         surface = np.where(slides, -c.drag, 1 - c.drag) * c.velocity - (step / c.mass) * held
         self._clear()
@@ -297,4 +297,4 @@ def _dot(a: Array, b: Array) -> Array:
 
 def _shorten(vectors: Array, maximum: Array) -> Array:
     """The vectors (2, n), none longer than `most` (n,)."""
-    return vectors * np.minimum(maximum / np.sqrt(np.maximum(_dot(vectors, vectors), _LEAST)), 1.0)
+    return vectors * np.minimum(maximum / np.sqrt(np.maximum(_dot(vectors, vectors), _TINY)), 1.0)

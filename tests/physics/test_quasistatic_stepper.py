@@ -114,7 +114,7 @@ def test_looking_changes_nothing(leak, ahead):
     steps.
     """
     found = []
-    for looks in (False, True):
+    for is_read in (False, True):
         rig, world = hand()
         for sensor in world.sensors:
             sensor.puncture(leak)
@@ -125,7 +125,7 @@ def test_looking_changes_nothing(leak, ahead):
             if stretch == 35:
                 world.set_lift_target(0.02)
             world.step(13)
-            for sensor in world.sensors if looks else ():
+            for sensor in world.sensors if is_read else ():
                 assert sensor.temperature > 0 and sensor.volume > 0
                 assert np.isfinite(sensor.present_wrench()).all() and np.isfinite(sensor.p_SV).all()
                 assert isinstance(sensor.flags(), dict) and sensor.gauge_pressure > 0

@@ -38,10 +38,10 @@ def test_a_slip_is_said_in_time_from_pixels():
     design = load_sensor("dense")
     sensing_pipeline = SensingPipeline(design)
     watched = watch(design, sensing_pipeline, references(design, sensing_pipeline, CASE), CASE)
-    for looks in watched.fingers:
+    for samples in watched.fingers:
         frames = [
             Frame(k.time, k.touch.slip.state, k.used, k.slid, k.onset)
-            for k in looks
+            for k in samples
             if k.touch.slip is not None
         ]
         assert outcome(frames).name == "in time"

@@ -80,10 +80,10 @@ def state_area(
     membrane.
     """
     if family.name in FACES:
-        off, whole = face_of(family, theta, hint, state.displacements[:2])
+        off, face_area = face_of(family, theta, hint, state.displacements[:2])
         within = np.clip(0.5 - off / forward.spacing, 0.0, 1.0)
         lies = float(within[state.contact_forces > 0].sum())
-        area = whole * lies / max(float(within.sum()), 1e-9)
+        area = face_area * lies / max(float(within.sum()), 1e-9)
         rim = rim_length(family, theta)
         steep = slope_at_rim(share * state.force_normal, area, rim, state)
         out = _rim_out(steep, forward.stiction_ratio(state, s) - s.friction, s) * hint.rounding

@@ -155,8 +155,8 @@ class ContactShapeEstimator:
             return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
         weighed = []
         for probability, found in press.bodies():
-            whole = sum(areas(self.forward, found, s))
-            weighed.append((probability, whole, area_sd(found, whole, scale, s)))
+            total = sum(areas(self.forward, found, s))
+            weighed.append((probability, total, area_sd(found, total, scale, s)))
         shape = build_shape(
             self.forward, press.now, kind, probabilities, scale, interval(weighed), s
         )
@@ -164,16 +164,16 @@ class ContactShapeEstimator:
 
     def _hint(self, touch: Touch) -> InitialGuess:
         assert touch.contact is not None
-        whole = self._hint_at(touch, touch.contact, touch.force_normal)
+        total = self._hint_at(touch, touch.contact, touch.force_normal)
         firm = [
             patch
             for patch in touch.patches[:_MAX_PARTS]
             if -patch.force[2] > _PART_FRACTION * touch.force_normal
         ]
         if len(firm) < 2:
-            return whole
+            return total
         parts = tuple(self._hint_at(touch, patch, -float(patch.force[2])) for patch in firm)
-        return replace(whole, parts=parts)
+        return replace(total, parts=parts)
 
     def _hint_at(self, touch: Touch, contact: Contact, force: float) -> InitialGuess:
         surface = touch.surface

@@ -197,8 +197,10 @@ class _Enough:
         """Return True if the fit should stop at this cost instead of taking the step. A short or
         strongly damped step predicts little of the possible gain."""
         settled = max(self.settled, _ALIKE * (cost - self.known))
-        whole = not step.cut and damping <= _DAMPING[0]
-        return step.promised < settled or (whole and cost - _PROMISED * step.promised > self.behind)
+        is_full_step = not step.cut and damping <= _DAMPING[0]
+        return step.promised < settled or (
+            is_full_step and cost - _PROMISED * step.promised > self.behind
+        )
 
 
 def refine(

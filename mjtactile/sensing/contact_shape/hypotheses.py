@@ -166,7 +166,7 @@ def weigh(
         for one, rough in likely
     ]
     kept.sort(key=lambda one: -one.log)
-    best = _most_likely(kept, noise)
+    best = _best(kept, noise)
     dropped = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
     if past is not None:
         seen = {one.family.name for one in roughly}
@@ -187,7 +187,7 @@ def weigh(
     )
 
 
-def _most_likely(candidates: list[Candidate], noise: float) -> Candidate:
+def _best(candidates: list[Candidate], noise: float) -> Candidate:
     """Return the most likely candidate of the most likely kind."""
     maximum = candidates[0].log
     sums: dict[str, float] = {}

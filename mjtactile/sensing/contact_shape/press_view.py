@@ -14,7 +14,7 @@ from mjtactile.core.types import Array
 
 _STEP = 1e-3  # grid of the interpolated heights, m
 _SIDE = 9  # nodes along a side of the view
-_APART = 2.2e-3  # distance of these nodes, m
+_SPACING = 2.2e-3  # distance of these nodes, m
 _PAD = 12  # grid steps around the frame, where the height is zero
 _BORDER = 96  # points on the frame, where the height is zero
 _UNIT = 1e-2  # m
@@ -75,13 +75,13 @@ class PressView:
     def completed(self, heights: Array, ids: NDArray[np.int64]) -> Array:
         """Return the likeliest heights of all markers (N,), m. `heights` (n,) are those of
         `ids`."""
-        whole = np.zeros(self.rows.shape[1])
-        if len(ids) < len(whole):
+        complete = np.zeros(self.rows.shape[1])
+        if len(ids) < len(complete):
             rows = self.rows[:, ids]
             H = rows @ rows.T / self.sd**2 + np.eye(len(rows))
-            whole = np.linalg.solve(H, rows @ heights / self.sd**2) @ self.rows
-        whole[ids] = heights
-        return whole
+            complete = np.linalg.solve(H, rows @ heights / self.sd**2) @ self.rows
+        complete[ids] = heights
+        return complete
 
     def __call__(self, heights: Array) -> tuple[Array, Array]:
         """Return the inputs of the network (n, k) and approximate pressure centers (n, 2), mm.
@@ -105,7 +105,7 @@ class PressView:
 
 def _sampled(field: Array, center: Array) -> Array:
     """Return the values (n, _SIDE**2) of fields (n, a, b) around `center` (n, 2), grid steps."""
-    off = _APART / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
+    off = _SPACING / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
     steps = np.stack(np.meshgrid(off, off, indexing="ij"), axis=-1).reshape(-1, 2)
     at = np.clip(center[:, None] + steps, 0, np.array(field.shape[1:]) - 1.001)
     low = at.astype(int)

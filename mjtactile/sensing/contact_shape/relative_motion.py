@@ -15,7 +15,7 @@ from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import place_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_LEAST = 3  # images that a rate wants
+_IMAGES_MIN = 3  # images that a rate wants
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
     """Compute the motion rates of a shape relative to the rubber; None: too few images. `slips`
     tells if the contact is classified as slipping: the shape alone does not separate rolling from
     sliding for a round object."""
-    if len(track) < _LEAST:
+    if len(track) < _IMAGES_MIN:
         return None
     time = np.array([one.time for one in track])
     values = np.array([one.values for one in track])

@@ -39,9 +39,9 @@ def build_shape(
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
     force = forward.stiction_ratio(found.state, s) * found.state.force_normal
-    whole = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
+    total = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
-    return _body(found.family, found.theta, found.hint, cov, kind, probabilities, whole, outline, s)
+    return _body(found.family, found.theta, found.hint, cov, kind, probabilities, total, outline, s)
 
 
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
@@ -71,7 +71,7 @@ def _body(
     cov: Array,
     kind: str,
     probabilities: dict[str, float],
-    whole: _ContactSummary,
+    total: _ContactSummary,
     outline: Array,
     s: ContactShapeSettings,
 ) -> ContactShape:
@@ -80,15 +80,15 @@ def _body(
     return ContactShape(
         kind,
         probabilities,
-        area=whole.area,
-        area_interval=whole.interval,
+        area=total.area,
+        area_interval=total.interval,
         p_SO=place_of(theta, hint),
         R_SO=R,
         pose_cov=_pose_cov(cov, turn),
         outline=outline,
-        force_normal=whole.force,
+        force_normal=total.force,
         family=family.name,
-        misfit=whole.misfit,
+        misfit=total.misfit,
         **measures,
     )
 
@@ -117,7 +117,7 @@ def _several(
         own = slice(ends[place], ends[place + 1])
         carried = np.where(nearest == place, force, 0.0)
         kinds = kinds_of(part, thetas[place], cov[own, own])
-        whole = _ContactSummary(
+        total = _ContactSummary(
             sizes[place],
             carry[place] * load,
             (sizes[place] / maximum * interval[0], sizes[place] / maximum * interval[1]),
@@ -130,7 +130,7 @@ def _several(
             cov[own, own],
             max(kinds, key=lambda name: kinds[name]),
             dict.fromkeys(SHAPES, 0.0) | kinds,
-            whole,
+            total,
             _outline(forward, found, carried),
             s,
         )

@@ -80,12 +80,14 @@ def detect_touch(
 
 @dataclass(frozen=True, eq=False)
 class RestTracker:
-    """Tracked rest state. `apart` (N, 3), m, is the deviation of all markers from it, averaged over
-    about `ContactDetectionSettings.smooth` s. `fraction` is the last relative correction of its
-    gas."""
+    """Tracked rest state.
+
+    `offsets` (N, 3), m, is the deviation of all markers from it, averaged over about
+    `ContactDetectionSettings.smooth` s. `fraction` is the last relative correction of its gas.
+    """
 
     rest: InverseRest
-    apart: Array
+    offsets: Array
     fraction: float = 0.0
 
     @classmethod
@@ -109,22 +111,22 @@ def follow(
     ids = markers.ids
     blend = step / (step + s.smooth)
     seen = estimator.positions(rest.c)[ids] + rest.offset[ids]
-    apart = zero.apart.copy()
-    apart[ids] += blend * (markers.p_SM - seen - apart[ids])
+    offsets = zero.offsets.copy()
+    offsets[ids] += blend * (markers.p_SM - seen - offsets[ids])
     bulge = _of_gas(estimator, rest, shape)
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
-    fraction, local = _explain(apart[ids], moved[ids], markers.cov_p)
+    fraction, local = _explain(offsets[ids], moved[ids], markers.cov_p)
     pace = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
     fraction = float(np.clip(pace * fraction, -s.drift_rate * step, s.drift_rate * step))
     if rest.gas.constant is None:
         gas = rest.gas
     else:
         gas = replace(rest.gas, constant=rest.gas.constant * (1 + fraction))
-    left = np.zeros_like(apart)
-    left[ids] = s.offset_fraction * pace * (apart[ids] - fraction * moved[ids])
+    left = np.zeros_like(offsets)
+    left[ids] = s.offset_fraction * pace * (offsets[ids] - fraction * moved[ids])
     return RestTracker(
         replace(rest, gas=gas, c=rest.c + fraction * bulge, offset=rest.offset + left),
-        apart - fraction * moved - left,
+        offsets - fraction * moved - left,
         fraction,
     )
 
@@ -148,14 +150,14 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
     return shape.gain.stiffness.solve(per_fraction * state.gradient)
 
 
-def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
-    """Return the fraction of the gas motion `moved` (m, 3) in `apart` (m, 3), and the misfit. The
+def _explain(offsets: Array, moved: Array, cov: Array) -> tuple[float, float]:
+    """Return the fraction of the gas motion `moved` (m, 3) in `offsets` (m, 3), and the misfit. The
     misfit is the mean square of the remainder after gas and camera motion. It is relative to the
     markers' covariance `cov` (m, 3, 3)."""
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
-    camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))
+    camera = np.broadcast_to(np.eye(3), (len(offsets), 3, 3))
     columns = np.concatenate([moved[:, :, None], camera], axis=2) if moved.any() else camera
-    A = (whiten @ columns).reshape(3 * len(apart), -1)
-    b = (whiten @ apart[:, :, None]).ravel()
+    A = (whiten @ columns).reshape(3 * len(offsets), -1)
+    b = (whiten @ offsets[:, :, None]).ravel()
     found, *_ = np.linalg.lstsq(A, b, rcond=None)
     return float(found[0]) if moved.any() else 0.0, float(((b - A @ found) ** 2).mean())

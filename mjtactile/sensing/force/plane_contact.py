@@ -65,8 +65,8 @@ class PlaneContactSolver:
         seats = membrane.own(loaded.design.markers.p_SM[:, :2])
         at = hats(loaded.x, seats[:, 0])[0][:, 1:-1], hats(loaded.y, seats[:, 1])[0][:, 1:-1]
         layout = loaded.design.markers
-        apart = loaded.design.frame.inside(layout.p_SM[:, :2])
-        self._outermost = apart < _OUTERMOST * max(layout.pitch_x, layout.pitch_y)
+        edge_distance = loaded.design.frame.inside(layout.p_SM[:, :2])
+        self._outermost = edge_distance < _OUTERMOST * max(layout.pitch_x, layout.pitch_y)
         self._at_markers = np.einsum("mi,mj->mij", *at).reshape(len(seats), -1)
 
     def plane_through(

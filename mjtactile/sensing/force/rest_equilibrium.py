@@ -91,7 +91,7 @@ class MarkedMembrane:
                 # membrane indented below the frame: no bulge
                 ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
                 scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
-                young, stretch = self._apart(scale, c)
+                young, stretch = self._separate(scale, c)
                 faded = self._faded(c, young, inflated_s)
                 quick = young * self._quick
                 c = self.membrane.equilibrium(valve, quick, start=c, faded=faded, stretch=stretch)
@@ -107,7 +107,7 @@ class MarkedMembrane:
             gas, scale, c, offset, darkness=darkness, faded=faded, young=young, stretch=stretch
         )
 
-    def _apart(self, scale: float, c: Array) -> tuple[float, float]:
+    def _separate(self, scale: float, c: Array) -> tuple[float, float]:
         """Return the factors on Young's modulus and pre-stretch for an apparent stiffness `scale`
         (Eq. F25). The membrane bulges at `c`. Each factor deviates in proportion to its variance,
         and the pre-stretch by at most three standard deviations."""

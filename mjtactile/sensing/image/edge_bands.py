@@ -120,10 +120,10 @@ class Around:
             2 * reach.max() + width + s.neighbour_margin, output_type="ndarray"
         )
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
-        apart = np.hypot(*(center[i] - center[j]).T)
-        close = (i < count) & (apart < reach[i] + reach[j] + width + s.neighbour_margin)
+        distance = np.hypot(*(center[i] - center[j]).T)
+        close = (i < count) & (distance < reach[i] + reach[j] + width + s.neighbour_margin)
         # exclude the marker itself, and objects it lies on, such as a sheet of paper
-        close &= (apart > np.maximum(reach[i], s.min_distance_fraction * reach[j])) & (
+        close &= (distance > np.maximum(reach[i], s.min_distance_fraction * reach[j])) & (
             reach[j] < s.max_size_ratio * reach[i]
         )
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]

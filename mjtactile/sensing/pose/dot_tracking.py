@@ -118,27 +118,27 @@ def track_circles(
 def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64], _Skin | None]:
     """Return the track index of each circle, and the updated tracks."""
     ids = np.full(len(ellipses), NOBODY)
-    whole = np.flatnonzero(ellipses.status != CUT)
-    size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[whole, 1])
-    whole = whole[ellipses.semi_axes_px[whole, 1] > _SMALL * size]
-    places = ellipses.center_px[whole]
+    complete = np.flatnonzero(ellipses.status != CUT)
+    size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[complete, 1])
+    complete = complete[ellipses.semi_axes_px[complete, 1] > _SMALL * size]
+    places = ellipses.center_px[complete]
     if skin is None:
         if len(places) < _FEWEST:
             return ids, None
-        ids[whole] = np.arange(len(places))
+        ids[complete] = np.arange(len(places))
         return ids, _Skin(places, _distance(places), size)
     if not len(places):
         return ids, skin
     expected = skin.places + _together(skin, places)
-    apart = np.linalg.norm(expected[:, None] - places[None], axis=2)
-    own = apart.argmin(axis=1)
+    distance = np.linalg.norm(expected[:, None] - places[None], axis=2)
+    own = distance.argmin(axis=1)
     # mutual: a circle is one of the followed, and one alone
-    mutual = apart.argmin(axis=0)[own] == np.arange(len(expected))
-    mutual &= apart[np.arange(len(expected)), own] < _GATE * skin.pitch
-    ids[whole[own[mutual]]] = np.flatnonzero(mutual)
+    mutual = distance.argmin(axis=0)[own] == np.arange(len(expected))
+    mutual &= distance[np.arange(len(expected)), own] < _GATE * skin.pitch
+    ids[complete[own[mutual]]] = np.flatnonzero(mutual)
     expected[mutual] = places[own[mutual]]
-    new = apart.min(axis=0) > _NEW * skin.pitch
-    ids[whole[new]] = len(expected) + np.arange(int(new.sum()))
+    new = distance.min(axis=0) > _NEW * skin.pitch
+    ids[complete[new]] = len(expected) + np.arange(int(new.sum()))
     return ids, _Skin(np.concatenate([expected, places[new]]), skin.pitch, skin.size)
 
 
@@ -147,17 +147,17 @@ def _together(skin: _Skin, places: Array) -> Array:
     nearest of `places` (n, 2). A second iteration starts from the result."""
     moved = np.zeros(2)
     for _ in range(2):
-        apart = skin.places[:, None] + moved - places[None]
-        nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
-        moved = moved - np.median(apart[np.arange(len(apart)), nearest], axis=0)
+        distance = skin.places[:, None] + moved - places[None]
+        nearest = np.linalg.norm(distance, axis=2).argmin(axis=1)
+        moved = moved - np.median(distance[np.arange(len(distance)), nearest], axis=0)
     return moved
 
 
 def _distance(places: Array) -> float:
     """Return the median distance, px, of the `places` (n, 2) to their nearest neighbors."""
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    return _middle(apart.min(axis=1))
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    return _middle(distance.min(axis=1))
 
 
 def _middle(values: Array) -> float:

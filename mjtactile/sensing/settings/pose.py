@@ -129,7 +129,7 @@ class LocateSettings:
         "one of three averaged channels may not be clipped",
     )
     clipped_fraction: float = number(
-        0.5, "fraction of clipped pixels above which the image is overexposed", "most"
+        0.5, "fraction of clipped pixels above which the image is overexposed", "majority"
     )
     size_sd: float = number(
         0.3,

@@ -42,9 +42,9 @@ def number(
         The result of `dataclasses.field`.
     """
     values = default if isinstance(default, tuple) else (default,)
-    whole = isinstance(values[0], int)
+    integer = isinstance(values[0], int)
     sizes = [abs(value) for value in values]
-    lowest = 1.0 if whole else min(sizes) / _FACTOR
+    lowest = 1.0 if integer else min(sizes) / _FACTOR
     highest = _FACTOR * max(sizes)
     if values[0] < 0:
         lowest, highest = -highest, -lowest
@@ -53,7 +53,7 @@ def number(
         "about": meaning,
         "low": lowest if low is None else low,
         "high": highest if high is None else high,
-        "whole": whole,
+        "integer": integer,
     }
     kind = Number(**limits)
     if isinstance(default, tuple):

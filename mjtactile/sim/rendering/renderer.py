@@ -229,8 +229,8 @@ def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: 
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     # px: closer than a rim's, since nodes are not even
-    apart = min(_STEP_PER_BLUR / 2 * max(blur_px, BLUR_MIN_PX), 0.5)
-    panels = int(np.ceil(max(camera.width, camera.height) / (_NODES * apart)))
+    spacing = min(_STEP_PER_BLUR / 2 * max(blur_px, BLUR_MIN_PX), 0.5)
+    panels = int(np.ceil(max(camera.width, camera.height) / (_NODES * spacing)))
     t = ((np.arange(panels)[:, None] + (node + 1) / 2) / panels).ravel()[:, None]
     start = corners_CP[:, None]
     side = (np.roll(corners_CP, -1, axis=0) - corners_CP)[:, None]

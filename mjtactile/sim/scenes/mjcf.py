@@ -16,7 +16,7 @@ from mjtactile.rig.domain_randomization import ObjectChange
 from mjtactile.sim.scenes import mjcf_trial
 
 LARGEST = 32 << 20  # bytes
-MOST = 20_000
+COPIES_MAX = 20_000
 """Maximum number of copies of elements in a file."""
 _PARSED_MAX = 1 << 20  # maximum size of a file that this process parses, bytes
 _COPIES = ("replicate", "composite", "flexcomp")
@@ -66,9 +66,9 @@ def _require_few_copies(path: Path, root: ElementTree.Element | None, field: str
         element, copies = waiting.pop()
         if element.tag in _COPIES:
             copies *= _count(element.get("count", "1"))
-            if copies > MOST:
+            if copies > COPIES_MAX:
                 raise InputError(
-                    f"makes {copies} copies; at most {MOST} are allowed",
+                    f"makes {copies} copies; at most {COPIES_MAX} are allowed",
                     source=path,
                     field=field or element.tag,
                 )

@@ -241,8 +241,8 @@ class ContactPoints:
         radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
         size = float(self._sizes[0])
         places = self._in_sensor(data.geom_xpos[self._geoms])
-        apart = np.linalg.norm(places - middle, axis=1) - self._model.geom_rbound[self._geoms]
-        found = self._geoms[apart < radius + size].tolist()
+        distance = np.linalg.norm(places - middle, axis=1) - self._model.geom_rbound[self._geoms]
+        found = self._geoms[distance < radius + size].tolist()
         if not found:
             return found
         p_W = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ middle

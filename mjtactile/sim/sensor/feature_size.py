@@ -182,19 +182,19 @@ def _error(ratio: float, contact: str) -> float:
 _MAX_POINTS = 300  # of a mesh
 
 
-def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
-    """Return points (n, 3) m inside a geom, at most about `apart` m from each other, in its
+def core(model: mujoco.MjModel, geom: int, pitch: float = np.inf) -> Array:
+    """Return points (n, 3) m inside a geom, at most about `pitch` m from each other, in its
     frame."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     size = np.asarray(model.geom_size[geom], float)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return np.zeros((1, 3))
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return _grid(np.array([0.0, 0.0, size[1]]), apart)
+        return _grid(np.array([0.0, 0.0, size[1]]), pitch)
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return _cylinder(float(size[0]), float(size[1]), apart)
+        return _cylinder(float(size[0]), float(size[1]), pitch)
     if kind in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        points = _grid(size - size.min(), apart)
+        points = _grid(size - size.min(), pitch)
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
             return points
         return points[((points / size) ** 2).sum(axis=1) < 1]
@@ -203,21 +203,21 @@ def core(model: mujoco.MjModel, geom: int, apart: float = np.inf) -> Array:
     return np.zeros((0, 3))
 
 
-def _grid(half: Array, apart: float) -> Array:
+def _grid(half: Array, pitch: float) -> Array:
     """Return grid points (n, 3) m of a box of half-extents `half` m, nine or more along a side."""
-    counts = np.where(half > 0, np.maximum(np.ceil(2 * half / apart), 8), 0).astype(int) + 1
+    counts = np.where(half > 0, np.maximum(np.ceil(2 * half / pitch), 8), 0).astype(int) + 1
     axes = [
         np.linspace(-h, h, n) if n > 1 else np.zeros(1) for h, n in zip(half, counts, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _cylinder(radius: float, half: float, apart: float) -> Array:
+def _cylinder(radius: float, half: float, pitch: float) -> Array:
     minimum = min(radius, half)
-    axis = _grid(np.array([0.0, 0.0, half - minimum]), apart)
+    axis = _grid(np.array([0.0, 0.0, half - minimum]), pitch)
     if radius <= half:
         return axis
-    flat = _grid(np.array([radius - minimum, radius - minimum, 0.0]), apart)
+    flat = _grid(np.array([radius - minimum, radius - minimum, 0.0]), pitch)
     return flat[np.hypot(flat[:, 0], flat[:, 1]) <= radius - minimum]
 
 

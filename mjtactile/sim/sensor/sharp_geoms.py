@@ -21,7 +21,7 @@ KINDS = tuple(
 )
 """Geoms that have edges."""
 _MAX_FACES = 4000  # of the hull of something thin
-_APART = 0.15  # spacing of interior points of a thin geom, in cells
+_CORE_SPACING = 0.15  # spacing of interior points of a thin geom, in cells
 
 
 class SharpGeoms(NamedTuple):
@@ -67,7 +67,7 @@ def sharp_geoms(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh, cell: f
             continue
         found.shapes[geom] = entry
         if is_thin:
-            found.cores[geom] = feature_size.core(model, geom, _APART * cell)
+            found.cores[geom] = feature_size.core(model, geom, _CORE_SPACING * cell)
         is_cylinder = int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
         if is_cylinder and model.geom_size[geom, 0] >= feature_size.RESOLVED * mesh.spacing:
             found.round.add(geom)

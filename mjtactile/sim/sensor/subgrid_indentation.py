@@ -24,7 +24,7 @@ _HALVINGS = 24
 _ONE_PLACE = 0.3  # cells between touches of one feature
 # minimum distance of two discs at one position, relative to the sum of their radii: exp(-1/4) / 2
 _MUTUAL = 0.39
-_LEAST = 1e-12
+_TINY = 1e-12
 
 
 def profile(near: Array, far: Array, radii: tuple[float, float]) -> tuple[Array, Array]:
@@ -80,9 +80,9 @@ def depth_under_end(load: Array, width: float, vertices: Array) -> Array:
     `load` (k,) acts on each of the touching vertices (k, 2). An end wider than the mesh's effective
     point indents less.
     """
-    apart = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
-    np.fill_diagonal(apart, MESH_RADIUS)
-    return np.log(apart / width) @ load
+    distance = np.linalg.norm(vertices[:, None] - vertices, axis=-1)
+    np.fill_diagonal(distance, MESH_RADIUS)
+    return np.log(distance / width) @ load
 
 
 def _deepening(mean: Array, steep: Array) -> Array:
@@ -95,7 +95,7 @@ def _deepening(mean: Array, steep: Array) -> Array:
     """
     k = _TIGHTENING
     c = 1 / np.sqrt(1 + steep * steep)
-    s = np.maximum(steep * c, _LEAST)
+    s = np.maximum(steep * c, _TINY)
     tight = (-np.log(c) - (k - 1) ** 2 / (2 * k - 1) * np.log(k + (1 - k) * c)) / k - k / (
         2 * k - 1
     ) * np.log(2 / (1 + c))
@@ -107,7 +107,7 @@ def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Ar
 
     Several `vertices` (k, 2) may bear on one location, at `touches` (k, 2).
     """
-    apart, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
+    distance, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
     one_place = (close < _ONE_PLACE) & ~np.eye(len(load), dtype=bool)
     close = np.maximum(close, _MUTUAL * (radius[:, None] + radius))
-    return np.log(np.where(one_place, apart / close, 1.0)) @ load
+    return np.log(np.where(one_place, distance / close, 1.0)) @ load

@@ -17,7 +17,7 @@ from mjtactile.sim.sensor import feature_size
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _STEPS = 1.5  # margin relative to the displacement per step
-_MOST = 1e-3  # maximum margin, m: at 4 ms, for 0.17 m/s
+_MARGIN_MAX = 1e-3  # maximum margin, m: at 4 ms, for 0.17 m/s
 _BACK = 2e-6  # decrease of the margin per step, m: contact must not be lost for a step, in
 # which a membrane under pressure jumps past a thin object; the contact depth is 20 um
 # (CONTACT_DEPTH)
@@ -59,7 +59,7 @@ class ThinObjectMargin:
         if not self._thin:
             return
         speed = max((self._closing_speed(geom, p_SV) for geom in self._thin), default=0.0)
-        requested = min(_STEPS * speed * self._step, _MOST)
+        requested = min(_STEPS * speed * self._step, _MARGIN_MAX)
         margin = max(requested, self._margin - _BACK, 0.0)
         if margin != self._margin:
             self._margin = margin

@@ -126,16 +126,18 @@ def test_a_short_scene_is_felt_within_its_bars():
         speed=0.1,
     )
     watched = watch(one)
-    forces = np.array([-look.wrench[2] for look in watched.looks])
+    forces = np.array([-sample.wrench[2] for sample in watched.samples])
     assert one.kind == "tap" and forces.max() > 0.2 and forces[-1] == 0.0
     touched = [
-        look for look in watched.looks if look.wrench[2] < -0.02 and look.touch.traction is not None
+        sample
+        for sample in watched.samples
+        if sample.wrench[2] < -0.02 and sample.touch.traction is not None
     ]
-    assert len(touched) > 6 and any(np.isfinite(look.area) for look in touched)
+    assert len(touched) > 6 and any(np.isfinite(sample.area) for sample in touched)
     z = np.array(
         [
-            (look.touch.traction.wrench - look.wrench)[2] / look.touch.force_normal_sd
-            for look in touched
+            (sample.touch.traction.wrench - sample.wrench)[2] / sample.touch.force_normal_sd
+            for sample in touched
         ]
     )
     assert np.abs(z).max() < 5  # asked of every image

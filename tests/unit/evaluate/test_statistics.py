@@ -122,7 +122,7 @@ def test_errors_count_apart():
     assert (a["held"], a["dropped"], a["crushed"], a["error"]) == (1, 1, 1, 1) and a[
         "success"
     ] == pytest.approx(1 / 3)
-    assert b["success"] == 1.0 and a["peak_to_break_ratio"]["most"] == 0.5
+    assert b["success"] == 1.0 and a["peak_to_break_ratio"]["max"] == 0.5
     assert a["peak_N"]["median"] == pytest.approx(1.15) and a["hold_N"]["median"] is None
     (pair,) = summary["paired"]
     # an error of either leaves the episode out

@@ -24,7 +24,7 @@ TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 PLACE = np.array([2e-3, -1e-3, 3e-3])
 
 
-def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=superquadric.WHOLE):
+def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=superquadric.UNCUT):
     return np.concatenate([np.zeros(6), np.log(sizes_mm), exponents, taper, [cut]])
 
 

@@ -335,14 +335,14 @@ def test_a_soft_sensor_keeps_its_own_uncertainty(name):
     assert touch.force_normal_sd == np.sqrt(touch.traction.wrench_cov[2, 2])
 
 
-@pytest.mark.parametrize(("young", "least"), [(50, (0.04, 0.09)), (1000, (0.8, 1.5))])
-def test_no_contact_of_a_stiff_sensor_is_as_uncertain_as_its_min_force(young, least, caplog):
+@pytest.mark.parametrize(("young", "minimum"), [(50, (0.04, 0.09)), (1000, (0.8, 1.5))])
+def test_no_contact_of_a_stiff_sensor_is_as_uncertain_as_its_min_force(young, minimum, caplog):
     """The markers of a stiff membrane hardly move: its posterior standard deviation of 10 mN is
     that of the prior. A sensor that cannot detect 0.1 N is named when its reference is taken."""
     _warn_of_insensitivity.cache_clear()
     bench = VirtualBench(stiff(young))
     touch = bench.estimate_touch(bench.membrane.rest).touch
     assert (touch.status, touch.touching) == ("ok", False)
-    assert least[0] < bench.reference.min_force < least[1]
+    assert minimum[0] < bench.reference.min_force < minimum[1]
     assert touch.force_normal_sd == bench.reference.min_force
     assert ("detects contacts only from" in caplog.text) == (bench.reference.min_force > 0.1)

@@ -27,7 +27,7 @@ def test_nothing_is_wrong_or_missed_for_long(seed):
     row = bench.sequence_row(seed)
     assert row["wrong"] == row["missed_twice"] == 0
     # the ends of a fit differ by where it began: 0.1 sd on a calm membrane
-    assert row["apart_sd"] < (0.3 if row["kind"] == "undisturbed" else 1.0)
+    assert row["difference_sd"] < (0.3 if row["kind"] == "undisturbed" else 1.0)
     # of 24: the first and every 16th are
     assert row["searched"] <= (3 if row["kind"] == "undisturbed" else 23)
 

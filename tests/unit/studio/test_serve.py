@@ -55,17 +55,17 @@ def test_a_grasp_waits_for_its_page(monkeypatch):
     """A grasp states that it waits for its page; Studio's end or a signal ends the wait."""
     text = []
     bridge = SessionBridge(notify=text.append)
-    looked = threading.Event()
-    monkeypatch.setattr(serve, "checked_at", looked)
-    threading.Timer(0.05, looked.set).start()
+    frames = threading.Event()
+    monkeypatch.setattr(serve, "checked_at", frames)
+    threading.Timer(0.05, frames.set).start()
     serve._wait_for_page(bridge)
-    assert looked.is_set() and "--no-wait" in text[0]
+    assert frames.is_set() and "--no-wait" in text[0]
     serve._wait_for_page(bridge)
     assert len(text) == 1  # it is open
-    looked.clear()
+    frames.clear()
     threading.Timer(0.05, bridge.closed.set).start()
     serve._wait_for_page(bridge)
-    assert not looked.is_set()
+    assert not frames.is_set()
 
 
 def test_a_used_port_is_refused_before_the_viewer_starts():
