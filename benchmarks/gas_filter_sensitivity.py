@@ -86,27 +86,31 @@ def follow(given: Readings, settings: GasFilterSettings) -> tuple[Array, Array, 
     state = gauge.start(sealed, 0.0, volume)
     errors = []
     sds = []
-    told = 0
+    setpoints = 0
     for k, time in enumerate(given.time.tolist()):
         reading = PressureReading(float(given.read[k]), NOISE, time, bool(given.is_open[k]))
         state, has_setpoint = gauge.read(gauge.switched(state, reading), reading)
-        told += has_setpoint
+        setpoints += has_setpoint
         if k % IMAGES == IMAGES - 1:
             state = gauge.after_image(state, time, float(given.volume[k]), DENT_FRACTION)
             gas, sd = gauge.gas_at(state, time)
             errors.append(gas.gauge_pressure - given.pressure[k])
             sds.append(sd)
-    return np.array(errors), np.array(sds), told
+    return np.array(errors), np.array(sds), setpoints
 
 
 def measure(settings: GasFilterSettings, seeds: int) -> dict[str, float]:
     """Return rms error, Pa, median standard deviation, Pa, and used readings, over all cases."""
-    errors, sds, told = zip(
+    errors, sds, setpoints = zip(
         *(follow(readings(case, seed), settings) for case in CASES for seed in range(seeds)),
         strict=True,
     )
     rms = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    return {"rms_Pa": rms, "sd_Pa": float(np.median(np.concatenate(sds))), "told": sum(told)}
+    return {
+        "rms_Pa": rms,
+        "sd_Pa": float(np.median(np.concatenate(sds))),
+        "setpoints": sum(setpoints),
+    }
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
@@ -130,7 +134,7 @@ def table(result: Mapping[str, Any]) -> str:
     usual = result["default"]
     lines = [
         f"Default parameters: pressure error {usual['rms_Pa']:.2f} Pa rms, median standard "
-        f"deviation {usual['sd_Pa']:.2f} Pa, {usual['told']} informative readings.",
+        f"deviation {usual['sd_Pa']:.2f} Pa, {usual['setpoints']} informative readings.",
         "",
         "| parameter | default | error factor | sd factor | informative readings |",
         "|---|---|---|---|---|",
@@ -138,10 +142,12 @@ def table(result: Mapping[str, Any]) -> str:
     for row in result["numbers"]:
         half, twice = (row[str(factor)] for factor in FACTORS)
         cells = [_factors(half[key], twice[key], usual[key]) for key in ("rms_Pa", "sd_Pa")]
-        told = ""
-        if (half["told"], twice["told"]) != (usual["told"], usual["told"]):
-            told = f"{half['told']} / {twice['told']}"
-        lines.append(f"| `{row['name']}` | {row['default']:g} | {' | '.join([*cells, told])} |")
+        setpoints = ""
+        if (half["setpoints"], twice["setpoints"]) != (usual["setpoints"], usual["setpoints"]):
+            setpoints = f"{half['setpoints']} / {twice['setpoints']}"
+        lines.append(
+            f"| `{row['name']}` | {row['default']:g} | {' | '.join([*cells, setpoints])} |"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -35,14 +35,14 @@ ASKED = {
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Measure agreement and, on a GPU, speed, memory and failures.
 
     Args:
         out: Folder, unused.
         quick: Two pairs of episodes, and the smallest number of worlds.
-        say: Receiver of progress messages.
+        notify: Receiver of progress messages.
 
     Returns:
         "device", "pairs" and, on a GPU, "speed", "solutions" and "failures".
@@ -55,18 +55,18 @@ def run(
     count = 2 if quick else PAIRS[device.is_cuda] // len(OBJECTS)
     commands: dict[str, Array] = {}
     for name in OBJECTS[: 1 if quick else None]:
-        say(f"gpu: {count} pairs of episodes with {name!r}")
+        notify(f"gpu: {count} pairs of episodes with {name!r}")
         row, commands[name] = _pairs(name, count, str(device))
         result["pairs"].append(row)
     if device.is_cuda:
         worlds = WORLDS[: 1 if quick else None]
         result["speed"] = []
         for number in worlds:
-            say(f"gpu: speed of {number} worlds")
+            notify(f"gpu: speed of {number} worlds")
             result["speed"].append(_speed(number, commands["egg"], str(device)))
-        say("gpu: solutions of membranes alone")
+        notify("gpu: solutions of membranes alone")
         result["solutions"] = [_solutions(number, str(device)) for number in (8192, 32768)]
-        say("gpu: random actions")
+        notify("gpu: random actions")
         result["failures"] = _failures(worlds[-1], 10**5 if quick else 10**6, str(device))
     return result
 

@@ -30,7 +30,7 @@ PRESSURES = (100.0, 500.0, 1000.0, 2000.0)
 DEPTHS = (1e-3, 2e-3, 3e-3)
 ASKED = 0.02  # required force error, N
 # maximum distance from the center, in half axes: 5 mm indenters stay clear of the frame
-_REACH = 0.4
+_RADIUS_FRACTION = 0.4
 _SIZES = (4e-3, 10e-3)  # range of the indenter width, m; for a ball the diameter
 _SHEAR = 1e-3  # shear displacement of every other load, m
 
@@ -92,7 +92,7 @@ def held_out(design: SensorDesign, seed: int) -> IndentationPlan:
     width = float(rng.uniform(*_SIZES))
     size = width if kind != "cylinder" else width / 2
     angle = rng.uniform(0, 2 * np.pi)
-    radius = _REACH * np.sqrt(rng.uniform())
+    radius = _RADIUS_FRACTION * np.sqrt(rng.uniform())
     half = np.array([design.frame.length, design.frame.width]) / 2
     x, y = half * radius * [np.cos(angle), np.sin(angle)]
     shear = _SHEAR if seed % 2 else 0.0
@@ -103,7 +103,7 @@ def _estimated(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [
         {
             "true_N": [float(f) for f in step["force_true_N"]],
-            "felt_N": [float(f) for f in step["force_estimated_N"]],
+            "estimated_N": [float(f) for f in step["force_estimated_N"]],
             "status": step["status"],
         }
         for step in steps
@@ -122,7 +122,7 @@ def table(result: Mapping[str, Any]) -> str:
     for row in result["rows"]:
         steps = [step for one in row["presses"] for step in one["steps"]]
         true, estimated = (
-            np.array([s[which] for s in steps], float) for which in ("true_N", "felt_N")
+            np.array([s[which] for s in steps], float) for which in ("true_N", "estimated_N")
         )
         off = 1e3 * (estimated - true)
         normal = off[:, 2]

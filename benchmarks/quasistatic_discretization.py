@@ -139,9 +139,9 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
         cells.append(_errors([r for r in rows if r["body"] == body and r["how"] != "own"]))
         found = [r for r in own if np.isfinite(r["force_error"])]
         kept = sum(abs(r["force_error"]) <= r["force_error_reported"] for r in found)
-        told = [r for r in found if np.isfinite(r["relative_area_error"])]
-        areas = sum(abs(r["area_error"]) <= r["relative_area_error"] for r in told)
-        reported = f"{kept} of {len(found)} | {areas} of {len(told)}"
+        bounded = [r for r in found if np.isfinite(r["relative_area_error"])]
+        areas = sum(abs(r["area_error"]) <= r["relative_area_error"] for r in bounded)
+        reported = f"{kept} of {len(found)} | {areas} of {len(bounded)}"
         lines.append(f"| {body} | {' | '.join(cells)} | {reported} |")
     return lines
 

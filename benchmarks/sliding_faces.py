@@ -24,21 +24,21 @@ _DURATION = 0.3
 
 
 def run(
-    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
     """Slide every weight at every speed and time step; half a minute of a processor.
 
     Args:
         out: Folder, unused.
         quick: The first weight and the two lowest speeds only.
-        say: Receiver of a message for every weight.
+        notify: Receiver of a message for every weight.
 
     Returns:
         "rows", one per weight, speed and time step.
     """
     rows = []
     for weight in WEIGHTS[:1] if quick else WEIGHTS:
-        say(f"sliding-faces: {weight:g} N")
+        notify(f"sliding-faces: {weight:g} N")
         for speed, step in itertools.product(SPEEDS[:2] if quick else SPEEDS, STEPS):
             world = FaceWorld(SENSOR, count=1, weight=weight, speed=speed, timestep=step)
             forces = world.forces(_SETTLING, _DURATION)

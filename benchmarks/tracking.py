@@ -224,18 +224,18 @@ def _nothing(
     return grey, truth
 
 
-def _hand(
+def _occlusion(
     grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
 ) -> tuple[Floats, Array]:
     """Something grey and long goes across the picture and away again."""
     if k % 30 == 0:
-        state["hand"] = (
+        state["occlusion"] = (
             rng.uniform([0, 0], [640, 480]),
             rng.normal(0, 25, 2),
             rng.uniform(20, 90, 2),
             rng.uniform(20, 190),
         )
-    place, way, size, level = state["hand"]
+    place, way, size, level = state["occlusion"]
     at = place + way * (k % 30 - 10)
     grey = grey.copy()
     cv2.ellipse(
@@ -308,7 +308,7 @@ KINDS: dict[str, tuple[float, Callable]] = {
     "15 Hz": (15.0, _nothing),
     "taps": (30.0, _nothing),
     "lost images": (30.0, _nothing),
-    "hands": (30.0, _hand),
+    "occlusion": (30.0, _occlusion),
     "glare": (30.0, _glare),
     "a camera that jumps": (30.0, _jump),
     "markers that fade": (30.0, _fade),
@@ -329,7 +329,7 @@ def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 _LABELS = {
-    "hands": "occlusion",
+    "occlusion": "occlusion",
     "a camera that jumps": "camera displaced",
     "markers that fade": "fading markers",
 }
@@ -348,6 +348,6 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(
             f"| {_LABELS.get(name, name)} | {g['images']} | {searched:.0f} % | "
             + " | ".join(map(str, numbers))
-            + f" | {g['apart_sd']:.1f} |"
+            + f" | {g['difference_sd']:.1f} |"
         )
     return "\n".join(lines) + "\n"

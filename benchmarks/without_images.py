@@ -147,7 +147,7 @@ def _errors(
     return {
         "mean_um": (1e6 * np.sqrt(np.nanmean(mean**2, axis=0))).tolist(),
         "sd_um": (1e6 * np.nanmedian(np.nanstd(error, axis=0), axis=0)).tolist(),
-        "said_sd_um": (1e6 * np.nanmedian(reported, axis=(0, 1))).tolist(),
+        "reported_sd_um": (1e6 * np.nanmedian(reported, axis=(0, 1))).tolist(),
         "outliers_percent": 100 * outliers / max(seen, 1),
         "missed_percent": 100 * (1 - seen / error[..., 0].size),
     }
@@ -239,7 +239,9 @@ def table(result: dict[str, Any]) -> str:
                 for one in values
             )
 
-        cells = map(cell, ("mean_um", "sd_um", "said_sd_um", "outliers_percent", "missed_percent"))
+        cells = map(
+            cell, ("mean_um", "sd_um", "reported_sd_um", "outliers_percent", "missed_percent")
+        )
         lines.append(f"| {row['scene']} | {' | '.join(cells)} |")
     g = result["grasps"]
     low, high = (100 * value for value in g["held_interval"]["none"])

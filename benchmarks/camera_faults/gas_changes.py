@@ -18,7 +18,7 @@ MASS = 0.061
 # durations before and after the change, s
 BEFORE = 0.8
 AFTER = 2.0
-TROUBLES: dict[str, Callable[[SimFinger], None]] = {
+FAULTS: dict[str, Callable[[SimFinger], None]] = {
     "valve to 0.5 kPa": lambda finger: finger.sensor.open_valve(500.0),
     "valve to 2 kPa": lambda finger: finger.sensor.open_valve(2000.0),
     "valve to ambient": lambda finger: finger.sensor.open_valve(0.0),
@@ -30,19 +30,19 @@ TROUBLES: dict[str, Callable[[SimFinger], None]] = {
 
 def rows(quick: bool = False) -> list[dict[str, Any]]:
     """Each trouble with nothing on the sensor, and with a ball; the worst and where it was."""
-    names = list(TROUBLES)[:: 3 if quick else 1]
+    names = list(FAULTS)[:: 3 if quick else 1]
     return [
-        {"trouble": name, "held": held, **apply_gas_change(TROUBLES[name], held)}
+        {"fault": name, "held": held, **apply_gas_change(FAULTS[name], held)}
         for name in names
         for held in (False, True)
     ]
 
 
-def apply_gas_change(trouble: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
+def apply_gas_change(fault: Callable[[SimFinger], None], held: bool) -> dict[str, Any]:
     """Compute the force errors after the change, over images whose status is ok."""
     model, data, finger = scene(MASS if held else None)
     errors(model, data, finger, BEFORE)
-    trouble(finger)
+    fault(finger)
     off, sd = errors(model, data, finger, AFTER).T
     known = np.isfinite(off)
     far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N) & known
@@ -99,7 +99,7 @@ def table(found: list[Mapping[str, Any]]) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {row['trouble']} | {'ball, 0.6 N' if row['held'] else 'none'} | "
+        f"| {row['fault']} | {'ball, 0.6 N' if row['held'] else 'none'} | "
         f"{row['rms_N']:.3f} / {row['worst_N']:.3f} | {row['worst_later_N']:.3f} | "
         f"{row['ok']} of {row['images']} | {row['far']} |"
         for row in found

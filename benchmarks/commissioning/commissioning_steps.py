@@ -79,10 +79,10 @@ class Day:
             row = {"step": name, "failed": str(error)}
         row.setdefault("seconds", _since(start))
         self.rows = [*(one for one in self.rows if one["step"] != name), row]
-        write_json(self._out / "commissioning.json", self.told())
+        write_json(self._out / "commissioning.json", self.results())
         self._notify(f"{name}: {row}")
 
-    def told(self) -> dict[str, Any]:
+    def results(self) -> dict[str, Any]:
         """All that was done."""
         return {"asked_N": ASKED, "slow": scaled_clock.slow(), "steps": self.rows}
 

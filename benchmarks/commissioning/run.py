@@ -70,7 +70,7 @@ def run(
         day.step("grasp, after", lambda: day.grasps(day.sensor, day.file, seeds))
         if not quick:
             day.step("shadow", day.shadow)
-    return day.told()
+    return day.results()
 
 
 @contextlib.contextmanager

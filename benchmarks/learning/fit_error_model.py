@@ -205,12 +205,12 @@ def _shear_gains(true: Array, error: Array, rows: Rows) -> tuple[Array, float]:
     """
     drag = np.linalg.norm(true[:, :2], axis=1)
     along = (error[:, :2] * true[:, :2]).sum(axis=1) / np.maximum(drag, 1e-9) ** 2
-    tells = (drag > _DRAGGED) & (-true[:, 2] > _LOADED)
+    is_informative = (drag > _DRAGGED) & (-true[:, 2] > _LOADED)
     gains = np.full(len(true), np.nan)
     found = []
     for own in _each(rows):
-        if (own & tells).sum() >= _FEW:
-            gains[own] = np.median(along[own & tells])
+        if (own & is_informative).sum() >= _FEW:
+            gains[own] = np.median(along[own & is_informative])
             found.append(gains[own][0])
     if not found:
         return np.zeros(len(true)), 0.0
@@ -276,8 +276,8 @@ def _typical(
     found: list[Array | None] = []
     for k in range(len(LOADS)):
         own = [values[which & (nearest == k)] for which in _each(rows)]
-        told = [of(one) for one in own if len(one) >= _FEW_OF_GRASP]
-        found.append(over(told, axis=0) if len(told) >= _FEW_GRASPS else None)
+        values_of = [of(one) for one in own if len(one) >= _FEW_OF_GRASP]
+        found.append(over(values_of, axis=0) if len(values_of) >= _FEW_GRASPS else None)
     enough = np.array([k for k, one in enumerate(found) if one is not None])
     if not len(enough):
         return np.repeat(of(values)[None], len(LOADS), axis=0)

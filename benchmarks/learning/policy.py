@@ -75,9 +75,9 @@ def _learn(saved: Path, seconds: int, notify: Notify) -> list[dict[str, Any]]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_one_thread()) as learner:
         assert learner.stdout is not None
         for line in learner.stdout:
-            told = re.match(r"(\d+) s, (\d+) decisions", line)
-            if told:
-                rows.append({"seconds": int(told[1]), "decisions": int(told[2])})
+            report = re.match(r"(\d+) s, (\d+) decisions", line)
+            if report:
+                rows.append({"seconds": int(report[1]), "decisions": int(report[2])})
             elif line.strip().startswith("{"):
                 rows[-1]["ended"] = ast.literal_eval(line.strip())
                 notify(f"policy: {rows[-1]}")
@@ -181,7 +181,7 @@ def _evaluation_row(name: str, evaluated: Mapping[str, Any]) -> str:
     return (
         f"| {name} | {evaluated['held']} of {evaluated['episodes']} "
         f"| {100 * low:.0f}-{100 * high:.0f} % | {' / '.join(map(str, ends))} "
-        f"| {_known(peak['median'], 2)} ({_known(peak['most'], 2)}) "
+        f"| {_known(peak['median'], 2)} ({_known(peak['max'], 2)}) "
         f"| {_known(evaluated['margin']['median'], 1)} |"
     )
 

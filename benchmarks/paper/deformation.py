@@ -161,9 +161,9 @@ class MembraneModel:
         values = []
         slopes = []
         for axis, coordinate in zip(self._axes, self.X.T, strict=True):
-            reach = min(taper, axis.length / 3)
-            s = np.clip((axis.length / 2 - np.abs(coordinate)) / reach, 0, 1)
+            length_of_taper = min(taper, axis.length / 3)
+            s = np.clip((axis.length / 2 - np.abs(coordinate)) / length_of_taper, 0, 1)
             values.append(s * s * (3 - 2 * s))
-            slopes.append(-np.sign(coordinate) * 6 * s * (1 - s) / reach)
+            slopes.append(-np.sign(coordinate) * 6 * s * (1 - s) / length_of_taper)
         phi = values[0] * values[1]
         return phi, np.column_stack([slopes[0] * values[1], values[0] * slopes[1]])

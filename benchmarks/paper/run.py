@@ -277,7 +277,7 @@ def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
         "air_mL": 1e6 * station.world.sensors[0].volume,
         "valve": "closed" if sealed else "open",
         "stiffness_N_mm": station.load_cell(),
-        "felt_N": seen["force_N"],
+        "estimated_N": seen["force_N"],
         "noise_N": noise,
         "noise_um": 1e3 * noise / station.load_cell(),
     }

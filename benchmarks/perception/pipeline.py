@@ -94,15 +94,15 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
     """
     design = load_sensor("dense")
     rng = np.random.default_rng(6)
-    sheets = [
+    membranes = [
         PressedMembrane(design, *rng.uniform(-0.004, 0.004, 2), deep=rng.uniform(0.0015, 0.0035))
         for _ in range(frames)
     ]
-    images = [view(design, membrane, seed) for seed, membrane in enumerate(sheets)]
+    images = [view(design, membrane, seed) for seed, membrane in enumerate(membranes)]
     errors: dict[str, list[Array]] = {"spline": [], "delaunay": []}
     seen = []
     x, y = np.meshgrid(*grid_of(design.frame, 0.0005))
-    for membrane, image in zip(sheets, images, strict=True):
+    for membrane, image in zip(membranes, images, strict=True):
         sensing_pipeline = SensingPipeline(design)
         markers, _ = sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), image)
         seen.append(len(markers))

@@ -65,12 +65,12 @@ def run(
                 "row": row,
                 "time_s": rows[row, 0] - rows[0, 0],
                 "force_N": estimated.force.tolist(),
-                "felt_N": float(np.linalg.norm(estimated.force)),
+                "estimated_N": float(np.linalg.norm(estimated.force)),
                 "wrist_N": float(wrist[row]),
                 "area_mm2": 1e6 * estimated.area,
             }
         )
-        notify(f"row {row}: {found[-1]['felt_N']:.2f} N, wrist {found[-1]['wrist_N']:.2f} N")
+        notify(f"row {row}: {found[-1]['estimated_N']:.2f} N, wrist {found[-1]['wrist_N']:.2f} N")
         if field is None or estimated.area > field.area:
             field = estimated
     result = {
@@ -87,7 +87,7 @@ def run(
 def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
     """Errors against the wrist, N: as it is, and with one factor fitted while the press grew."""
     row, estimated, wrist = (
-        np.array([one[key] for one in found]) for key in ("row", "felt_N", "wrist_N")
+        np.array([one[key] for one in found]) for key in ("row", "estimated_N", "wrist_N")
     )
     held = (row >= PRESSING.start) & (row < PRESSING.stop)
     growing = (estimated > 0) & (row <= LOADING)
@@ -97,7 +97,7 @@ def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
     )
     return {
         "wrist_held_N": float(wrist[held].mean()),
-        "felt_held_N": float(estimated[held].mean()),
+        "estimated_held_N": float(estimated[held].mean()),
         "untouched_most_N": float(estimated[row < 61].max(initial=0.0)),
         "factor": factor,
         "ambient_by_factor_kPa": 1e-3 * (AMBIENT + gauge - factor * gauge),
@@ -107,11 +107,11 @@ def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
 
 def table(result: Mapping[str, Any]) -> str:
     """Return the results in Markdown."""
-    held, estimated = result["wrist_held_N"], result["felt_held_N"]
+    held, estimated = result["wrist_held_N"], result["estimated_held_N"]
     rows = [
         ("gauge pressure at rest with the standard atmosphere, kPa", "gauge_kPa", 2),
         ("wrist sensor during the hold, N", "wrist_held_N", 2),
-        ("estimate from surface and pressure, N", "felt_held_N", 2),
+        ("estimate from surface and pressure, N", "estimated_held_N", 2),
         ("largest estimate without contact, N", "untouched_most_N", 2),
         ("factor fitted to the increasing load", "factor", 2),
         ("rms error of hold and release with this factor, N", "later_rms_N", 2),
@@ -150,7 +150,7 @@ def _plot(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field
         return
     curves, surface = figure.subplots(1, 2, width_ratios=(3, 2))
     at = [one["time_s"] for one in result["rows"]]
-    estimated = np.array([one["felt_N"] for one in result["rows"]])
+    estimated = np.array([one["estimated_N"] for one in result["rows"]])
     curves.plot(time, wrist, "k-", lw=1, label="wrist's wrench, magnitude")
     curves.plot(at, estimated, "o-", ms=4, label="surface and gauge, by statics")
     curves.plot(

@@ -18,7 +18,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 
 # allowed error of an estimated force, N, and in its own standard deviations
-FELT = 0.04
+FORCE_MIN = 0.04
 FORCE_SD = 3.0
 ESTIMATE = "estimated normal force"
 """Kind of the numbers whose reference is the simulated force."""
@@ -98,7 +98,7 @@ def _press(case: Case) -> list[Number]:
                     "N",
                     force,
                     touch.force_normal,
-                    max(FELT, FORCE_SD * touch.force_normal_sd),
+                    max(FORCE_MIN, FORCE_SD * touch.force_normal_sd),
                     touch.force_normal_sd,
                 )
             )

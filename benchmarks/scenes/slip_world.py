@@ -63,7 +63,7 @@ class SlipWorld(World):
         attachments = [self._add_jaw(spec, design, prefix, mesh) for prefix in _QUATS]
         body = spec.worldbody.add_body(name="object", pos=[0, *case.offset])
         body.add_freejoint(name="object")
-        reach = _add_body(body, case)
+        extent = _add_body(body, case)
         super().__init__(spec, attachments)
         self._drives = {
             name: self.model.actuator(name).id
@@ -75,7 +75,7 @@ class SlipWorld(World):
         self._place = int(joint.qposadr[0])
         for sensor, friction in zip(self.sensors, case.friction, strict=True):
             self.model.geom_friction[sensor.vertex_geom_ids, 0] = friction
-        self._reach = reach
+        self._extent = extent
         self._test = test
         self._test_direction = 0.0
         self._test_start = 0.0
@@ -127,7 +127,7 @@ class SlipWorld(World):
             _JAW_DISTANCE
             - top
             - self.sensors[0].design.membrane.thickness / 2
-            - self._reach
+            - self._extent
             - _CLEARANCE
         )
         self._close(0.0, goal, 0.15)

@@ -143,8 +143,8 @@ def _corner(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Cas
     half_angle = np.radians(rng.uniform(40, 65))
     sides = int(rng.integers(3, 6))
     turn = float(rng.uniform(0, 2 * np.pi)) + np.arange(sides) * 2 * np.pi / sides
-    reach = 0.01 * np.tan(half_angle)
-    ring = np.column_stack([reach * np.cos(turn), reach * np.sin(turn), np.full(sides, 0.01)])
+    rho = 0.01 * np.tan(half_angle)
+    ring = np.column_stack([rho * np.cos(turn), rho * np.sin(turn), np.full(sides, 0.01)])
     return Case(
         "point",
         name,

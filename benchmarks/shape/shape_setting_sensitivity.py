@@ -87,10 +87,10 @@ def record(case: Case) -> Pressed:
     return Pressed(start, images)
 
 
-def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
+def estimate_shapes(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
     """Estimate the shape in all images with these settings."""
     sensing_pipeline = SensingPipeline(load_sensor("dense"), settings=settings)
-    told = []
+    shapes = []
     for pressed in presses:
         finder = sensing_pipeline.make_shape_estimator(pressed.state)
         press = None
@@ -98,11 +98,11 @@ def tell(presses: Sequence[Pressed], settings: Settings) -> list[ShapeEstimate]:
             followed = replace(before, press=press)
             estimated, state = sensing_pipeline.track_contact_shape(followed, after, touch, finder)
             press = state.press
-            told.append(_told(estimated.shape, estimated.force_normal))
-    return told
+            shapes.append(_shape_estimate(estimated.shape, estimated.force_normal))
+    return shapes
 
 
-def _told(shape: ContactShape | None, force: float) -> ShapeEstimate:
+def _shape_estimate(shape: ContactShape | None, force: float) -> ShapeEstimate:
     assert shape is not None
     return ShapeEstimate(shape.kind, shape.area, shape.radius, force)
 
@@ -127,7 +127,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Vary every parameter whose source states that it was tuned here."""
     del out
     presses = [record(case) for case in cases()[: 1 if quick else None]]
-    usual = tell(presses, DEFAULTS)
+    usual = estimate_shapes(presses, DEFAULTS)
     rows = []
     for field in fields(DEFAULTS.contact_shape):
         if PRESSED not in field.metadata["source"]:
@@ -136,7 +136,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
         row: dict[str, Any] = {"name": f"contact_shape.{field.name}", "default": value}
         for factor in FACTORS:
             tried = round(factor * value) if isinstance(value, int) else factor * value
-            now = tell(presses, DEFAULTS.override({row["name"]: tried}))
+            now = estimate_shapes(presses, DEFAULTS.override({row["name"]: tried}))
             row[str(factor)] = change(usual, now)
         rows.append(row)
     return {"numbers": rows, "images": len(usual), "bodies": [case.name for case in cases()]}

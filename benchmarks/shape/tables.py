@@ -32,8 +32,8 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     two = [row for row in presses if row["family"] == "multiple" and row["force_true_N"] >= _FIRM]
     ends = _ends(presses)
     return {
-        "press": _told(presses),
-        "image": _told([row for row in listed if row["stage"] == "image"]),
+        "press": _summary(presses),
+        "image": _summary([row for row in listed if row["stage"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
         "kind_end": [_fraction(row["kind"] == row["family"] for row in ends), len(ends)],
         "multiple": [_fraction(row["kind"] == "multiple" for row in two), len(two)],
@@ -56,7 +56,7 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     }
 
 
-def _told(rows: list[Row]) -> dict[str, Any]:
+def _summary(rows: list[Row]) -> dict[str, Any]:
     """Areas, radii, kinds and intervals."""
     broad = _broad(rows)
     balls = [

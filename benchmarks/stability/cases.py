@@ -87,7 +87,7 @@ def _young_for(young: float) -> float:
     return 1000.0 * young / 1e6
 
 
-def _sheets() -> Iterator[Case]:
+def _membranes() -> Iterator[Case]:
     for young, step in product(_YOUNG, (2e-3, 4e-3, 8e-3)):
         yield Case(
             "Young's modulus",
@@ -185,7 +185,7 @@ def _motions() -> Iterator[Case]:
         )
 
 
-def _things() -> Iterator[Case]:
+def _objects() -> Iterator[Case]:
     for mass, step in product(_MASSES, (2e-3, 4e-3, 8e-3)):
         yield Case(
             "mass on a membrane",
@@ -230,7 +230,7 @@ def _things() -> Iterator[Case]:
 def matrix() -> list[Case]:
     """All cases, more than 300."""
     hold = Case("long hold", "a million steps", "hold", mesh=(7, 7), steps=1_000_000)
-    return [*_sheets(), *_gases(), *_grids(), *_shapes(), *_motions(), *_things(), hold]
+    return [*_membranes(), *_gases(), *_grids(), *_shapes(), *_motions(), *_objects(), hold]
 
 
 def pruned() -> list[Case]:

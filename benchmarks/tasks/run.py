@@ -236,12 +236,12 @@ def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         and line.get("mass_g_true", 0.0) >= 1e3 * _WEIGHED_FROM
     ]
     if len(pairs) < 2:
-        return {"things": len(pairs)}
+        return {"objects": len(pairs)}
     reported, really = np.array(pairs).T
     error = reported - really
     asked = _WEIGHT_SD[0] * really + _WEIGHT_SD[1]
     return {
-        "things": len(pairs),
+        "objects": len(pairs),
         "mean_g": 1e3 * float(error.mean()),
         "sd_g": 1e3 * float(error.std(ddof=1)),
         "mean_share": float((error / really).mean()),

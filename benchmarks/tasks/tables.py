@@ -70,11 +70,11 @@ def table(result: Mapping[str, Any]) -> str:
         cells = [_value(own.get(name), key, form, which) for name in names]
         lines.append(f"| {label} | {' | '.join(cells)} |")
     found = result["weighed"]
-    if found["things"] > 1:
+    if found["objects"] > 1:
         lines += [
             "",
-            f"Mass estimates of `adaptive`, {found['things']} objects of at least 20 g: mean error "
-            f"{100 * found['mean_share']:+.1f} %, sd {100 * found['sd_share']:.1f} %; rms error "
+            f"Mass estimates of `adaptive`, {found['objects']} objects of at least 20 g: mean "
+            f"error {100 * found['mean_share']:+.1f} %, sd {100 * found['sd_share']:.1f} %; rms error "
             f"{found['over_asked']:.2f} times the required 4 % + 1 g.",
         ]
     lines += _agreement(result)

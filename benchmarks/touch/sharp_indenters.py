@@ -88,8 +88,8 @@ def _estimates(
                 before, perception.state, touch, finders[name]
             )
         assert touch is not None and estimated is not None and estimated.shape is not None
-        told = {"sensor": name, "force_true_N": -float(true[2]), "kind": estimated.shape.kind}
-        rows.append(told | _against(touch, true, "") | _against(estimated, true, "_shape"))
+        entries = {"sensor": name, "force_true_N": -float(true[2]), "kind": estimated.shape.kind}
+        rows.append(entries | _against(touch, true, "") | _against(estimated, true, "_shape"))
     return rows
 
 
@@ -113,7 +113,7 @@ def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
         Of each kind of body: mean and worst error of the normal force, and mean chi-square, without
         the shape and with it.
     """
-    told = {}
+    entries = {}
     for body in BODIES:
         own = [row for row in rows if (row["sensor"], row["body"]) == (name, body)]
         numbers: dict[str, float] = {}
@@ -122,8 +122,8 @@ def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
             numbers[f"mae{suffix}_N"] = float(off.mean())
             numbers[f"worst{suffix}_N"] = float(off.max())
             numbers[f"chi2{suffix}"] = float(np.mean([row[f"chi2{suffix}"] for row in own]))
-        told[body] = numbers
-    return told
+        entries[body] = numbers
+    return entries
 
 
 def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:

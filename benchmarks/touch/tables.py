@@ -49,7 +49,7 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
         "area_share": float(np.median(np.abs(fraction))) if len(fraction) else float("nan"),
         "area_bias_share": float(np.median(fraction)) if len(fraction) else float("nan"),
         "light_touches": len(light),
-        "light_felt": sum(light),
+        "light_detected": sum(light),
         **levels,
         "chi_square": ((error / sd[:, :3]) ** 2).mean(axis=0),
         "chi_square_torque": ((1e-3 * torque / sd[:, 3:]) ** 2).mean(axis=0),
@@ -112,7 +112,7 @@ def table(result: Mapping[str, Any]) -> str:
         "contacts of 0.03-0.06 N detected",
         "all",
         "",
-        lambda s: f"{s['light_felt']} of {s['light_touches']}",
+        lambda s: f"{s['light_detected']} of {s['light_touches']}",
     )
     line(
         "chi-square per degree of freedom: force x, y, z",

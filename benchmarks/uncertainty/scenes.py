@@ -93,7 +93,7 @@ def render_scene(seed: int) -> Scene:
     sensors = FINE if seed >= FINE_FROM else SENSORS
     sensor = sensors[seed // len(KINDS) % len(sensors)]
     indenter = _indenter(rng)
-    half = np.array([20e-3, 15e-3]) - _MARGIN - _reach(indenter)
+    half = np.array([20e-3, 15e-3]) - _MARGIN - _extent(indenter)
     at = rng.uniform(-0.6, 0.6, 2) * half
     if kind == "edge":  # next to one of the four sides, as near as the indenter fits
         side = int(rng.integers(2))
@@ -140,7 +140,7 @@ def _indenter(rng: np.random.Generator) -> Indenter:
     return Indenter(kind, float(rng.uniform(*SIZES[kind])))
 
 
-def _reach(indenter: Indenter) -> float:
+def _extent(indenter: Indenter) -> float:
     """Return the lateral half-extent of the possible contact, m."""
     sizes = {
         "sphere": min(indenter.size, 7e-3),

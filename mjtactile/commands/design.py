@@ -315,12 +315,12 @@ def _print_checked(checked: list[dict[str, Any]]) -> None:
             f"full simulation of {one['sensor']}: {one['presses']} contacts, force error "
             f"{error} mN rms, {times} times the predicted sd; position {placed} times"
         )
-        reach = one["range"]
-        if reach is None:
+        tested = one["range"]
+        if tested is None:
             continue
-        claimed, confirmed = (number(reach[key]) for key in ("claimed", "confirmed"))
-        verdict = "confirmed" if reach["is_confirmed"] else f"NOT confirmed beyond {confirmed} N"
+        claimed, confirmed = (number(tested[key]) for key in ("claimed", "confirmed"))
+        verdict = "confirmed" if tested["is_confirmed"] else f"NOT confirmed beyond {confirmed} N"
         print(
             f"  predicted range {claimed} N: {verdict} (force error within 10 % in indentations "
-            f"to {number(max(reach['forces'], default=None))} N)"
+            f"to {number(max(tested['forces'], default=None))} N)"
         )

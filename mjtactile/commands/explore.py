@@ -206,8 +206,8 @@ def _holder(options: argparse.Namespace, requested: Scenario) -> str:
     if options.setup != "gripper" and requested.rig == "sim":
         on = "stage"
     else:
-        on = "gripper" if is_simulated(requested) else "hand"
-    if len(options.turns) > (on == "hand"):
+        on = "gripper" if is_simulated(requested) else "operator"
+    if len(options.turns) > (on == "operator"):
         raise InputError(
             "too many rotations are given: one applies to the object of a real or an "
             "emulated rig, or to each --input; a simulation turns the object itself",

@@ -103,15 +103,15 @@ class Fiducials:
         if self.surface != "rim":
             return 0.0
         frame = design.frame
-        reach = self.radius + self.ground
+        extent = self.radius + self.ground
         if frame.outline is None:
             half = np.array([frame.length, frame.width]) / 2
-            outside = np.abs(self.places) + reach
+            outside = np.abs(self.places) + extent
             past = np.where(outside > half, half / outside, 1.0).min()
         else:
             xy = np.array(self.places)
             far = np.linalg.norm(xy, axis=1)
-            past = np.minimum((far + frame.inside(xy)) / (far + reach), 1.0).min()
+            past = np.minimum((far + frame.inside(xy)) / (far + extent), 1.0).min()
         behind = (1 - float(past)) * (design.camera.distance - self.lip)
         return min(behind, design.chamber.depth - self.lip)
 
@@ -156,19 +156,19 @@ class Fiducials:
     def _wrong(self, design: SensorDesign) -> list[str]:
         """Return the error of each position; "" if it is valid."""
         half = np.array([design.frame.length, design.frame.width]) / 2
-        reach = self.radius + self.ground
+        extent = self.radius + self.ground
         xy = np.abs(self.places)
         # at the opening, as the camera sees it past them
         depth = design.camera.distance - design.apparent_glass_thickness
         here = depth + self.p_SF(design)[:, 2]
         grows = np.ones(len(xy)) if self.surface == "rim" else depth / here
         if design.frame.outline is None:
-            seen = (xy - reach) * grows[:, None]
+            seen = (xy - extent) * grows[:, None]
             hides = (seen < half).all(axis=1)
-            beyond = (xy + reach > half + self.step).any(axis=1)
+            beyond = (xy + extent > half + self.step).any(axis=1)
         else:
-            hides = design.frame.inside(grows[:, None] * self.places) > -reach * grows
-            beyond = design.frame.inside(np.array(self.places)) < reach - self.step
+            hides = design.frame.inside(grows[:, None] * self.places) > -extent * grows
+            beyond = design.frame.inside(np.array(self.places)) < extent - self.step
         beyond = beyond & (self.surface == "rim")
         out = self._outside_image(design, xy, here)
         words = {

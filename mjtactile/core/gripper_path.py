@@ -68,7 +68,7 @@ class GripperPath:
         return self.ends[-1]
 
     @property
-    def reach(self) -> float:
+    def max_offset(self) -> float:
         """Maximum horizontal distance from the start along x or y, m."""
         return max(abs(value) for point in self.points for value in point[:2])
 

@@ -219,8 +219,8 @@ def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FRE
 def longest_lens(design: SensorDesign) -> float:
     """Return the maximum lens factor, with all flat markers in the image."""
     markers = design.markers
-    reach = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
-    return float((_seen(design) / reach).min())
+    resolution = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
+    return float((_seen(design) / resolution).min())
 
 
 def _seen(design: SensorDesign) -> Array:

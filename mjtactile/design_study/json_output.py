@@ -162,7 +162,7 @@ def _checked(design: SensorDesign, places: int, seed: int, notify: Notify) -> di
     """Compare the predicted sd with the scatter of indentations in full simulation."""
     notify(f"indenting {design.name} in full simulation")
     claimed = largest_force(VirtualBench(design))
-    reach = check_range(design, claimed, seed=seed) if math.isfinite(claimed) else None
+    checked = check_range(design, claimed, seed=seed) if math.isfinite(claimed) else None
     presses = check(design, places=places, seed=seed, notify=notify)
     found = {} if not presses else asdict(verdict(presses))
     return {
@@ -172,5 +172,7 @@ def _checked(design: SensorDesign, places: int, seed: int, notify: Notify) -> di
         "place_ratio": found.get("place_ratio"),
         "force_error_rms_mN": 1e3 * found["force_rms"] if found else None,
         "place_error_rms_mm": 1e3 * found["place_rms"] if found else None,
-        "range": None if reach is None else asdict(reach) | {"is_confirmed": reach.is_confirmed},
+        "range": None
+        if checked is None
+        else asdict(checked) | {"is_confirmed": checked.is_confirmed},
     }

@@ -84,13 +84,13 @@ def study(
     stand = VirtualBench(design)
     notify("predicting the performance")
     own = score(design, force, stand=stand)
-    reacher = ResolutionPredictor(stand)
+    predictor = ResolutionPredictor(stand)
     places = face_places(design)
     face = []
     for number, place in enumerate(places):
         if number % 10 == 0:
             notify(f"sensing surface: {number} of {len(places)} positions")
-        face.append(reacher.at(place, force))
+        face.append(predictor.at(place, force))
     image_use = image_use_of(stand)
     changes = []
     for label, variant in variants(design, image_use.longest_lens):

@@ -19,7 +19,7 @@ _SPACING = 1.7e-3  # spacing of the membrane's vertices, m; a coarser mesh is st
 _SAME = 1e-9  # length tolerance, m
 _MARGIN = 6e-3  # minimum distance of the ball from the frame, m
 _RANGE_STEPS = (0.4, 0.7, 0.9, 1.0, 1.05)  # of the depth at the predicted maximum force
-_REACHED = 0.9  # of the predicted maximum force, which counts as reached
+_CONFIRMED_FRACTION = 0.9  # of the predicted maximum force, which counts as reached
 _DEPTHS = (0.8e-3, 3.2e-3)  # range of the indentation depth, m
 
 
@@ -80,7 +80,7 @@ def check(
         The indentations with a valid estimate and prediction.
     """
     rng = np.random.default_rng(seed)
-    reacher = ResolutionPredictor(VirtualBench(design))
+    predictor = ResolutionPredictor(VirtualBench(design))
     sides = np.array([design.frame.length, design.frame.width]) / 2 - _MARGIN
     mesh = mesh_of(design)
     found = []
@@ -91,7 +91,7 @@ def check(
         steps = np.sort(rng.uniform(*_DEPTHS, depths)).tolist()
         plan = IndentationPlan(Indenter("sphere", BALL_RADIUS), steps, (float(at[0]), float(at[1])))
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
-        compared = [_compared(reacher, at, step) for step in result["steps"]]
+        compared = [_compared(predictor, at, step) for step in result["steps"]]
         found += [one for one in compared if one is not None]
         notify(f"position {number + 1} of {places}: {len(found)} indentations")
     return found
@@ -113,7 +113,7 @@ class RangeCheck:
     @property
     def is_confirmed(self) -> bool:
         """True if the indentations reach the predicted maximum."""
-        return self.confirmed >= _REACHED * self.claimed
+        return self.confirmed >= _CONFIRMED_FRACTION * self.claimed
 
 
 def check_range(design: SensorDesign, claimed: float, *, seed: int = 0) -> RangeCheck:
@@ -157,13 +157,13 @@ def mesh_of(design: SensorDesign) -> tuple[int, int]:
     return columns, rows
 
 
-def _compared(reacher: ResolutionPredictor, at: np.ndarray, step: dict) -> Checked | None:
+def _compared(predictor: ResolutionPredictor, at: np.ndarray, step: dict) -> Checked | None:
     true = -float(step["force_true_N"][2])
     wrench = step["wrench_estimated"]
-    reach = reacher.at(at, true, edges=False)
-    if str(step["status"]) != "ok" or not math.isfinite(reach.force_sd):
+    predicted = predictor.at(at, true, edges=False)
+    if str(step["status"]) != "ok" or not math.isfinite(predicted.force_sd):
         return None
-    moments = [reach.height * wrench[0] - wrench[4], reach.height * wrench[1] + wrench[3]]
+    moments = [predicted.height * wrench[0] - wrench[4], predicted.height * wrench[1] + wrench[3]]
     off = np.array(moments) / wrench[2] - at
     return Checked(
         (float(at[0]), float(at[1])),
@@ -171,8 +171,8 @@ def _compared(reacher: ResolutionPredictor, at: np.ndarray, step: dict) -> Check
         true,
         -float(wrench[2]),
         (float(off[0]), float(off[1])),
-        reach.force_sd,
-        reach.position_sd,
+        predicted.force_sd,
+        predicted.position_sd,
         float(step["force_estimated_sd_N"]),
     )
 

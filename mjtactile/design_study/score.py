@@ -82,10 +82,10 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
         InputError: The membrane has no equilibrium, or markers are outside of the image.
     """
     stand = stand or VirtualBench(design)
-    reacher = ResolutionPredictor(stand)
+    predictor = ResolutionPredictor(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
     places = [half * fraction for fraction in _PLACES]
-    resolutions = [reacher.at(place, force) for place in places]
+    resolutions = [predictor.at(place, force) for place in places]
     zero = stand.pipeline.settings.zero
     seen = max(zero.touch_sd * stand.level_noise(), stand.reference.min_force)
     return Score(
@@ -95,16 +95,16 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
         noise=_rms([one.noise for one in resolutions]),
         position_sd=_rms([one.position_sd for one in resolutions]),
         edge_sd=_rms([one.edge_sd for one in resolutions]),
-        radius=smallest_radius(reacher, places, force),
+        radius=smallest_radius(predictor, places, force),
         maximum=largest_force(stand),
     )
 
 
-def smallest_radius(reacher: ResolutionPredictor, places: list[Array], force: float) -> float:
+def smallest_radius(predictor: ResolutionPredictor, places: list[Array], force: float) -> float:
     """Return the smallest radius, m, from which on all can be measured; NaN: none."""
     smallest = math.nan
     for radius in reversed(RADII):
-        sd = _rms([reacher.radius_sd(radius, place, force) for place in places])
+        sd = _rms([predictor.radius_sd(radius, place, force) for place in places])
         if not sd <= MAX_RADIUS_SD:
             break
         smallest = radius

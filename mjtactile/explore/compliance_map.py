@@ -13,7 +13,7 @@ from mjtactile.core.types import Array
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.surface_patch import Patch
 
-_REACH = 8e-3  # range of influence of a touch, m
+_RADIUS = 8e-3  # range of influence of a touch, m
 _SIGNIFICANT = 2.0  # sd
 
 
@@ -36,7 +36,7 @@ class ComplianceMap:
         mean = float(np.average(values, weights=weights))
         centers = np.stack([patch.center for patch in known])
         distance = np.linalg.norm(mesh.vertices[:, None] - centers[None], axis=2)
-        near = np.exp(-0.5 * (distance / _REACH) ** 2) * weights
+        near = np.exp(-0.5 * (distance / _RADIUS) ** 2) * weights
         far = 1e-3 * weights.sum()
         by_vertex = (near @ values + far * mean) / (near.sum(axis=1) + far)
         return cls(np.maximum(by_vertex, 0.0), mean, float(weights.sum() ** -0.5))

@@ -39,7 +39,7 @@ class Bench(Protocol):
     @property
     def flags(self) -> Flags: ...
 
-    def reaches(self, aim: Aim) -> bool:
+    def is_reachable(self, aim: Aim) -> bool:
         """Return True if the sensor can reach the position."""
         ...
 
@@ -151,7 +151,7 @@ def explore(
         if outcome != "touches":
             break
         gain = size_information_gain(mesh, hypotheses[0])
-        aim = next_aim(mesh, patches, targets, bench.reaches, gain)
+        aim = next_aim(mesh, patches, targets, bench.is_reachable, gain)
         if aim is None:
             outcome = "no points left"
             break

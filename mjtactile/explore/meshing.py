@@ -86,9 +86,9 @@ def with_uncertainty(surface: SurfacePosterior, vertices: Array, triangles: Arra
 
 def _box(surface: SurfacePosterior) -> tuple[Array, Array]:
     """Return the lower and upper corner, m, of a box around the surface."""
-    reach = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
+    extent = 1e-3 * float(np.linalg.norm(np.exp(surface.theta[6:9])))
     center = 1e-3 * surface.theta[:3]
-    coarse = np.linspace(-1.2 * reach, 1.2 * reach, 33)
+    coarse = np.linspace(-1.2 * extent, 1.2 * extent, 33)
     grid = np.stack(np.meshgrid(coarse, coarse, coarse, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = grid[surface.distance(center + grid) < 0] + center
     if not len(inside):

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from mjtactile.core.types import Array
 from mjtactile.explore.surface_patch import Patch, tangents
 
-_REACH = 5e-3  # radius of a touch, m
+_RADIUS = 5e-3  # radius of a touch, m
 _BENT = 6.0  # power of the mean normal's length: 0.1 on a right angle's edge
 _NEAR = 4e-3  # distance from a patch below which a touch has little value, m
 
@@ -54,7 +54,7 @@ def _mean_around(mesh: Mesh, values: Array) -> Array:
     """Return the value of a touch at each vertex, m. This is the mean of `values` (V,) over the
     area of a touch. It is reduced on curved areas, since an edge or a corner gives information only
     about itself."""
-    near = cKDTree(mesh.vertices).query_ball_point(mesh.vertices, _REACH)
+    near = cKDTree(mesh.vertices).query_ball_point(mesh.vertices, _RADIUS)
     areas = mesh.areas()
     worth = np.empty(len(near))
     for vertex, others in enumerate(near):
@@ -68,7 +68,7 @@ def next_aim(
     mesh: Mesh,
     patches: Sequence[Patch],
     tried: Sequence[Aim],
-    reaches: Callable[[Aim], bool],
+    is_reachable: Callable[[Aim], bool],
     news: Array | None = None,
 ) -> Aim | None:
     """Choose the next point to touch; None if none is left. `tried` are the earlier targets,
@@ -81,6 +81,6 @@ def next_aim(
         worth = worth * np.minimum(distances.min(axis=1) / _NEAR, 1.0)
     for vertex in np.argsort(-worth):
         aim = Aim(mesh.vertices[vertex], mesh.normals[vertex])
-        if worth[vertex] > 0 and reaches(aim):
+        if worth[vertex] > 0 and is_reachable(aim):
             return aim
     return None

@@ -165,9 +165,9 @@ def _inside(outline: Array, center: Array, shrink: float) -> Array:
     far = np.hypot(off[:, 0], off[:, 1])
     spokes = np.arange(_SPOKES) * (2 * math.pi / _SPOKES)
     order = np.argsort(angle)
-    reach = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
+    extent = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
     rays = np.column_stack([np.cos(spokes), np.sin(spokes)])
-    rings = [center + fraction * reach[:, None] * rays for fraction in _RINGS]
+    rings = [center + fraction * extent[:, None] * rays for fraction in _RINGS]
     return np.concatenate([[center], *rings])
 
 
@@ -176,8 +176,8 @@ def _along(shape: ContactShape, center: Array) -> Array:
     ray = np.array([math.cos(shape.direction), math.sin(shape.direction)])
     across = np.array([-ray[1], ray[0]])
     on = center + across * (across @ (shape.p_SO[:2] - center))
-    reach = (shape.outline - on) @ ray
-    return on + np.linspace(0.8 * reach.min(), 0.8 * reach.max(), _LINE)[:, None] * ray
+    extent = (shape.outline - on) @ ray
+    return on + np.linspace(0.8 * extent.min(), 0.8 * extent.max(), _LINE)[:, None] * ray
 
 
 def _spread(shape: ContactShape) -> tuple[float, float, float, float]:

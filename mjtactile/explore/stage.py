@@ -72,7 +72,7 @@ class SimulatedStage:
         """Flags of reduced simulation accuracy."""
         return self.world.flags
 
-    def reaches(self, aim: Aim) -> bool:
+    def is_reachable(self, aim: Aim) -> bool:
         """Return True if the sensor can reach the target. It always can: the area under the holder
         is touched with the object upside down."""
         return True

@@ -20,7 +20,7 @@ MEMBRANE = (0.62, 0.78, 0.95, 1.0)
 TRUSTED = (0.22, 0.83, 0.33, 1.0)
 FLAGGED = (0.9, 0.24, 0.24, 1.0)
 PRESSED = (0.86, 0.31, 0.17, 1.0)
-_FELT = 0.03  # minimum plotted traction, as a fraction of the largest
+_TRACTION_MIN = 0.03  # minimum plotted traction, as a fraction of the largest
 _AROUND = 24  # points of an ellipse
 
 
@@ -138,7 +138,7 @@ def traction_arrows(traction: Traction, surface: Surface) -> Arrows:
     node_area = (traction.x[1] - traction.x[0]) * (traction.y[1] - traction.y[0])
     pressure = traction.force.reshape(-1, 3) / node_area
     size = np.linalg.norm(pressure, axis=1)
-    estimated = size > _FELT * max(float(np.nanmax(size, initial=0.0)), 1e-9)
+    estimated = size > _TRACTION_MIN * max(float(np.nanmax(size, initial=0.0)), 1e-9)
     at = np.column_stack([x.ravel(), y.ravel()])[estimated]
     tips = np.column_stack([at, _height(surface, at)])
     vectors = TRACTION * pressure[estimated]

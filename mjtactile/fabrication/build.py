@@ -131,7 +131,7 @@ def _papers(layout: Layout) -> dict[str, bytes]:
     if fiducials is not None:
         svgs["fiducials"] = fiducials
         pdfs["fiducials"] = [fiducials]
-    images = {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()}
+    images = {f"{name}.svg": write_svg(rubber).encode() for name, rubber in svgs.items()}
     images |= {f"{name}.dxf": write_dxf(svgs[name]).encode() for name in svgs if name != "board"}
     return images | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
@@ -139,8 +139,8 @@ def _papers(layout: Layout) -> dict[str, bytes]:
 def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
     """Render the images of the steps, by name; none without matplotlib."""
     edge = Contour(layout.outer_x + 12, layout.outer_y + 12)
-    sheet = plate(0.0, 0.6, edge, [circle(PEG, x, y) for x, y in pegs(layout)])
-    parts = {**parts, manual.SHEET: Part(manual.SHEET, (sheet,), RUBBER, make=False)}
+    rubber = plate(0.0, 0.6, edge, [circle(PEG, x, y) for x, y in pegs(layout)])
+    parts = {**parts, manual.RUBBER_SHEET: Part(manual.RUBBER_SHEET, (rubber,), RUBBER, make=False)}
     solids = {name: mesh.solid_of(part, mesh.COARSE) for name, part in parts.items()}
     found: dict[str, bytes | None] = {}
     for step in manual.steps_of(layout):

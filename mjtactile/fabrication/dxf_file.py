@@ -18,33 +18,33 @@ _COLORS = {"cut": 1, "black": 7, "mark": 5, "faint": 8}  # AutoCAD color numbers
 Pairs = Iterator[tuple[int, str | float | int]]
 
 
-def write_dxf(sheet: PrintedPage) -> str:
+def write_dxf(page: PrintedPage) -> str:
     """Write the page as DXF: one unit is a millimeter, the origin the page's center.
 
     Args:
-        sheet: The page.
+        page: The page.
 
     Returns:
         The file's text.
     """
-    return "".join(f"{code:>3}\n{_value(value)}\n" for code, value in _pairs(sheet))
+    return "".join(f"{code:>3}\n{_value(value)}\n" for code, value in _pairs(page))
 
 
 def _value(value: str | float | int) -> str:
     return f"{value + 0.0:.6f}" if isinstance(value, float) else str(value)
 
 
-def _pairs(sheet: PrintedPage) -> Pairs:
-    yield 999, f"{sheet.title}; unit: mm"
+def _pairs(page: PrintedPage) -> Pairs:
+    yield 999, f"{page.title}; unit: mm"
     yield from ((0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"))
-    yield from ((9, "$EXTMIN"), (10, -sheet.width / 2), (20, -sheet.height / 2))
-    yield from ((9, "$EXTMAX"), (10, sheet.width / 2), (20, sheet.height / 2))
+    yield from ((9, "$EXTMIN"), (10, -page.width / 2), (20, -page.height / 2))
+    yield from ((9, "$EXTMAX"), (10, page.width / 2), (20, page.height / 2))
     yield from ((0, "ENDSEC"), (0, "SECTION"), (2, "TABLES"))
     yield from ((0, "TABLE"), (2, "LAYER"), (70, len(_COLORS)))
     for style, color in _COLORS.items():
         yield from ((0, "LAYER"), (2, style.upper()), (70, 0), (62, color), (6, "CONTINUOUS"))
     yield from ((0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES"))
-    for shape in sheet.shapes:
+    for shape in page.shapes:
         yield from _shape(shape)
     yield from ((0, "ENDSEC"), (0, "EOF"))
 

@@ -83,7 +83,7 @@ class Layout:
         return MM * self.design.frame.rim
 
     @property
-    def sheet(self) -> float:
+    def rubber_thickness(self) -> float:
         """Thickness of the rubber."""
         return MM * self.design.membrane.thickness
 
@@ -105,7 +105,7 @@ class Layout:
     @property
     def ring(self) -> float:
         """From the opening to the clamping ring, which leaves room for rim and rubber."""
-        return self.rim + self.sheet + hw.CLEARANCE
+        return self.rim + self.rubber_thickness + hw.CLEARANCE
 
     @property
     def groove(self) -> tuple[float, float, float] | None:
@@ -181,7 +181,7 @@ class Layout:
     @property
     def z_flange(self) -> float:
         """Frame surface under the clamping ring."""
-        return -(hw.RING + self.sheet + self.bolt.head_height + hw.RECESS)
+        return -(hw.RING + self.rubber_thickness + self.bolt.head_height + hw.RECESS)
 
     @property
     def z_glass(self) -> float:
@@ -248,7 +248,10 @@ class Layout:
     @property
     def z_ring(self) -> tuple[float, float]:
         """Heights of the clamping ring."""
-        return self.z_flange + self.sheet, self.z_flange + self.sheet + hw.RING
+        return (
+            self.z_flange + self.rubber_thickness,
+            self.z_flange + self.rubber_thickness + hw.RING,
+        )
 
     @property
     def bolt_length(self) -> int:

@@ -57,7 +57,7 @@ _ASSEMBLY = tomllib.loads(_template("assembly.toml"))
 STEPS = tuple(ManualStep(**step) for step in _ASSEMBLY["step"])
 FIDUCIALS = {surface: ManualStep(**step) for surface, step in _ASSEMBLY["fiducials"].items()}
 """Assembly step of a sensor with fiducials, by their surface; before the membrane is glued."""
-SHEET = "sheet"
+RUBBER_SHEET = "rubber_sheet"
 """Stretched membrane on the jig; it appears only in the images."""
 
 
@@ -103,7 +103,7 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
         "focus": optics.focus,
         "exposure": 1e6 * optics.exposure,
         "square": MM * board_of(design).square,
-        "sheet": f"{2 * half[0]:.1f} x {2 * half[1]:.1f} mm",
+        "rubber_sheet": f"{2 * half[0]:.1f} x {2 * half[1]:.1f} mm",
         "ink": ink,
         "bolts": len(layout.bolts),
         "recess": hw.RECESS,

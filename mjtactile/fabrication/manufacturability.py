@@ -135,10 +135,10 @@ def _lights(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
     barrel = hardware.lens / 2
     ring = MM * design.leds.ring_radius
     # the barrel must not shade the far end of the membrane
-    reach = hardware.lens_front / (MM * design.camera.distance)
+    view_ratio = hardware.lens_front / (MM * design.camera.distance)
     clear = max(
         barrel + 0.5 + hw.LED_BODY[0] / 2 + 0.5,
-        (barrel + MM * design.frame.length / 2 * reach) / (1 - reach),
+        (barrel + MM * design.frame.length / 2 * view_ratio) / (1 - view_ratio),
     )
     yield Limit("leds.count", leds.count, "leaves the closed housing dark", 1)
     why = f"puts the LEDs behind or into the lens barrel of {hardware.lens:g} mm"

@@ -29,7 +29,7 @@ _FORCE_STEP = 5e-4  # of the depth, on the way to this force, m
 _RESERVE = 0.99  # of an interpolated depth: the steps of an indentation change the contact a little
 _PARTS = 101  # of the way from a position to the center
 _DEEPEST_FRACTION = 0.9  # of the chamber's depth, for the indentations of a protocol
-_REACH = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
+_OFFSET_MAX = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def indentation_places(
     """Return the positions (2,), m in S, of the indentations by their names."""
     sides = np.array([design.frame.length, design.frame.width])
     ball = indenter_radius(design)
-    far = np.maximum(_REACH * sides - ball, 0.0)
+    far = np.maximum(_OFFSET_MAX * sides - ball, 0.0)
     return {name: _inward(design, far * np.array(to), ball) for name, to in places.items()}
 
 
@@ -188,7 +188,7 @@ def _largest_force(design: SensorDesign) -> list[MembraneState]:
 def _inward(design: SensorDesign, place: Array, ball: float) -> Array:
     """Move a position (2,), m, towards the center until the ball lies within the outline."""
     frame = design.frame
-    clear = ball + (0.5 - _REACH) * min(frame.length, frame.width)
+    clear = ball + (0.5 - _OFFSET_MAX) * min(frame.length, frame.width)
     parts = np.linspace(1.0, 0.0, _PARTS)
     allowed = frame.inside(parts[:, None] * place) >= clear - 1e-9
     return place if frame.outline is None else place * parts[np.argmax(allowed)]

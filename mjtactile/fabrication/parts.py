@@ -93,12 +93,12 @@ def _clamp_ring(layout: Layout) -> Part:
 
 def _membrane(layout: Layout) -> Part:
     """The rubber as mounted: over the opening and down the rim."""
-    top = layout.z_flange + layout.sheet
-    cover = rim_outer(layout, layout.sheet)
+    top = layout.z_flange + layout.rubber_thickness
+    cover = rim_outer(layout, layout.rubber_thickness)
     layers = (
         _flange_plate(layout, layout.z_flange, top, rim_outer(layout)),
         plate(top, 0.0, cover, [rim_outer(layout)]),
-        plate(0.0, layout.sheet, cover),
+        plate(0.0, layout.rubber_thickness, cover),
     )
     description = "rubber sheet with markers on its inside"
     return Part("membrane", layers, RUBBER, make=False, description=description)

@@ -29,7 +29,7 @@ from mjtactile.fabrication.parts import (
     pegs,
 )
 
-_SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
+_RUBBER_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
 _FILM_PLAY = 0.1  # clearance between the fiducials' printed film and the groove's walls, mm
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
 _COLUMNS = 9
@@ -50,7 +50,7 @@ def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
 def page_size(layout: Layout) -> tuple[float, float]:
     """Half sizes, mm, of the rubber to cut, unstretched."""
     stretch = layout.design.membrane.pre_stretch
-    edge = 6 + _SHEET_EDGE
+    edge = 6 + _RUBBER_EDGE
     return (layout.outer_x + edge) / stretch, (layout.outer_y + edge) / stretch
 
 

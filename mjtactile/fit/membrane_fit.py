@@ -39,7 +39,7 @@ _NOWHERE = "sphere:8"
 # search for the unknown depth under a weight: first depth, m; iterations; relative force tolerance
 _FIRST_DEPTH = 2e-3
 _TRIES = 12
-_FORCE_REACHED = 0.003
+_FORCE_TOLERANCE = 0.003
 _LARGEST_STEP = 4e-3  # limit of the time step, s
 # speed of the simulated moves, m/s; a slower move changes the marker positions by less than 2 um
 _SPEED = 0.01
@@ -201,7 +201,7 @@ def _press_with(world: PressWorld, move: Move) -> None:
             depth = low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
         world.press(depth, move.shear, _SPEED)
         off = -float(world.drive_force[2]) - move.force
-        if abs(off) < _FORCE_REACHED * move.force:
+        if abs(off) < _FORCE_TOLERANCE * move.force:
             return
         if off > 0:
             high = depth

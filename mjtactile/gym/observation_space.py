@@ -14,7 +14,7 @@ from mjtactile.core.policy import policy_bounds, policy_observation
 from mjtactile.core.types import Array, Image, Observation, Touch
 
 KINDS = ("wrench", "markers", "image")
-_MARKER_REACH = 0.1  # bound of marker coordinates, m; larger than any sensor
+_MARKER_MAX = 0.1  # bound of marker coordinates, m; larger than any sensor
 
 
 def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Space[Any]:
@@ -35,7 +35,7 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
         images = gymnasium.spaces.Box(0, 255, (len(designs), height, width), np.uint8)
         return gymnasium.spaces.Dict({"wrench": vector, "image": images})
     shape = (len(designs), count)
-    markers = gymnasium.spaces.Box(-_MARKER_REACH, _MARKER_REACH, (*shape, 3), np.float32)
+    markers = gymnasium.spaces.Box(-_MARKER_MAX, _MARKER_MAX, (*shape, 3), np.float32)
     seen = gymnasium.spaces.MultiBinary(shape)
     return gymnasium.spaces.Dict({"wrench": vector, "seen": seen, "markers": markers})
 
@@ -60,6 +60,6 @@ def _markers(touch: Touch, count: int) -> tuple[Array, Array]:
     p_SM = np.zeros((count, 3), np.float32)
     seen = np.zeros(count, np.int8)
     if touch.markers is not None:
-        p_SM[touch.markers.ids] = np.clip(touch.markers.p_SM, -_MARKER_REACH, _MARKER_REACH)
+        p_SM[touch.markers.ids] = np.clip(touch.markers.p_SM, -_MARKER_MAX, _MARKER_MAX)
         seen[touch.markers.ids] = 1
     return p_SM, seen

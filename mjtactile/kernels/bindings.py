@@ -223,9 +223,9 @@ class _Kernel:
     def _raise_code(self, code: int, _function: Any, _arguments: Any) -> int:
         if code >= 0:
             return code
-        for name, (error, says) in _ERRORS.items():
+        for name, (error, description) in _ERRORS.items():
             if re.search(rf"\b{name} = {code}\b", _header()):
-                raise error(f"kernel {self.declaration.name}: {says}")
+                raise error(f"kernel {self.declaration.name}: {description}")
         raise RuntimeError(f"kernel {self.declaration.name} returned {code}")
 
 

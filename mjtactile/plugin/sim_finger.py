@@ -139,7 +139,7 @@ class SimFinger(NotCopyable):
             carrier_geoms.exclude(model, reached)
             reached = reached[:0]
         found = [
-            carrier_geoms.reach_note(model, self.sensor, reached),
+            carrier_geoms.carrier_note(model, self.sensor, reached),
             *contact_notes(model, carrier),
         ]
         self.notes = [note for note in found if note]

@@ -83,8 +83,8 @@ class _Crossings:
     @classmethod
     def of(cls, outline: Outline, x: Array, y: Array) -> _Crossings:
         points = outline.points(_POINTS)
-        across_y = _chains(points, x)
-        across_x = _chains(points[:, ::-1], y)
+        across_y = _boundary_crossings(points, x)
+        across_x = _boundary_crossings(points[:, ::-1], y)
         near_x = _NEAREST * (x[1] - x[0])
         near_y = _NEAREST * (y[1] - y[0])
         along_y = (y > across_y[0][:, None] + near_y) & (y < across_y[1][:, None] - near_y)
@@ -114,7 +114,7 @@ class _Crossings:
         return float(np.clip(crossing, low, high)), self.y[j]
 
 
-def _chains(points: Array, at: Array) -> Array:
+def _boundary_crossings(points: Array, at: Array) -> Array:
     """Return lower and upper crossing (2, n) of a convex polygon with lines at x = `at` (n,), or
     NaN."""
     turned = np.roll(points, -int(points[:, 0].argmin()), axis=0)

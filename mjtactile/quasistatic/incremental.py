@@ -131,11 +131,11 @@ class IncrementalMembrane:
     def relative_force_error(self) -> float:
         """Return the relative force error not exceeded in 9 of 10 cases, of reachable obstacles."""
         membrane, rows = self.membrane, self.rows
-        place, reach = rows[:, 13:16], rows[:, 19]
-        over = (np.abs(place[:, :2]) - reach[:, None] < (membrane.x[-1], membrane.y[-1])).all(
+        place, extent = rows[:, 13:16], rows[:, 19]
+        over = (np.abs(place[:, :2]) - extent[:, None] < (membrane.x[-1], membrane.y[-1])).all(
             axis=1
         )
-        near = over & (place[:, 2] - reach < membrane.rest.heights.max())
+        near = over & (place[:, 2] - extent < membrane.rest.heights.max())
         return row_error(rows[near], membrane.spacing)
 
     @property

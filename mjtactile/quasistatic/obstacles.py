@@ -32,7 +32,7 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "cylinder": (3, ("radius", "half length")),
     "box": (4, ("half x", "half y", "half z")),
     "plane": (5, ()),
-    "quadric": (6, ("curvature x", "curvature y", "reach")),
+    "quadric": (6, ("curvature x", "curvature y", "extent")),
     "disc": (7, ("radius", "half height", "rim radius")),
     "cone": (8, ("radius", "height")),
     "wedge": (9, ("half length", "half width", "height")),
@@ -95,8 +95,8 @@ def obstacle(
     Args:
         kind: One of KINDS. The axis of capsule, cylinder, disc and cone is the obstacle's z. A
             cone's tip and a wedge's edge are at its origin, and both open towards z. A wedge's edge
-            lies along x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 out to `reach`. A plane is solid
-            on the side away from the sensor.
+            lies along x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 out to `extent`. A plane is
+            solid on the side away from the sensor.
         sizes: Half sizes, m (curvatures 1/m), in the order of KINDS.
         p_SO: Position of the obstacle's center (3,), m, in S.
         R_SO: Rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: identity.
@@ -139,7 +139,7 @@ def obstacle(
     if kind == "heights":
         numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
     numbers[18] = _min_width(kind, sides, data)
-    numbers[19] = _reach(kind, sides, data)
+    numbers[19] = _extent(kind, sides, data)
     return Obstacle(kind, numbers, pool.ravel(), corners)
 
 
@@ -157,13 +157,13 @@ def unchecked_obstacle(
     turned = _IDENTITY.tolist() if R_SO is None else R_SO.ravel().tolist()
     sides = [0.0, 0.0, 0.0]
     sides[: len(sizes)] = sizes
-    pool, minimum, reach = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
+    pool, minimum, extent = _NO_POOL.ravel(), 2 * min(sides[:2]), sum(sizes)
     if kind == "sphere":
         minimum = _min_width(kind, sides[:1], None)
     if heights is not None:
         sides[:2] = heights.shape
-        pool, minimum, reach = heights.ravel(), math.inf, math.inf
-    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, reach]
+        pool, minimum, extent = heights.ravel(), math.inf, math.inf
+    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, extent]
     made = object.__new__(Obstacle)
     vars(made).update(kind=kind, numbers=np.array(numbers, dtype=float), pool=pool, corners=None)
     return made
@@ -211,7 +211,7 @@ def _min_width(kind: str, size: list[float], data: ArrayLike | None) -> float:
     return 0.0 if kind == "wedge" else 2 * min(size[:2])
 
 
-def _reach(kind: str, size: list[float], data: ArrayLike | None) -> float:
+def _extent(kind: str, size: list[float], data: ArrayLike | None) -> float:
     """Return an upper bound of an obstacle's radius about its center, m."""
     if kind in ("mesh", "triangles"):
         return float(np.linalg.norm(np.asarray(data, dtype=float).reshape(-1, 3), axis=1).max())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, ContactShape
 from mjtactile.report.shape_wireframe import describe_shape, directions_of, lines_of
 
-_REACH = 9e-3  # half-width of a section, m
+_RADIUS = 9e-3  # half-width of a section, m
 _BELIEVED = (25, 25, 25)  # blue, green, red
 _TRUE = (0, 123, 224)
 _PAPER = (255, 255, 255)
@@ -63,7 +63,7 @@ def _flat(points: Array, way: Array) -> Array:
 def _render(
     panel: NDArray[np.uint8], lines: list[Array], colour: tuple[int, ...], wide: int
 ) -> None:
-    scale = panel.shape[1] / (2 * _REACH)
+    scale = panel.shape[1] / (2 * _RADIUS)
     foot = panel.shape[0] - 0.15 * panel.shape[0]
     for line in lines:
         pixels = np.column_stack(

@@ -14,7 +14,7 @@ from mjtactile.recording.reader import Recording
 from mjtactile.report.software_renderer import SceneCamera
 
 _ARC = 1.2  # half-angle of the arc about the nearest point of a curved shape, rad
-_REACH = 8e-3  # half-length of the arc of a flat shape, m, and maximum for any shape
+_RADIUS = 8e-3  # half-length of the arc of a flat shape, m, and maximum for any shape
 _POINTS = 17
 _FLAT = 1.0  # 1/m
 # Heights relative to the shape's nearest point, m; points outside belong to another object
@@ -51,10 +51,10 @@ def directions_of(shape: ContactShape) -> tuple[float, float]:
 def _arc(curvature: float) -> tuple[Array, Array]:
     """Return displacements along an arc and its heights above its lowest point, m."""
     if abs(curvature) < _FLAT:
-        way = np.linspace(-_REACH, _REACH, _POINTS)
+        way = np.linspace(-_RADIUS, _RADIUS, _POINTS)
         return way, np.zeros(_POINTS)
     radius = 1 / curvature
-    maximum = min(_ARC, _REACH / abs(radius)) if abs(radius) > _REACH else _ARC
+    maximum = min(_ARC, _RADIUS / abs(radius)) if abs(radius) > _RADIUS else _ARC
     turn = np.linspace(-maximum, maximum, _POINTS)
     return radius * np.sin(turn), radius * (1 - np.cos(turn))
 
@@ -64,11 +64,11 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
     if shape.kind == "unknown" or not np.isfinite(shape.p_SO).all():
         return np.zeros((0, 2, 3))
     corners_O = (view.object_triangles() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
-    near = (np.abs(corners_O).min(axis=1)[:, :2] < _REACH).all(axis=1)
+    near = (np.abs(corners_O).min(axis=1)[:, :2] < _RADIUS).all(axis=1)
     pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
     found = np.concatenate(pieces)
     middle = found.mean(axis=1)
-    here = (np.hypot(middle[:, 0], middle[:, 1]) < _REACH) & (found[:, :, 2] > -_BELOW).all(axis=1)
+    here = (np.hypot(middle[:, 0], middle[:, 1]) < _RADIUS) & (found[:, :, 2] > -_BELOW).all(axis=1)
     return found[here & (found[:, :, 2] < _ABOVE).all(axis=1)] + shape.p_SO
 
 

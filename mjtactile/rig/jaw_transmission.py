@@ -65,7 +65,7 @@ class JawLaw:
         low = int(np.clip(np.searchsorted(a, coordinate) - 1, 0, len(a) - 2))
         return float((x[low + 1] - x[low]) / (a[low + 1] - a[low]))
 
-    def reaches(self, coordinate: float) -> bool:
+    def is_reachable(self, coordinate: float) -> bool:
         """Return True if the coordinate is in the range of the law, with a tolerance of 5 %."""
         if self.kind == CRANK:
             return abs(coordinate) <= math.pi / 2 + 0.05

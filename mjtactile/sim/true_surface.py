@@ -69,16 +69,16 @@ class TrueSurface:
         across = np.linalg.svd(way[None])[2][1:]
         turns = np.arange(8) * (np.pi / 4)
         rays = np.column_stack([np.cos(turns), np.sin(turns)]) @ across
-        reach = _CLIMB
-        while reach > _CLIMBED:
-            starts = best - (best @ way) * way + reach * rays
+        step = _CLIMB
+        while step > _CLIMBED:
+            starts = best - (best @ way) * way + step * rays
             lengths = [_ray(self.model, self.data, at + _FAR * way, -way) for at in starts]
             heights = np.where(np.array(lengths) < 0, -np.inf, _FAR - np.array(lengths))
             top = int(heights.argmax())
             if heights[top] > best @ way:
                 best = starts[top] + heights[top] * way
             else:
-                reach /= 2
+                step /= 2
         return float(best @ way)
 
 

@@ -53,7 +53,9 @@ def shadow_of(
     """
     episode = RecordedEpisode(folder)
     staged = "stage" in episode.recording.notes
-    again = StageReplay(folder, until) if staged else _hand(episode, folder, rig, item, until)
+    again = (
+        StageReplay(folder, until) if staged else _replay_gripper(episode, folder, rig, item, until)
+    )
     found = recorded(episode)
     if math.isfinite(until):
         found = found.at(found.time[found.time <= until])
@@ -67,7 +69,7 @@ def shadow_of(
     return explain(found, again.run, chosen, many=many, notify=notify), episode
 
 
-def _hand(
+def _replay_gripper(
     episode: RecordedEpisode, folder: Path, rig: str, item: str, until: float
 ) -> GripperReplay:
     header = episode.recording.header

@@ -79,7 +79,7 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
             "amounts": [amount / scale for amount in one.amounts],
             "sd": [sd / scale for sd in one.sd],
             "explains": one.explains,
-            "says": notify(one, fingers),
+            "text": notify(one, fingers),
         }
 
     return {

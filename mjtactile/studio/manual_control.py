@@ -18,7 +18,7 @@ _LIFT_SPEED = 0.04
 # gain, m/s per N of force error, and speed limit, m/s: as in the included controller
 _SQUEEZE_GAIN = 0.03
 _SQUEEZE_SPEED = 0.01
-_REACH = 4e-3  # maximum distance of the commanded opening from the jaws during squeezing, m
+_LEAD_MAX = 4e-3  # maximum distance of the commanded opening from the jaws during squeezing, m
 _SERVO_FORCE = 4.0  # force limit of the servo, N
 
 
@@ -59,7 +59,7 @@ class ManualGoal:
         speed = _SQUEEZE_GAIN * (self.force - estimated) if touching else maximum
         requested = last - max(-maximum, min(maximum, speed)) * period
         if math.isfinite(actual):
-            return max(actual - _REACH, min(actual + _REACH, requested))
+            return max(actual - _LEAD_MAX, min(actual + _LEAD_MAX, requested))
         return requested
 
 

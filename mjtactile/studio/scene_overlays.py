@@ -121,7 +121,7 @@ def update(
             continue
         if (
             field is not None
-            and (found := surface_colormap.sheet(estimated, field, scale, minimum=minimum))
+            and (found := surface_colormap.surface_geom(estimated, field, scale, minimum=minimum))
             is not None
         ):
             corners, rgb = found

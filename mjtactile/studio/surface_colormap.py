@@ -137,7 +137,7 @@ def picture(
     return rgb
 
 
-def sheet(
+def surface_geom(
     estimated: FingerSnapshot, field: Field, scale: float, *, minimum: float = 0.0
 ) -> tuple[Array, Array] | None:
     """Return triangles of the estimated surface: corners (m, 3, 3) m in S, colors (m, 3) from 0 to

@@ -221,8 +221,8 @@ def _places(
     from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
 
     top = float(membrane_of(design, grid).rest.x[2].max())
-    reach = math.hypot(math.hypot(design.frame.length, design.frame.width) / 2, top) + 1e-3
-    found = [ContactGeoms(model, frame, reach) for frame in frames]
+    radius = math.hypot(math.hypot(design.frame.length, design.frame.width) / 2, top) + 1e-3
+    found = [ContactGeoms(model, frame, radius) for frame in frames]
     geoms = max(1, *(len(part.ids) for part in found))
     bodies = max(1, *(len(part.bodies) for part in found))
     tables = {
@@ -251,7 +251,7 @@ def _places(
         setattr(places, name, wp.array(table, dtype=int))
     places.bodies = wp.array(listed, dtype=int)
     places.rbound = m.geom_rbound
-    places.reach = reach
+    places.radius = radius
     return places, np.concatenate(planes) if planes else np.zeros((1, 4))
 
 

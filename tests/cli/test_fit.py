@@ -90,7 +90,7 @@ def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
 
 
 def test_bad_input_is_one_line(recording, tmp_path, capsys):
-    for words, says in [
+    for words, message in [
         (["--fix", "membrane.colour=3"], "is not a field"),
         (["--fix", "young"], "FIELD=NUMBER"),
         (["--finger", "thumb"], "thumb"),
@@ -99,7 +99,7 @@ def test_bad_input_is_one_line(recording, tmp_path, capsys):
             main(["fit", "--recording", str(recording), "--out", str(tmp_path / "x.toml"), *words])
             == 2
         )
-        assert says in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 def test_an_indenter_wider_than_the_frame_is_refused(recording, tmp_path, capsys):

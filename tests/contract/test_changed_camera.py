@@ -8,7 +8,7 @@ from mjtactile.recording.observer import Observer
 from mjtactile.runtime.grasp import run_grasp
 from tests.emulated_host import controller_text
 
-TROUBLES = """[camera]
+FAULTS = """[camera]
 from_s = 3.2
 image_shift_px = [2, 2]
 rotation_deg = 0.3
@@ -40,7 +40,7 @@ def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
     The force error always stays within five reported standard deviations.
     """
     path = tmp_path / "knocked.toml"
-    path.write_text(TROUBLES)
+    path.write_text(FAULTS)
     quick = tmp_path / "quick.py"
     quick.write_text(controller_text(hold=0.5))
     scenario = Scenario(

@@ -133,7 +133,7 @@ def validate_fits(
     a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
     noise = np.maximum(fit.residual, 1e-3)
-    doubt = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
+    shape_sd = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
     moved = np.hypot(*(fit.center - found.center).T)
     extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
     out = (
@@ -141,7 +141,7 @@ def validate_fits(
         | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.min_edge_distance)
     ).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
-    status[(contrast < s.min_contrast * noise) | (doubt > s.max_shape_sd)] = LOW_CONTRAST
+    status[(contrast < s.min_contrast * noise) | (shape_sd > s.max_shape_sd)] = LOW_CONTRAST
     status[fit.residual > s.max_residual * contrast] = NOT_ELLIPSE
     # of this image: its noise, its compression
     usual = ellipse.middle(fit.residual) if len(b) else 0.0
@@ -168,7 +168,7 @@ def validate_fits(
     for rejected, reason in (
         ((moved > 1 + s.max_move * b) & ~cut & ~odd, MOVED),
         ((contrast < s.min_contrast_any * noise), LOW_CONTRAST),
-        ((doubt > s.max_shape_sd_any) | (fit.residual >= edge_fit.UNSETTLED), NO_FIT),
+        ((shape_sd > s.max_shape_sd_any) | (fit.residual >= edge_fit.UNSETTLED), NO_FIT),
         (b < s.min_fit_axes * a, LONG),
         (b < s.shrunk_fraction * min_radius_px, SMALL),
     ):
@@ -197,13 +197,13 @@ def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.
     d = center[j] - center[i]
     length = np.maximum(np.hypot(*d.T), 1e-9)
     towards = d / length[:, None]
-    reach = 0.0
+    span = 0.0
     for k in (i, j):
         p, q, s = ellipse.inverse_shape(shape[k]).T
-        reach = reach + 1 / np.hypot(
+        span = span + 1 / np.hypot(
             p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1]
         )
-    touching = near[length < reach + close]
+    touching = near[length < span + close]
     crowded = np.zeros(len(center), dtype=bool)
     crowded[touching.ravel()] = True
     return crowded

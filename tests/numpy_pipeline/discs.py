@@ -82,10 +82,10 @@ def render_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: 
     rise = (
         (ahead - behind)[:, 1] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
     )
-    reach = _margin(blur_px) + 1
+    border = _margin(blur_px) + 1
     for v in range(0, camera.height, _STRIPE_PX):
         rows = min(_STRIPE_PX, camera.height - v)
-        near = (uv[:, 1] > v - reach) & (uv[:, 1] < v + rows + reach)
+        near = (uv[:, 1] > v - border) & (uv[:, 1] < v + rows + border)
         xy = (uv[near] - np.array([0.0, v])).T[None]
         coverage[v : v + rows] += _coverage(
             xy, rise[None, near], (camera.width, rows), max(blur_px, BLUR_MIN_PX)
@@ -136,11 +136,11 @@ def _coverage(xy: Array, rise: Array, size: Sequence[int], blur_px: float) -> Fl
 
 def _table_rows(x: Array, pixels: int, blur_px: float) -> NDArray[np.int64]:
     """Rows of `_table` for curve points `x`; beyond its reach the functions are constant."""
-    reach = _margin(blur_px) + 1
-    place = np.rint((np.clip(x, -reach, pixels - 1 + reach) + reach) * _BINS).astype(np.int64)
-    whole = place // _BINS
+    border = _margin(blur_px) + 1
+    place = np.rint((np.clip(x, -border, pixels - 1 + border) + border) * _BINS).astype(np.int64)
+    pixel = place // _BINS
     part = place % _BINS
-    return part * (2 * pixels + 2 * reach) + (pixels + 2 * reach - 1) - whole
+    return part * (2 * pixels + 2 * border) + (pixels + 2 * border - 1) - pixel
 
 
 def _table(pixels: int, blur_px: float, *, integral: bool) -> Floats:
@@ -150,11 +150,11 @@ def _table(pixels: int, blur_px: float, *, integral: bool) -> Floats:
     if key not in _TABLES:
         if len(_TABLES) > 128:
             _TABLES.clear()
-        reach = _margin(blur_px) + 1
+        border = _margin(blur_px) + 1
         sd = blur_px
         u = (
-            np.arange(2 * pixels + 2 * reach)
-            - (pixels + reach - 1)
+            np.arange(2 * pixels + 2 * border)
+            - (pixels + border - 1)
             - np.arange(_BINS)[:, None] / _BINS
         )
         edge = np.stack([u + 0.5, u - 0.5])

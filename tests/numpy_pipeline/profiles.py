@@ -353,8 +353,8 @@ def _result(
     # Profiles share some pixels. Neighbours at distance d correlate as the autocorrelation of
     # softening and interpolation together, nearly a Gaussian. The factor is the sum over all
     # neighbours.
-    reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
-    shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
+    total_variance = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
+    shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / total_variance).sum(axis=0)
     variance *= (count - 5) / np.maximum(count - 5 * shared, 1)
     cov = inverse * (s.covariance_factor * variance * shared * spacing)[:, None, None]
     # An error of the levels moves all offsets together, V = I g, and one of their gradient moves

@@ -88,9 +88,9 @@ def test_gravity_of_the_sheet_is_its_weight():
         press_world(effects).model.body_mass.sum() for effects in (PHYSICS, PHYSICS - {"gravity"})
     ]
     rubber = DENSE.membrane
-    whole = rubber.density * rubber.thickness * DENSE.frame.area / rubber.pre_stretch**2
+    complete = rubber.density * rubber.thickness * DENSE.frame.area / rubber.pre_stretch**2
     # the rim's share of the areas (a quarter to a third at 9 x 7 vertices) rides on the frame
-    assert 0.6 * whole < masses[0] - masses[1] < whole
+    assert 0.6 * complete < masses[0] - masses[1] < complete
 
 
 def test_follower_pressure_matters_as_its_gate_says():

@@ -280,8 +280,8 @@ def test_a_surface_is_found_with_its_area_and_volume(design):
 
 
 def test_markers_of_the_grid_outside_are_left_out():
-    reach = np.linalg.norm(ROUND.markers.p_SM, axis=1).max() + 1.5 * ROUND.markers.radius
-    assert reach < 15e-3 and ROUND.markers.count == 69
+    extent = np.linalg.norm(ROUND.markers.p_SM, axis=1).max() + 1.5 * ROUND.markers.radius
+    assert extent < 15e-3 and ROUND.markers.count == 69
     wide = replace(ROUND, frame=Frame(40e-3, 40e-3, shape="circle"))
     assert wide.markers.count == 81
     assert replace(ROUND, frame=load_sensor("dense").frame).markers.frame is None

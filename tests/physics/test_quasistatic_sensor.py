@@ -157,12 +157,12 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
 
 def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
     """Without that, strawberries swung ever more between films, until they were dropped."""
-    whole, pieces = (  # damping in N s/m, before weight sets in
+    single, pieces = (  # damping in N s/m, before weight sets in
         membrane_interval(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
         for of in (ball_of, pieces_of)
     )
     # caps are a tenth less round, and go 0.2 mm in as the jaws close on them
-    np.testing.assert_allclose(pieces, whole, rtol=0.25)
+    np.testing.assert_allclose(pieces, single, rtol=0.25)
 
 
 def test_what_friction_cannot_hold_falls():

@@ -9,7 +9,7 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.sim import ground_truth
 
 
-def hand(task="lift"):
+def gripper_rig(task="lift"):
     """An egg between inflated films."""
     rig = build_rig(Scenario(object="egg", effects="-mesh,-pipeline", seed=3, task=task))
     world = rig.scene
@@ -27,7 +27,7 @@ def test_steps_in_one_go_are_those_one_by_one():
     observations of each step."""
     found = []
     for ahead in (True, False):
-        rig, world = hand()
+        rig, world = gripper_rig()
         if not ahead:
             world._batches = None
         forces = []
@@ -59,7 +59,7 @@ def test_what_happens_to_it_does_so_in_the_same_steps(task):
     bit as step by step."""
     found = []
     for ahead in (True, False):
-        rig, world = hand(task)
+        rig, world = gripper_rig(task)
         if not ahead:
             world._batches = None
         stretches = []
@@ -87,7 +87,7 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
     of a hundredth of a second."""
     masses = []
     for ahead in (True, False):
-        rig, world = hand("pour")
+        rig, world = gripper_rig("pour")
         world._batches = world._batches if ahead else None
         world.set_finger_target(0.03, 3.0)
         world.step(500)
@@ -115,7 +115,7 @@ def test_looking_changes_nothing(leak, ahead):
     """
     found = []
     for is_read in (False, True):
-        rig, world = hand()
+        rig, world = gripper_rig()
         for sensor in world.sensors:
             sensor.puncture(leak)
         if not ahead:
@@ -142,7 +142,7 @@ def test_looking_changes_nothing(leak, ahead):
 
 
 def test_what_goes_wrong_ends_it_in_that_step():
-    rig, world = hand()
+    rig, world = gripper_rig()
     world.data.qvel[-6:-3] = np.nan
     before = world.step_count
     with pytest.raises(SimulationError, match="not finite"):
@@ -152,7 +152,7 @@ def test_what_goes_wrong_ends_it_in_that_step():
 
 
 def test_a_stretch_ends_where_somebody_is_due():
-    rig, world = hand()
+    rig, world = gripper_rig()
     dues = iter([world.time + 3.5 * world.timestep, np.inf, np.inf])
     calls = []
     due = [next(dues)]

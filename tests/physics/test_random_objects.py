@@ -16,8 +16,8 @@ SEEDS = range(120)
 
 
 def test_all_shapes_come_and_stay_within_what_is_said():
-    things = [random_object(seed) for seed in SEEDS]
-    assert {thing.shape for thing in things} == {
+    samples = [random_object(seed) for seed in SEEDS]
+    assert {random.shape for random in samples} == {
         "egg",
         "box",
         "cylinder",
@@ -25,27 +25,27 @@ def test_all_shapes_come_and_stay_within_what_is_said():
         "bottle",
         "fruit",
     }
-    for thing in things:
+    for random in samples:
         assert (
-            0.015 <= 2 * thing.a <= 0.061
-            and 0.015 <= 2 * thing.c <= 0.0701
-            and 0.005 <= thing.mass <= 0.2
+            0.015 <= 2 * random.a <= 0.061
+            and 0.015 <= 2 * random.c <= 0.0701
+            and 0.005 <= random.mass <= 0.2
         )
-        assert thing.break_force >= max(1.2, _CARRIES * thing.mass) * (1 - 1e-9)
-    assert random_object(7) == things[7] != things[8]
+        assert random.break_force >= max(1.2, _CARRIES * random.mass) * (1 - 1e-9)
+    assert random_object(7) == samples[7] != samples[8]
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_the_file_is_the_thing(seed):
     """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it
     stands where it is put."""
-    thing = random_object(seed)
+    random = random_object(seed)
     item = load_object(f"random:{seed}")
-    assert item.mass == pytest.approx(thing.mass, rel=1e-5) and item.break_force == pytest.approx(
-        thing.break_force, rel=1e-5
+    assert item.mass == pytest.approx(random.mass, rel=1e-5) and item.break_force == pytest.approx(
+        random.break_force, rel=1e-5
     )
     assert item.grasp_height >= 0.0259 and item.turn == pytest.approx(
-        math.radians(3) if thing.shape == "box" else math.pi
+        math.radians(3) if random.shape == "box" else math.pi
     )
     spec = read_spec(item)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -64,14 +64,18 @@ def test_the_file_is_the_thing(seed):
 
 def test_a_box_is_as_large_as_drawn_and_as_heavy_to_turn():
     seed = next(seed for seed in SEEDS if random_object(seed).shape == "box")
-    thing = random_object(seed)
+    random = random_object(seed)
     model = read_spec(load_object(f"random:{seed}")).compile()
     sizes = np.sort(np.ptp(model.mesh_vert, axis=0))  # a mesh's axes are its principal ones
-    np.testing.assert_allclose(sizes, np.sort(2 * np.array([thing.a, thing.b, thing.c])), rtol=1e-5)
+    np.testing.assert_allclose(
+        sizes, np.sort(2 * np.array([random.a, random.b, random.c])), rtol=1e-5
+    )
     moments = (
-        thing.mass
+        random.mass
         / 3
-        * np.array([thing.b**2 + thing.c**2, thing.a**2 + thing.c**2, thing.a**2 + thing.b**2])
+        * np.array(
+            [random.b**2 + random.c**2, random.a**2 + random.c**2, random.a**2 + random.b**2]
+        )
     )
     np.testing.assert_allclose(np.sort(model.body("object").inertia), np.sort(moments), rtol=1e-4)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mjtactile
-from benchmarks.camera_faults.gas_changes import AFTER, BEFORE, MASS, TROUBLES, errors, scene
+from benchmarks.camera_faults.gas_changes import AFTER, BEFORE, FAULTS, MASS, errors, scene
 from mjtactile.core.types import PressureReading
 from mjtactile.sensing.force.gas_filter import GasFilter
 from mjtactile.sensing.force.spline_fem import Gas
@@ -19,11 +19,11 @@ BOUNCE = 0.4  # time in s that the ball swings and the membrane drags after a pr
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mass", [None, MASS], ids=["nothing touches", "0.6 N"])
-@pytest.mark.parametrize("trouble", TROUBLES)
-def test_force_stays_right_or_is_unknown(trouble: str, mass: float | None) -> None:
+@pytest.mark.parametrize("fault", FAULTS)
+def test_force_stays_right_or_is_unknown(fault: str, mass: float | None) -> None:
     model, data, finger = scene(mass)
     errors(model, data, finger, BEFORE)
-    TROUBLES[trouble](finger)
+    FAULTS[fault](finger)
     off, sd = np.abs(errors(model, data, finger, AFTER)).T
     swings = round(BOUNCE * finger.design.camera.rate)
     assert np.nanmax((off / np.maximum(TOLERANCE, 3 * sd))[:swings]) < 1
@@ -63,10 +63,10 @@ def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
     that a valve has released, and nothing at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
-    begun = follow.start(Gas(1000.0), 0.0, 24e-6)
+    first_state = follow.start(Gas(1000.0), 0.0, 24e-6)
     found = []
     for pressure in (1000.0, 0.0):
-        state = begun
+        state = first_state
         for k in range(1, 300):
             state, _ = follow.read(state, reading(pressure, k / 30, is_open=True))
         found.append(follow.gas_at(state, state.time)[1])

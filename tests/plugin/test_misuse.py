@@ -78,7 +78,7 @@ def test_a_finger_is_given_once_and_is_a_finger(bound):
 
 
 @pytest.mark.parametrize(
-    ("option", "says"),
+    ("option", "message"),
     [
         ({"render_mode": "rgb_array"}, "render_mode: 'rgb_array' needs the effect 'images'"),
         ({"observation": "image"}, "observation: 'image' needs the effect 'images'"),
@@ -86,8 +86,8 @@ def test_a_finger_is_given_once_and_is_a_finger(bound):
         ({"time_limit": 0.0}, "time_limit: 0.0 is not above 0"),
     ],
 )
-def test_options_without_their_effect_are_refused(option, says):
-    with pytest.raises(InputError, match=says):
+def test_options_without_their_effect_are_refused(option, message):
+    with pytest.raises(InputError, match=message):
         GraspEnv(effects=SYNTHETIC, **option)
 
 

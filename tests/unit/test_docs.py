@@ -197,9 +197,9 @@ def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
 def test_the_picture_reads_layers_as_import_linter_does():
     layers = ["cli", "(sim) | sensing", "types : (rig)"]
     assert architecture.floors(layers) == [
-        architecture.Floor(("cli",), apart=False),
-        architecture.Floor(("sim", "sensing"), apart=True),
-        architecture.Floor(("types", "rig"), apart=False),
+        architecture.Floor(("cli",), is_separate=False),
+        architecture.Floor(("sim", "sensing"), is_separate=True),
+        architecture.Floor(("types", "rig"), is_separate=False),
     ]
 
 
@@ -424,8 +424,8 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
         allowed, if_left_out, meaning = by_key[entry.key]
         default = default_of(kind, attribute)
         if isinstance(entry, Number):
-            whole = ", whole" if entry.whole else ""
-            assert allowed == f"{entry.low:g} to {entry.high:g}{whole}", entry.key
+            is_integer = ", whole" if entry.integer else ""
+            assert allowed == f"{entry.low:g} to {entry.high:g}{is_integer}", entry.key
         elif isinstance(entry, Text):
             assert allowed == " or ".join(f'`"{word}"`' for word in entry.choices or ()), entry.key
         else:

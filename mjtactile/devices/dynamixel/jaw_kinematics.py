@@ -77,7 +77,7 @@ class JawServo:
         fits = []
         for turn in (-1, 0, 1):
             self.revolution_offset_ticks = turn * _REVOLUTION_TICKS
-            if low - margin <= self.part(ticks) <= high + margin and self.law.reaches(
+            if low - margin <= self.part(ticks) <= high + margin and self.law.is_reachable(
                 self._angle(ticks)
             ):
                 fits.append(turn)

@@ -75,7 +75,7 @@ class ValveBoard:
         self._readings: dict[int, ValveReading] = {}
         # pressure setpoints of the channels, Pa (None: sealed), and those sent to the board
         self._aims: dict[int, int | None] = {}
-        self._told: dict[int, int | None] = {}
+        self._sent: dict[int, int | None] = {}
         self._sequence = 0
         self._received = bytearray()
         self._failures = 0
@@ -330,28 +330,28 @@ class ValveBoard:
             for channel in self._configs:
                 try:
                     with self._lock:
-                        self._tell(channel)
+                        self._send_aim(channel)
                         self._read(channel, self._reply_time)
                 except DeviceError as error:
                     self._failures = self._failures + 1
                     self._last_error = str(error)
 
-    def _tell(self, channel: int) -> None:
+    def _send_aim(self, channel: int) -> None:
         """Send the pressure setpoint of a channel, unless the board has it already."""
         if self._has_setpoint(channel):
             return
         pressure = self._aims[channel]
         self._command_echoed(f"seal {channel}" if pressure is None else f"set {channel} {pressure}")
-        self._told[channel] = pressure
+        self._sent[channel] = pressure
 
     def _has_setpoint(self, channel: int) -> bool:
-        return channel not in self._aims or self._told.get(channel, ...) == self._aims[channel]
+        return channel not in self._aims or self._sent.get(channel, ...) == self._aims[channel]
 
     def _forget_aim(self, channel: int) -> None:
         """Delete the pressure setpoint of a channel, since a direct command replaces it."""
         with self._lock:
             self._aims.pop(channel, None)
-            self._told.pop(channel, None)
+            self._sent.pop(channel, None)
 
     def _vented(self, channel: int) -> bool:
         for _ in range(_ATTEMPTS):

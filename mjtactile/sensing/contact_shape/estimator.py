@@ -109,7 +109,7 @@ class ContactShapeEstimator:
         assert touch.contact is not None
         place = np.array(touch.contact.centroid)
         press = replace(press, track=track, reported=self._kind(press, before, data.force, place))
-        shape = self._said(press, scale, slips(touch))
+        shape = self._result(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
         return Found(
@@ -141,7 +141,7 @@ class ContactShapeEstimator:
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
         return ReportedKind("unknown" if unexplained else kind, force, place)
 
-    def _said(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
+    def _result(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit

@@ -38,7 +38,7 @@ _ROUNDS = 100
 _MARKER_SD = 19e-6  # m
 _USABLE = 1.1  # ratio to the supply pressure up to which a network is used
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 
 
 def load_start(
@@ -62,14 +62,14 @@ def _loaded(design: SensorDesign, name: str) -> AmortizedStart | None:
 
 
 def ensure_start(
-    design: SensorDesign, s: ContactShapeSettings, say: Say = lambda _: None
+    design: SensorDesign, s: ContactShapeSettings, notify: Notify = lambda _: None
 ) -> AmortizedStart:
     """Return the network of a sensor; make it if there is none, in about a minute, and keep it."""
     name = fingerprint(design, s)
     found = _loaded(design, name)
     if found is not None:
         return found
-    start = make_start(design, s, say)
+    start = make_start(design, s, notify)
     with contextlib.suppress(OSError):  # a cache that cannot be written costs time only
         keep_start(_cache(), name, start)
     _loaded.cache_clear()
@@ -79,7 +79,7 @@ def ensure_start(
 def make_start(
     design: SensorDesign,
     s: ContactShapeSettings,
-    say: Say = lambda _: None,
+    notify: Notify = lambda _: None,
     presses: int = _PRESSES,
     rounds: int = _ROUNDS,
 ) -> AmortizedStart:
@@ -88,16 +88,16 @@ def make_start(
     Args:
         design: Sensor.
         s: Settings.
-        say: Receiver of progress messages.
+        notify: Receiver of progress messages.
         presses: Number of presses at each pressure.
         rounds: Number of rounds over the presses.
     """
     rng = np.random.default_rng(_VERSION)
-    say(f"sensor {design.name}: simulating {len(_PRESSURES) * presses} presses, once per sensor")
+    notify(f"sensor {design.name}: simulating {len(_PRESSURES) * presses} presses, once per sensor")
     every = Presses.joined([_presses_at(design, s, ratio, presses, rng) for ratio in _PRESSURES])
     sd = float(np.hypot(_MARKER_SD, s.membrane_sd))
     view = PressView.of(design, every.heights, every.force, every.center, sd)
-    say(f"sensor {design.name}: fitting the start of contact shapes")
+    notify(f"sensor {design.name}: fitting the start of contact shapes")
     for start in trained(every, view, sd, rounds, rng):
         found = start
     return _unpacked(design, _packed(found))

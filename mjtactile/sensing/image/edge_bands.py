@@ -26,9 +26,9 @@ def band(
     outer = shape + [width, 0, width]
     inner = shape - [width, 0, width]
     hollow = (inner[:, 0] > 0) & (inner[:, 0] * inner[:, 2] > inner[:, 1] ** 2)
-    reach = np.sqrt(outer[:, 1] ** 2 + outer[:, 2] ** 2)
-    top = np.ceil(center[:, 1] - reach).astype(np.int64)
-    rows = int(np.ceil(2 * reach.max())) + 1
+    extent = np.sqrt(outer[:, 1] ** 2 + outer[:, 2] ** 2)
+    top = np.ceil(center[:, 1] - extent).astype(np.int64)
+    rows = int(np.ceil(2 * extent.max())) + 1
     v = top[:, None] + np.arange(rows)
     left, right = _chord(outer, v - center[:, 1:], center[:, :1])
     hole_left, hole_right = _chord(
@@ -112,19 +112,19 @@ class Around:
         near = np.full((count, 0), -1, dtype=np.int64)
         if len(center) < 2:
             return cls(center, shape, near, s.neighbour_margin)
-        reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
+        extent = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
         # lazily: a tenth of a second, and only small markers need it
         from scipy.spatial import KDTree
 
         pairs = KDTree(center).query_pairs(
-            2 * reach.max() + width + s.neighbour_margin, output_type="ndarray"
+            2 * extent.max() + width + s.neighbour_margin, output_type="ndarray"
         )
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         distance = np.hypot(*(center[i] - center[j]).T)
-        close = (i < count) & (distance < reach[i] + reach[j] + width + s.neighbour_margin)
+        close = (i < count) & (distance < extent[i] + extent[j] + width + s.neighbour_margin)
         # exclude the marker itself, and objects it lies on, such as a sheet of paper
-        close &= (distance > np.maximum(reach[i], s.min_distance_fraction * reach[j])) & (
-            reach[j] < s.max_size_ratio * reach[i]
+        close &= (distance > np.maximum(extent[i], s.min_distance_fraction * extent[j])) & (
+            extent[j] < s.max_size_ratio * extent[i]
         )
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]
         i = i[order]

@@ -121,13 +121,13 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         right = pixels.sums(weight * residual * G).T
         mixed = pixels.sums(weight * by_gamma * G).T
         solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
-        tells = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
+        information = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
         pull = pixels.sums(weight * by_gamma * residual) - (mixed * solved[..., 0]).sum(axis=1)
         variance = pixels.sums(weight * residual**2) / np.maximum(
             pixels.sums(weight) - edge_fit.PARAMETERS, 1
         )
-        own = pull / tells
-        sd = np.sqrt(variance / tells)
+        own = pull / information
+        sd = np.sqrt(variance / information)
         step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MAX_STEP, _MAX_STEP))
         theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step

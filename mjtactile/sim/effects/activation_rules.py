@@ -57,8 +57,8 @@ def half_extents(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> tuple[float
     turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
     box = model.geom_aabb[geoms]
     middle = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", turn, box[:, :3])
-    reach = np.einsum("nij,nj->ni", np.abs(turn), box[:, 3:])
-    half = ((middle + reach).max(axis=0) - (middle - reach).min(axis=0)) / 2
+    extent = np.einsum("nij,nj->ni", np.abs(turn), box[:, 3:])
+    half = ((middle + extent).max(axis=0) - (middle - extent).min(axis=0)) / 2
     return float(half[1]), float(half[2])
 
 

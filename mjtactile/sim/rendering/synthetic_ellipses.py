@@ -133,9 +133,9 @@ class EllipseSampler:
 
     def _is_seen(self, center: Array, shape: Array) -> Array:
         """Return a mask (N,) of the markers that exist and are completely in the image."""
-        reach = np.hypot(shape[:, :2], shape[:, 1:]).max(axis=1) + 2 * self.design.camera.blur_px
+        extent = np.hypot(shape[:, :2], shape[:, 1:]).max(axis=1) + 2 * self.design.camera.blur_px
         size = np.array([self.camera.width, self.camera.height])
-        inside = ((center - reach[:, None] > -0.5) & (center + reach[:, None] < size - 0.5)).all(
+        inside = ((center - extent[:, None] > -0.5) & (center + extent[:, None] < size - 0.5)).all(
             axis=1
         )
         return inside & (self._radius > 0) & np.isfinite(shape).all(axis=1)

@@ -60,7 +60,7 @@ def require_path(rig: SimRigFile, start: Start, path: GripperPath) -> None:
         return
     for time in np.linspace(0.0, path.end, _CHECKS):
         for height in (0.0, start.path.heights[len(start.path.heights) // 2]):
-            start.path.reach(height, path.at(float(time)))
+            start.path.solve_pose(height, path.at(float(time)))
 
 
 class Gantry:

@@ -187,7 +187,7 @@ class ArmLift(GripperHeight):
     def drive(self, height: float) -> None:
         goals = self._path.at(height)
         if self._displacement is not None:
-            goals = self._path.reach(height, self._displacement)
+            goals = self._path.solve_pose(height, self._displacement)
         for actuator, goal in zip(self._actuators, goals, strict=True):
             actuator.set_goal(float(goal))
 
@@ -250,15 +250,15 @@ class Jaws:
         """Return the force on each finger, N, of loads that do `work` J per m of closing."""
         return self._fraction * work
 
-    def reach(self, speed: float) -> float:
+    def max_lead(self, speed: float) -> float:
         """Return the lead of a goal over the opening for the full force at `speed` m/s, m."""
         count = len(self.actuators)
-        reaches = []
+        leads = []
         for actuator, law in self.actuators:
             slope = abs(law.slope(actuator.length))
             force = 1.2 * actuator.force_limit + actuator.damping * (speed / (count * slope))
-            reaches.append(force / actuator.stiffness * slope * count)
-        return min(reaches)
+            leads.append(force / actuator.stiffness * slope * count)
+        return min(leads)
 
     def drive(self, opening: float) -> None:
         """Set the goal of every actuator, shared equally."""

@@ -95,8 +95,8 @@ class GripperWorld(World):
         if rig.lift.kind in ("actuator", "none"):
             _raise(spec, robot, int(robot.body_rootid[self.start.gripper]), self.start.raised)
         if rig.table:
-            reach = 0.0 if path is None else path.reach
-            _add_table(spec, [*self.start.centre[:2], rig.table_height], _TABLE + reach)
+            max_offset = 0.0 if path is None else path.max_offset
+            _add_table(spec, [*self.start.centre[:2], rig.table_height], _TABLE + max_offset)
         furnish(spec, self.start)
         super().__init__(spec, attachments, self._place)
         self._jaws = Jaws(self.model, self.data, rig)
@@ -230,9 +230,9 @@ class GripperWorld(World):
         jaw_step = self.rig.gripper.speed * self.timestep
         lift_step = self._lift_speed * self.timestep
         self._jaws.refresh_force()
-        reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
+        max_offset = self._jaws.max_offset(self.rig.gripper.speed) + 4 * jaw_step
         goal = _nearer(self._opening_goal, self._opening_target, jaw_step)
-        self._opening_goal = _nearer(self.opening, goal, reach)
+        self._opening_goal = _nearer(self.opening, goal, max_offset)
         self._lift_goal = _nearer(self._lift_goal, self._lift_target, lift_step)
         self._jaws.drive(self._opening_goal)
         self._lift.drive(self._lift_goal)
@@ -250,8 +250,8 @@ class GripperWorld(World):
 
     def _write_goals(self, batches: QuasistaticStepper) -> None:
         jaw_step = self.rig.gripper.speed * self.timestep
-        reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
-        batches.maximum[:] = jaw_step, reach, self._lift_speed * self.timestep
+        max_offset = self._jaws.max_offset(self.rig.gripper.speed) + 4 * jaw_step
+        batches.maximum[:] = jaw_step, max_offset, self._lift_speed * self.timestep
         batches.goals[:] = (
             self._opening_goal,
             self._opening_target,

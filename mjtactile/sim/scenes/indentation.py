@@ -138,7 +138,7 @@ class PressWorld(World):
             spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects
         )
         self.design = attachment.design
-        self.start_height = max(_AWAY, _reach(indenter) + _CLEAR)
+        self.start_height = max(_AWAY, _extent(indenter) + _CLEAR)
         body = carrier.add_body(name="indenter", pos=[*at, self.start_height], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
@@ -277,7 +277,7 @@ class PressWorld(World):
         mujoco.mj_forward(self.model, self.data)
 
 
-def _reach(indenter: Indentations) -> float:
+def _extent(indenter: Indentations) -> float:
     """Return the distance of the indenter's farthest point from its origin, m, or an upper bound of
     it."""
     spec = mujoco.MjSpec()

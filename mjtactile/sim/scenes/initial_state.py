@@ -55,7 +55,7 @@ class ArmPath:
     heights: Array
     goals: Array
     joints: Array
-    reach: Callable[[float, Array], Array]
+    solve_pose: Callable[[float, Array], Array]
     """Goals (a,) for a height and a displacement; it raises InputError if the arm cannot reach
     them."""
 
@@ -261,7 +261,7 @@ def _plan_path(
     moving.qpos[:] = data.qpos
     moving.mocap_pos[:] = data.mocap_pos
 
-    def reach(target: Array, R_WH: Array) -> tuple[Array, float]:
+    def solve_pose(target: Array, R_WH: Array) -> tuple[Array, float]:
         """Return the goals and the remaining error of a posture, which `moving` then has."""
         pose = gripper_pose_at(model, gripper, point_H, target, R_WH, dofs)
         rest = solve(model, moving, [*jaws, pose])
@@ -279,7 +279,7 @@ def _plan_path(
     joints = []
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
-        goal, rest = reach(target, R_WH)
+        goal, rest = solve_pose(target, R_WH)
         if rest > _TOLERANCE:
             if height == 0:
                 raise refusal(target, rest, "the table", "lift.kind")
@@ -294,7 +294,7 @@ def _plan_path(
         offset = displacement[:3] @ _axes(yaw) + [0.0, 0.0, raised + height]
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, _turn(yaw, displacement[3]))
-        goal, rest = reach(centre + offset, turn.reshape(3, 3) @ R_WH)
+        goal, rest = solve_pose(centre + offset, turn.reshape(3, 3) @ R_WH)
         if rest > _TOLERANCE:
             raise refusal(centre + offset, rest, "a waypoint of the task", "lift.kind")
         return goal

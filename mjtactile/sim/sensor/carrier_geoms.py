@@ -87,7 +87,7 @@ def exclude(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> None:
     model.geom_conaffinity[geoms] = 0
 
 
-def reach_note(model: mujoco.MjModel, sensor: AnySensor, geoms: NDArray[np.int64]) -> str:
+def carrier_note(model: mujoco.MjModel, sensor: AnySensor, geoms: NDArray[np.int64]) -> str:
     """Return a note on `geoms` of the carrier and the remedy; empty without any."""
     if not len(geoms):
         return ""

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import feature_size, ray_intersection, subgrid_indentation
 
-REACH = 0.6
+HALF_WIDTH = 0.6
 """Half width of a vertex's contact search cell, in cells: a little more than a half."""
-REACHED = 0.8
+SEARCH_DISTANCE = 0.8
 """Distance from contact within which a vertex searches for it, in cells."""
 FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """Offsets of a sphere's support points, in cells: on a face all of them rest on it."""
 _NEAR = 0.3  # cells from contact, within which a vertex moves its sphere
-_GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(
-    -1, 2
-)
+_GRID = np.stack(
+    np.meshgrid(*[np.linspace(-HALF_WIDTH, HALF_WIDTH, 7)] * 2, indexing="ij"), axis=-1
+).reshape(-1, 2)
 _AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 _ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
 # cells: where it is asked
@@ -84,7 +84,7 @@ def initial_offsets(
     shifts = (core @ cells.axes[:2].T)[None] - (cells.places @ cells.axes[:2].T)[:, None]
     shifts /= cells.sizes[:, None, None]
     gaps = (heights - (cells.places @ outward)[:, None]) / cells.sizes[:, None]
-    gaps = np.where(np.abs(shifts).max(axis=2) < REACH, gaps, _MISSED)
+    gaps = np.where(np.abs(shifts).max(axis=2) < HALF_WIDTH, gaps, _MISSED)
     chosen = (gaps + _CENTRED * (shifts * shifts).sum(axis=2)).argmin(axis=1)
     row = np.arange(len(chosen))
     return shifts[row, chosen], gaps[row, chosen]
@@ -93,14 +93,14 @@ def initial_offsets(
 def deepest(
     cells: Cells,
     entry: ray_intersection.Entry,
-    reach: Array,
+    limits: Array,
     foot: Array,
     hints: tuple[Array, Array] | None,
 ) -> tuple[NDArray[np.int64], Array, Array]:
     """Return the rows of the cells into which a shape protrudes, the shifts and the gaps.
 
     The shifts (k, 2) lead to the deepest point, the gaps (k,) are those there. A deepest point at a
-    cell's border, or beyond its `reach`, also belongs to the next cell. The vertex then does not
+    cell's border, or beyond its `limits`, also belongs to the next cell. The vertex then does not
     move along that axis. All points `foot` (f, 2) of a sphere rest on the shape. `hints` are shifts
     and gaps of a thin shape.
     """
@@ -117,17 +117,17 @@ def deepest(
         grid = np.concatenate([grid, hints[0][rows, None]], axis=1)
         gaps = np.concatenate([gaps, hints[1][rows, None]], axis=1)
     near = gaps.min(axis=1) < _NEAR
-    reach = reach[rows[near]]
+    limits = limits[rows[near]]
     shifts = _minimum(grid[near], gaps[near])
     rows = rows[near]
     cells = cells.of(np.flatnonzero(near))
     for step in _ZOOMS:
-        grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
+        grid = np.clip(shifts[:, None] + step * _AROUND, -HALF_WIDTH, HALF_WIDTH)
         feet = (grid[:, :, None] + foot).reshape(len(grid), len(_AROUND) * len(foot), 2)
         shifts = _minimum(
             grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(foot)).max(axis=2)
         )
-    shifts = np.where(np.abs(shifts) > reach[:, None] - 1e-6, 0.0, shifts)
+    shifts = np.where(np.abs(shifts) > limits[:, None] - 1e-6, 0.0, shifts)
     juts = _juts(cells, entry, shifts, 1.0 if hints is None else _WIDER)
     kept = np.flatnonzero(juts.any(axis=1))
     cells = cells.of(kept)
@@ -211,7 +211,7 @@ def _uneven(gaps: Array) -> NDArray[np.int64]:
         axis=1,
     ).reshape(-1, 6)
     smooth = (np.abs(bends) < 1 / feature_size.RESOLVED).all(axis=1)
-    return np.flatnonzero(~smooth & (gaps.min(axis=1) < REACHED))
+    return np.flatnonzero(~smooth & (gaps.min(axis=1) < SEARCH_DISTANCE))
 
 
 def _minimum(grid: Array, gaps: Array) -> Array:

@@ -39,8 +39,8 @@ def near_geoms(
 ) -> NDArray[np.int64]:
     """Return those of `geoms` (n,) whose bounding balls are near the sensor's membrane."""
     offset = data.geom_xpos[geoms] - data.xpos[sensor.body_id]
-    reach = _NEAR + np.hypot(sensor.design.frame.length, sensor.design.frame.width) / 2
-    return geoms[np.linalg.norm(offset, axis=1) < model.geom_rbound[geoms] + reach]
+    extent = _NEAR + np.hypot(sensor.design.frame.length, sensor.design.frame.width) / 2
+    return geoms[np.linalg.norm(offset, axis=1) < model.geom_rbound[geoms] + extent]
 
 
 def forces(

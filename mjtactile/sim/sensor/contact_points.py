@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import contact_cells, feature_size, ray_intersection
-from mjtactile.sim.sensor.contact_cells import FOOT, REACH, REACHED, Cells, standoff
+from mjtactile.sim.sensor.contact_cells import FOOT, HALF_WIDTH, SEARCH_DISTANCE, Cells, standoff
 from mjtactile.sim.sensor.mesh import MembraneMesh, normals_of
 from mjtactile.sim.sensor.sharp_geoms import KINDS, sharp_geoms
 from mjtactile.sim.sensor.subgrid_indentation import depth_under_end
@@ -107,7 +107,7 @@ class ContactPoints:
         if self._shapes:
             _widen(model, model.geom_bodyid[vertex_geom_ids], self._sizes[0])
         self._back = np.zeros_like(self._places)
-        self._reach = np.full(len(self._places), _TAKES)
+        self._limits = np.full(len(self._places), _TAKES)
         self._time = float(data.time)
         self._still = True
         self._goal = np.zeros_like(self._places)
@@ -141,7 +141,7 @@ class ContactPoints:
             kept = self._touching() & ~blunt
             goal = np.where(kept[:, None], self._goal, goal)
         self._goal = goal
-        self._reach = np.where(goal.any(axis=1), REACH, _TAKES)
+        self._limits = np.where(goal.any(axis=1), HALF_WIDTH, _TAKES)
         moves = min(abs(elapsed) / SETTLE, 1.0) * (goals.back - self._back)
         if self._cores:
             maximum = _PACE * abs(elapsed)
@@ -209,7 +209,7 @@ class ContactPoints:
             is_thin = geom in self._cores
             hints = self._hints(geom, entry, cells) if is_thin else None
             foot = self._foot(geom) if is_thin else FOOT
-            rows, at, gaps = contact_cells.deepest(cells, entry, self._reach[close], foot, hints)
+            rows, at, gaps = contact_cells.deepest(cells, entry, self._limits[close], foot, hints)
             better = gaps < goals.gaps[close[rows]]
             rows = rows[better]
             at = at[better]
@@ -246,11 +246,11 @@ class ContactPoints:
         if not found:
             return found
         p_W = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ middle
-        reach = radius + 2 * size  # as `_is_far` has it
+        extent = radius + 2 * size  # as `_is_far` has it
         return [
             geom
             for geom in found
-            if feature_size.box_distances(self._model, data, geom, p_W[None])[0] <= reach
+            if feature_size.box_distances(self._model, data, geom, p_W[None])[0] <= extent
         ]
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
@@ -264,13 +264,13 @@ class ContactPoints:
 
     def _at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
         """Return the rows of the cells at an end of a cylinder, or beyond it."""
-        reach = np.abs(cells.places[:, 2]) + 2 * cells.sizes
-        return np.flatnonzero(reach > self._model.geom_size[geom, 1])
+        extent = np.abs(cells.places[:, 2]) + 2 * cells.sizes
+        return np.flatnonzero(extent > self._model.geom_size[geom, 1])
 
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
         """Return shifts and gaps to the points where a thin geom reaches farthest in."""
         hints = contact_cells.initial_offsets(cells, entry, self._cores[geom])
-        if hints[1].min(initial=np.inf) < REACHED:
+        if hints[1].min(initial=np.inf) < SEARCH_DISTANCE:
             # it is met from the first step
             self._every = EVERY if self._is_touched() else 0.0
         return hints

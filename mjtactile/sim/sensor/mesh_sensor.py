@@ -301,15 +301,15 @@ class TactileSensor(BaseSensor):
             )
         if (empty := self._empty()) is not None:
             return empty
-        reach = 2 * max(self.design.frame.length, self.design.frame.width)
-        if maximum > reach:
+        extent = 2 * max(self.design.frame.length, self.design.frame.width)
+        if maximum > extent:
             pressure = self.gauge_pressure
             bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(
                 analytical_solutions.bulge_height(self.design, pressure)
             )
             return (
                 f"sensor {self.prefix!r}: the membrane has moved "
-                f"by more than {reach * 1e3:g} mm"
+                f"by more than {extent * 1e3:g} mm"
                 f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}"
             )
         return None

@@ -86,9 +86,9 @@ class ContactGeoms:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, body: int, reach: float, *, fixed_to_world: bool = False
+        self, model: mujoco.MjModel, body: int, radius: float, *, fixed_to_world: bool = False
     ):
-        """Collect the geoms that may come within `reach` m of the sensor's `body`, without its own
+        """Collect the geoms that may come within `radius` m of the sensor's `body`, without its own
         links, and without those fixed to the world if `fixed_to_world` is False.
 
         Raises InputError for movable soft objects and height fields. Those fixed to the world do
@@ -112,7 +112,7 @@ class ContactGeoms:
         planes = model.geom_type[self.ids] == _G.mjGEOM_PLANE
         size[planes] = np.linalg.norm(_PLANE_HALF)
         boxes[planes] = [0.0, 0.0, -_PLANE_HALF[2], *_PLANE_HALF]
-        self.bounds = np.column_stack([(reach + size) ** 2, boxes])
+        self.bounds = np.column_stack([(radius + size) ** 2, boxes])
         _refuse_soft(model)
 
 

@@ -70,8 +70,8 @@ class QuasistaticSensor(BaseSensor):
         self._onto_mesh = onto_mesh(membrane, mesh)
         top = float(membrane.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
-        reach = math.hypot(half, top) + 1e-3
-        self._geoms = ContactGeoms(model, self.body_id, reach, fixed_to_world=True)
+        extent = math.hypot(half, top) + 1e-3
+        self._geoms = ContactGeoms(model, self.body_id, extent, fixed_to_world=True)
         self._live = IncrementalMembrane(
             membrane, self._geoms.rows, self._geoms.pool, below_rim=math.inf
         )
@@ -85,7 +85,7 @@ class QuasistaticSensor(BaseSensor):
                 math.sqrt(design.frame.area / math.pi),
                 min(membrane.x[1] - membrane.x[0], membrane.y[1] - membrane.y[0]),
                 math.nan,
-                reach,
+                extent,
             ]
         )
         self._numbers = np.zeros(STATE.itemsize // 8)

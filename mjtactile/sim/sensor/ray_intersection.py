@@ -79,9 +79,9 @@ def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
     )
     root = b * b - a * (c - 1)
     hit = (root > 0) & (a > _TINY)
-    reach = np.sqrt(np.where(hit, root, 0.0))
+    extent = np.sqrt(np.where(hit, root, 0.0))
     a = np.where(hit, a, 1.0)
-    return np.where(hit, (-b - reach) / a, MISSED), np.where(hit, (-b + reach) / a, -MISSED)
+    return np.where(hit, (-b - extent) / a, MISSED), np.where(hit, (-b + extent) / a, -MISSED)
 
 
 def _cylinder(radius: float, half: float) -> Entry:
@@ -106,10 +106,10 @@ def _slab(heights: Array, slopes: Array, half: float) -> tuple[Array, Array]:
     inside = np.abs(heights) < half
     slope = np.where(level, 1.0, slopes)
     middle = -heights / slope
-    reach = half / np.abs(slope)
+    extent = half / np.abs(slope)
     enters = np.where(inside, -np.inf, MISSED)
     leaves = np.where(inside, np.inf, -MISSED)
-    return np.where(level, enters, middle - reach), np.where(level, leaves, middle + reach)
+    return np.where(level, enters, middle - extent), np.where(level, leaves, middle + extent)
 
 
 def _capsule(radius: float, half: float) -> Entry:

@@ -63,7 +63,7 @@ class Sleeper:
         p_SV = mesh.p_SV[mesh.interior]
         between = np.linalg.norm(p_SV[:, None] - p_SV[sample], axis=2).min(axis=1).max()
         self._sample = self._first + sample
-        self._reach = NEAR + _BULGED * float(between)
+        self._margin = NEAR + _BULGED * float(between)
         self._pushes = data.xfrc_applied[self._bodies]  # a live view: the vertices are one block
         joint = int(model.body_jntadr[bodies[0]])
         self._joints = slice(joint, joint + 3 * len(mesh.interior))
@@ -115,7 +115,7 @@ class Sleeper:
             part[:] = 0
         bodies = model.geom_bodyid[self._sample]
         # contacts are listed, but exert no force yet
-        model.geom_gap[self._sample] = model.body_margin[bodies] = self._reach
+        model.geom_gap[self._sample] = model.body_margin[bodies] = self._margin
         model.geom_conaffinity[self._sample] = model.body_conaffinity[bodies] = ANYTHING
         model.flex_rigid[self._flex] = True
         self._springs[:] = self._load.displacements

@@ -155,7 +155,7 @@ def add_up(
     patch.torque = wp.vec3(_sum(tx), _sum(ty), _sum(tz))
     patch.area = _sum(count) * membrane.dx * membrane.dy
     over_kept = 1.0 / wp.max(_sum(kept), 1.0e-9)
-    reach = float(0.0)
+    sum_of_distances = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
         q = fields.force[f, k]
         owner = fields.owner[f, k]
@@ -163,8 +163,8 @@ def add_up(
             if slot_of[finger, owner] == slot:
                 i = k // membrane.ny
                 x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
-                reach += q * wp.length(wp.vec2(x[0] - middle[0], x[1] - middle[1]))
-    patch.radius = _sum(reach) * over
+                sum_of_distances += q * wp.length(wp.vec2(x[0] - middle[0], x[1] - middle[1]))
+    patch.radius = _sum(sum_of_distances) * over
     patch.shift = wp.vec2(_sum(shift_x) * over_kept, _sum(shift_y) * over_kept)
     return patch
 

@@ -137,14 +137,14 @@ def drive_grippers(
         arrive(drive, goals, world)
     step = goals.speed[world] * timestep
     count = float(drive.jaws.shape[0])
-    reach = float(1.0e6)
+    max_lead = float(1.0e6)
     for k in range(drive.jaws.shape[0]):
         slope = wp.abs(drive.ratios[k])
         limit = drive.forces[world, drive.jaws[k]][1]
         force = 1.2 * limit + drive.damping[k] * goals.speed[world] / (count * slope)
-        reach = wp.min(reach, force / drive.stiffness[k] * slope * count)
+        max_lead = wp.min(max_lead, force / drive.stiffness[k] * slope * count)
     goal = _nearer(goals.opening[world], goals.opening_target[world], step)
-    goal = _nearer(opening_of(drive, qpos, world), goal, reach + 4.0 * step)
+    goal = _nearer(opening_of(drive, qpos, world), goal, max_lead + 4.0 * step)
     lift = _nearer(goals.lift[world], goals.lift_target[world], drive.lift_speed * timestep)
     goals.opening[world] = goal
     goals.lift[world] = lift

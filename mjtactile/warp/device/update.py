@@ -20,7 +20,7 @@ class Places:
 
     `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
     model, -1 if absent, `kinds`, `first` and `count` their kinds and planes, `slots` the numbers of
-    their bodies among `bodies` (fingers, slots). `reach` m is that of a membrane.
+    their bodies among `bodies` (fingers, slots). `radius` m is that of a membrane.
     """
 
     frames: wp.array(dtype=int)
@@ -31,7 +31,7 @@ class Places:
     slots: wp.array2d(dtype=int)
     bodies: wp.array2d(dtype=int)
     rbound: wp.array2d(dtype=float)
-    reach: float
+    radius: float
 
 
 @wp.struct
@@ -121,7 +121,7 @@ def _place(
     geom.kind = -1
     if g >= 0:
         at = wp.transpose(R) @ (geom_xpos[world, g] - p)
-        near = places.reach + places.rbound[world % places.rbound.shape[0], g]
+        near = places.radius + places.rbound[world % places.rbound.shape[0], g]
         if places.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
             geom.kind = places.kinds[finger, k]
             geom.size = size[world % size.shape[0], g]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.slip import active_slip_test
-from benchmarks.tasks.figure import sample_case
+from benchmarks.tasks.figure import plot
 from benchmarks.tasks.run import TASKS, run, suite_of, table, together, weighed
 from benchmarks.tasks.simulation_levels import agreement
 from mjtactile.core.errors import InputError
@@ -57,7 +57,7 @@ def test_the_table_says_what_the_lines_say(tmp_path):
     assert text.startswith("Level `synthetic`: ")
     # Wilson's interval of 5 of 5 is 56.6 to 100 %
     assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
-    sample_case(result, tmp_path / "picture.png")
+    plot(result, tmp_path / "picture.png")
     assert (tmp_path / "picture.png").stat().st_size > 10_000
 
 

@@ -20,7 +20,7 @@ from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
 controller = load_controller("slip_aware")
-FIRST, MOST = (controller.function.__globals__[name] for name in ("FIRST_FORCE", "FORCE_MAX"))
+FIRST, STRONGEST = (controller.function.__globals__[name] for name in ("FIRST_FORCE", "FORCE_MAX"))
 
 
 def touch(force, state: SlipState = "sticking"):
@@ -55,7 +55,7 @@ def test_a_slip_of_one_finger_raises_the_force_closes_and_stops_the_lift():
 
 def test_it_grips_no_harder_than_its_limit():
     estimated = (touch(1.5, "slipping"), touch(1.5, "slipping"))
-    assert run(HELD, estimated, 60).memory["target"] == MOST
+    assert run(HELD, estimated, 60).memory["target"] == STRONGEST
 
 
 def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed():

@@ -52,7 +52,7 @@ def made(kind):
     }[kind]()
 
 
-def whole():
+def complete():
     calibration = Calibration("left", "dense")
     for kind in KINDS:
         calibration = calibration.with_part(made(kind))
@@ -65,7 +65,7 @@ def states(calibration, design=DESIGN):
 
 def test_what_is_saved_is_read_back(tmp_path):
     path = tmp_path / "left.json"
-    first = whole().with_refusal("force", ["loads slid"])
+    first = complete().with_refusal("force", ["loads slid"])
     first.save(path)
     again = load_calibration(path)
     assert json.dumps(again.table()) == json.dumps(first.table())
@@ -76,7 +76,7 @@ def test_what_is_saved_is_read_back(tmp_path):
 
 
 def test_it_changes_the_lens_and_nothing_else_of_the_design():
-    changed = whole().design(DESIGN)
+    changed = complete().design(DESIGN)
     assert (changed.camera.fx, changed.camera.cy, changed.camera.distortion[0]) == (
         618.0,
         235.5,
@@ -88,7 +88,7 @@ def test_it_changes_the_lens_and_nothing_else_of_the_design():
 
 def test_the_zero_of_the_valve_and_the_scale_of_the_force():
     assert (
-        whole().pressure(1000.0) == 970.0
+        complete().pressure(1000.0) == 970.0
         and Calibration("left", "dense").pressure(1000.0) == 1000.0
     )
     wrench = np.array([0.1, 0.0, -2.0, 0, 0, 0])
@@ -106,7 +106,7 @@ def test_the_zero_of_the_valve_and_the_scale_of_the_force():
 
 
 def test_a_refused_part_replaces_nothing_and_is_remembered_until_it_succeeds():
-    good = whole()
+    good = complete()
     refused = good.with_refusal("lens", ["too few pictures"])
     assert refused.lens is good.lens and states(refused)["lens"] == "good"
     assert "too few pictures" in next(s.text for s in refused.states(DESIGN) if s.kind == "lens")
@@ -116,7 +116,7 @@ def test_a_refused_part_replaces_nothing_and_is_remembered_until_it_succeeds():
 
 
 def test_parts_older_than_the_sensor_file_or_than_what_they_rest_on_are_not_used():
-    calibration = whole()
+    calibration = complete()
     assert set(states(calibration).values()) == {"good"}
     stiffer = replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6))
     assert states(calibration, stiffer) == {
@@ -152,12 +152,12 @@ def test_parts_older_than_the_sensor_file_or_than_what_they_rest_on_are_not_used
 )
 def test_a_calibration_of_something_else_is_refused(finger, design, words):
     with pytest.raises(InputError) as caught:
-        whole().check(design, finger, "left.json")
+        complete().check(design, finger, "left.json")
     assert all(word in str(caught.value) for word in ("left.json", *words))
 
 
 def broken(change):
-    table = json.loads(json.dumps(whole().table()))
+    table = json.loads(json.dumps(complete().table()))
     change(table)
     return json.dumps(table)
 
@@ -165,7 +165,7 @@ def broken(change):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (json.dumps(whole().table())[:2000], ("not valid JSON",)),  # cut in half
+        (json.dumps(complete().table())[:2000], ("not valid JSON",)),  # cut in half
         ("[]", ("not a calibration file", "mjtactile-calibration version 1")),
         (broken(lambda t: t.update(version=2)), ("not a calibration file",)),
         (broken(lambda t: t.pop("finger")), ("finger", "missing")),
@@ -190,4 +190,4 @@ def test_a_broken_file_is_one_line_with_file_and_field(tmp_path, text, words):
 
 def test_a_file_that_cannot_be_written_says_so(tmp_path):
     with pytest.raises(InputError, match=r"cannot be written"):
-        whole().save(tmp_path / "nowhere" / "left.json")
+        complete().save(tmp_path / "nowhere" / "left.json")

@@ -13,13 +13,13 @@ from mjtactile.core.config_fields import (
     file_path,
     flag,
     from_table,
+    integer,
     number,
     numbers,
     part,
     parts,
     read,
     text,
-    whole,
     write,
 )
 from mjtactile.core.errors import InputError
@@ -29,7 +29,7 @@ from mjtactile.core.toml import Section
 
 @dataclass(frozen=True)
 class Wheel:
-    teeth: int = whole("teeth", 3, 1000)
+    teeth: int = integer("teeth", 3, 1000)
     radius: float = number("radius_mm", 0.1, 100, MM, default=0.01)
 
 

@@ -7,7 +7,7 @@ from enum import Enum, IntEnum, StrEnum
 import numpy as np
 import pytest
 
-from mjtactile.core.controller_state import DEEPEST, MOST, plain
+from mjtactile.core.controller_state import DEEPEST, ENTRIES_MAX, plain
 
 
 class Number(IntEnum):
@@ -60,10 +60,10 @@ def test_numbers_texts_lists_and_tables_are_kept(value, kept):
         Enum("Colour", ["RED"]).RED,  # type: ignore[attr-defined]
         2**70,
         10**5000,
-        "x" * (MOST + 1),
-        [0.0] * (MOST + 1),
-        [[0.0] * (MOST // 2)] * 3,
-        np.zeros(MOST + 1),
+        "x" * (ENTRIES_MAX + 1),
+        [0.0] * (ENTRIES_MAX + 1),
+        [[0.0] * (ENTRIES_MAX // 2)] * 3,
+        np.zeros(ENTRIES_MAX + 1),
         np.array([object()]),
         nested(DEEPEST + 2),
         nested(100_000),
@@ -80,4 +80,4 @@ def test_all_else_is_left_out_by_name_and_the_rest_stays(value):
 
 def test_a_notebook_of_very_many_entries_is_cut_off_and_takes_no_time():
     found, left_out = plain(dict.fromkeys(range(1_000_000), 0.0))
-    assert 1_000 < len(found) < MOST and len(left_out) < 100
+    assert 1_000 < len(found) < ENTRIES_MAX and len(left_out) < 100

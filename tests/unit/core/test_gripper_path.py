@@ -20,7 +20,7 @@ def test_it_stops_at_each_waypoint_and_keeps_missing_coordinates():
     np.testing.assert_allclose(path.at(1.0), [0, 0.1, 0, 0])  # half-way by symmetry
     np.testing.assert_allclose(path.at(1.55), [0, 0.2, 0, 0])
     np.testing.assert_allclose(path.at(9.0), [-0.1, 0.2, 0, 0.3])
-    assert path.end == pytest.approx(2.1) and path.reach == pytest.approx(0.2)
+    assert path.end == pytest.approx(2.1) and path.max_offset == pytest.approx(0.2)
     assert [path.next_start(time) for time in (0.0, 0.9, 1.55, 3.0)] == pytest.approx(
         [0.5, 0.5, 1.6, math.inf]
     )

@@ -27,11 +27,11 @@ def test_processors_that_this_process_may_use():
     assert platform_support.processors() == allowed
 
 
-@pytest.mark.parametrize(("there", "told"), [(6, 6), (None, 1)])
-def test_processors_where_nobody_tells_which_are_allowed(monkeypatch, there, told):
+@pytest.mark.parametrize(("there", "expected"), [(6, 6), (None, 1)])
+def test_processors_where_nobody_tells_which_are_allowed(monkeypatch, there, expected):
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: there)
-    assert platform_support.processors() == told
+    assert platform_support.processors() == expected
 
 
 @pytest.mark.parametrize("has_it", [True, False])

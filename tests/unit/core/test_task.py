@@ -39,7 +39,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
     assert task.is_plain and task.goal.task_goal() == TaskGoal() and task.time_limit == 60.0
     assert task == replace(Task("lift", ()), about=task.about, version=task.version)
     text = resources.find("lift", "models/tasks", ".toml").read_text()
-    whole = "\n".join(
+    complete = "\n".join(
         line.removeprefix("# ") for line in text.splitlines() if "=" in line or "[" in line
     )
     keys = {
@@ -47,7 +47,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
         for kind in (GoalSettings, ObjectRandomization, SuccessCriteria)
         for entry in entries(kind).values()
     }
-    assert all(f"{key} = " in whole for key in keys)
+    assert all(f"{key} = " in complete for key in keys)
 
 
 def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
@@ -191,7 +191,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
 
 
 def test_the_robot_is_told_what_the_file_says_and_no_more():
-    told = load_task("place").goal.task_goal()
-    assert (told.lift_height, told.place_height) == (0.06, 0.02)
+    goal = load_task("place").goal.task_goal()
+    assert (goal.lift_height, goal.place_height) == (0.06, 0.02)
     assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}
     assert {one.name for one in fields(Disturbance)}.isdisjoint(fields(TaskGoal))

@@ -81,8 +81,8 @@ def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
     sds = []
     for design in (few, many):
         design = replace(design, markers=replace(design.markers, radius=radius))
-        reacher = ResolutionPredictor(VirtualBench(design))
-        edges = [reacher.edge_sd(np.array(place), 0.3) for place in PLACES]
+        predictor = ResolutionPredictor(VirtualBench(design))
+        edges = [predictor.edge_sd(np.array(place), 0.3) for place in PLACES]
         sds.append(np.sqrt(np.mean(np.square(edges))))
     requested = math.sqrt(many.markers.count / few.markers.count)
     # the marker positions around an edge matter in addition to their number
@@ -205,8 +205,8 @@ def test_a_search_holds_the_given_camera_and_its_proposals_can_be_fabricated():
         assert made.frame == design.frame
         buildability.check_parts(made)
         # all markers within the part of the view that they may cover
-        reach = np.abs(made.markers.p_SM[:, :2]).max(axis=0) + made.markers.radius
-        assert (reach <= covered * made.camera.half_view * 30e-3 + 1e-5).all()
+        extent = np.abs(made.markers.p_SM[:, :2]).max(axis=0) + made.markers.radius
+        assert (extent <= covered * made.camera.half_view * 30e-3 + 1e-5).all()
     # the lens alone is given: the distance follows
     numbers = np.array([0.22, 0.28, 0.9, 0.0, 0.0, 1.06])
     only = design_sweep.made_of(design, numbers, design_sweep.GivenHardware(lens=True))
@@ -312,15 +312,15 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
 
 
 def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
-    reacher = ResolutionPredictor(VirtualBench(load_sensor("round30")))
+    predictor = ResolutionPredictor(VirtualBench(load_sensor("round30")))
     place = np.array([5e-3, 2e-3])
-    here, opposite = (reacher.at(at, 0.5) for at in (place, -place))
+    here, opposite = (predictor.at(at, 0.5) for at in (place, -place))
     # the layout is the same turned by half; the film's tolerance of 0.5 um is 1 mN
     assert here.estimated == pytest.approx(opposite.estimated, abs=2e-3)
     assert here.force_sd == pytest.approx(opposite.force_sd, rel=0.02)
     assert here.edge_sd < 0.5e-3
     assert here.estimated == pytest.approx(0.5, rel=0.02)  # the error is 1 mN
-    outside = reacher.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
+    outside = predictor.at(np.array([12e-3, 12e-3]), 0.5)  # within the rectangle about it
     assert np.isnan([outside.estimated, outside.force_sd, outside.edge_sd]).all()
     assert main(["design", "--sensor", "round30", "--detect-force-mN", "20"]) != 0
     assert "supports rectangles only" in capsys.readouterr().err

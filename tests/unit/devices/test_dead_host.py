@@ -85,7 +85,7 @@ class Jaws:
 
 
 @contextlib.contextmanager
-def hand(kind, touch):
+def gripper_rig(kind, touch):
     with servo_bench(**KINDS[kind]) as bench:
         jaws = Jaws(bench, touch)
         gripper = None
@@ -125,7 +125,7 @@ def test_a_hand_that_squeezes_never_squeezes_harder(kind):
     Braking or continuing, it is that limit (a unit of current, 0.03 N, less). With limp servos it
     is zero.
     """
-    with hand(kind, touch=START - 0.008) as (bench, jaws, gripper):
+    with gripper_rig(kind, touch=START - 0.008) as (bench, jaws, gripper):
         close_until(gripper, lambda: min(jaws.forces()) > 0.9 * FORCE)
         die(bench, jaws, gripper)
         forces = jaws.forces()
@@ -142,7 +142,7 @@ def test_a_hand_on_its_way_stops_by_itself(kind):
 
     The command was to close by 72 mm, and nothing is between the jaws.
     """
-    with hand(kind, touch=0.0) as (bench, jaws, gripper):
+    with gripper_rig(kind, touch=0.0) as (bench, jaws, gripper):
         close_until(gripper, lambda: jaws.opening < START - 0.015)
         known = gripper.geometry.opening(
             {servo: ticks for servo, (ticks, _) in gripper.positions.items()}
@@ -155,7 +155,7 @@ def test_a_hand_on_its_way_stops_by_itself(kind):
 
 
 def test_firmware_that_stops_nothing_is_said(caplog):
-    with caplog.at_level(logging.WARNING), hand("goes on", touch=0.0):
+    with caplog.at_level(logging.WARNING), gripper_rig("goes on", touch=0.0):
         pass
     assert [
         r.message

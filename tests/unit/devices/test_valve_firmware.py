@@ -98,14 +98,14 @@ class Host:
         )
         self.path = self.process.stdout.readline().strip()
 
-    def tell(self, command="ask"):
+    def send(self, command="ask"):
         """Send a command of host/main.cpp, and return the state."""
         self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
     def channel(self, number=1):
-        reported = self.tell()
+        reported = self.send()
         return (
             STATES[reported[f"state_{number}"]],
             FAULTS[reported[f"fault_{number}"]],
@@ -195,7 +195,7 @@ def test_it_vents_by_itself_and_the_driver_says_why(rig, command, fault, why):
     valves[0].open(1000.0)
     assert is_near(host, 1000.0)
     valves[0].close()
-    host.tell(command)
+    host.send(command)
     assert wait_for(lambda: host.channel()[:2] == ("vent", fault))
     assert wait_for(lambda: board._readings[1].fault)
     with pytest.raises(DeviceError, match=why):
@@ -207,7 +207,7 @@ def test_an_inlet_that_does_not_close_is_noticed(rig):
     host, _, valves = rig
     valves[0].open(1000.0)
     valves[0].close()
-    host.tell("over 1 1")
+    host.send("over 1 1")
     assert wait_for(lambda: host.channel()[1] == "pressure")
 
 
@@ -216,9 +216,9 @@ def test_a_stuck_valve_and_a_puncture_are_seen(rig):
     valves[0].open(1000.0)
     assert is_near(host, 1000.0)
     valves[0].close()
-    host.tell("leak 1 1")
+    host.send("leak 1 1")
     assert wait_for(lambda: board.measure(1).gauge_pressure < 200)
-    host.tell("stuck 1")
+    host.send("stuck 1")
     valves[1].open(1000.0)
     valves[1]._goal_time -= 10.0
     with pytest.raises(DeviceError, match="stuck"):
@@ -228,7 +228,7 @@ def test_a_stuck_valve_and_a_puncture_are_seen(rig):
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda host: host.tell("hang 1"), "is silent or broken"),
+        (lambda host: host.send("hang 1"), "is silent or broken"),
         (lambda host: host.process.kill(), "lost"),
     ],
 )
@@ -240,7 +240,7 @@ def test_a_board_that_hangs_or_is_unplugged_is_an_error(rig, act, message):
             valves[0].state()
             board._closed.wait(0.01)
     if host.process.poll() is None:
-        host.tell("hang 0")
+        host.send("hang 0")
     else:
         host.close = lambda: None
         host.process.communicate()

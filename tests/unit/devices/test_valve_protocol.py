@@ -37,14 +37,14 @@ def test_damaged_lines_are_no_lines(line):
 def test_no_damaged_line_is_read():
     """30 000 here; one in 4 10^9 could pass."""
     rng = random.Random(0)
-    whole = [protocol.encode(n, f"state 1 sealed {n % 4000} ok").rstrip() for n in range(100)]
+    lines = [protocol.encode(n, f"state 1 sealed {n % 4000} ok").rstrip() for n in range(100)]
     accepted = 0
     for i in range(30_000):
-        line = whole[i % 100]
+        line = lines[i % 100]
         accepted += protocol.decode(damage(rng, line)) is not None
     assert accepted == 0
     assert all(
-        protocol.decode(line) == (n, f"state 1 sealed {n} ok") for n, line in enumerate(whole)
+        protocol.decode(line) == (n, f"state 1 sealed {n} ok") for n, line in enumerate(lines)
     )
 
 

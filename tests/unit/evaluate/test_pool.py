@@ -168,10 +168,10 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
     """An interrupted episode has no line: --resume repeats the work of a worker that a cluster
     removed."""
 
-    def told(*_, **__):
+    def interrupted(*_, **__):
         raise Interrupted
 
-    monkeypatch.setattr(episodes, "run_grasp", told)
+    monkeypatch.setattr(episodes, "run_grasp", interrupted)
     with pytest.raises(Interrupted):
         run_episode(episode("gentle", "egg", 0))
     with pytest.raises(DeviceError, match="a worker was stopped; --resume continues"):

@@ -157,9 +157,9 @@ def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
     mesh = mesh_of(surfaces[0], 1.5e-3)
     larger = replace(mesh, vertices=PLACE + 1.1 * (mesh.vertices - PLACE))
     reported = sizes([mesh, larger], [surfaces[0]] * 2, [])
-    apart = 0.1 * reported.mean / np.sqrt(2)
+    difference = 0.1 * reported.mean / np.sqrt(2)
     # their own uncertainty is added: 3 % of the size, against 7
-    assert (reported.sd > 0.999 * apart).all() and (reported.sd < 1.3 * apart).all()
+    assert (reported.sd > 0.999 * difference).all() and (reported.sd < 1.3 * difference).all()
 
 
 def test_a_touch_of_an_edge_tells_little():

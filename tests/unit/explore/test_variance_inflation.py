@@ -31,21 +31,21 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
     """Leaves each touch out in turn, and conditions on the others: no inverse of all at once."""
     surface, noise = model
     found = 3 * np.random.default_rng(4).multivariate_normal(np.zeros(20), surface + noise)
-    doubted = noise.copy()
-    doubted[PARTS[2], PARTS[2]] += 1.0  # down-weighted; yet it counts with its stated noise
+    inflated = noise.copy()
+    inflated[PARTS[2], PARTS[2]] += 1.0  # down-weighted; yet it counts with its stated noise
     squares = []
     for part in PARTS:
         others = np.setdiff1d(np.arange(20), np.arange(20)[part])
-        known = surface[np.ix_(others, others)] + doubted[np.ix_(others, others)]
+        known = surface[np.ix_(others, others)] + inflated[np.ix_(others, others)]
         gain = np.linalg.solve(known, surface[others, part]).T
-        foretold = (gain @ found[others]).mean()
+        predicted = (gain @ found[others]).mean()
         open_ = (surface[part, part] - gain @ surface[others, part]).mean()
-        off = found[part].mean() - foretold
+        off = found[part].mean() - predicted
         squares.append(off**2 / (open_ + noise[part, part].mean()))
     assert (
         sum(squares) > TOUCHES
     )  # three times the stated noise: otherwise only the floor of 1 shows
-    reported = excess(cho_factor(surface + doubted, lower=True), found, doubted, noise, PARTS)
+    reported = excess(cho_factor(surface + inflated, lower=True), found, inflated, noise, PARTS)
     # the same algebra: rounding is left
     mean = (2 + sum(squares)) / (2 + TOUCHES)
     assert reported == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)

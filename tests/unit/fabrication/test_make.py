@@ -59,7 +59,7 @@ def with_field(design, field, value):
     attribute, entry = next(
         pair for pair in config_fields.entries(kind).items() if pair[1].key == key
     )
-    changed = int(value) if entry.whole else value * entry.unit
+    changed = int(value) if entry.integer else value * entry.unit
     return replace(design, **{section: replace(getattr(design, section), **{attribute: changed})})
 
 
@@ -131,12 +131,12 @@ def test_a_dxf_has_the_circles_of_the_svg_with_y_up(layout):
     for page in print_templates.marker_pages(layout)[:2]:
         centers, radii = circles(drawing_pages.write_svg(page))
         _, entities = dxf_entities(write_dxf(page))
-        drawn = np.array(
+        found_circles = np.array(
             [[float(e[c]) for c in (10, 20, 40)] for name, e in entities if name == "CIRCLE"]
         )
-        assert len(drawn) >= len(radii)
+        assert len(found_circles) >= len(radii)
         for center, radius in zip(centers, radii, strict=True):
-            off = np.abs(drawn - [center[0], -center[1], radius]).max(axis=1)
+            off = np.abs(found_circles - [center[0], -center[1], radius]).max(axis=1)
             assert off.min() < 2e-5  # the SVG has 5 decimals
 
 

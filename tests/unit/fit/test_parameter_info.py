@@ -39,8 +39,8 @@ def test_gas_volume_counts_as_known_against_all_of_the_gas():
 def test_two_numbers_of_which_one_follows_the_other_cannot_be_told_apart():
     cov = np.array([[1.0, -0.98, 0.1], [-0.98, 1.0, 0.0], [0.1, 0.0, 1.0]])
     names = ["membrane.young_MPa", "membrane.thickness_mm", "membrane.friction"]
-    apart = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
-    assert apart == [
+    separate = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
+    assert separate == [
         "modulus and thickness cannot be separated by these recordings (correlation -0.98): "
         "recordings determine only its product with the modulus: measure the thickness, then "
         "--fix membrane.thickness_mm=…"

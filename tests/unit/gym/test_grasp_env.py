@@ -163,10 +163,10 @@ def test_a_hand_is_paid_for_how_far_it_lets_go():
 
 def test_random_things_are_those_of_the_seeds():
     with (
-        make(object="random", effects=SAMPLED) as things,
+        make(object="random", effects=SAMPLED) as random_objects,
         make(object="random:8", effects=SAMPLED) as one,
     ):
-        again = [things.reset(seed=seed)[1]["break_force_N"] for seed in (7, 8, 7)]
+        again = [random_objects.reset(seed=seed)[1]["break_force_N"] for seed in (7, 8, 7)]
         assert again[0] == again[2] != again[1] == one.reset(seed=8)[1]["break_force_N"]
 
 

@@ -41,10 +41,10 @@ def test_an_array_of_another_size_is_refused_by_name(name, array):
     declaration = declarations()[name]
     values = values_of(declaration)
     place = [one.name for one in declaration.arguments].index(array)
-    whole = values[place]
-    for wrong in (whole[:-1], np.zeros(len(whole) + 1, whole.dtype)):
+    valid = values[place]
+    for wrong in (valid[:-1], np.zeros(len(valid) + 1, valid.dtype)):
         values[place] = wrong
-        with pytest.raises(ValueError, match=f"{name}: {array}: shape .* needs {len(whole)}"):
+        with pytest.raises(ValueError, match=f"{name}: {array}: shape .* needs {len(valid)}"):
             kernel(name)(*values)
         with pytest.raises((ValueError, TypeError), match=f"{name}: {array}"):
             bound(name, *values)

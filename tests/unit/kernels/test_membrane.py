@@ -86,16 +86,16 @@ def test_contact_that_remembers():
     model, data, sensor = scene()
     data.qvel[-6:-4] = 0.1, 0.05  # oblique velocity of the ball, m/s
     block = slice(int(sensor.vertex_geom_ids[0]), int(sensor.vertex_geom_ids[-1]) + 1)
-    apart = copy.copy(model)
-    beside = membrane.Stiction(apart, data, sensor.vertex_geom_ids, sensor.body_id)
+    copied = copy.copy(model)
+    beside = membrane.Stiction(copied, data, sensor.vertex_geom_ids, sensor.body_id)
     slid = stuck = 0
     for _ in range(150):
         sensor.update()
         beside.update(sensor._stand_off.margins)
         np.testing.assert_allclose(
-            model.geom_margin[block], apart.geom_margin[block], rtol=ROUNDING, atol=1e-15
+            model.geom_margin[block], copied.geom_margin[block], rtol=ROUNDING, atol=1e-15
         )
-        belt = apart.geom_surfacevel[block]
+        belt = copied.geom_surfacevel[block]
         np.testing.assert_allclose(
             model.geom_surfacevel[block],
             belt,

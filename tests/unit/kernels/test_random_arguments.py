@@ -102,7 +102,7 @@ def within(rng, entry):
     if low <= 0:
         return float(rng.uniform(low, high))
     value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-    return round(value) if entry.whole else min(max(value, low), high)
+    return round(value) if entry.integer else min(max(value, low), high)
 
 
 @pytest.mark.parametrize("seed", range(DRAWS))

@@ -177,10 +177,10 @@ def test_lower_factor():
     diagonal."""
     rng = np.random.default_rng(2)
     factor = rng.normal(size=(40, 40)) + 20 * np.eye(40)
-    told = rng.normal(size=(40, 3))
-    found = told.copy()
+    right = rng.normal(size=(40, 3))
+    found = right.copy()
     kernel("solve_lower")(*found.shape, factor, found)
-    np.testing.assert_allclose(found, solve_triangular(factor, told, lower=True), atol=1e-14)
+    np.testing.assert_allclose(found, solve_triangular(factor, right, lower=True), atol=1e-14)
 
 
 @pytest.mark.parametrize("poisson", [0.01, 0.1, 0.3, 0.45, 0.49, 0.4999])

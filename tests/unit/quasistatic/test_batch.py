@@ -32,7 +32,7 @@ def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
     membrane = QuasistaticMembrane("dense", (9, 7))
     ball = membrane.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
     one = membrane.solve(ball)
-    for says, call in (
+    for message, call in (
         ("obstacles: must be a list", lambda: membrane.solve_batch(None)),
         ("obstacles: must be a list", lambda: membrane.solve_batch([3])),
         ("obstacles: every environment", lambda: membrane.solve_batch([])),
@@ -45,7 +45,7 @@ def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
         ("state: str is not a MembraneSolution", lambda: membrane.solve(ball, "x")),
         (r"gauge_pressure: \[1000\] is not", lambda: QuasistaticMembrane("dense", (9, 7), [1000])),
     ):
-        with pytest.raises(InputError, match=says) as caught:
+        with pytest.raises(InputError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
     assert membrane.solve_batch([ball], threads=2).converged.all()

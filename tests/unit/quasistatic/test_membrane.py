@@ -118,7 +118,7 @@ def test_a_film_goes_on_as_its_body_does(coarse):
 
 
 @pytest.mark.parametrize(
-    ("kind", "sizes", "p_SO", "says"),
+    ("kind", "sizes", "p_SO", "message"),
     [
         ("sphere", (0.008,), (0.016, 0, 0.004), "rim"),
         ("sphere", (0.008,), (0, 0, -0.0125), "glass"),
@@ -129,8 +129,8 @@ def test_a_film_goes_on_as_its_body_does(coarse):
         ("ball", (0.008,), (0, 0, 0.01), "unknown"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, says):
-    with pytest.raises(InputError, match=says) as caught:
+def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, message):
+    with pytest.raises(InputError, match=message) as caught:
         coarse.solve(coarse.obstacle(kind, sizes, p_SO=p_SO))
     assert "\n" not in str(caught.value)
 

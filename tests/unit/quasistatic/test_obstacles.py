@@ -36,9 +36,9 @@ HALF_THICKNESS = 1.5e-4
 
 
 def in_bowl(x):
-    k_x, k_y, reach = 90.0, -40.0, 6e-3
+    k_x, k_y, extent = 90.0, -40.0, 6e-3
     return (x[:, 2] >= (k_x * x[:, 0] ** 2 + k_y * x[:, 1] ** 2) / 2) & (
-        np.hypot(x[:, 0], x[:, 1]) <= reach
+        np.hypot(x[:, 0], x[:, 1]) <= extent
     )
 
 
@@ -229,13 +229,13 @@ def test_a_tilted_box_is_met_at_its_edge(quasistatic, tilt):
 
 
 def test_nothing_that_cannot_be_is_taken(quasistatic):
-    for data, says in (
+    for data, message in (
         (np.full((21, 16), np.nan), "finite"),
         (np.zeros((4, 3)), "volume"),
         ([[0.0, 0.0]], "shape"),
     ):
-        kind = "heights" if says == "finite" else "mesh"
-        with pytest.raises(InputError, match=says):
+        kind = "heights" if message == "finite" else "mesh"
+        with pytest.raises(InputError, match=message):
             quasistatic.obstacle(kind, data=data)
     with pytest.raises(InputError, match="rim"):
         quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, -1e-3)))

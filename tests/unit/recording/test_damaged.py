@@ -36,7 +36,7 @@ VALUES = [
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def complete(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     write_fake_recording(folder, count=6)
     return folder
@@ -71,9 +71,9 @@ def flipped(lines, seed):
 
 
 @pytest.mark.parametrize("damage", [changed, flipped])
-def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
-    lines = (whole / "log.jsonl").read_bytes().splitlines(keepends=True)
-    sound = load_recording(whole)
+def test_damage_never_gets_beyond_the_reader(tmp_path, complete, damage):
+    lines = (complete / "log.jsonl").read_bytes().splitlines(keepends=True)
+    sound = load_recording(complete)
     reported = 0
     for seed in range(300):
         (tmp_path / "log.jsonl").write_bytes(damage(lines, seed))
@@ -95,8 +95,8 @@ def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
     assert reported > 100  # most changes are to checked content
 
 
-def test_the_line_and_the_column_are_named(tmp_path, whole):
-    lines = (whole / "log.jsonl").read_text().splitlines()
+def test_the_line_and_the_column_are_named(tmp_path, complete):
+    lines = (complete / "log.jsonl").read_text().splitlines()
     number = next(n for n, line in enumerate(lines) if '"kind": "cycle"' in line) + 3
     row = json.loads(lines[number])
     row["force_normal"] = [1.0, "2.0"]
@@ -183,9 +183,9 @@ def of_kind(kind, **values):
     ["time", "phase", "images", "image_time", "status", "touching", "force_normal", "opening"]
     + ["speed", "effort", "lift_height", "valve_open"],
 )
-def test_a_cycle_without_a_required_column_is_left_out(tmp_path, whole, key):
+def test_a_cycle_without_a_required_column_is_left_out(tmp_path, complete, key):
     """Readers use these columns without a check of their own, in every version."""
-    found = load_recording(rewritten(whole, tmp_path / "a", of_kind("cycle", **{key: None})))
+    found = load_recording(rewritten(complete, tmp_path / "a", of_kind("cycle", **{key: None})))
     assert not len(found)
     assert f"corrupt: {key}" in found.problems[0]
 
@@ -201,8 +201,8 @@ def test_a_cycle_without_a_required_column_is_left_out(tmp_path, whole, key):
         ({"time": -1.0}, "time"),
     ],
 )
-def test_contradicting_columns_are_left_out(tmp_path, whole, values, wrong):
-    found = load_recording(rewritten(whole, tmp_path / "a", of_kind("cycle", **values)))
+def test_contradicting_columns_are_left_out(tmp_path, complete, values, wrong):
+    found = load_recording(rewritten(complete, tmp_path / "a", of_kind("cycle", **values)))
     assert not len(found) and f"corrupt: {wrong}" in found.problems[0]
 
 
@@ -213,27 +213,29 @@ def test_contradicting_columns_are_left_out(tmp_path, whole, values, wrong):
         *([], "egg", {"contact_shapes": "yes"}),
     ],
 )
-def test_a_header_with_a_wrong_scenario_is_refused_with_its_field(tmp_path, whole, scenario):
+def test_a_header_with_a_wrong_scenario_is_refused_with_its_field(tmp_path, complete, scenario):
     with pytest.raises(InputError, match="line 1 is corrupt: scenario"):
-        load_recording(rewritten(whole, tmp_path / "a", of_kind("start", scenario=scenario)))
+        load_recording(rewritten(complete, tmp_path / "a", of_kind("start", scenario=scenario)))
 
 
-def test_names_of_another_number_of_fingers_are_left_out(tmp_path, whole):
+def test_names_of_another_number_of_fingers_are_left_out(tmp_path, complete):
     def change(row):
         if row["kind"] == "end":
             row["fingers"] = ["one", "two", "three"]
 
-    found = load_recording(rewritten(whole, tmp_path / "a", change))
+    found = load_recording(rewritten(complete, tmp_path / "a", change))
     assert found.fingers == ("left", "right") and len(found) == 6
     assert "3 names of fingers for 2 cameras: left out" in found.problems
     for names in (["x", "x"], ["", "x"]):
-        found = load_recording(rewritten(whole, tmp_path / "b", of_kind("end", fingers=names)))
+        found = load_recording(rewritten(complete, tmp_path / "b", of_kind("end", fingers=names)))
         assert any("corrupt: fingers" in problem for problem in found.problems)
 
 
-def test_a_reference_of_another_number_of_fingers_is_left_out(tmp_path, whole):
+def test_a_reference_of_another_number_of_fingers_is_left_out(tmp_path, complete):
     row = {"kind": "reference", "stage": "flat", "images": [[]], "image_time": [[0.0]]}
-    lines = (whole / "log.jsonl").read_text() + json.dumps(row | {"gauge_pressure": [0.0]}) + "\n"
+    lines = (
+        (complete / "log.jsonl").read_text() + json.dumps(row | {"gauge_pressure": [0.0]}) + "\n"
+    )
     (tmp_path / "log.jsonl").write_text(lines)
     found = load_recording(tmp_path)
     assert found.references == ()

@@ -75,8 +75,8 @@ def test_unknown_force_is_null_in_the_file_and_nan_again_when_read(tmp_path):
 def test_a_recording_cut_off_anywhere_still_loads(tmp_path, keep):
     write_fake_recording(tmp_path, count=20)
     log = tmp_path / "log.jsonl"
-    whole = log.read_bytes()
-    log.write_bytes(whole[: int(keep * len(whole))])
+    content = log.read_bytes()
+    log.write_bytes(content[: int(keep * len(content))])
     recording = load_recording(tmp_path)
     assert not recording.complete and recording.problems
     assert 0 < len(recording) <= 20

@@ -35,7 +35,7 @@ def test_a_note_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("time_s,depth\n1,2\n", "column 'depth'"),
         ("depth_mm\n2\n", "column time_s is missing"),
@@ -45,9 +45,9 @@ def test_a_note_comes_back(tmp_path):
         ("time_s,depth_mm\n,1\n", "missing"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, text, says):
+def test_what_is_wrong_is_named(tmp_path, text, message):
     (tmp_path / "p.csv").write_text(text)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         read_moves(tmp_path / "p.csv")
 
 

@@ -63,14 +63,14 @@ def test_the_shipped_file_varies_every_name_that_there_is():
 
 def test_a_value_depends_on_its_seed_and_its_name_alone():
     table = read_toml(DEFAULT)
-    whole = sampled(table, 5)
+    first = sampled(table, 5)
     again = sampled(table, 5)
     other = sampled(table, 6)
-    assert whole == again and whole.values != other.values
+    assert first == again and first.values != other.values
     del table["object"]["size_percent"], table["gas"]
     part = sampled(table, 5).values
-    assert part and all(whole.values[name] == value for name, value in part.items())
-    assert whole.values["left.stiffness_percent"] != whole.values["right.stiffness_percent"]
+    assert part and all(first.values[name] == value for name, value in part.items())
+    assert first.values["left.stiffness_percent"] != first.values["right.stiffness_percent"]
 
 
 @pytest.mark.parametrize(
@@ -269,20 +269,22 @@ class FakeWorld:
 
 def gripper(change):
     world = FakeWorld()
-    hand = SimGripper(world, SimpleNamespace(defer=lambda action: action()), change)  # type: ignore[arg-type]
+    gripper_rig = SimGripper(world, SimpleNamespace(defer=lambda action: action()), change)  # type: ignore[arg-type]
     return (
         world,
-        lambda opening: hand.command(Command(opening=opening, force_limit=1.0, lift_height=0.0)),
-        hand,
+        lambda opening: gripper_rig.command(
+            Command(opening=opening, force_limit=1.0, lift_height=0.0)
+        ),
+        gripper_rig,
     )
 
 
 def test_play_in_the_gears():
-    world, go, hand = gripper(RigChange(backlash=4e-4))
+    world, go, gripper_rig = gripper(RigChange(backlash=4e-4))
     go(0.04)
     # half the play behind the motor, which has closed
     assert world.opening == pytest.approx(0.0402)
-    assert hand.state().opening == pytest.approx(0.04)
+    assert gripper_rig.state().opening == pytest.approx(0.04)
     go(0.0401)
     assert world.opening == pytest.approx(0.0402)  # within the play
     go(0.0406)
@@ -312,8 +314,8 @@ def test_commands_that_come_late_come_in_order():
 
 
 def test_current_noise_is_in_what_is_reported_alone():
-    world, _, hand = gripper(RigChange(force_noise=0.1))
-    forces = [hand.state().effort for _ in range(400)]
+    world, _, gripper_rig = gripper(RigChange(force_noise=0.1))
+    forces = [gripper_rig.state().effort for _ in range(400)]
     # 3 sd of the sd of 400
     assert np.std(forces) == pytest.approx(0.1, rel=0.11) and world.grip_force == 1.0
 

@@ -117,7 +117,7 @@ def test_laws_are_inverted_and_their_slope_is_the_derivative(law):
         h = 1e-6
         slope = (law.part(coordinate + h) - law.part(coordinate - h)) / (2 * h)
         assert law.slope(coordinate) == pytest.approx(slope, rel=1e-6)  # of a central difference
-    assert law.reaches(0.5)
+    assert law.is_reachable(0.5)
 
 
 @pytest.mark.parametrize(

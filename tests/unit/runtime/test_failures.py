@@ -181,7 +181,7 @@ def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
         "loop": cyclic,
         "many": [0.0] * 100_000,
     }
-    told = Listener()
+    listener = Listener()
     world = World()
     world.lift = 0.0
 
@@ -197,13 +197,13 @@ def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
         [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],  # type: ignore[list-item]
         SimpleNamespace(path=Path("mine.py"), step=step),  # type: ignore[arg-type]
         time_limit=30.0,
-        observer=told,
+        observer=listener,
     )
     assert last.phase == "done"
-    assert [cycle.sent.memory for cycle in told.cycles] == [{"count": k + 1} for k in range(6)]
-    assert pickle.loads(pickle.dumps(told.cycles[-1].sent)) == told.cycles[-1].sent
-    assert [len(noted) for noted in told.noted] == [4] and len(told.messages) == 1
-    assert "plan (function)" in told.messages[0]
+    assert [cycle.sent.memory for cycle in listener.cycles] == [{"count": k + 1} for k in range(6)]
+    assert pickle.loads(pickle.dumps(listener.cycles[-1].sent)) == listener.cycles[-1].sent
+    assert [len(noted) for noted in listener.noted] == [4] and len(listener.messages) == 1
+    assert "plan (function)" in listener.messages[0]
 
 
 class Listener(Observer):

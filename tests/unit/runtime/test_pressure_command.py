@@ -45,14 +45,16 @@ class Chamber:
     """Valve that executes every command immediately."""
 
     def __init__(self):
-        self.told = []
+        self.commanded = []
         self.pressure = 1000.0
 
     def state(self):
-        return ValveState(bool(self.told) and self.told[-1] is not None, self.pressure, 0.0)
+        return ValveState(
+            bool(self.commanded) and self.commanded[-1] is not None, self.pressure, 0.0
+        )
 
     def regulate_pressure(self, pressure):
-        self.told.append(pressure)
+        self.commanded.append(pressure)
         self.pressure = self.pressure if pressure is None else pressure
 
 
@@ -78,7 +80,7 @@ def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone(
         )
 
     run_air(world, valve, step)
-    assert valve.told == pytest.approx([980.0, 960.0, 940.0, 920.0, None])  # 20 Pa a cycle
+    assert valve.commanded == pytest.approx([980.0, 960.0, 940.0, 920.0, None])  # 20 Pa a cycle
 
 
 @pytest.mark.parametrize(

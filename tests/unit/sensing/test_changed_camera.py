@@ -114,11 +114,11 @@ def test_what_images_tell_of_a_camera_adds_up():
     s = dataclasses.replace(DEFAULTS.inverse, drift_walk=0.0)
     rng = np.random.default_rng(0)
     first = CameraDriftFilter.unseen(s, displaced=True)
-    belief = dataclasses.replace(first, time=0.0)
+    estimate = dataclasses.replace(first, time=0.0)
     normal = np.eye(MODES)
     right = np.zeros(MODES)
     for k in range(1, 6):
-        before = belief.later(float(k), s)
+        before = estimate.later(float(k), s)
         rows = rng.standard_normal((20, MODES))
         seen = rng.standard_normal(20)
         alone = rows[:, 7] * s.drift_jitter / s.drift_size
@@ -130,9 +130,9 @@ def test_what_images_tell_of_a_camera_adds_up():
         open_ = rows @ gain.root
         left = np.linalg.inv(np.eye(MODES + 1) + open_.T @ open_)
         found = left @ open_.T @ (seen - rows @ before.mean)
-        belief = before.updated(found, left, gain.root, float(k))
-    assert belief.known @ belief.known.T == pytest.approx(np.linalg.inv(normal), abs=1e-12)
-    assert belief.mean == pytest.approx(np.linalg.solve(normal, right), abs=1e-10)
+        estimate = before.updated(found, left, gain.root, float(k))
+    assert estimate.known @ estimate.known.T == pytest.approx(np.linalg.inv(normal), abs=1e-12)
+    assert estimate.mean == pytest.approx(np.linalg.solve(normal, right), abs=1e-10)
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])

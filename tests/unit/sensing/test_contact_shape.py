@@ -319,8 +319,8 @@ def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
     assert 0.01 * force < low < 4 / 28 * force
     load = np.array([-force, 0, 0])
     s = DEFAULTS.contact_shape
-    known, told = (_model(load, 1.0, 0.0, 1e-4, at, s)[0, 0] for at in (0.0, low))
-    assert told - known == pytest.approx((s.frame_fraction * low) ** 2)
+    known, near_edge = (_model(load, 1.0, 0.0, 1e-4, at, s)[0, 0] for at in (0.0, low))
+    assert near_edge - known == pytest.approx((s.frame_fraction * low) ** 2)
 
 
 def test_a_ball_that_is_dragged_over_still_rubber_rolls_or_slides(sensor, fine_membrane):

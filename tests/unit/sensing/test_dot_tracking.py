@@ -43,10 +43,10 @@ def test_every_dot_keeps_its_number(bright):
     number = {}
     for places, tracked in zip(truth, track_circles(images, polarity=polarity), strict=True):
         assert (tracked.ids >= 0).all() and len(tracked.ids) == len(START)
-        apart = np.linalg.norm(tracked.ellipses.center_px[:, None] - places[None], axis=2)
+        distance = np.linalg.norm(tracked.ellipses.center_px[:, None] - places[None], axis=2)
         # 1.5 grey levels of noise on an edge of 100: some hundredths of a pixel
-        assert apart.min(axis=1).max() < 0.1
-        found = dict(zip(apart.argmin(axis=1).tolist(), tracked.ids.tolist(), strict=True))
+        assert distance.min(axis=1).max() < 0.1
+        found = dict(zip(distance.argmin(axis=1).tolist(), tracked.ids.tolist(), strict=True))
         assert number in ({}, found)
         number = found
 
@@ -72,9 +72,9 @@ def test_in_space_where_camera_and_radius_are_known():
     (tracked,) = track_circles([image], camera, design.markers.radius)
     assert tracked.poses is not None
     seen = tracked.poses.p_CM + design.camera.p_SC
-    apart = np.linalg.norm(seen[:, None] - p_SM[None], axis=2)
+    distance = np.linalg.norm(seen[:, None] - p_SM[None], axis=2)
     # depth of a circle of 20 px radius that is known to some thousandths: 10 to 30 um
-    assert sorted(apart.argmin(axis=1)) == list(range(16)) and apart.min(axis=1).max() < 1e-4
+    assert sorted(distance.argmin(axis=1)) == list(range(16)) and distance.min(axis=1).max() < 1e-4
 
 
 def test_a_folder_of_frames_becomes_a_table(tmp_path, capsys):

@@ -32,9 +32,9 @@ def encoded(gamma, blur_px=0.8):
 def depth_errors(found):
     """mm, and in units of the sd; of a circle's two poses that with the nearer depth."""
     truth = np.array([c.p_C for c in CIRCLES])
-    apart = np.linalg.norm(found.poses.uv_px - optics.project(CAMERA, truth)[:, None], axis=2)
-    which = apart.argmin(axis=1)
-    assert apart.min(axis=1).max() < 2 and (found.poses.status[which] == "ok").all()
+    distance = np.linalg.norm(found.poses.uv_px - optics.project(CAMERA, truth)[:, None], axis=2)
+    which = distance.argmin(axis=1)
+    assert distance.min(axis=1).max() < 2 and (found.poses.status[which] == "ok").all()
     both = np.stack([found.poses.p_CM[which, 2], found.poses.p_CM_alt[which, 2]]) - truth[:, 2]
     error = np.take_along_axis(both, np.abs(both).argmin(axis=0)[None], axis=0)[0]
     return 1e3 * error, error / np.sqrt(found.poses.cov_p[which, 2, 2])
@@ -44,14 +44,14 @@ def depth_errors(found):
 def test_gamma_is_told_by_the_circles_and_undone(gamma):
     image = encoded(gamma)
     known = detect_circles(image, CAMERA, R, gamma=gamma)
-    told = detect_circles(image, CAMERA, R, gamma="auto")
+    identified = detect_circles(image, CAMERA, R, gamma="auto")
     # 16 circles of 20 px: the fit's own sd is 0.05, and model errors are 0.08 of the value
     assert known.gamma.value == pytest.approx(gamma, abs=0.3) and 0.05 < known.gamma.sd < 0.3
-    assert not known.nonlinear and not told.nonlinear
+    assert not known.nonlinear and not identified.nonlinear
     error, normal = depth_errors(known)
     # noise: 7-15 um; 16 draws of chi-square 1 in 1000 runs
     assert np.abs(error).max() < 0.06 and (normal**2).mean() < 2
-    error, normal = depth_errors(told)
+    error, normal = depth_errors(identified)
     assert np.abs(error).max() < 0.2 and (normal**2).mean() < 2
 
 

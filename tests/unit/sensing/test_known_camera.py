@@ -43,7 +43,7 @@ CHANGES = (
 )
 
 
-def begun():
+def started():
     """Return a sensor with its references, and images of no load, 0.1, 0.4 and 0.8 N, and
     release."""
     images = membrane_images.sequence(SENSOR)
@@ -56,7 +56,7 @@ def begun():
 def touches(change=lambda image: image):
     """Return four touches of each load, since its motion increases the uncertainty; the first is
     kept, too."""
-    sensor, images = begun()
+    sensor, images = started()
     return [[sensor.perceive(change(image), image.time) for _ in range(4)] for image in images]
 
 
@@ -108,7 +108,7 @@ def test_circles_that_grew_by_their_level_are_taken_back_exactly():
     Through the glass the camera appears closer by the glass's shortening. From there a circle's
     distance is proportional to one over its radius.
     """
-    sensor, _ = begun()
+    sensor, _ = started()
     finder = sensor.pipeline.detector.known._camera
     s = DEFAULTS.inverse
     p_SM = DESIGN.markers.p_SM + [0.0, 0.0, 2e-3]
@@ -156,7 +156,7 @@ def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(fraction, load
 
 def covered(*ids, of=DESIGN):
     """A change of the picture that blackens a square over these fiducials."""
-    sensor, _ = begun()
+    sensor, _ = started()
     places = sensor.pipeline.detector.known._circles.places_px[list(ids)]
 
     def change(image):
@@ -181,11 +181,11 @@ def test_dirty_fiducials_cost_themselves(clean):
 def test_without_fiducials_the_camera_is_where_it_was_last(clean):
     """With all fiducials covered after a shift, the last correction still applies, and no change is
     reported."""
-    sensor, images = begun()
-    knock = faulty({"image_shift_px": [4.0, -3.0]})
+    sensor, images = started()
+    shifted = faulty({"image_shift_px": [4.0, -3.0]})
     cover = covered(*range(10))
-    sensor.perceive(knock(images[0]), images[0].time)
-    touch = sensor.perceive(knock(cover(images[0])), images[0].time)
+    sensor.perceive(shifted(images[0]), images[0].time)
+    touch = sensor.perceive(shifted(cover(images[0])), images[0].time)
     assert touch.camera is None
     assert touch.status == "ok"
     assert abs(touch.force_normal - clean[0][0].force_normal) < 5 * touch.force_normal_sd
@@ -200,7 +200,7 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
     The image is shifted by 4 px and -3 px and is 1 % larger. Circle centers and lens leave half a
     pixel and a tenth of a percent.
     """
-    _, images = begun()
+    _, images = started()
     changed = faulty({"image_shift_px": [4.0, -3.0], "scale_percent": 1.0})(images[0])
     shown = covered(*hidden)(changed) if hidden else changed
     [found] = fiducial_findings("camera left", DESIGN, shown)
@@ -215,9 +215,9 @@ def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
 def test_fiducials_are_no_markers():
     """Fiducials are never named as markers, even after a shift of ten pixels with missing markers
     next to them."""
-    sensor, images = begun()
-    knock = faulty({"image_shift_px": [8.0, 6.0]})
-    pixels = knock(images[3]).pixels.copy()
+    sensor, images = started()
+    shifted = faulty({"image_shift_px": [8.0, 6.0]})
+    pixels = shifted(images[3]).pixels.copy()
     pixels[:, 75:150] = 150  # the first column of markers is gone
     markers, _ = sensor.pipeline.detect_markers(sensor.state, Image(pixels, images[3].time))
     assert len(markers.fiducials) == 10
@@ -268,16 +268,16 @@ def test_they_are_rows_of_the_same_fit():
 
 
 def test_one_that_is_far_off_counts_for_nothing():
-    sensor, _ = begun()
+    sensor, _ = started()
     finder = sensor.pipeline.detector.known._camera
     rest = sensor.state.reference.fiducials
     center = rest.center_px + [0.5, -0.2]
     assert isinstance(finder, CameraDriftEstimator)
-    whole = finder.find(replace(rest, center_px=center), rest)
+    undisturbed = finder.find(replace(rest, center_px=center), rest)
     center = center.copy()
     center[3] += 2.0
     dirty = finder.find(replace(rest, center_px=center), rest)
-    assert dirty.change.shift == pytest.approx(whole.change.shift, abs=0.02)
+    assert dirty.change.shift == pytest.approx(undisturbed.change.shift, abs=0.02)
     assert finder.find(replace_ids(rest, 3), rest) is None
 
 
@@ -301,7 +301,7 @@ def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
 
 
 def test_a_calibration_keeps_where_they_were():
-    sensor, images = begun()
+    sensor, images = started()
     markers = sensor.pipeline.detect_rest_markers(sensor.state, images[:1])
     part = RestMarkers(markers, 1000.0, sealed=True)
     again = RestMarkers.from_section(Section(part.to_table(), "", "left.json"))

@@ -53,11 +53,11 @@ def test_image_files(tmp_path):
         "normal_alt",
         "status",
     }
-    whole = (tmp_path / "a.png").read_bytes()
+    complete = (tmp_path / "a.png").read_bytes()
     for name, data in (
         ("empty.png", b""),
         ("text.png", b"not an image"),
-        ("short.png", whole[:200]),
+        ("short.png", complete[:200]),
     ):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(InputError, match="corrupt"):

@@ -21,8 +21,8 @@ def seen(p_SM, rng, missing=0.0, spurious=0, noise=20e-6):
     high = p_SM.max(axis=0)
     false = rng.uniform(low, high, (8 * spurious + 1, 3))
     # not on top of a marker
-    apart = np.linalg.norm(false[:, None, :2] - p_SM[:, :2], axis=2).min(axis=1) > 1.3e-3
-    false = false[apart][:spurious]
+    distance = np.linalg.norm(false[:, None, :2] - p_SM[:, :2], axis=2).min(axis=1) > 1.3e-3
+    false = false[distance][:spurious]
     p = np.concatenate([p_SM[ids] + rng.normal(scale=noise, size=(len(ids), 3)), false])
     ids = np.append(ids, np.full(len(false), -1))
     order = rng.permutation(len(p))
@@ -158,9 +158,9 @@ def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, fraction):
     p, n = pressed(design)
     poses = poses_of(design, p, n)
     markers = marker_matching.identify(poses, design, p)
-    apart = np.degrees(np.arccos(np.clip((poses.n_C * poses.n_C_alt).sum(axis=1), -1, 1)))
+    distance = np.degrees(np.arccos(np.clip((poses.n_C * poses.n_C_alt).sum(axis=1), -1, 1)))
     # closer normals are interchangeable: face-on, a normal is only known to 2 degrees
-    clear = apart > 4
+    clear = distance > 4
     assert clear.sum() >= 8
     first_only = np.mean(np.linalg.norm(poses.n_C - n, axis=1)[clear] < 1e-9)
     # 16 markers see this bell with two or three points across: a slope's sign may be lost next to

@@ -129,12 +129,12 @@ def test_small_dots_are_unbiased():
     assert (ellipses.status == "ok").sum() >= 14
 
 
-def glare(exact, circles, every, reach):
+def glare(exact, circles, every, extent):
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     image = exact.copy()
     for circle in circles[::every]:
         p = optics.project(CAMERA, circle.p_C)
-        image += 300 * np.exp(-((u - p[0] - 15) ** 2 + (v - p[1] - 5) ** 2) / (2 * reach**2))
+        image += 300 * np.exp(-((u - p[0] - 15) ** 2 + (v - p[1] - 5) ** 2) / (2 * extent**2))
     return image
 
 
@@ -234,14 +234,17 @@ def test_large_markers_are_found_at_half_the_resolution(circles):
     marker here has 9 px.
     """
     image = noisy(marker_scenes.exact_image(CAMERA, circles))
-    whole = markers.detect(image, CAMERA)
+    complete = markers.detect(image, CAMERA)
     half = markers.detect(image, CAMERA, min_radius_px=6.0)
-    order = np.linalg.norm(whole.center_px[:, None] - half.center_px, axis=2).argmin(axis=1)
-    assert len(half) == len(whole) == len(circles)
+    order = np.linalg.norm(complete.center_px[:, None] - half.center_px, axis=2).argmin(axis=1)
+    assert len(half) == len(complete) == len(circles)
     assert (half.status == "ok").all()
-    sd = np.sqrt(np.diagonal(whole.cov, axis1=1, axis2=2))[:, :4]
+    sd = np.sqrt(np.diagonal(complete.cov, axis1=1, axis2=2))[:, :4]
     moved = np.hstack(
-        [half.center_px[order] - whole.center_px, half.semi_axes_px[order] - whole.semi_axes_px]
+        [
+            half.center_px[order] - complete.center_px,
+            half.semi_axes_px[order] - complete.semi_axes_px,
+        ]
     )
     assert np.abs(moved / sd).max() < 0.5
 

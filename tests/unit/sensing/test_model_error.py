@@ -110,8 +110,10 @@ def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_side
         name: getattr(DEFAULTS.model_error, name) for name in ("sparse", "lateral", "outside")
     }
     sharp = {"sharp": (0.1, 0.2, 0.3, 0.4), "caught": (0.4, 0.3, 0.2, 0.1)}
-    doubt = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
-    left = doubt.variance(estimated) - doubt.of_sharpness(estimated.force, estimated.excess)
+    error_model = ModelErrorVariance(DENSE, NODES, replace(NOTHING, **shares, **sharp))
+    left = error_model.variance(estimated) - error_model.of_sharpness(
+        estimated.force, estimated.excess
+    )
     tilts = [2, 3, 4]  # and the normal force, which has no `lateral` part
     assert left[tilts] == pytest.approx(sd(estimated, **shares)[tilts] ** 2)
     alone = {name: value for name, value in shares.items() if name != "lateral"}

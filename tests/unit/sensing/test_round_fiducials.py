@@ -65,8 +65,8 @@ def touches(path, change=lambda image: image):
 @pytest.mark.slow
 def test_a_knocked_camera_is_known(path):
     table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
-    knocked = FaultyImage(from_table(CameraFaults, table, "test"))
-    for now, then in zip(touches(path, knocked), touches(path), strict=True):
+    shifted = FaultyImage(from_table(CameraFaults, table, "test"))
+    for now, then in zip(touches(path, shifted), touches(path), strict=True):
         assert now.status == "ok"
         assert now.camera.seen == len(ANGLES)
         # from circles 16 mm from the center; on `dense_fiducials` they are at 22 mm, and the error

@@ -39,7 +39,7 @@ def test_every_number_says_what_it_is_and_where_it_comes_from():
                 for value in np.atleast_1d(field.default):
                     assert allowed.low <= value <= allowed.high, field.name
                 # a sensitivity is asked at half and at twice the value
-                assert allowed.whole or allowed.low < allowed.high / 4, field.name
+                assert allowed.integer or allowed.low < allowed.high / 4, field.name
 
 
 def test_a_number_that_was_tried_has_its_row_on_the_page():

@@ -72,12 +72,12 @@ def test_what_lags_is_as_doubtful_as_it_changes():
     """With a lag of one image, a change of 0.1 N since the last image adds 0.25 N of
     uncertainty."""
     design = load_sensor("dense")
-    doubt = ModelErrorVariance(design, np.zeros((2, 2)))
+    error_model = ModelErrorVariance(design, np.zeros((2, 2)))
     change = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
     force = np.zeros((3, 2))
     force[2] = -0.5
     without, late = (
-        doubt.variance(FitDiagnostics(force, change, np.zeros(3), 0.0, lag=lag))
+        error_model.variance(FitDiagnostics(force, change, np.zeros(3), 0.0, lag=lag))
         for lag in (0.0, 1.0)
     )
     assert late[2] - without[2] == pytest.approx(0.25**2)

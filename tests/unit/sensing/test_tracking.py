@@ -21,7 +21,7 @@ def short(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "seed", [1008, 1012, 1014], ids=["undisturbed", "hands", "a camera that jumps"]
+    "seed", [1008, 1012, 1014], ids=["undisturbed", "occlusion", "a camera that jumps"]
 )
 def test_nothing_is_wrong_or_missed_for_long(seed):
     row = bench.sequence_row(seed)

@@ -8,7 +8,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes import mjcf_trial
-from mjtactile.sim.scenes.mjcf import MOST, read_mjcf
+from mjtactile.sim.scenes.mjcf import COPIES_MAX, read_mjcf
 
 GEOM = '<geom size="0.01"/>'
 
@@ -32,7 +32,7 @@ def scene(inside):
 def test_too_many_copies(tmp_path, inside, field):
     (tmp_path / "many.xml").write_text(scene(inside))
     with pytest.raises(
-        InputError, match=rf"many.xml: {field}: makes \d+ copies; at most {MOST} are allowed"
+        InputError, match=rf"many.xml: {field}: makes \d+ copies; at most {COPIES_MAX} are allowed"
     ):
         read_mjcf(tmp_path / "many.xml")
 

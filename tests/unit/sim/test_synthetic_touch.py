@@ -112,11 +112,11 @@ def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again()
 def test_without_a_chain_there_are_no_images_and_no_mesh():
     on = choose(DENSE, overrides=SAMPLED).on
     assert not on & {Effect.MESH, Effect.PIPELINE, Effect.IMAGES}
-    for refused, says in (
+    for refused, message in (
         ("-pipeline", "needs the quasi-static"),
         ("-mesh,-pipeline,+images", "images are not used"),
     ):
-        with pytest.raises(InputError, match=says):
+        with pytest.raises(InputError, match=message):
             choose(DENSE, overrides=refused)
 
 

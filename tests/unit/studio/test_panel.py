@@ -157,7 +157,7 @@ def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_c
 def test_the_sheet_in_the_scene_is_the_felt_surface():
     touch = fake_touch(0.6, 0.0)
     estimated = FingerSnapshot("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
-    corners, rgb = surface_colormap.sheet(
+    corners, rgb = surface_colormap.surface_geom(
         estimated, surface_colormap.field_of(estimated, "indentation"), 0.0012
     )
     s = touch.surface
@@ -166,14 +166,14 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     assert area.sum() == pytest.approx((s.x[-1] - s.x[0]) * (s.y[-1] - s.y[0])) and (area > 0).all()
     middle = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
     assert rgb[middle, 1] == rgb[:, 1].max()  # green grows along viridis
-    pressed, _ = surface_colormap.sheet(
+    pressed, _ = surface_colormap.surface_geom(
         estimated, surface_colormap.field_of(estimated, "indentation"), 0.0012, minimum=0.04
     )
     assert 0 < len(pressed) < len(corners)
     quiet = replace(estimated, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
     assert [
         len(part)
-        for part in surface_colormap.sheet(
+        for part in surface_colormap.surface_geom(
             quiet, surface_colormap.field_of(quiet, "indentation"), 1e-3, minimum=0.04
         )
     ] == [0, 0]
