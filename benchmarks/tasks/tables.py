@@ -74,8 +74,8 @@ def table(result: Mapping[str, Any]) -> str:
         lines += [
             "",
             f"Mass estimates of `adaptive`, {found['objects']} objects of at least 20 g: mean "
-            f"error {100 * found['mean_share']:+.1f} %, sd {100 * found['sd_share']:.1f} %; rms error "
-            f"{found['over_asked']:.2f} times the required 4 % + 1 g.",
+            f"error {100 * found['mean_share']:+.1f} %, sd {100 * found['sd_share']:.1f} %; rms "
+            f"error {found['over_asked']:.2f} times the required 4 % + 1 g.",
         ]
     lines += _agreement(result)
     return "\n".join(lines) + "\n"
