@@ -131,11 +131,11 @@ def _held() -> dict[str, float]:
     frame = 16  # steps at 30 Hz
     quasistatic = core_ms(lambda: world.step(frame), 20) / frame / STEP
     design = load_sensor(SENSOR)
-    drawers = [
+    sources = [
         SyntheticTouchSource(sensor, load_errors(design), design.membrane.friction, k)
         for k, sensor in enumerate(world.sensors)
     ]
-    sampling = core_ms(lambda: [one.sample() for one in drawers], 50) * design.camera.rate
+    sampling = core_ms(lambda: [source.capture() for source in sources], 50) * design.camera.rate
     forces = []
     for _ in range(round(0.2 / STEP)):
         world.step()

@@ -109,7 +109,7 @@ def _processor() -> str:
 
 _LABELS = {
     "a step": "step",
-    "drawing an image": "rendering",
+    "rendering an image": "rendering",
     "image to touch": "image to estimate",
     "all": "complete grasp",
 }

@@ -58,7 +58,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
 
     if kind == "core":
         timed(StatefulPipeline, "perceive", "image to touch")
-        timed(SimCamera, "render", "drawing an image")
+        timed(SimCamera, "capture", "rendering an image")
         timed(World, "step", "a step")
         # an older checkout has it in another file
         clocks = sys.modules[SimClock.__module__]

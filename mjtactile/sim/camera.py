@@ -18,7 +18,7 @@ _SHUTTER = (0.0, 0.5, 1.0)  # fractions of the exposure at which the moving mark
 
 
 class SimCamera:
-    """Renderer of one sensor's image, on `read` or earlier by `render`."""
+    """Renderer of one sensor's image, on `read` or earlier by `capture`."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class SimCamera:
         self._faulty = FaultyImage(self._faulty.faults, seed)
         self._rendered = None
 
-    def render(self) -> None:
+    def capture(self) -> None:
         """Have the image of the membrane now ready for `read`."""
         sensor = self._sensor
         if self._sampler is not None:
@@ -84,7 +84,7 @@ class SimCamera:
     def read(self) -> Image:
         """The image of the membrane now."""
         if self._rendered is None or self._rendered.time != self._sensor.time:
-            self.render()
+            self.capture()
         image = self._rendered
         self._rendered = None
         assert image is not None

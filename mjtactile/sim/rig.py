@@ -168,7 +168,7 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     cameras = _cameras(
         world.sensors, seeds(len(world.sensors)), plan.on, plan.designs, plan.as_built, plan.sampled
     )
-    clock.on_arrival += [camera.render for camera in cameras]
+    clock.on_arrival += [camera.capture for camera in cameras]
     valves = tuple(
         SimValve(sensor, seed + k, own.valve_zero, clock.defer)
         for k, (sensor, own) in enumerate(zip(world.sensors, plan.as_built, strict=True))

@@ -106,14 +106,14 @@ class SyntheticTouchSource:
         self._error_sampler.start(self._rng)
         self._sampled = None
 
-    def sample(self) -> None:
+    def capture(self) -> None:
         """Have the touch of now ready for `read`."""
         self._sampled = SyntheticTouch.of(self._touch())
 
     def read(self) -> SyntheticTouch:
         """Return the simulated measurement at the present time."""
         if self._sampled is None or self._sampled.time != self._sensor.time:
-            self.sample()
+            self.capture()
         sampled = self._sampled
         self._sampled = None
         assert sampled is not None

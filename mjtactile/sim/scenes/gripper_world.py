@@ -230,9 +230,9 @@ class GripperWorld(World):
         jaw_step = self.rig.gripper.speed * self.timestep
         lift_step = self._lift_speed * self.timestep
         self._jaws.refresh_force()
-        max_offset = self._jaws.max_offset(self.rig.gripper.speed) + 4 * jaw_step
+        max_lead = self._jaws.max_lead(self.rig.gripper.speed) + 4 * jaw_step
         goal = _nearer(self._opening_goal, self._opening_target, jaw_step)
-        self._opening_goal = _nearer(self.opening, goal, max_offset)
+        self._opening_goal = _nearer(self.opening, goal, max_lead)
         self._lift_goal = _nearer(self._lift_goal, self._lift_target, lift_step)
         self._jaws.drive(self._opening_goal)
         self._lift.drive(self._lift_goal)
@@ -250,8 +250,8 @@ class GripperWorld(World):
 
     def _write_goals(self, batches: QuasistaticStepper) -> None:
         jaw_step = self.rig.gripper.speed * self.timestep
-        max_offset = self._jaws.max_offset(self.rig.gripper.speed) + 4 * jaw_step
-        batches.maximum[:] = jaw_step, max_offset, self._lift_speed * self.timestep
+        max_lead = self._jaws.max_lead(self.rig.gripper.speed) + 4 * jaw_step
+        batches.maximum[:] = jaw_step, max_lead, self._lift_speed * self.timestep
         batches.goals[:] = (
             self._opening_goal,
             self._opening_target,

@@ -43,7 +43,7 @@ def test_the_table_says_what_the_lines_say(tmp_path):
         "tasks": dict.fromkeys(TASKS, summarise(own)),
         "together": together(dict.fromkeys(TASKS, own)),
         "harsh": {"weigh": summarise(own[:8])},
-        "weighed": {"things": 0},
+        "weighed": {"objects": 0},
     }
     text = table(result)
     # Wilson's interval of 8 of 8 is 67.6 to 100 %
@@ -80,7 +80,7 @@ def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
         "-mesh,-pipeline",
     }
     assert len({one.name for one in known.values()}) == 3
-    with pytest.raises(InputError, match=r"'fine' is unknown .valid: mesh, film, drawn"):
+    with pytest.raises(InputError, match=r"'fine' is unknown .valid: mesh, quasistatic, synthetic"):
         run(tmp_path, level="fine")
     with pytest.raises(InputError, match="'nobody' is unknown"):
         run(tmp_path, parts=("nobody",))
@@ -94,12 +94,12 @@ def test_weights_are_compared_with_what_was_asked():
         )
     ]
     found = weighed([*known, *lines("gentle", ["held"])])
-    assert found["things"] == 3  # 5 g are too little to count
+    assert found["objects"] == 3  # 5 g are too little to count
     assert found["mean_g"] == pytest.approx((4 - 4 + 2) / 3)
     # 4 % of 100 g and 1 g are 5 g, of 50 g 3 g
     asked = [4 / 5, 4 / 3, 2 / 3]
     assert found["over_asked"] == pytest.approx(np.sqrt(np.mean(np.square(asked))))
-    assert weighed([])["things"] == 0
+    assert weighed([])["objects"] == 0
 
 
 @pytest.mark.parametrize(("follows", "counts"), [(1.0, True), (0.0, False)])
