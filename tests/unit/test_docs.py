@@ -186,7 +186,7 @@ def test_the_gallery_shows_every_picture_of_the_pages():
 def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
     sampled = architecture.render((CHECKOUT / "pyproject.toml").read_text())
     # else: .venv/bin/python tools/architecture.py
-    assert architecture.PICTURE.read_text() == sampled
+    assert architecture.FIGURE.read_text() == sampled
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one["layers"] for one in contracts["contracts"] if one["name"] == "Layers")
     rooms = {room for floor in architecture.floors(layers) for room in floor.rooms}
