@@ -29,6 +29,7 @@
 #define PAUSE 32        /* steps until the next attempt if no lift has a solution */
 /* fraction of contact nodes that may change before the sticking stiffness is computed again */
 #define CHANGED 0.1
+#define FLEXIBLE 1e-9   /* remainder of a stiffness that is rounding error */
 /* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
    its bounding box, in its own frame */
 #define BOUNDS 7
@@ -213,7 +214,7 @@ static void find_middle(const Membrane *f, const double *x, const double *force,
 }
 
 static void release(Patch *p) {
-    p->touching = 0, p->slides = 0, p->gripped = 0, p->radius = 0, p->slid = 0;
+    p->touching = 0, p->slides = 0, p->gripped = 0, p->radius = 0;
     memset(p->wrench, 0, sizeof p->wrench), memset(p->strain, 0, sizeof p->strain), memset(p->shear, 0, sizeof p->shear);
 }
 
@@ -377,15 +378,44 @@ static int hold_again(const Membrane *f, const Bodies *bodies, const Scene *s, c
     return find_grip(f, x, compliance, s->slots, grip, touched, m, patches);
 }
 
+/* Solve K x = b for one patch, by Cholesky's factors; `wide`: row length of K. A patch of one node has
+   no stiffness in torsion, and does not turn. */
+static void solve_patch(const double *K, long wide, const double *b, double *x) {
+    double L[3][3] = {{0}}, y[3];
+    for (int i = 0; i < 3; i++) {
+        y[i] = b[i];
+        for (int j = 0; j <= i; j++) {
+            double sum = K[i * wide + j];
+            for (int k = 0; k < j; k++) sum -= L[i][k] * L[j][k];
+            if (i == j) L[i][i] = sum > FLEXIBLE * K[i * wide + i] && sum > 0 ? sqrt(sum) : INFINITY;
+            else L[i][j] = sum / L[j][j];
+        }
+        for (int k = 0; k < i; k++) y[i] -= L[i][k] * y[k];
+        y[i] /= L[i][i];
+    }
+    for (int i = 2; i >= 0; i--) {
+        x[i] = y[i];
+        for (int k = i + 1; k < 3; k++) x[i] -= L[k][i] * x[k];
+        x[i] /= L[i][i];
+    }
+}
+
 /* Move the patches by `along` (slots, 3) against the membrane, up to Coulomb's limit for their
-   forces `pressed` (slots). */
-static void stick(const Given *g, long slots, const double *pressed, const double *along, const double *grip, Patch *patches) {
-    for (long s = 0; s < slots; s++)
-        for (int i = 0; i < 3 && patches[s].touching; i++) patches[s].strain[i] += along[3 * s + i];
+   forces `pressed` (slots). A patch slides until its load, to which its neighbors contribute through
+   the membrane, is within the limit. Return the sliding distance, m, of their mean weighted by force:
+   parts of a soft body that are pressed apart slide in opposite directions. */
+static double stick(const Given *g, long slots, const double *pressed, const double *along, const double *grip, Patch *patches) {
+    double total = 0, slip[2] = {0};
+    long count = 0;
+    for (long s = 0; s < slots; s++) {
+        if (!patches[s].touching) continue;
+        for (int i = 0; i < 3; i++) patches[s].strain[i] += along[3 * s + i];
+        total += pressed[s], count++;
+    }
     for (long s = 0; s < slots; s++) {
         Patch *p = patches + s;
         if (!p->touching) continue;
-        double load[3];
+        double load[3], beyond[3], slides[3];
         for (int i = 0; i < 3; i++) {
             const double *K = grip + (3 * s + i) * 3 * slots, *own = K + 3 * s;
             load[i] = own[0] * p->strain[0] + own[1] * p->strain[1] + own[2] * p->strain[2];
@@ -396,24 +426,25 @@ static void stick(const Given *g, long slots, const double *pressed, const doubl
         p->slides = carried > limit;
         p->left = p->slides ? limit / carried : 1;
         for (int i = 0; i < 3; i++) p->shear[i] = load[i] * p->left;
+        if (!p->slides) continue;
+        for (int i = 0; i < 3; i++) beyond[i] = (1 - p->left) * load[i], slides[i] = (1 - p->left) * p->strain[i];
+        if (count > 1) solve_patch(grip + 9 * s * slots + 3 * s, 3 * slots, beyond, slides);
+        for (int i = 0; i < 3; i++) p->strain[i] = count > 1 ? p->strain[i] - slides[i] : p->strain[i] * p->left;
+        for (int i = 0; i < 2 && total > 0; i++) slip[i] += pressed[s] / total * slides[i];
     }
-    for (long s = 0; s < slots; s++) {
-        Patch *p = patches + s;
-        if (!p->touching) continue;
-        p->slid += (1 - p->left) * hypot(p->strain[0], p->strain[1]);
-        for (int i = 0; i < 3; i++) p->strain[i] *= p->left;
-    }
+    return hypot(slip[0], slip[1]);
 }
 
 /* Sum up the patches in the state of the membrane. */
 static void sum_patches(const Membrane *f, const double *x, const double *force, const int32_t *was, long slots, const Patch *patches,
                         Memory *m) {
-    memset(m->wrench, 0, sizeof m->wrench), m->slides = 0, m->slid = 0, m->radius = 0;
+    memset(m->wrench, 0, sizeof m->wrench), m->slides = 0, m->radius = 0;
+    if (!m->touching) m->slid = 0;
     for (long s = 0; s < slots; s++) {
         const Patch *p = patches + s;
         if (!p->touching) continue;
         for (int i = 0; i < 6; i++) m->wrench[i] += p->wrench[i];
-        m->slides = max_of(m->slides, p->slides), m->slid = max_of(m->slid, p->slid);
+        m->slides = max_of(m->slides, p->slides);
         if (m->touching == 1) memcpy(m->middle, p->middle, sizeof m->middle), m->radius = p->radius;
     }
     double unused[2];
@@ -505,7 +536,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
         along[3 * k + 2] = moved[6 * k + 5];
     }
-    if (g->friction > 0) stick(g, slots, pressed, along, grip, patches);
+    if (g->friction > 0) m->slid += stick(g, slots, pressed, along, grip, patches);
     for (long k = 0; k < slots; k++) {
         Patch *p = patches + k;
         if (!p->touching) continue;

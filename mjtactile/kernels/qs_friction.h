@@ -8,7 +8,7 @@ typedef struct {
     double touching;                /* number of bodies in contact */
     double wrench[6];               /* wrench on the membrane about the origin of S */
     double middle[3], radius, slides;
-    double slid;                    /* largest sliding distance over the membrane, m */
+    double slid;                    /* sliding distance since first touch, m: bodies weighted by force */
     double near;                    /* number of near bodies */
     double status, lost, solved;    /* of the last solution; steps in a row without one */
     double lift;                    /* height by which the obstacles are raised for a solution, m */
@@ -37,10 +37,9 @@ typedef struct {
     double R_rest[9], p_rest[3];    /* pose at the last solution */
     /* displacement of the body's origin, m, and rotation, rad, since the previous update */
     double moved[6];
-    double slid;                    /* sliding distance over the membrane since first touch, m */
     double left;                    /* fraction of the load within Coulomb's limit */
 } Patch;
-#define QS_PATCH 62
+#define QS_PATCH 61
 
 /* Inputs: friction coefficient; stiffness of bulge and gas, Pa/m^3; time step, s; half width of the
    frame, m; spacing of nodes, m; time, s; reach of the membrane from the center of its frame, m. */

@@ -123,6 +123,28 @@ def test_each_of_two_balls_slides_at_its_own_limit():
     np.testing.assert_allclose((drags[0] - drags[1])[:2] / 2, limits, rtol=0.05)
 
 
+@pytest.mark.parametrize("apart", [True, False])
+def test_balls_that_are_pushed_apart_are_no_slip_of_both(apart):
+    """Two equal balls are moved out and back by 4 mm, in opposite directions or in the same one.
+
+    Slip is the motion of their mean. Friction, 0.16 N at 120 N/m, sticks for 1.3 mm on the way out
+    and twice as far on the way back: 4 mm of the 8 mm remain.
+    """
+    slide = X_SLIDE.replace('stiffness="1e4" ', "")
+    pair = [
+        ball(n, x, 0, 0.0117, 0.008, 0.02, slide.format(n) + SLIDE)
+        for n, x in (("a", -0.0095), ("b", 0.0095))
+    ]
+    world = scene("".join(pair))
+    world.step(500)
+    joints = [world.model.joint(name).qposadr[0] for name in "ab"]
+    for way in np.concatenate([np.full(100, -4e-5), np.full(100, 4e-5)]):  # m
+        world.data.qpos[joints] += way, -way if apart else way
+        world.data.qvel[:] = 0
+        world.step()
+    assert world.sensors[0].slid == pytest.approx(0.0 if apart else 4e-3, abs=7e-4)
+
+
 SHAPES = {
     "plate": 'type="box" size=".0005 .01 .01" mass="0.3"',
     "corner": 'type="box" size=".004 .004 .004" euler="35 45 0" mass="0.1"',

@@ -21,7 +21,7 @@ STATE = np.dtype([
     ("middle", float, 3),  # center of pressure, m
     ("radius", float),  # mean distance of the pressure from it in the frame's plane, m
     ("slides", float),  # 1 if a body is at the friction limit
-    ("slid", float),  # largest sliding distance since first touch, m
+    ("slid", float),  # sliding distance since first touch, m: bodies weighted by force
     ("near", float),  # number of near bodies
     ("status", float),
     ("lost", float),  # steps without a solution in a row
@@ -47,7 +47,6 @@ PATCH = np.dtype([
     ("strain", float, 3),  # shear displacement along x and y, m, and rotation, rad
     ("shear", float, 3),
     ("rest", float, 40),
-    ("slid", float),
     ("left", float),
 ])  # fmt: skip
 """State of one body at the membrane, as in kernels/qs_friction.h. SI units, S."""
