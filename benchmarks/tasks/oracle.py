@@ -101,7 +101,7 @@ class Oracle(Observer):
             return 0.0
         bodies = ground_truth.object_bodies(scorer.world)
         mass = float(scorer.world.model.body_mass[bodies].sum())
-        pull = GRAVITY
+        pull = _pull_on(sampled, time)
         push = 0.0
         for event in sampled.events:
             done = (time - event.start) / event.duration
@@ -111,10 +111,36 @@ class Oracle(Observer):
                 mass += (event.values["mass"] - mass) * still
             elif event.kind == "fill" and done >= 1:
                 mass = event.values["mass"]
+            elif event.kind == "stack":
+                mass += event.values["added_mass"] * min(max(done, 0.0), 1.0)
             elif event.kind == "shake" and 0 < done < 1:
                 pull += event.values["acceleration"]
             elif event.kind == "push" and 0 < done < 1:
                 push = max(push, event.values["impulse"] / event.duration)
             elif event.kind == "pull" and done > 0:
                 push = max(push, PULL_ESTIMATE)
-        return (mass * pull + push) / scorer.friction_sum()
+        return (mass * pull + push) / self._friction_ahead(scorer, sampled, time, now)
+
+    def _friction_ahead(
+        self, scorer: TaskScorer, sampled: SampledTask, time: float, now: float
+    ) -> float:
+        """Return the sum of the fingers' friction coefficients at `time`, as predicted at `now`."""
+        friction = scorer.friction_sum()
+        for event in sampled.events:
+            if event.kind != "friction" or event.finger is not None:
+                continue
+            final = event.values["friction"] * len(scorer.world.sensors)
+            passed, done = (
+                min(max((moment - event.start) / event.duration, 0.0), 1.0)
+                for moment in (now, time)
+            )
+            friction += (final - friction) * (done - passed) / max(1.0 - passed, 1e-9)
+        return friction
+
+
+def _pull_on(sampled: SampledTask, time: float) -> float:
+    """Return weight and inertia on the path over the mass, m/s^2."""
+    if sampled.path is None or time <= 0:
+        return GRAVITY
+    x, y, z = sampled.path.acceleration(time)
+    return math.hypot(x, y, GRAVITY + z)
