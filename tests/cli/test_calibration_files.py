@@ -67,7 +67,7 @@ def cut_in_half(folder):
         ),
     ],
 )
-def test_a_calibration_of_something_else_ends_a_grasp_before_it_begins(
+def test_a_calibration_of_something_else_ends_a_grasp_before_it_starts(
     rig, tmp_path, capsys, spoil, words
 ):
     spoil(tmp_path)
@@ -104,7 +104,7 @@ def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsy
     one_line(capsys, "rig.toml", *words)
 
 
-def test_doctor_says_what_is_missing_refused_and_outdated(rig, tmp_path, capsys):
+def test_doctor_states_what_is_missing_refused_and_outdated(rig, tmp_path, capsys):
     # of other values than the sensor file's
     stale = ForceScale(1.02, 0.01, 1.5, stamp(load_sensor("paper16"), {}, {}))
     load_calibration(tmp_path / "left.json").with_part(stale).with_refusal("frame", ["bent"]).save(
@@ -128,7 +128,7 @@ def test_doctor_says_what_is_missing_refused_and_outdated(rig, tmp_path, capsys)
     assert found["calibration of the gripper"]["level"] == "warn"
 
 
-def test_a_rig_that_names_no_file_says_where_to_write_one(capsys):
+def test_a_rig_that_names_no_file_states_where_to_write_one(capsys):
     assert main(["calibrate", "force", "--rig", "two_xm430", "--finger", "right"]) == 2
     one_line(capsys, "camera[1].calibration", 'calibration = "right.json"')
 

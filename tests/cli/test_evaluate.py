@@ -127,7 +127,7 @@ def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
+def test_the_command_of_an_episode_samples_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text(
         "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"

@@ -35,7 +35,7 @@ def test_inflate_reports_height_and_theory(capsys, tmp_path):
     assert {p.name for p in (tmp_path / "o").iterdir()} == {"inflate.json", "inflate.png"}
 
 
-def test_press_feels_what_the_load_cell_reads(capsys):
+def test_press_estimates_what_the_load_cell_reads(capsys):
     result = run_json(capsys, "press", "--indenter", "sphere:16", "--depth-mm", "1:2:1")
     for step in result["steps"]:
         assert step["converged"] and step["status"] == "ok"

@@ -54,7 +54,9 @@ def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
 @pytest.mark.slow
 @pytest.mark.clock
 @pytest.mark.xdist_group("an emulated rig")
-def test_an_emulated_hand_grips_at_two_heights_and_its_recording_says_the_same(capsys, tmp_path):
+def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_same(
+    capsys, tmp_path
+):
     out = tmp_path / "egg"
     arguments = ["explore", "--rig", "emulated", "--object", "egg", "--time-scale", "4"]
     assert main([*arguments, "--touches", "2", "--out", str(out), "--json"]) == 0

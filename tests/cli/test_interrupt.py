@@ -49,7 +49,7 @@ def test_what_was_recorded_is_kept(tmp_path, stop):
     )
 
 
-def test_a_run_that_is_killed_leaves_whole_cycles(tmp_path):
+def test_a_run_that_is_killed_leaves_complete_cycles(tmp_path):
     """After SIGKILL the recording holds all finished cycles, each with its images, although no
     handler runs."""
     process = subprocess.Popen(

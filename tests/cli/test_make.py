@@ -27,7 +27,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one picture of parts
 
 
-def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
+def test_the_folder_states_what_is_in_it(quick, capsys, tmp_path):
     out = tmp_path / "build"
     assert main(["fabricate", "paper16", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

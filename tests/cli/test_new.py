@@ -67,7 +67,7 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
     ).exists()
 
 
-def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
+def test_a_random_object_is_written_to_be_viewed(mjtactile, tmp_path):
     report = json.loads(
         mjtactile("new", "object", "thing", "--template", "random:7", "--json").stdout
     )
@@ -81,7 +81,7 @@ def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
     )
 
 
-def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
+def test_what_it_states_to_run_next_runs(mjtactile, tmp_path):
     process = mjtactile("new", "sensor", "mine")
     assert process.returncode == 0 and process.stderr == ""
     words = process.stdout.splitlines()[1].split()

@@ -66,7 +66,7 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
+def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
     (tmp_path / "shy.py").write_text(
         BLIND.replace("OPENING", "0.045")
         .replace("FORCE", "4.0")

@@ -80,7 +80,7 @@ def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
 
-def test_its_page_feels_it_again(folder, tmp_path, capsys):
+def test_its_page_estimates_it_again(folder, tmp_path, capsys):
     assert main(["summary", str(folder), "--out", str(tmp_path / "page.html"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     page = Balanced((tmp_path / "page.html").read_text())

@@ -168,7 +168,7 @@ def calibrate_cameras(path, file):
 
 
 @pytest.mark.slow(100)
-def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatch):
+def test_two_fingers_that_are_not_as_their_sensor_file_states(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
     sensor = ("--sensor", str(tmp_path / "slower.toml"))
     # most of it is a minute of jaws and air that move and rest

@@ -34,7 +34,7 @@ class Errors(Observer):
 
 @pytest.mark.slow(9)
 @pytest.mark.parametrize("sensor", ["dense", "dense_fiducials"])
-def test_a_grasp_goes_on_when_both_cameras_are_knocked(tmp_path, sensor):
+def test_a_grasp_goes_on_when_both_cameras_are_shifted(tmp_path, sensor):
     """A camera shift just after first contact (3.2 s) does not end the grasp.
 
     The force error always stays within five reported standard deviations.

@@ -199,7 +199,7 @@ def test_what_is_no_finite_number_is_refused(field, value):
         replace(Command(0.05, 1.0), **{field: value})
 
 
-def test_only_what_says_so_can_be_none():
+def test_only_what_reports_it_can_be_none():
     kept = Command(0.05, None)
     assert kept.force_limit is None and kept.gauge_pressure is None
     assert {name for name, one in COMMAND_FIELDS.items() if one.none} == {

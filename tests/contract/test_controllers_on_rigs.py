@@ -188,7 +188,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     assert last.lift_height == pytest.approx(0.0, abs=4e-3)
 
 
-def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):
+def test_gentle_on_a_replay_requests_what_it_requested(tmp_path):
     rig = near_rig("sim_three_finger", seed=0)
     try:
         first = run_gentle(rig, tmp_path / "first", until="regulate")

@@ -73,7 +73,7 @@ def children():
     ]
 
 
-def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(pool):
+def test_what_is_estimated_arrives_complete_and_read_only_and_so_do_the_states(pool):
     pipelines = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
         with pool.at_work(pipelines, NAMES) as both:
@@ -87,7 +87,7 @@ def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(pool):
     assert [pipeline.state for pipeline in pipelines] == [2, 2]
 
 
-def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(pool):
+def test_an_error_arrives_as_itself_and_the_next_image_is_checked(pool):
     with pool.at_work([Feels(), Raises()], NAMES) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
@@ -131,7 +131,7 @@ def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(pool)
             pass
 
 
-def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
+def test_one_that_is_killed_is_reported_and_leaves_its_pipelines_as_they_were(pool):
     pipelines = [Feels(), Feels()]
     with pool.at_work(pipelines, NAMES) as both:
         both.perceive([IMAGE, IMAGE], 1.0)
@@ -160,7 +160,7 @@ class Killing(Observer):
 
 
 @pytest.mark.slow
-def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
+def test_a_grasp_whose_process_is_killed_sets_down_and_reports_why(tmp_path):
     scenario = Scenario(sensor="paper16", seed=21)
     killing = Killing()
     with (

@@ -113,7 +113,7 @@ def rig(request):
         rig.close()
 
 
-def test_its_parts_are_what_the_protocols_say(rig):
+def test_its_parts_are_what_the_protocols_state(rig):
     assert len(rig.cameras) == len(rig.fingers) == (3 if rig.name == "sim_three_finger" else 2)
     assert len({finger.name for finger in rig.fingers}) == len(rig.fingers)
     assert all(isinstance(camera, CameraDevice) for camera in rig.cameras)
@@ -175,7 +175,7 @@ def test_state_is_finite_and_within_the_limits(rig):
     assert abs(state.lift_height) < 1e-3  # where it started
 
 
-def test_every_reading_says_when_it_was_taken(rig):
+def test_every_reading_reports_when_it_was_taken(rig):
     images = [patient_read(camera, rig.clock, rig.period) for camera in rig.cameras]
     # a replay's first image begins its first cycle only after the references' images
     for _ in range(2):

@@ -114,7 +114,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
 
 
 @pytest.mark.slow(40)
-def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
+def test_a_second_signal_a_second_later_releases_at_once(emulator, tmp_path):
     with host(emulator, tmp_path) as running:
         running.wait_for_phase("hold")
         running.signal(INT)
@@ -128,7 +128,7 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
 
 
 @pytest.mark.slow(55)
-def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_path):
+def test_output_that_is_not_read_and_a_folder_that_is_removed(emulator, tmp_path):
     """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
     reader, writer = os.pipe()
     with host(

@@ -99,7 +99,7 @@ def test_both_work_at_the_same_time():
 
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
-def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
+def test_an_error_arrives_as_itself_and_the_next_image_is_checked(threads):
     calls = []
 
     def act(image, now, reading=None):

@@ -41,7 +41,7 @@ def limits_of_kernel():
     return limits
 
 
-def test_commands_and_phases_follow_command_from_action_through_whole_grasps():
+def test_commands_and_phases_follow_command_from_action_through_complete_grasps():
     """The touch is random but persistent, so that all phases occur; forces are known."""
     rng = np.random.default_rng(0)
     commands, goals = zeros_of(grasp_phase.Commands, WORLDS, measured=4), zeros_of(Goals, WORLDS)

@@ -70,7 +70,7 @@ def test_object_hardly_slips(held):
     assert np.linalg.norm(slip) < 0.5e-3
 
 
-def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
+def test_contact_forces_are_those_that_mujoco_states_one_by_one(held):
     """In W, on the geoms of each membrane; sums of the same numbers, to rounding."""
     data = held.data
     buffer = np.zeros(6)
@@ -92,7 +92,7 @@ def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
         )
 
 
-def test_penetration_is_a_small_share_of_the_indentation(held):
+def test_penetration_is_a_small_fraction_of_the_indentation(held):
     for i, sensor in enumerate(held.sensors):
         points = ground_truth.contact_forces(held, i)[1]
         free_bulge = 2.4e-3  # of this sensor at 1 kPa (test_membrane)
@@ -250,7 +250,7 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
     assert all(b <= a + 1e-15 for a, b in zip(energy, energy[1:], strict=False))
 
 
-def test_two_membranes_hold_a_sheet_by_friction():
+def test_two_membranes_hold_a_plate_by_friction():
     from benchmarks.scenes.stress_scenes import Body, PinchWorld
 
     world = PinchWorld(

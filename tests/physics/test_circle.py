@@ -38,7 +38,7 @@ def height(world):
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4, 0.45])
-def test_flat_circle_bulges_as_hencky_says(poisson):
+def test_flat_circle_bulges_as_hencky_states(poisson):
     world = scene(circle(poisson, law=Law.STVK), MESH)
     pressure = 1e-3 * 300.0 / RADIUS  # p a / E h = 1e-3, the top of the closed form's range
     settle(world, pressure)

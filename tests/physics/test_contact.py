@@ -89,7 +89,7 @@ def test_force_does_not_depend_on_the_time_step(timestep):
     assert other == pytest.approx(force, rel=0.015)
 
 
-def test_vertices_feel_whatever_has_a_shape_that_is_known():
+def test_vertices_sense_whatever_has_a_shape_that_is_known():
     for indenter in ("sphere:8", "cylinder:0.5", "box:1"):
         assert PressWorld("paper16", Indenter.parse(indenter)).sensors[0].contact == "vertices"
     for name in ("egg", "vial", "strawberry"):
@@ -100,7 +100,7 @@ def test_vertices_feel_whatever_has_a_shape_that_is_known():
         PressWorld("paper16", Indenter.parse("sphere:8"), contact="edges")
 
 
-def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
+def test_a_pin_between_the_vertices_is_estimated_and_its_error_is_stated():
     """The force of a 1 mm pin between the vertices has an error within the stated one.
 
     The ground truth is about 0.161 N. An independent solver gives 0.190 for St. Venant-Kirchhoff's
@@ -135,7 +135,7 @@ EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 
 @pytest.mark.parametrize("indenter", EDGES)
-def test_an_edge_costs_what_the_flag_says(indenter):
+def test_an_edge_costs_what_the_flag_states(indenter):
     """The truth, and the statement: an edge falls between vertices, and the force of a face is too
     low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))

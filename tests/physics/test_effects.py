@@ -81,7 +81,7 @@ def test_without_friction_a_drag_meets_no_shear():
     assert abs(force[0]) < 0.1 * abs(force[2])
 
 
-def test_gravity_of_the_sheet_is_its_weight():
+def test_gravity_of_the_membrane_is_its_weight():
     """Without the gravity effect, the frame of a flat sensor carries less by the membrane's weight,
     density x volume x g."""
     masses = [
@@ -93,7 +93,7 @@ def test_gravity_of_the_sheet_is_its_weight():
     assert 0.6 * complete < masses[0] - masses[1] < complete
 
 
-def test_follower_pressure_matters_as_its_gate_says():
+def test_follower_pressure_matters_as_its_gate_states():
     """Dead and following load differ to first order in the slope; at p a / E h = 0.05 by a few per
     cent, not more."""
     heights = []
@@ -105,7 +105,7 @@ def test_follower_pressure_matters_as_its_gate_says():
     assert heights[0] == pytest.approx(heights[1], rel=0.05)
 
 
-def test_bending_stiffens_a_thick_sheet_only():
+def test_bending_stiffens_a_thick_membrane_only():
     """D/(T a^2) of the shipped sheet is 1e-3; of one four times thicker and slack in comparison, 16
     times that."""
     thick = replace(DENSE, membrane=replace(DENSE.membrane, thickness=1.2e-3, pre_stretch=1.005))
@@ -131,7 +131,7 @@ def test_servo_lag_is_first_order():
     assert servo.dynprm[0] == SERVO_LAG
 
 
-def test_camera_switches_act_on_picture_or_on_both_sides():
+def test_camera_switches_act_on_image_or_on_both_sides():
     seen = set_design(DENSE, PHYSICS)
     sampled = set_camera_effects(DENSE, PHYSICS)
     assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
@@ -169,7 +169,7 @@ def test_gates_open_and_close():
     assert "servo dynamics" in choose(replace(DENSE, camera=replace(DENSE.camera, rate=120.0))).on
 
 
-def test_shadows_are_for_steep_sheets_and_grazing_light():
+def test_shadows_are_for_steep_membranes_and_grazing_light():
     egg = load_object("egg")
 
     def on(design=DENSE, **kwargs):
@@ -189,7 +189,7 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
 @pytest.mark.parametrize(
     ("effects", "kind"), [("+shadows", ShadowedLight), ("-shadows", Light), ("auto", Light)]
 )
-def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
+def test_a_rig_s_cameras_render_shadows_when_they_are_on(effects, kind):
     rig = build_sim_rig(Scenario(effects=effects))
     rig.close()
     # off: the other is not even there

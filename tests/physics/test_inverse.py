@@ -150,7 +150,7 @@ def test_patch_lies_where_the_load_is(sensor, truth):
     assert np.linalg.norm(inside - patches[0].centroid, axis=1).max() < 8e-3
 
 
-def test_two_patches_are_told_apart(truth):
+def test_two_patches_are_distinguished(truth):
     estimator = InverseMembrane(load_sensor("dense"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
     patches = find_patches(
@@ -188,7 +188,7 @@ def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
     np.testing.assert_allclose(other * [-1, 1, 1, 1, -1, -1], one, atol=1e-4)
 
 
-def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
+def test_covariance_is_that_of_errors_sampled_from_prior_and_noise(sensor, truth):
     """Draw tractions from the prior and noise from the markers; the linear estimate must err by the
     predicted covariance."""
     estimator, rest = sensor
@@ -215,7 +215,7 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
 
 
 @pytest.mark.parametrize(("young", "tauter"), [(1.0, 0.01), (1.0, -0.01), (1.06, 0.005)])
-def test_a_sheet_that_is_mounted_otherwise_feels_shear(young, tauter):
+def test_a_membrane_that_is_mounted_otherwise_estimates_shear(young, tauter):
     """Twice the pre-stretch's sd off, or both one sd: with all of the bulge's height put down to
     the rubber shear was 14, 13 and 7 % off. The normal force is the pressure's, whatever it is."""
     nominal = load_sensor("dense")
@@ -291,7 +291,7 @@ def test_rows_of_slopes_are_their_derivative(truth):
     np.testing.assert_allclose(predicted, change, rtol=1e-5, atol=1e-11)
 
 
-def test_slopes_tell_what_sparse_markers_miss(truth):
+def test_slopes_show_what_sparse_markers_miss(truth):
     """Marker slopes reduce the force error of a flat face on sparse markers.
 
     The face covers the four central markers. Their slopes show that it is flat; heights alone allow

@@ -157,7 +157,7 @@ def disc_height(design, pressure, elements=60):
     return found.x[n - 1]
 
 
-def test_sensings_sheet_is_henckys_disc():
+def test_sensings_membrane_is_henckys_disc():
     design = plain(ROUND)
     pressure = 1e-3 * 300 / 15e-3  # p a / E h = 1e-3, the top of the closed form's range
     rubber = SplineMembrane(design, (12, 12))
@@ -174,7 +174,7 @@ def test_two_independent_discs_bulge_alike():
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
 @pytest.mark.parametrize("pressure", [100.0, 2000.0])
-def test_the_simulated_sheet_bulges_as_theory_says(design, pressure):
+def test_the_simulated_membrane_bulges_as_theory_states(design, pressure):
     """Weight and all, which is 2.5 Pa."""
     world = scene(design, (13, 13), gravity=(0, 0, -9.81))
     settle(world, pressure)
@@ -230,7 +230,7 @@ def test_the_stiffness_is_the_derivative_of_the_forces(outline):
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
-def test_a_load_on_the_sheet_is_felt_where_it_is(design):
+def test_a_load_on_the_membrane_is_estimated_where_it_is(design):
     """Markers of the very sheet under a known load, so that only the inverse can be wrong."""
     estimator = InverseMembrane(design)
     markers = design.markers
@@ -317,7 +317,7 @@ def test_the_housing_stands_around_the_outline(name):
 
 
 @pytest.mark.slow  # the one that goes through images: a marker cut by the frame would be lost here
-def test_a_press_on_an_ellipse_is_felt_through_its_images():
+def test_a_press_on_an_ellipse_is_estimated_through_its_images():
     plan = IndentationPlan(Indenter("sphere", 7e-3), [1.5e-3, 3e-3], at=(-6e-3, 3e-3))
     result = press(ELLIPSE, plan, seed=1)
     for step in result["steps"]:

@@ -38,7 +38,7 @@ def test_what_is_sharp_presses_between_vertices_too(name, reference, mesh):
 
 
 @pytest.mark.parametrize("indenter", ["sphere:8", "box:10", "cylinder:5"])
-def test_round_things_and_faces_stay_with_the_vertices(indenter):
+def test_round_objects_and_faces_stay_with_the_vertices(indenter):
     """Neither a ball that the mesh resolves nor a face juts out: no sphere moves."""
     world = PressWorld(load_sensor("dense"), Indenter.parse(indenter))
     world.inflate(1000.0, seal=True)

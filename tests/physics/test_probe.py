@@ -41,7 +41,7 @@ def probe(capsys, *args):
 
 
 @pytest.mark.slow
-def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor, brisk):
+def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, brisk):
     words = ["--object", "sponge", "--sensor", sensor, "--controller", brisk(APPROACH_SPEED=0.03)]
     code, found = probe(capsys, *words, "--out", tmp_path / "live")
     sample = SHIPPED["sponge"][0]
@@ -77,7 +77,7 @@ def test_class(capsys, name, kind, sensor, brisk):
 
 
 @pytest.mark.parametrize("name", list(SHIPPED))
-def test_shipped_specimens_are_what_their_writer_writes(name):
+def test_shipped_as_built_sensors_are_what_their_writer_writes(name):
     sample, comment = SHIPPED[name]
     path = resources.find(name, "models/objects", ".xml")
     assert path.read_text(encoding="utf-8") == to_mjcf(sample, name, comment)

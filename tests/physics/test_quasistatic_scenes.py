@@ -188,7 +188,7 @@ FINGER = """<body name="proximal" pos="0 0 -0.1"><joint name="knuckle" type="hin
   <site name="s"/></body></body>"""
 
 
-def test_the_links_next_to_the_sensor_are_not_felt():
+def test_the_links_next_to_the_sensor_are_not_estimated():
     """The capsule of the proximal link reaches into the chamber; the ball alone is carried."""
     world = scene(ball("a", 0, 0, 0.0125, 0.008, 0.03), carrier=FINGER)
     world.step(600)

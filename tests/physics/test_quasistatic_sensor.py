@@ -46,7 +46,7 @@ def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
     assert ("25 %" in world.sensors[0].flags().get("small_feature", "")) is narrow
 
 
-def test_what_presses_meets_what_the_film_bears():
+def test_what_presses_meets_what_the_membrane_bears():
     world = pressed(QUASISTATIC, 2e-3, shear=1e-4)
     # at rest the drive carries all of it; its own springs still settle, by 0.03 mN
     assert world.drive_force == pytest.approx(ground_truth.contact_force(world, 0), abs=1e-4)
@@ -155,7 +155,7 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     assert np.mean(carried) == pytest.approx(mass * G, rel=2e-4)
 
 
-def test_what_is_held_by_jointed_pieces_is_damped_as_what_is_whole():
+def test_what_is_held_by_jointed_pieces_is_damped_as_a_single_piece():
     """Without that, strawberries swung ever more between films, until they were dropped."""
     single, pieces = (  # damping in N s/m, before weight sets in
         membrane_interval(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
@@ -183,7 +183,7 @@ def test_forces_of_the_user_stay():
     assert world.data.qpos[2] == pytest.approx(height, abs=3e-7)
 
 
-def test_what_a_film_cannot_rest_on_is_refused():
+def test_what_a_membrane_cannot_rest_on_is_refused():
     spec = mujoco.MjSpec()
     configure_options(spec)
     site = spec.worldbody.add_site(name="s")
@@ -216,7 +216,7 @@ def next_to_sensor(height):
     return world, sensor
 
 
-def test_what_lies_on_the_rim_is_borne_and_said():
+def test_what_lies_on_the_rim_is_borne_and_reported():
     """The sheet's middle is half its thickness below the face that lies on the frame."""
     above, on = (next_to_sensor(height)[1] for height in (4e-4, 0.0))
     assert above.failure() is None and "rim_contact" not in above.flags()
@@ -235,7 +235,7 @@ def test_what_is_far_below_the_rim_is_carried_and_named():
 
 
 @pytest.mark.parametrize("name", ["round30", "ellipse"])
-def test_in_a_round_frame_markers_stand_where_sensing_s_sheet_has_them(name):
+def test_in_a_round_frame_markers_stand_where_sensing_s_membrane_has_them(name):
     """Whose splines are another method on another grid, right to 1e-5 (test_ritz.py)."""
     design = load_sensor(name)
     world = PressWorld(design, Indenter("sphere", 0.008), effects=QUASISTATIC)

@@ -107,7 +107,7 @@ def test_what_is_filled_weighs_what_it_should_in_the_end():
 
 @pytest.mark.parametrize("leak", [0.0, 1e-12])
 @pytest.mark.parametrize("ahead", [True, False])
-def test_looking_changes_nothing(leak, ahead):
+def test_reading_changes_nothing(leak, ahead):
     """Reading the scene does not change a bit of the result.
 
     This holds for sealed and leaking gas, before and during contact and lift, in batched and single
@@ -151,7 +151,7 @@ def test_what_goes_wrong_ends_it_in_that_step():
     rig.close()
 
 
-def test_a_stretch_ends_where_somebody_is_due():
+def test_a_stretch_ends_where_a_disturbance_is_due():
     rig, world = gripper_rig()
     dues = iter([world.time + 3.5 * world.timestep, np.inf, np.inf])
     calls = []

@@ -15,7 +15,7 @@ from mjtactile.sim.sensor import feature_size
 SEEDS = range(120)
 
 
-def test_all_shapes_come_and_stay_within_what_is_said():
+def test_all_shapes_come_and_stay_within_the_stated_error():
     samples = [random_object(seed) for seed in SEEDS]
     assert {random.shape for random in samples} == {
         "egg",
@@ -36,7 +36,7 @@ def test_all_shapes_come_and_stay_within_what_is_said():
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_the_file_is_the_thing(seed):
+def test_the_file_is_the_object(seed):
     """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it
     stands where it is put."""
     random = random_object(seed)
@@ -62,7 +62,7 @@ def test_the_file_is_the_thing(seed):
     assert np.linalg.norm(body.xpos - [0, 0, item.grasp_height]) < 5e-4 and body.xmat[8] > 0.999
 
 
-def test_a_box_is_as_large_as_drawn_and_as_heavy_to_turn():
+def test_a_box_is_as_large_as_sampled_and_as_heavy_to_turn():
     seed = next(seed for seed in SEEDS if random_object(seed).shape == "box")
     random = random_object(seed)
     model = read_spec(load_object(f"random:{seed}")).compile()

@@ -50,7 +50,7 @@ def tips(world):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_it_begins_open_over_the_object_at_its_grasp_height(name):
+def test_it_starts_open_over_the_object_at_its_grasp_height(name):
     world = make(name)
     p_WS, R_WS = tips(world)
     centre = p_WS.mean(axis=0)
@@ -64,7 +64,7 @@ def test_it_begins_open_over_the_object_at_its_grasp_height(name):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_the_laws_say_where_the_fingertips_are(name):
+def test_the_laws_state_where_the_fingertips_are(name):
     world = make(name)
     for opening in (0.03, 0.06, 0.09):
         world.place_gripper(opening, 0.02)
@@ -75,7 +75,7 @@ def test_the_laws_say_where_the_fingertips_are(name):
         assert world.lift_height == pytest.approx(0.02, abs=1e-6)
 
 
-def test_an_arm_lifts_straight_up_and_does_not_turn_the_hand():
+def test_an_arm_lifts_straight_up_and_does_not_turn_the_gripper():
     world = make("sim_arm")
     (start, R_start), path = tips(world), []
     world.set_lift_target(0.15)
@@ -370,7 +370,7 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
         ),
     ],
 )
-def test_the_doctor_says_what_is_wrong(tmp_path, name, model, rig, found):
+def test_the_doctor_states_what_is_wrong(tmp_path, name, model, rig, found):
     findings = bad(examine_simulated(variant(tmp_path, name, model, rig)))
     assert [any(text.startswith(words) for text in findings) for words in found] == [True] * len(
         found

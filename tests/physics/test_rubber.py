@@ -103,7 +103,7 @@ def test_moduli_are_the_derivative_of_the_stress(C, law):
     np.testing.assert_allclose(matrix, change, atol=2e-4 * D11)
 
 
-def test_an_unstrained_sheet_has_mujocos_own_stiffness():
+def test_an_unstrained_membrane_has_mujocos_own_stiffness():
     """At zero strain both laws give MuJoCo's compiled stiffness in the values written before a
     step."""
     rows = []
@@ -143,7 +143,7 @@ def test_simulated_press_is_the_references(number, pressure, depth):
     )
 
 
-def test_a_balloon_that_cannot_hold_its_pressure_says_so():
+def test_a_balloon_that_cannot_hold_its_pressure_reports_it():
     """p R / (mu h) of a neo-Hookean disc has a maximum of about 1.8 (tests/physics/test_circle.py),
     12 kPa here."""
     assert np.isfinite(analytical_solutions.bulge_height(DENSE, 8e3)) and np.isnan(
@@ -186,7 +186,7 @@ def test_the_tests_own_membrane_is_the_references():
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
-def test_closed_forms_are_as_good_as_they_say(case):
+def test_closed_forms_are_as_good_as_they_state(case):
     """M1 is up to 4 % low between the ends where it is exact, M7 within 1.1 %."""
     for law, low, high in ((Law.STVK, -0.04, 0.0), (Law.NEO_HOOKEAN, -0.011, 0.011)):
         for pressure, height in case["height_mm"][law].items():

@@ -34,7 +34,7 @@ def test_truth_slides_at_the_speed_of_the_drag():
     assert np.mean(speeds[late]) == pytest.approx(1e-3 * CASE.rise, rel=0.15)
 
 
-def test_a_slip_is_said_in_time_from_pixels():
+def test_a_slip_is_reported_in_time_from_pixels():
     design = load_sensor("dense")
     sensing_pipeline = SensingPipeline(design)
     watched = watch(design, sensing_pipeline, references(design, sensing_pipeline, CASE), CASE)

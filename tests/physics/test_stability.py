@@ -32,7 +32,7 @@ def test_a_plain_press_is_plainly_ok():
 
 
 @pytest.mark.parametrize(("problem", "words"), [("force", "quarter"), ("settled", "settle")])
-def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
+def test_the_score_fails_what_nothing_explains(monkeypatch, problem, words):
     case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "8 ms"))
 
     def measure(case):
@@ -60,18 +60,18 @@ def design(**rubber):
         ({"pre_stretch": 0.9}, r"pre_stretch.*slack.*at least 0\.95"),
     ],
 )
-def test_sheets_that_are_no_membranes_are_refused(rubber, words):
+def test_sheets_that_cannot_be_membranes_are_refused(rubber, words):
     with pytest.raises(InputError, match=words):
         PressWorld(design(**rubber), Indenter.parse("sphere:8"))
 
 
-def test_a_slack_sheet_is_flagged_for_wrinkles():
+def test_a_slack_membrane_is_flagged_for_wrinkles():
     world = PressWorld(design(pre_stretch=0.98), Indenter.parse("sphere:8"))
     world.inflate(0.0, seal=False)
     assert "compression" in world.flags["wrinkles"]
 
 
-def test_a_thick_sheet_and_a_coarse_mesh_are_flagged():
+def test_a_thick_membrane_and_a_coarse_mesh_are_flagged():
     assert "bending" in validity_checks.design_flags(
         design(thickness=2e-3, pre_stretch=1.0), 13, 11
     )

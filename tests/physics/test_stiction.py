@@ -81,7 +81,7 @@ def test_held_shear_stays(timestep):
     assert mean_shear(world) == pytest.approx(before, rel=5e-3)
 
 
-def test_shear_of_a_drag_is_that_of_a_sheet_that_sticks():
+def test_shear_of_a_drag_is_that_of_a_membrane_that_sticks():
     """Some of the edge slips, since its coefficient is finite: within 8 %. Without memory it was 66
     % too low."""
     world = pressed()
@@ -99,7 +99,7 @@ def test_sticking_does_not_give_way():
     assert shears[1] == pytest.approx(shears[0], rel=0.01)
 
 
-def test_shear_off_centre_is_that_of_a_sheet_that_sticks():
+def test_shear_off_centre_is_that_of_a_membrane_that_sticks():
     world = pressed(4e-3, at=(7e-3, -4e-3))
     shear = ground_truth.contact_force(world, 0)[:2]
     assert np.linalg.norm(shear - OFF_CENTRE) < 0.1 * np.linalg.norm(OFF_CENTRE)  # measured: 4 %

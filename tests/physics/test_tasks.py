@@ -69,7 +69,7 @@ def test_a_push_changes_momentum_by_its_impulse():
     assert MASS * velocity(world)[2] == pytest.approx(0.02 - MASS * 9.81 * flight, abs=8e-4)
 
 
-def test_a_shaken_hand_is_gravity_that_shakes_and_is_itself_again_afterwards():
+def test_a_shaken_gripper_is_gravity_that_shakes_and_is_itself_again_afterwards():
     way = (0.6, 0.0, 0.8)
     world = world_with(event("shake", 0.1, 1.0, way, acceleration=4.0, rate=2.0, tilt=0.0))
     seen = []
@@ -82,7 +82,7 @@ def test_a_shaken_hand_is_gravity_that_shakes_and_is_itself_again_afterwards():
     np.testing.assert_array_equal(world.model.opt.gravity, [0, 0, -9.81])
 
 
-def test_a_hand_that_turns_keeps_gravitys_size():
+def test_a_gripper_that_turns_keeps_gravitys_size():
     world = world_with(event("shake", 0.0, 1.0, acceleration=0.0, rate=2.0, tilt=math.radians(30)))
     advance(world, 0.5)
     gravity = world.model.opt.gravity
@@ -272,7 +272,7 @@ def _inputs(world):
     )
 
 
-def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():
+def test_a_person_who_takes_what_is_released_keeps_it_where_it_is():
     world = world_with(event("pull", 0.0, 0.1, force=1.0))
     before = ground_truth.object_position(world)
     advance(world, 0.5)
@@ -299,7 +299,7 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     ("phase", "failure"),
     [("release", ""), ("hold", "it was pulled out of the gripper, which did not open")],
 )
-def test_what_slides_out_of_a_closed_hand_was_not_handed_over(monkeypatch, phase, failure):
+def test_what_slides_out_of_a_closed_gripper_was_not_handed_over(monkeypatch, phase, failure):
     scorer = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
     monkeypatch.setattr(TaskScorer, "is_up", lambda _: True)
     scorer.after_step_batch([0.4, 0.4], "hold")

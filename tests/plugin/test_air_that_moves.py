@@ -58,7 +58,7 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
         assert sd < maximum
 
 
-def test_a_gauge_s_scale_is_doubted_far_from_where_it_was_zeroed() -> None:
+def test_a_gauge_s_scale_is_uncertain_far_from_where_it_was_zeroed() -> None:
     """The pressure sensor's scale adds uncertainty far from its zero: half a percent of the 1 kPa
     that a valve has released, and nothing at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber

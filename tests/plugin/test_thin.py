@@ -26,7 +26,7 @@ QUASISTATIC = {
 @pytest.mark.parametrize(
     ("name", "membrane", "fraction"), [(name, *each) for name, each in QUASISTATIC.items()]
 )
-def test_what_is_thin_is_felt_between_the_vertices_and_fast(name, membrane, fraction):
+def test_what_is_thin_is_estimated_between_the_vertices_and_fast(name, membrane, fraction):
     """A thin object has the force of the quasi-static membrane within the fraction `fraction`.
 
     This holds on a row of vertices at 10 and 100 mm/s, and off it; the forces agree within 10 %.
@@ -70,7 +70,7 @@ PEGS = {
 
 
 @pytest.mark.parametrize("peg", PEGS)
-def test_a_peg_is_felt_whatever_holds_it(peg):
+def test_a_peg_is_estimated_whatever_holds_it(peg):
     spec, mount = scene(PEGS[peg])
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -125,7 +125,7 @@ def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
         press(pin, (1.5e-3, 1.5e-3), 0.05, contact="vertices")
 
 
-def test_what_slips_between_vertices_is_said_when_the_scene_is_built(monkeypatch):
+def test_what_slips_between_vertices_is_reported_when_the_scene_is_built(monkeypatch):
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     spec, mount = scene('<geom name="peg" type="cylinder" size="0.001 0.01"/>', contact="vertices")
     model = spec.compile()
@@ -149,6 +149,6 @@ def test_a_face_smaller_than_the_frame_is_flagged_with_its_numbers():
     assert 0.3 < pressed.force / 0.20 < 1.4
 
 
-def test_a_mesh_too_coarse_to_feel_with_is_refused_where_it_is_given():
+def test_a_mesh_too_coarse_to_sense_with_is_refused_where_it_is_given():
     with pytest.raises(InputError, match=r"mesh.*\(7, 5\)"):
         scene(mesh=(7, 5))

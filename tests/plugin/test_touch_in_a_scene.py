@@ -45,14 +45,14 @@ def loaded():
     return s
 
 
-def test_a_weight_is_felt_though_it_lay_there_when_the_sensor_was_bound(loaded):
+def test_a_weight_is_estimated_though_it_lay_there_when_the_sensor_was_bound(loaded):
     touch = loaded.fingers[0].touch
     assert touch.touching
     assert touch.force_normal == pytest.approx(0.05 * G, abs=0.03)  # guaranteed in any scene
     assert not loaded.fingers[1].touch.touching
 
 
-def test_mujocos_own_sensors_say_the_same(loaded):
+def test_mujocos_own_sensors_state_the_same(loaded):
     for finger in loaded.fingers:
         touch = finger.touch
         np.testing.assert_array_equal(
@@ -80,7 +80,7 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
     assert finger.gauge_pressure == pytest.approx(pressure, abs=1.0)
 
 
-def test_images_are_drawn_when_they_are_due():
+def test_images_are_rendered_when_they_are_due():
     s = scene(gravity=0.0)
     finger = s.fingers[0]
     times = []
@@ -115,7 +115,7 @@ def test_binding_again_is_a_fresh_start_also_while_a_sensor_sleeps():
     assert again.gauge_pressure == s.fingers[0].gauge_pressure
 
 
-def test_a_forgotten_step_is_said_and_not_felt():
+def test_a_forgotten_step_is_reported_and_not_estimated():
     s = scene(sites=("here", "there"))
     mujoco.mj_step(s.model, s.data, 5)
     with pytest.raises(InputError, match=r"'here'.*is at 0 s.*0\.02 s.*mjtactile\.step"):
@@ -128,7 +128,7 @@ def test_a_forgotten_step_is_said_and_not_felt():
         run(s, 0.1)
 
 
-def test_a_loop_of_ones_own_feels_the_same():
+def test_a_loop_of_ones_own_estimates_the_same():
     one = scene(ON_THE_SENSOR)
     other = scene(ON_THE_SENSOR)
     run(one, 0.2)

@@ -180,7 +180,7 @@ def test_a_line_of_a_shell_names_what_there_is(page, line, monkeypatch, tmp_path
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page.parent.name != "decisions"], ids=name_of
 )
-def test_commands_in_the_text_have_the_options_that_it_says(page):
+def test_commands_in_the_text_have_the_options_that_it_states(page):
     for text in INLINE.findall(page.read_text()):
         words = text.removeprefix("mjtactile ").replace("=", " ").split()
         assert words[0] in COMMANDS, text

@@ -172,7 +172,7 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
 
 
-def test_the_gallery_shows_every_picture_of_the_pages():
+def test_the_gallery_shows_every_figure_of_the_pages():
     shown = set(
         re.findall(r"\]\(\.\./(images/[^)]+)\)", (CHECKOUT / "docs/about/gallery.md").read_text())
     )
@@ -183,7 +183,7 @@ def test_the_gallery_shows_every_picture_of_the_pages():
     assert there - shown == {"images/shadows.png"}  # which no command draws
 
 
-def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
+def test_the_figure_of_the_architecture_is_that_of_the_import_contracts():
     sampled = architecture.render((CHECKOUT / "pyproject.toml").read_text())
     # else: .venv/bin/python tools/architecture.py
     assert architecture.FIGURE.read_text() == sampled
@@ -194,7 +194,7 @@ def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
     assert rooms <= set(architecture.ROOMS)
 
 
-def test_the_picture_reads_layers_as_import_linter_does():
+def test_the_figure_reads_layers_as_import_linter_does():
     layers = ["cli", "(sim) | sensing", "types : (rig)"]
     assert architecture.floors(layers) == [
         architecture.Floor(("cli",), is_separate=False),
@@ -219,7 +219,7 @@ def test_files_that_a_page_points_at_exist(page):
     assert gone == []
 
 
-def test_tables_that_contributing_points_at_are_where_it_says():
+def test_tables_that_contributing_points_at_are_where_it_states():
     text = (CHECKOUT / "CONTRIBUTING.md").read_text()
     assert len(re.findall(rf"`(?:{PLACES})/[\w./-]*`", text)) > 40
     for table, file in re.findall(r"`([A-Z_]{5,})` in `(mjtactile/[\w/.]+)`", text):
@@ -242,7 +242,7 @@ def test_the_page_of_commands_has_each_with_an_example():
     assert set(re.findall(r"(?m)^    mjtactile ([\w-]+)", page)) == set(COMMANDS)
 
 
-def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
+def test_the_site_has_the_readme_the_decisions_and_the_complete_front_door():
     """The site has the README, the decisions and the whole public API.
 
     `make docs` adds them to the pages, and reports itself if they build with a warning.
@@ -348,7 +348,7 @@ REPORTED_ONCE = {
 @pytest.mark.parametrize(
     ("reported", "quantity"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values()
 )
-def test_no_page_says_another_number(reported, quantity):
+def test_no_page_states_another_number(reported, quantity):
     """No sentence states a number other than the measured one; tables come from benchmarks and name
     their measurement."""
     rows = readme_table.run(Path())["numbers"]

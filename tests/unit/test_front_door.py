@@ -75,7 +75,7 @@ print("scipy" in sys.modules)
     assert loaded.strip() == "False"
 
 
-def test_the_package_says_that_it_is_typed():
+def test_the_package_states_that_it_is_typed():
     assert (SOURCE.parent / "py.typed").exists()
 
 

@@ -64,7 +64,7 @@ def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
     assert 0.0005 < found.sd < 0.0015  # 60 g to 1 g
 
 
-def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
+def test_a_hold_bounds_friction_from_below_and_a_slip_states_it():
     held = grasp_estimation.estimate_friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
     assert held.minimum == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
     slid = grasp_estimation.estimate_friction(
@@ -81,7 +81,7 @@ def test_a_grip_is_as_hard_as_coulomb_asks():
     assert grasp_estimation.min_grip_force(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
 
 
-def test_the_table_is_told_from_a_load_that_it_took_over():
+def test_the_table_is_distinguished_from_a_load_that_it_took_over():
     held = [(0.0, -0.3), (0.0, -0.3)]
     assert grasp_estimation.support_force([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(
         -0.3
@@ -155,7 +155,7 @@ def test_what_slips_follows_the_grip(slips):
     assert shares.std() < 0.035
 
 
-def test_a_grip_that_does_not_change_tells_nothing():
+def test_a_grip_that_does_not_change_determines_nothing():
     steady = np.full(12, 0.8) + 1e-4 * np.sin(np.arange(12))
     assert math.isnan(grasp_estimation.evaluate_slip_test(steady, np.full(12, 0.4)).fraction)
     assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, 0.9], [0.4, 0.4]).fraction)
@@ -243,7 +243,7 @@ def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
     assert mass == pytest.approx((0.6 + 0.6 * change) / 9.81)
 
 
-def test_what_is_pushed_sideways_loads_the_fingers_as_statics_say():
+def test_what_is_pushed_sideways_loads_the_fingers_as_statics_state():
     """A lateral push of 0.4 N and 0.3 N downward on each finger load it by 0.5 N.
 
     Fingers that face each other measure the push on the same side in the world.

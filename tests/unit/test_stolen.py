@@ -44,7 +44,7 @@ def outcomes(pytester, monkeypatch):
     return run
 
 
-def test_failures_on_a_computer_that_stands_still_are_undecided_and_said(outcomes):
+def test_failures_on_a_computer_that_stands_still_are_undecided_and_reported(outcomes):
     result = outcomes(1e3)  # stolen time per attempt, s
     result.assert_outcomes(passed=2, skipped=1, failed=1)  # test_fails_once at its second try
     result.stdout.fnmatch_lines(

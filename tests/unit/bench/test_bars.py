@@ -45,7 +45,7 @@ def scene(*rows, **more):
     } | more
 
 
-def test_chi_square_is_that_of_errors_drawn_from_the_error_bars():
+def test_chi_square_is_that_of_errors_sampled_from_the_error_bars():
     rng = np.random.default_rng(0)
     result = summary([scene(*(image(z) for z in 1.5 * rng.standard_normal((400, 6))))])
     found = result["groups"]["touches"]
@@ -96,7 +96,7 @@ def test_areas_are_compared_where_both_are_known():
     assert "from 0.5 N on" in table(summary([scene(*rows)]))
 
 
-def test_scenes_take_turns_and_are_what_they_say():
+def test_scenes_take_turns_and_are_what_they_state():
     sampled = [render_scene(seed) for seed in range(40)]
     assert {scene.kind for scene in sampled} == set(KINDS) and {
         scene.sensor for scene in sampled
@@ -116,7 +116,7 @@ def test_scenes_take_turns_and_are_what_they_say():
     assert render_scene(7) == render_scene(7)
 
 
-def test_a_short_scene_is_felt_within_its_bars():
+def test_a_short_scene_is_estimated_within_its_error_bars():
     one = replace(
         render_scene(3),
         mesh=(13, 11),
@@ -167,7 +167,7 @@ def test_pieces_are_kept(tmp_path, monkeypatch):
     assert calls[4:] == calls[:1]
 
 
-def test_a_scene_that_cannot_be_simulated_is_said(monkeypatch):
+def test_a_scene_that_cannot_be_simulated_is_reported(monkeypatch):
     from mjtactile.core.errors import SimulationError
 
     def broken(_):

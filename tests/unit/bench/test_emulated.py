@@ -7,7 +7,7 @@ def row(name, outcome, hold=0.4):
     return {"object": name, "seed": 0, "hold_N": hold, "outcome": outcome, "reason": ""}
 
 
-def test_a_fault_of_the_rig_is_said_and_is_not_held():
+def test_a_fault_of_the_rig_is_reported_and_is_not_held():
     rows = [row("egg", "held", 0.2)] * 3 + [row("vial", "held")] * 2 + [row("vial", "fault", None)]
     text = table({"grasps": rows, "slow": 4.0})
     assert "| egg |  | 3 of 3 (44-100 %) | 0 | 0.20 |" in text  # Wilson's interval

@@ -68,7 +68,7 @@ def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
     assert 1.2 * forces[0] < forces[1] < 2 * forces[0]
 
 
-def test_a_reference_that_is_missed_is_said(tmp_path):
+def test_a_reference_that_is_missed_is_reported(tmp_path):
     write(tmp_path, BULGE.replace("2.45", "2.9"))
     result = run.run(tmp_path, notify=lambda _: None, cases=tmp_path)
     assert (result["met"], result["numbers"]) == (0, 1) and (tmp_path / "references.png").exists()

@@ -58,7 +58,7 @@ def test_holds_and_what_lies_between():
     assert outcome(frames(0.2e-3, 0.5)).name == "between"  # it slides by 0.2 mm
 
 
-def test_cases_are_drawn_from_their_seed_and_cover_all_ways():
+def test_cases_are_sampled_from_their_seed_and_cover_all_ways():
     cases = [plot_case(seed) for seed in range(40)]
     assert {case.name for case in cases} == {*SLIPS, *HOLDS} and cases[3] == plot_case(3)
     assert {case.body for case in cases} <= set(BODIES)

@@ -45,7 +45,7 @@ def test_the_table_has_medians_and_what_was_asked():
     assert len({line.count("|") for line in text.split("\n\n")[0].splitlines()}) == 1
 
 
-def test_without_a_browser_it_says_so(tmp_path, monkeypatch):
+def test_without_a_browser_it_reports_it(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "CHROMIUM", None)
     with pytest.raises(InputError, match="apt-get install chromium"):
         run.run(tmp_path, quick=True, notify=lambda _: None)

@@ -34,7 +34,7 @@ def lines(controller, outcomes, **more):
     ]
 
 
-def test_the_table_says_what_the_lines_say(tmp_path):
+def test_the_table_states_what_the_lines_state(tmp_path):
     own = lines("adaptive", ["held"] * 8) + lines("touchless", ["held"] * 4 + ["crushed"] * 4)
     result = {
         "level": "synthetic",
@@ -72,7 +72,7 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
     assert agreement("gentle", full, cheap)["episodes"] == 0
 
 
-def test_a_level_says_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
+def test_a_level_states_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
     known = {level: suite_of(level) for level in ("mesh", "quasistatic", "synthetic")}
     assert {one.effects for one in known.values()} == {
         "-images",

@@ -126,7 +126,7 @@ def test_a_board_that_was_never_tilted_is_refused():
     assert any("tilted" in reason for reason in calibrate_camera(finder, views, SIZE).reasons)
 
 
-def test_too_few_pictures_of_the_middle_are_refused(tmp_path, capsys):
+def test_too_few_images_of_the_middle_are_refused(tmp_path, capsys):
     for i, pose in enumerate(poses(5, spread=0.1)):
         cv2.imwrite(str(tmp_path / f"{i}.png"), image(*pose, seed=i))
     out = tmp_path / "camera.yaml"
@@ -140,7 +140,7 @@ def test_too_few_pictures_of_the_middle_are_refused(tmp_path, capsys):
     )
 
 
-def test_a_picture_of_a_bent_board_is_left_out(photos):
+def test_an_image_of_a_bent_board_is_left_out(photos):
     gray = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))]
     finder, views = views_of(gray)
     bent = views[3].uv + 6 * np.sin(views[3].uv / 30)  # a board that is not flat

@@ -103,7 +103,7 @@ def test_other_lens_models_come_back(model):
         assert (np.abs(np.subtract(own, right)) < 5 * fit.sd).all()
 
 
-def test_k3_is_left_out_where_the_pictures_do_not_show_it():
+def test_k3_is_left_out_where_the_images_do_not_show_it():
     without = replace(CAMERA, distortion=(*CAMERA.distortion[:4], 0.0))
     views = [exact_view(pose, without, seed=k) for k, pose in enumerate(poses(8))]
     assert calibrate_from_circles(FINDER, views, SIZE).lens.coefficients[4] == 0

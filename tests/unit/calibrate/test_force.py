@@ -64,7 +64,7 @@ def calibrate(folder, rows, header="image,force_N"):
     )
 
 
-def test_the_force_felt_is_the_load(press, capsys):
+def test_the_force_estimated_is_the_load(press, capsys):
     folder, forces = press
     assert calibrate(folder, forces.items()) == 0
     result = json.loads(capsys.readouterr().out)

@@ -134,7 +134,7 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
         ("both", lambda pixels: pixels[::-1, ::-1]),
     ],
 )
-def test_one_press_in_a_corner_says_how_a_picture_is_flipped(flip, turned):
+def test_one_press_in_a_corner_reports_how_an_image_is_flipped(flip, turned):
     """A rendered dent in the corner of largest x and y identifies the flip of an image."""
     design = load_sensor("dense")
     view = Renderer(design, seed=2)

@@ -101,7 +101,7 @@ def test_the_grip_goes_with_the_load_and_comes_back_slowly():
     )  # friction that is not in use is forgotten
 
 
-def test_a_thing_that_leans_in_the_grip_is_no_load():
+def test_an_object_that_leans_in_the_grip_is_no_load():
     """One finger is dragged up and the other down, the more the harder they press: gripping for
     that would never end."""
     command, goal = holding(0.2)
@@ -142,7 +142,7 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     assert both.memory["target"] > 1.1 * alone.memory["target"] > 1.5 * grip
 
 
-def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
+def test_it_releases_where_a_person_pulls_and_not_at_a_bump():
     goal = TaskGoal(hold_time=60.0, handover=True)
     command, _ = holding(0.2, goal)
 

@@ -54,7 +54,7 @@ def run(command, estimated, count):
     [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
     ids=["nothing is felt", "it slid"],
 )
-def test_what_stays_behind_is_let_go_where_the_hand_is(phase, estimated):
+def test_what_stays_behind_is_released_where_the_gripper_is(phase, estimated):
     start = Command(0.04, 4.0, 0.02, phase)
     command = run(start, estimated, 12)  # 0.4 s
     assert command.phase == "release" and abs(command.lift_height - start.lift_height) < 0.02
@@ -70,7 +70,7 @@ def test_what_is_held_goes_on():
         ).phase in ("lift", "hold")
 
 
-def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
+def test_jaws_that_are_blocked_by_what_no_finger_estimates_do_not_push_for_ever():
     """A fallen strawberry between the frames: until now the approach went on until the time was
     over."""
     command = Command(0.08, 4.0, 0.0, "approach")
@@ -137,7 +137,7 @@ def test_a_moment_without_touch_or_sight_is_no_loss():
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
-def test_what_stands_before_the_hand_is_down_is_let_go(controller):
+def test_what_stands_before_the_gripper_is_down_is_released(controller):
     """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down
     until the time was over."""
     its_step = load_controller(controller).step

@@ -22,7 +22,7 @@ def opened(estimated, seconds=20.0):
     return command, seconds
 
 
-def test_a_finger_that_never_lets_go_ends_it_with_the_reason():
+def test_a_finger_that_never_releases_ends_it_with_the_reason():
     """A constant force of 0.1 N with open jaws ends the probe with that reason.
 
     An uncalibrated sensor five times as stiff as in its file estimates 0.1 N without contact.
@@ -33,6 +33,6 @@ def test_a_finger_that_never_lets_go_ends_it_with_the_reason():
     assert opening < after == pytest.approx(4.0, abs=2 * PERIOD)
 
 
-def test_what_lets_go_is_looked_at_once_more():
+def test_what_releases_is_checked_once_more():
     command, _ = opened(0.0)
     assert command.phase == "approach" and command.reason == ""

@@ -72,5 +72,5 @@ def test_what_it_does_not_know_it_does_not_act_on():
     assert run(HELD, blind).opening == HELD.opening and run(HELD, blind, 20).phase == "abort"
 
 
-def test_what_stays_behind_is_let_go():
+def test_what_stays_behind_is_released():
     assert run(HELD, (touch(0.0), touch(0.01)), 12).phase == "release"

@@ -188,6 +188,6 @@ def test_a_broken_file_is_one_line_with_file_and_field(tmp_path, text, words):
     ), message
 
 
-def test_a_file_that_cannot_be_written_says_so(tmp_path):
+def test_a_file_that_cannot_be_written_reports_it(tmp_path):
     with pytest.raises(InputError, match=r"cannot be written"):
         complete().save(tmp_path / "nowhere" / "left.json")

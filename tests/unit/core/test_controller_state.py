@@ -78,6 +78,6 @@ def test_all_else_is_left_out_by_name_and_the_rest_stays(value):
     assert left_out == (f"odd ({type(value).__name__})",)
 
 
-def test_a_notebook_of_very_many_entries_is_cut_off_and_takes_no_time():
+def test_a_memory_of_very_many_entries_is_cut_off_and_takes_no_time():
     found, left_out = plain(dict.fromkeys(range(1_000_000), 0.0))
     assert 1_000 < len(found) < ENTRIES_MAX and len(left_out) < 100

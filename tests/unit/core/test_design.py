@@ -184,6 +184,6 @@ def test_a_fisheye_sees_more_at_the_same_distance():
         sensor_from_table(near_camera(17.8), name="x", source="x.toml")
 
 
-def test_no_distance_helps_a_camera_that_looks_elsewhere():
+def test_no_distance_helps_a_camera_that_points_elsewhere():
     with pytest.raises(InputError, match="no larger distance shows all: check fx_px"):
         sensor_from_table(near_camera(40.0, cx_px=2000.0), name="x", source="x.toml")

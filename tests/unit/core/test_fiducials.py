@@ -62,7 +62,7 @@ def test_the_groove_is_gas():
     assert more == pytest.approx(around * fiducials.groove(design))
 
 
-def test_on_the_pane_there_is_no_groove():
+def test_on_the_glass_there_is_no_groove():
     design = read(PANE)
     assert design.fiducials.groove(design) == 0
     assert design.chamber_volume_flat == pytest.approx(24e-6)
@@ -128,6 +128,6 @@ def test_what_cannot_be_seen_is_refused_in_a_line(changes, field, words):
     assert words in text
 
 
-def test_on_the_pane_they_may_not_hide_the_membrane():
+def test_on_the_glass_they_may_not_hide_the_membrane():
     with pytest.raises(InputError, match="hides part of the membrane"):
         read({**PANE, "positions_mm": [[-10.0, 0.0], *PANE["positions_mm"]]})

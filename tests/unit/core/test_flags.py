@@ -59,7 +59,7 @@ def test_flags_from_before_have_a_new_name_and_no_time():
     assert math.isnan(found["sharp_edge"].fraction) and found["sharp_edge"].when == ""
 
 
-def test_merged_flags_have_the_first_reason_and_the_whole_time():
+def test_merged_flags_have_the_first_reason_and_the_complete_time():
     one = {"speed": Flag("first", 1.0, 2.0, 0.1)}
     other = {"speed": Flag("second", 0.5, 1.5, 0.3), "hull": Flag("hollow")}
     merged = merge_flags((one, other))

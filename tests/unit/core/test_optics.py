@@ -59,14 +59,14 @@ def test_unproject_inverts_the_lens():
     )
 
 
-def test_projection_through_the_pane_agrees_with_a_ray_trace():
+def test_projection_through_the_glass_agrees_with_a_ray_trace():
     p = points()
     rays = optics.unproject(GLASS, optics.project(GLASS, p))
     # both are exact: float64 rounding over four intersections; 1e-12 m is a nanometre's thousandth
     np.testing.assert_allclose(trace_to_depth(rays, GLASS, p[:, 2]), p, atol=1e-12)
 
 
-def test_pane_and_lens_together():
+def test_glass_and_lens_together():
     p = points()
     rays = optics.unproject(BOTH, optics.project(BOTH, p))
     # 1e-10 rays over 0.06 m
@@ -86,7 +86,7 @@ def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
     assert shift[1] == pytest.approx(0.80123e-3, abs=1e-8)
 
 
-def test_no_pane_means_no_shift_and_bad_points_are_nan():
+def test_no_glass_means_no_shift_and_bad_points_are_nan():
     assert (optics.glass_shift(LENS, points()) == 0).all()
     assert np.isnan(optics.project(LENS, [[0.0, 0.0, -0.04]])).all()
     # inside the glass, which ends at 25 mm

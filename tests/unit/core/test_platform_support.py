@@ -28,7 +28,9 @@ def test_processors_that_this_process_may_use():
 
 
 @pytest.mark.parametrize(("there", "expected"), [(6, 6), (None, 1)])
-def test_processors_where_nobody_tells_which_are_allowed(monkeypatch, there, expected):
+def test_processors_where_the_system_does_not_report_which_are_allowed(
+    monkeypatch, there, expected
+):
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: there)
     assert platform_support.processors() == expected
@@ -73,7 +75,7 @@ def test_the_end_of_a_process_can_be_waited_for_or_there_is_nothing_to_wait_for(
     assert platform_support.watch_process(os.getpid()) is None
 
 
-def test_a_child_ends_with_its_parent_where_nobody_tells_of_its_end():
+def test_a_child_ends_with_its_parent_where_its_end_is_not_reported():
     """It looks itself, once a second."""
     code = f"""if True:
         import os, subprocess, sys

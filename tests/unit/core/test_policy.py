@@ -48,7 +48,7 @@ def test_every_number_has_its_name():
     )
 
 
-def test_an_unknown_force_is_said_not_to_be_known():
+def test_an_unknown_force_is_reported_as_unknown():
     observation = seen((float("nan"), 0.4))
     vector = dict(zip(policy_observation_names(), policy_observation(observation), strict=True))
     assert (vector["finger1.known"], vector["finger1.force_normal_N"], vector["finger2.known"]) == (

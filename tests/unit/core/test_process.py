@@ -68,7 +68,7 @@ def test_a_failure_is_raised_here_with_its_class(child):
     assert process.ask(child, "and on", "the child")[0] == "and on"
 
 
-def test_a_child_that_ends_says_how(child):
+def test_a_child_that_ends_reports_how(child):
     with pytest.raises(DeviceError, match=r"the child has ended \(exit code 4\)"):
         process.ask(child, "exit", "the child")
     with pytest.raises(DeviceError, match=r"the child has ended \(exit code 4\)"):

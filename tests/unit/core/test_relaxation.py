@@ -20,7 +20,7 @@ def with_section(**section):
     return sensor_from_table(TABLE | {"relaxation": section}, name="dense", source="dense.toml")
 
 
-def test_a_file_says_shares_and_times():
+def test_a_file_states_fractions_and_times():
     found = with_section(terms_s=[[0.05, 1], [0.04, 10.0]], mullins_fraction=0.1)
     assert found.relaxation == Relaxation(((0.05, 1.0), (0.04, 10.0)), 0.1)
     assert found.relaxation.quick == pytest.approx(1.09)
@@ -38,7 +38,7 @@ def test_a_file_says_shares_and_times():
         ({"term_s": [[0.1, 1.0]]}, "term"),
     ],
 )
-def test_what_is_wrong_is_said_in_a_line(section, words):
+def test_what_is_wrong_is_reported_in_a_line(section, words):
     with pytest.raises(InputError, match=words) as caught:
         with_section(**section)
     assert "dense.toml" in str(caught.value)

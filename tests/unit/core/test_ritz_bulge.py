@@ -51,7 +51,7 @@ def test_a_taut_ellipse_hangs_under_its_weight():
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
-def test_it_converges_and_is_the_splines_sheet(design):
+def test_it_converges_and_is_the_splines_membrane(design):
     heights = [inflated_height(design, 2000.0, degree=degree) for degree in (1, 2, 3, 5)]
     errors = np.abs(np.array(heights[:-1]) / heights[-1] - 1)
     assert (errors[1:] < 0.2 * errors[:-1]).all()

@@ -97,7 +97,7 @@ def test_it_can_be_acted_on_where_that_does_no_harm():
         pytest.fail("it went on")
 
 
-def test_a_process_that_was_told_to_ignore_hang_ups_does():
+def test_a_process_that_was_set_to_ignore_hang_ups_does():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with deferred() as stop:
@@ -107,7 +107,7 @@ def test_a_process_that_was_told_to_ignore_hang_ups_does():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_another_thread_sees_what_the_main_one_hears():
+def test_another_thread_sees_what_the_main_one_receives():
     seen = []
 
     def work():

@@ -22,7 +22,7 @@ NAMES = resources.names("models/tasks", ".toml")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_ones_are_read_and_say_what_they_are(name):
+def test_the_shipped_ones_are_read_and_state_what_they_are(name):
     task = load_task(name)
     assert task.name == name and task.about and task.version
     sampled = task.sample(3, 2)
@@ -50,7 +50,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
     assert all(f"{key} = " in complete for key in keys)
 
 
-def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
+def test_what_is_sampled_is_within_its_range_and_the_file_s_own_units():
     table = tomllib.loads(resources.find("pour", "models/tasks", ".toml").read_text())
     task = load_task("pour")
     for seed in range(50):
@@ -78,7 +78,7 @@ def test_masses_are_as_likely_per_doubling():
     )
 
 
-def test_one_more_happening_leaves_the_others_as_they_were():
+def test_one_more_disturbance_leaves_the_others_as_they_were():
     task = load_task("bump")
     assert (
         task.sample(7, 2).events[0]
@@ -118,7 +118,7 @@ def test_the_need_is_that_of_the_lowest_friction():
     assert sampled.need(0.04, 0.8, 2) == pytest.approx(0.04 * 9.81 / (2 * 0.35))
 
 
-def test_when_somebody_pulls_with_three_tenths_of_a_newton():
+def test_when_a_person_pulls_with_three_tenths_of_a_newton():
     sampled = load_task("hand-over").sample(5, 2)
     pull = sampled.events[1]
     force = (sampled.pulls() - pull.start) / pull.duration * pull.values["force"]
@@ -190,7 +190,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
     )
 
 
-def test_the_robot_is_told_what_the_file_says_and_no_more():
+def test_the_robot_is_given_what_the_file_states_and_no_more():
     goal = load_task("place").goal.task_goal()
     assert (goal.lift_height, goal.place_height) == (0.06, 0.02)
     assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}

@@ -48,7 +48,7 @@ def test_a_number_is_within_its_range_or_named(value):
         Section({"rate_Hz": value}, "bus", "f").number("rate_Hz", 0, 100)
 
 
-def test_a_missing_field_says_what_stands_there_instead():
+def test_a_missing_field_states_what_stands_there_instead():
     section = Section({"rate_kHz": 1, "portt": "a"}, "bus", "f")
     with pytest.raises(InputError, match="rate_Hz: missing field; there is 'rate_kHz': wrong unit"):
         section.number("rate_Hz", 0, 1)

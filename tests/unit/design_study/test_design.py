@@ -55,7 +55,7 @@ def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
     np.testing.assert_allclose(longer, 1.3**-1.5, rtol=0.06)
 
 
-def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
+def test_noise_of_the_force_bounds_the_scatter_of_rendered_images(paper16):
     # the chain's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
     estimated = paper16.estimate_touch(pressed.state)
@@ -73,7 +73,7 @@ def test_noise_of_the_force_bounds_the_scatter_of_drawn_images(paper16):
     assert -np.mean(forces) == pytest.approx(0.5, rel=0.03)
 
 
-def test_twice_the_markers_tell_an_edge_by_the_root_of_two_better():
+def test_twice_the_markers_determine_an_edge_by_the_root_of_two_better():
     # each marker's height is an independent measurement of the edge; equal size gives equal noise
     few = sensor_file_edit.with_markers(load_sensor("dense"), 7, 9, (32e-3, 24e-3), 0.2)
     many = sensor_file_edit.with_markers(load_sensor("dense"), 10, 13, (32e-3, 24e-3), 0.2)
@@ -259,7 +259,7 @@ def test_the_predicted_range_is_checked_by_indentations_that_reach_it():
         assert force > good.confirmed or estimate == pytest.approx(force, rel=0.1)
 
 
-def test_markers_out_of_the_picture_are_refused():
+def test_markers_out_of_the_image_are_refused():
     with pytest.raises(InputError, match=r"circles lie completely in the image"):
         VirtualBench(sensor_file_edit.scaled_lens(load_sensor("dense"), 1.9))
 
@@ -283,7 +283,7 @@ def test_bad_input(capsys, options, words):
 
 
 @pytest.mark.slow(10)
-def test_a_wish_becomes_sensor_files(tmp_path, capsys):
+def test_a_requirement_becomes_sensor_files(tmp_path, capsys):
     options = ["--sensor", "paper16", "--edge-mm", "0.3", "--count", "2", "--json"]
     assert main(["design", *options, "--out", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)

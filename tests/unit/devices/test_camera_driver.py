@@ -153,7 +153,7 @@ def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
         OpenCvCamera(CONFIG, capture=lambda: device)
 
 
-def test_the_newest_picture_is_given(camera):
+def test_the_newest_image_is_given(camera):
     first = camera.read()
     assert camera.wait_newer(first.time, 5.0)
     assert camera.read().time > first.time
@@ -169,7 +169,7 @@ def test_the_newest_picture_is_given(camera):
         ("both", lambda grey: np.rot90(grey, 2)),
     ],
 )
-def test_a_flipped_picture_is_turned_over(device, flipped, turned):
+def test_a_flipped_image_is_turned_over(device, flipped, turned):
     device.mode = "still"
     config = replace(CONFIG, flipped=flipped)
     with contextlib.closing(OpenCvCamera(config, capture=lambda: device)) as camera:
@@ -200,7 +200,7 @@ def test_an_unplugged_camera_is_an_error(camera, device, monkeypatch):
         camera.read()
 
 
-def test_on_a_busy_computer_pictures_may_be_late(camera, device, monkeypatch):
+def test_on_a_busy_computer_images_may_be_late(camera, device, monkeypatch):
     monkeypatch.setattr("os.getloadavg", lambda: (40.0, 1.0, 1.0))
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     device.mode = "gone"
@@ -212,7 +212,7 @@ def test_on_a_busy_computer_pictures_may_be_late(camera, device, monkeypatch):
         camera.read()
 
 
-def test_lost_pictures_are_counted(camera):
+def test_lost_images_are_counted(camera):
     camera.counters.dropped = 0
     camera._count(0.041)  # four periods: three pictures never came
     assert camera.counters.dropped >= 3
@@ -272,7 +272,7 @@ def test_a_stream_over_http_is_read(fourcc):
         server.close()
 
 
-def test_a_stream_that_is_no_jpeg_says_so(device):
+def test_a_stream_that_is_no_jpeg_reports_it(device):
     config = CameraConfig(
         "left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG"
     )
@@ -281,7 +281,7 @@ def test_a_stream_that_is_no_jpeg_says_so(device):
         OpenCvCamera(config, capture=lambda: device)
 
 
-def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
+def test_a_cycle_starts_with_an_image_and_never_waits_for_long(device):
     """The loop's clock wakes up when a picture has come, at the latest half a period after the time
     asked for."""
     camera = OpenCvCamera(CONFIG, capture=lambda: device)

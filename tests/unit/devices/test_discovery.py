@@ -113,7 +113,7 @@ def test_servos_and_valve_boards_answer(capsys, monkeypatch):
         ]
 
 
-def test_a_port_that_cannot_be_opened_is_said(tmp_path):
+def test_a_port_that_cannot_be_opened_is_reported(tmp_path):
     with pytest.raises(DeviceError, match="nowhere"):
         valve_board_at(str(tmp_path / "nowhere"))
     port = serial_ports([str(tmp_path / "nowhere")])[-1]

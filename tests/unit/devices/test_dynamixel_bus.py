@@ -35,7 +35,7 @@ def test_group_read_keeps_the_alert_byte(bench, bus, fast):
 
 @pytest.mark.clock
 @pytest.mark.parametrize("fast", [False, True])
-def test_group_read_says_who_did_not_answer(bench, bus, fast):
+def test_group_read_states_who_did_not_answer(bench, bus, fast):
     bench.faults.set("servo_silent", 2)
     replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
     # the first servo's part of the packet has come
@@ -153,7 +153,7 @@ def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
 
 
 @pytest.mark.clock
-def test_a_refused_write_says_why(bench, bus):
+def test_a_refused_write_reports_why(bench, bus):
     bench.servos[1].set("Torque Enable", 1)
     with pytest.raises(BusError, match="denies access") as caught:
         bus.write(1, 11, 1, 5)  # EEPROM is locked while torque is on
@@ -179,7 +179,7 @@ def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
 
 
 @pytest.mark.clock
-def test_another_baud_rate_hears_nothing(bench):
+def test_another_baud_rate_receives_nothing(bench):
     bus = DynamixelBus(bench.bus.path, 57600, reply_timeout=0.02)
     with pytest.raises(BusError, match="no reply"):
         bus.ping(1)

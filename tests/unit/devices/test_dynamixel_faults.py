@@ -126,7 +126,7 @@ def test_a_brown_out_is_noticed(bench):
         gripper.close()
 
 
-def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
+def test_a_silent_host_trips_the_watchdog_and_the_driver_reports_it(bench):
     gripper = bench.gripper()
     try:
         gripper.command(Command(0.07, 2.0))

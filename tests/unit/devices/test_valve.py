@@ -109,7 +109,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
     ("fault", "why"),
     [("valve_sensor", "its pressure sensor failed"), ("valve_restart", "has restarted")],
 )
-def test_a_board_with_a_fault_of_its_own_vents_and_says_why(fault, why):
+def test_a_board_with_a_fault_of_its_own_vents_and_reports_why(fault, why):
     with valve_bench() as (port, firmware, faults, _):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
@@ -152,7 +152,7 @@ def test_a_silent_or_babbling_board_is_an_error(rig, fault):
 
 
 @pytest.mark.clock
-def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell_and_is_not_sealed(rig):
+def test_a_stuck_valve_is_an_error_where_a_sensor_can_detect_and_is_not_sealed(rig):
     board, valves, _, faults, _ = rig
     faults.set("valve_stuck", 1)
     valves[0].open(1000.0)
@@ -196,7 +196,7 @@ def test_a_chamber_follows_what_is_commanded_and_is_sealed_as_it_is_when_nothing
 
 
 @pytest.mark.clock
-def test_without_a_sensor_the_supply_is_what_the_file_says():
+def test_without_a_sensor_the_supply_is_what_the_file_states():
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
         try:

@@ -190,7 +190,7 @@ def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leave
         ("reset", "start", "has restarted"),
     ],
 )
-def test_it_vents_by_itself_and_the_driver_says_why(rig, command, fault, why):
+def test_it_vents_by_itself_and_the_driver_reports_why(rig, command, fault, why):
     host, board, valves = rig
     valves[0].open(1000.0)
     assert is_near(host, 1000.0)

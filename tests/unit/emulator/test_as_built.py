@@ -35,7 +35,7 @@ def table():
     )
 
 
-def test_the_shipped_specimens_are_read_with_their_units():
+def test_the_shipped_as_built_sensors_are_read_with_their_units():
     emulator = load_rig_file("emulated_as_built").emulator
     left = emulator.as_built_sensor("left")
     assert (left.focal_fraction, left.shift, left.valve_zero) == (
@@ -54,7 +54,7 @@ def test_the_shipped_specimens_are_read_with_their_units():
     assert true.markers.radius == pytest.approx(DESIGN.markers.radius + 2e-5)
 
 
-def test_a_finger_without_a_specimen_is_as_its_sensor_file_says():
+def test_a_finger_without_an_as_built_sensor_is_as_its_sensor_file_states():
     own = load_rig_file("emulated").emulator.as_built_sensor("right")
     assert true_design(DESIGN, own) == DESIGN
     R, p = camera_pose(DESIGN, own)
@@ -83,7 +83,7 @@ def test_a_finger_that_does_not_exist_is_named(table):
         rig_from_table(table, Path("test.toml"))
 
 
-def test_a_camera_that_sits_elsewhere_sees_what_projection_says():
+def test_a_camera_that_sits_elsewhere_sees_what_projection_states():
     """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts
     them."""
     own = AsBuiltSensor("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))
@@ -162,7 +162,7 @@ def test_shafts_with_backlash_turn_before_the_jaws_follow():
     assert driven(0.0215)[0] == pytest.approx(0.0245)
 
 
-def test_a_specimen_that_creeps_meets_a_quick_stretch_with_more():
+def test_an_as_built_sensor_that_creeps_meets_a_quick_stretch_with_more():
     """5 % of the lasting stress in each decade from 1 to 1000 s: 20 % more at first; the file's
     modulus is the lasting one."""
     design = load_sensor("dense")

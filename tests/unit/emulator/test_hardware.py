@@ -54,7 +54,7 @@ def world():
     world.close()
 
 
-def test_an_object_that_nobody_touches_stays_where_it_stands(world):
+def test_an_object_that_is_not_touched_stays_where_it_stands(world):
     """An egg on its end that leans creeps on, and falls within minutes."""
     joint = world.scene.data.joint(world._object_joint.id)
 
@@ -95,7 +95,7 @@ def test_a_host_that_never_reads_stops_nothing():
         os.close(host)
 
 
-def test_without_a_goal_it_falls_as_things_do():
+def test_without_a_goal_it_falls_freely():
     asked = []
     scene = SimpleNamespace(
         timestep=0.004, set_lift_target=lambda height, speed=None: asked.append((height, speed))

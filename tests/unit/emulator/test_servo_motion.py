@@ -53,7 +53,7 @@ def test_modes_without_a_position_move(xl, mode, goal, value):
 
 
 @pytest.mark.clock
-def test_the_profile_takes_its_time_and_says_so(xl):
+def test_the_profile_takes_its_time_and_reports_it(xl):
     on(xl, 4)
     assert xl.write("Profile Velocity", 20) == 0  # 0.48 rad/s
     assert xl.write("Goal Position", TICKS + 1000) == 0  # 1.534 rad: 3.2 s
@@ -112,7 +112,7 @@ def test_homing_offset_is_added_to_the_position(xl):
 
 
 @pytest.mark.clock
-def test_clear_forgets_whole_turns_of_a_shaft_at_rest(xl):
+def test_clear_forgets_full_turns_of_a_shaft_at_rest(xl):
     servo = xl.bench.servos[1]
     on(xl, 4)
     assert xl.write("Goal Position", TICKS + 8192) == 0
@@ -152,7 +152,7 @@ def test_a_trip_stops_the_servo_and_makes_its_goals_read_only(mode):
 
 
 @pytest.mark.clock
-def test_a_limp_servo_lets_go():
+def test_a_limp_servo_releases():
     assert tripped(trip="limp")[0].drive().torque_max == 0
 
 

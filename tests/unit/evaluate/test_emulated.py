@@ -25,7 +25,7 @@ def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
     return true.score({"outcome": believed, "reason": "reported"})
 
 
-def test_what_came_along_and_stands_again_was_held_whatever_is_believed():
+def test_what_came_along_and_stands_again_was_held_whatever_is_estimated():
     found = outcome_of((0.02, 0.06, 0.021))
     assert found["outcome"] == "held" and found["reason"] == ""
     assert found["hold_force_true_N"] == pytest.approx(0.2)

@@ -134,7 +134,7 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("rate", "left"), [(1.0, "3600 per hour, 7 s"), (0.01, "36 per hour, 12 min")]
 )
-def test_progress_says_at_once_why_an_episode_was_an_error(rate, left):
+def test_progress_states_at_once_why_an_episode_was_an_error(rate, left):
     """Seven are left of ten, at `rate` in a second."""
     line = {"controller": "mine", "object": "vial", "seed": 4, "outcome": "error", "reason": "wide"}
     start = "3 of 10: mine, vial, seed 4"
@@ -164,7 +164,7 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
     ] == [0]
 
 
-def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quick):
+def test_an_episode_that_was_terminated_has_no_line(tmp_path, monkeypatch, quick):
     """An interrupted episode has no line: --resume repeats the work of a worker that a cluster
     removed."""
 
@@ -179,7 +179,7 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
     assert store.read_lines(tmp_path / "out") == []
 
 
-def test_the_manifest_says_how_to_run_it_again(tmp_path):
+def test_the_manifest_reports_how_to_run_it_again(tmp_path):
     (tmp_path / "a").mkdir()
     for path in (tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"):  # two of one name
         path.write_text(path.parent.name)

@@ -142,7 +142,7 @@ def test_the_worst_are_of_every_kind():
     assert worst(table, 15)[13]["episode"] == 21 and worst(table, 15)[14]["episode"] == 30
 
 
-def test_the_page_is_whole_and_says_what_the_lines_say():
+def test_the_page_is_complete_and_states_what_the_lines_state():
     table = lines() + lines(controller="a<b")
     manifest = {
         "options": {"controllers": ["gentle", "a<b"], "count": 300, "scenario": {}},
@@ -159,7 +159,7 @@ def test_the_page_is_whole_and_says_what_the_lines_say():
     )
 
 
-def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
+def test_images_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
     kept = store.Store(
         tmp_path,
         {
@@ -187,7 +187,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
+def test_a_worst_episode_is_run_again_and_rendered(tmp_path):
     from tests.emulated_host import controller_text
 
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))

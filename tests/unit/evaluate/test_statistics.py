@@ -112,7 +112,7 @@ def test_several_controllers_are_compared_with_a_named_adjustment():
     assert "(95 % for all 3 comparisons together, Bonferroni: " in text and ": settled" not in text
 
 
-def test_errors_count_apart():
+def test_errors_count_separately():
     summary = summarise(
         lines(["held", "error", "dropped", "crushed"])
         + lines(["held", "held", "error", "held"], "b")
@@ -133,7 +133,7 @@ def test_errors_count_apart():
     assert "1 with the same outcome): " in text
 
 
-def test_who_hangs_raises_or_is_stopped_has_failed():
+def test_a_controller_that_hangs_raises_or_is_stopped_has_failed():
     summary = summarise(lines(["held", "hung", "raised", "unsafe", "hung", "error"]))
     a = summary["controllers"]["a"]
     assert a["success"] == pytest.approx(1 / 5) and a["hung"] == 2
@@ -141,7 +141,7 @@ def test_who_hangs_raises_or_is_stopped_has_failed():
     assert "| 4 (1 unsafe, 2 hung, 1 raised) | 1 |" in text
 
 
-def test_outcomes_are_counted_with_and_without_each_doubt():
+def test_outcomes_are_counted_with_and_without_each_flag():
     """Six episodes by hand: the three with an edge hold twice, the three without once."""
     some = lines(["held", "held", "dropped", "held", "dropped", "error"])
     for line in some[:3]:

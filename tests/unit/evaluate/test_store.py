@@ -42,7 +42,7 @@ def write_part(folder, part, parts, **changed):
 
 @pytest.mark.parametrize("resume", [False, True])
 @pytest.mark.parametrize("name", ["episodes.jsonl", "summary.json", "report.html"])
-def test_results_of_nobody_knows_what_are_kept_and_named(tmp_path, resume, name):
+def test_results_of_unknown_files_are_kept_and_named(tmp_path, resume, name):
     text = json.dumps(line(0, "gentle")) + "\n"
     (tmp_path / name).write_text(text * 6)
     with pytest.raises(
@@ -97,7 +97,7 @@ def test_the_differing_field_is_named_with_both_values(tmp_path):
         store.Store(tmp_path / "a", files, resume=True)
 
 
-def test_shards_make_the_whole(tmp_path):
+def test_shards_make_the_total(tmp_path):
     parts = [write_part(tmp_path / str(k), k, 3) for k in (3, 1, 2)]
     summary = merge([*parts, parts[0]], tmp_path / "all")  # one twice: the same lines
     assert summary["episodes"] == 8 and "missing" not in summary
@@ -105,7 +105,7 @@ def test_shards_make_the_whole(tmp_path):
     assert order == [(k, name) for k in range(4) for name in ("gentle", "own")]
 
 
-def test_a_missing_shard_is_said_and_only_joined_when_asked(tmp_path, capsys):
+def test_a_missing_shard_is_reported_and_only_joined_when_asked(tmp_path, capsys):
     parts = [str(write_part(tmp_path / str(k), k, 3)) for k in (1, 3)]
     out = str(tmp_path / "all")
     words = ["evaluate", "--worst", "0", "--out", out, "--merge", *parts]

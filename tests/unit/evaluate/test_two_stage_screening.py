@@ -49,7 +49,7 @@ def test_all_failures_and_a_sample_are_run_again(tmp_path):
     assert run(tmp_path / "out", 5, resume=True)["controllers"]["gentle"] == result
 
 
-def test_with_all_run_again_the_share_is_that_of_full_fidelity(tmp_path):
+def test_with_all_run_again_the_fraction_is_that_of_full_fidelity(tmp_path):
     result = run(tmp_path / "out", 100)["controllers"]["gentle"]
     assert result["holds_share"] == pytest.approx(17 / 20)
     # one of 17 that were held when screened was not: its exact limits, over all 20

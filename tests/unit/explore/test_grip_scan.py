@@ -113,7 +113,7 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
     assert not group_covariance(alike[0], alike[2]).any()
 
 
-def test_the_next_grip_is_where_least_is_known():
+def test_the_next_grip_is_where_uncertainty_is_largest():
     # both ends of x are well known, those of y are unknown: rotated by 90 deg
     mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
     turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], has_contact=True)

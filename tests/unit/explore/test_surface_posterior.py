@@ -97,7 +97,7 @@ def explored(believed):
     return patches, surfaces[0]
 
 
-def test_an_ellipsoid_is_one_and_its_size_is_told_with_its_doubt(believed):
+def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(believed):
     patches, surfaces = believed
     assert surfaces[0].family.name == "ellipsoid"
     # few parameters: a model with more that explains it as well is less likely
@@ -151,7 +151,7 @@ def test_what_was_touched_is_within_the_interval(believed):
     assert reported.interval[1, 1] == pytest.approx(reported.mean[1] + reported.sd[1])
 
 
-def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
+def test_a_rival_of_another_size_adds_uncertainty_of_size(believed):
     """Two bodies as likely as each other, one of them a tenth larger: half of that squared."""
     _, surfaces = believed
     mesh = mesh_of(surfaces[0], 1.5e-3)
@@ -162,7 +162,7 @@ def test_a_rival_of_another_size_is_a_doubt_of_size(believed):
     assert (reported.sd > 0.999 * difference).all() and (reported.sd < 1.3 * difference).all()
 
 
-def test_a_touch_of_an_edge_tells_little():
+def test_a_touch_of_an_edge_determines_little():
     """A touch of an edge carries little information.
 
     Two plates meet at a right angle. Within 5 mm of the edge's center are 81 vertices. The normals
@@ -189,7 +189,7 @@ def distances(surface, ways):
     return surface.distance(true), surface.distance_sd(true)
 
 
-def test_six_patches_tell_an_ellipsoid(explored):
+def test_six_patches_determine_an_ellipsoid(explored):
     _, surface = explored
     off, sd = distances(surface, np.random.default_rng(2).normal(size=(200, 3)))
     # six patches, 20 um of noise each: where nothing was touched it must still be right to 0.15 mm
@@ -200,7 +200,7 @@ def test_six_patches_tell_an_ellipsoid(explored):
     assert sorted(np.exp(surface.theta[6:9])) == pytest.approx([10, 12, 16], rel=0.015)
 
 
-def test_doubt_shrinks_where_it_was_touched_and_stays_where_not(explored):
+def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored):
     patches, surface = explored
     one = fuse(patches[:1])[0]
     touched, untouched = patches[0].center[None], (2 * PLACE - patches[0].center)[None]

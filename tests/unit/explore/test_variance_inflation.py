@@ -51,7 +51,7 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
     assert reported == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)
 
 
-def test_what_was_foretold_widens_nothing(model):
+def test_what_was_predicted_widens_nothing(model):
     surface, noise = model
     factor = cho_factor(surface + noise, lower=True)
     assert excess(factor, np.zeros(20), noise, noise, PARTS) == 1.0

@@ -158,7 +158,7 @@ def test_a_recording_without_images_is_exported_without_them(tmp_path, write):
     assert write([RecordedEpisode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
 
 
-def test_what_is_felt_again_is_what_was_felt(estimated, tmp_path):
+def test_what_is_estimated_again_is_what_was_estimated(estimated, tmp_path):
     episode = RecordedEpisode(estimated)
     lerobot.write([episode], tmp_path, images="none")
     kept = json.loads((tmp_path / "meta/mjtactile.json").read_text())["episodes"][0]
@@ -166,7 +166,7 @@ def test_what_is_felt_again_is_what_was_felt(estimated, tmp_path):
     assert kept["re_estimate"] and kept["recomputed_difference_N"] == 0.0
 
 
-def test_markers_are_those_that_the_chain_sees(press, tmp_path):
+def test_markers_are_those_that_the_pipeline_sees(press, tmp_path):
     lerobot.write([RecordedEpisode(press)], tmp_path, images="none")
     rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
     last = list(RecordedEpisode(press).cycles())[-1].touch[0]

@@ -52,7 +52,7 @@ def grasping(view):
     return cycles
 
 
-def test_a_membrane_is_drawn_where_it_is_felt(press, tmp_path):
+def test_a_membrane_is_shown_where_it_is_estimated(press, tmp_path):
     mcap.write([RecordedEpisode(press)], tmp_path)
     found, _, _ = read_mcap(tmp_path / "episode_000000.mcap")
     touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
@@ -133,7 +133,7 @@ def test_foxglove_is_shown_a_run(tmp_path):
     assert found["/left/image"][0][1].data.startswith(b"\x89PNG")
 
 
-def test_who_connects_later_sees_the_scene():
+def test_a_viewer_that_connects_later_sees_the_scene():
     """A viewer that connects later gets the scene: a server keeps no history, and static parts are
     sent repeatedly."""
     view = mjtactile.LiveView("foxglove:0")

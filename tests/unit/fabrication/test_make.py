@@ -239,7 +239,7 @@ def test_blur_is_that_of_similar_triangles_behind_a_thin_lens():
         assert camera_check.blur(DENSE, tools, stop, near, far) == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_marker_smears_as_much_as_is_said():
+def test_a_marker_smears_as_much_as_stated():
     plan = camera_check.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
     eye = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     nearest = np.array([0.0, 0.0, DENSE.camera.distance - 0.004])
@@ -320,7 +320,7 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
             check.check("mine.toml")
 
 
-def test_at_the_limit_the_stencils_webs_are_what_a_film_can_be_cut_to():
+def test_at_the_limit_the_stencils_webs_are_what_a_foil_can_be_cut_to():
     with pytest.raises(InputError) as error:
         Layout.of(with_field(DENSE, "markers.pitch_y_mm", 2.2), Hardware(), "mine.toml")
     pitch = float(str(error.value).split()[-1])
@@ -364,7 +364,7 @@ def test_what_the_optics_cannot_do_is_refused():
         camera_check.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
-def test_the_pane_holds_what_roark_says():
+def test_the_glass_holds_what_roark_states():
     """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has
     within 0.1 %."""
     square = replace(DENSE, frame=replace(DENSE.frame, length=0.03, width=0.03))
@@ -445,7 +445,7 @@ def test_the_mount_tolerance_keeps_a_fifth_of_the_tension():
     assert f"within {tolerance:.2f} mm" in text
 
 
-def test_elastic_markers_grow_with_the_sheet():
+def test_elastic_markers_grow_with_the_membrane():
     """Elastic markers grow by the membrane's uniform stretch; rotation and translation do not
     count."""
     turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
@@ -455,7 +455,7 @@ def test_elastic_markers_grow_with_the_sheet():
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
 
 
-def test_a_supply_that_the_sheet_does_not_hold_is_refused():
+def test_a_supply_that_the_membrane_does_not_hold_is_refused():
     with pytest.raises(
         InputError, match=r"supply_pressure_kPa: 60 exceeds the " r"stability limit.*at most"
     ) as error:

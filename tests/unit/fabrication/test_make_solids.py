@@ -143,7 +143,7 @@ def test_contours_that_cross_are_noticed():
     assert Bore(Contour(3, 3), body, 1, 0, 0.5).ends == (3, 10)
 
 
-def test_a_picture_shows_each_part(parts, solids):
+def test_an_image_shows_each_part(parts, solids):
     image, places = part_renderings.render(
         part_renderings.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120
     )

@@ -34,7 +34,7 @@ def true():
     return replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6, pre_stretch=1.04))
 
 
-def test_two_pressures_tell_modulus_and_pre_stretch(true):
+def test_two_pressures_determine_modulus_and_pre_stretch(true):
     """Two pressures determine modulus and pre-stretch, and the covariance covers the error.
 
     Tension holds the membrane at 0.5 kPa, the modulus at 3 kPa. With heights of 1-4 mm known to a

@@ -15,13 +15,13 @@ from mjtactile.fit.rewrite_sensor_file import rewrite
 TEXT = resources.find("dense", "models/sensors", ".toml").read_text()
 
 
-def test_a_number_with_a_small_sd_is_fitted_and_says_its_interval():
+def test_a_number_with_a_small_sd_is_fitted_and_states_its_interval():
     number = classify("membrane.young_MPa", 1.1, 0.01, 1.0, "runs/press")
     assert number.state == "fitted" and number.interval == pytest.approx((1.0804, 1.1196))
     assert number.comment == "fitted: 1.080 to 1.120 (95 %), runs/press"
 
 
-def test_a_number_that_is_not_known_keeps_the_file_s_value_and_says_what_to_record():
+def test_a_number_that_is_not_known_keeps_the_file_s_value_and_states_what_to_record():
     number = classify("membrane.friction", 0.5, 0.4, 0.9, "runs/press")
     assert (number.state, number.value) == ("not in these recordings", 0.9)
     assert "drag a loaded indenter" in number.comment
@@ -36,7 +36,7 @@ def test_gas_volume_counts_as_known_against_all_of_the_gas():
     )
 
 
-def test_two_numbers_of_which_one_follows_the_other_cannot_be_told_apart():
+def test_two_numbers_of_which_one_follows_the_other_cannot_be_distinguished():
     cov = np.array([[1.0, -0.98, 0.1], [-0.98, 1.0, 0.0], [0.1, 0.0, 1.0]])
     names = ["membrane.young_MPa", "membrane.thickness_mm", "membrane.friction"]
     separate = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})

@@ -13,7 +13,7 @@ from mjtactile.fit.relaxation import RelaxationFit, _solve, fit_relaxation
 STEPS = "time_s,depth_mm,shear_mm,speed_mm_s,force_N\n2,3,,,\n12,,,,\n"
 
 
-def test_shares_and_their_sd_of_a_gauge_with_noise():
+def test_fractions_and_their_sd_of_a_gauge_with_noise():
     """The stated sd of the fitted fractions equals the scatter of many fits.
 
     All markers of an image move by the error of its pressure sensor.
@@ -47,7 +47,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
 
 
 @pytest.mark.slow(10)
-def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
+def test_a_press_that_is_held_and_let_go_states_what_fades(tmp_path, capsys):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     assert "rate_Hz = 30.0" in text
     text = text.replace("rate_Hz = 30.0", "rate_Hz = 15.0")  # half of the images suffice
@@ -70,7 +70,7 @@ def test_a_press_that_is_held_and_let_go_says_what_fades(tmp_path, capsys):
     assert found.faded_sd < 0.15 * faded
 
 
-def test_a_recording_that_says_nothing_of_it_is_refused(tmp_path):
+def test_a_recording_that_states_nothing_of_it_is_refused(tmp_path):
     command = ["record", "--rig", "stage", "--sensor", "dense", "--seconds", "0.5"]
     assert main([*command, "--out", str(tmp_path / "short")]) == 0
     with pytest.raises(

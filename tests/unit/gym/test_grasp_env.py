@@ -125,7 +125,7 @@ def test_a_crushed_egg_ends_the_episode(env):
         env.unwrapped.step(CLOSE)
 
 
-def test_a_hand_that_rises_alone_has_dropped_it(env):
+def test_a_gripper_that_rises_alone_has_dropped_it(env):
     up = np.array([0.0, 0.0, 1.0], np.float32)
     _, (_, reward, terminated, _), info = roll(env, 0, [up] * 60)
     assert (
@@ -136,7 +136,7 @@ def test_a_hand_that_rises_alone_has_dropped_it(env):
     )
 
 
-def test_an_empty_hand_is_not_paid_for_letting_go():
+def test_an_empty_gripper_is_not_paid_for_releasing():
     """An empty gripper that rises a little and comes down open gets no reward for release.
 
     An object that was never held counts as dropped.
@@ -153,7 +153,7 @@ def test_an_empty_hand_is_not_paid_for_letting_go():
     assert info["outcome"] == "dropped" and sum(paid) == -1.0
 
 
-def test_a_hand_is_paid_for_how_far_it_lets_go():
+def test_a_gripper_is_paid_for_how_far_it_releases():
     """The release reward is proportional to the opening: zero at a grip's goal 4 mm ahead of the
     jaws, one at 8 mm beyond them."""
     for opening, fraction in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
@@ -161,7 +161,7 @@ def test_a_hand_is_paid_for_how_far_it_lets_go():
         assert fraction_released(sent) == pytest.approx(fraction)
 
 
-def test_random_things_are_those_of_the_seeds():
+def test_random_objects_are_those_of_the_seeds():
     with (
         make(object="random", effects=SAMPLED) as random_objects,
         make(object="random:8", effects=SAMPLED) as one,
@@ -218,7 +218,7 @@ def test_a_world_that_varies_is_a_new_one():
         ({"rig": "nowhere"}, "unknown rig"),
     ],
 )
-def test_wrong_names_are_said_in_one_line(how, text):
+def test_wrong_names_are_reported_in_one_line(how, text):
     with pytest.raises(InputError, match=text):
         make(**how)
 
@@ -244,7 +244,7 @@ def test_what_an_environment_does_is_the_same_however_many_there_are(randomizati
     assert len(np.unique(alone[:, FORCE])) > 10  # it was touched
 
 
-def test_drawn_touch_says_its_level_and_begins_again_as_in_a_new_world():
+def test_sampled_touch_states_its_level_and_starts_again_as_in_a_new_world():
     """Sampled touch reports its level, and a repeated seed gives the same episode as a new world.
 
     This holds after another episode, with randomized parameters sampled again.

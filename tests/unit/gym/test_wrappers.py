@@ -33,7 +33,7 @@ class Counted(gymnasium.Env):
         return 2 * SCALE, -1.0 if n == 4 else float(n), n == 4, False, {}
 
 
-def test_an_action_stands_for_some_steps_and_an_end_costs_what_was_said():
+def test_an_action_stands_for_some_steps_and_an_end_costs_the_stated_reward():
     env = ActionRepeatScaling(Counted(), steps=3, fear=0.3)
     shown, _ = env.reset()
     np.testing.assert_array_equal(shown, 2)
@@ -45,7 +45,7 @@ def test_an_action_stands_for_some_steps_and_an_end_costs_what_was_said():
     assert len(env.unwrapped.actions) == 4
 
 
-def test_the_least_and_the_largest_action_are_the_environments_own():
+def test_the_smallest_and_the_largest_action_are_the_environments_own():
     env = ActionRepeatScaling(Counted())
     env.reset()
     for end, own in ((env.action_space.low, -1.0), (env.action_space.high, 1.0)):

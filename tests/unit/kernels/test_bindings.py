@@ -88,7 +88,7 @@ def test_another_source_is_another_library(copied, tmp_path):
     assert names[0].strip() in build.library().name and names[1] != names[0]
 
 
-def test_without_a_compiler_it_is_said_what_to_install(copied, tmp_path):
+def test_without_a_compiler_the_package_to_install_is_reported(copied, tmp_path):
     done = run_build(
         copied, "build.importlib.util.find_spec = lambda name: None; build.library()", tmp_path
     )

@@ -73,7 +73,7 @@ def test_a_size_may_hang_on_what_is_given_at_the_call():
         bound("apply_gas_load", ..., *args)
 
 
-def test_numbers_of_things_that_are_not_there_are_refused():
+def test_indices_of_items_that_are_not_there_are_refused():
     p = np.zeros((3, 3))
     for triangles in ([[0, 1, 3]], [[0, -1, 2]]):
         with pytest.raises(ValueError, match="kernel chamber_volume: invalid arguments"):
@@ -96,7 +96,7 @@ def test_codes_raise_what_they_mean():
         library.function(huge, None, None, None, 1.0, np.zeros(29).ctypes.data, empty.ctypes.data)
 
 
-def test_a_sheet_of_too_few_splines_is_refused():
+def test_a_membrane_of_too_few_splines_is_refused():
     """Two intervals made the kernel write before and behind its arrays."""
     design = load_sensor("dense")
     for spans in ((14, 2), (2, 10), (1, 1), (0, 10)):

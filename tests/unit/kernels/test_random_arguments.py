@@ -106,7 +106,7 @@ def within(rng, entry):
 
 
 @pytest.mark.parametrize("seed", range(DRAWS))
-def test_a_chain_with_drawn_settings_says_something(seed):
+def test_a_pipeline_with_sampled_settings_states_something(seed):
     images = membrane_images.sequence()
     sensing_pipeline = SensingPipeline(
         load_sensor("paper16"), settings=sampled(np.random.default_rng(seed))
@@ -124,7 +124,7 @@ def test_a_chain_with_drawn_settings_says_something(seed):
         assert "\n" not in str(error)
 
 
-def test_the_images_are_felt_as_what_they_are():
+def test_the_images_are_estimated_as_what_they_are():
     """The estimated forces equal the loads of the images, so that the random tests above cover real
     input.
 

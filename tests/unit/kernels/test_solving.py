@@ -75,7 +75,7 @@ def from_band(band, width):
 
 
 @pytest.mark.parametrize("law", list(Law))
-def test_sheet(law):
+def test_membrane(law):
     """The kernel's membrane equals numpy's to rounding of sums of some hundred products."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))

@@ -21,7 +21,7 @@ def rod(x):
     return QuasistaticMembrane.obstacle("capsule", (2e-3, 4e-3), (x, 0, 3.2e-3), LYING)
 
 
-def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(solver):
+def test_a_rod_is_held_with_the_fine_membrane_s_force_within_the_stated_error(solver):
     places = np.linspace(-1e-3, 1e-3, 8)
     fine = solver.refined_for(rod(0.0))
     # against 81 x 61 nodes: 0.277, 0.6 % off at any place
@@ -33,7 +33,7 @@ def test_a_rod_is_held_with_the_fine_film_s_force_within_what_is_said(solver):
     assert np.sum(np.array(off) > states[0].relative_force_error) <= 1  # "9 of 10"
 
 
-def test_doubt_is_of_the_narrowest_and_falls_with_the_grid(solver):
+def test_error_bound_is_of_the_narrowest_and_falls_with_the_grid(solver):
     ball, blade = solver.obstacle("sphere", (8e-3,)), solver.obstacle("box", (2e-4, 6e-3, 5e-3))
     assert solver.relative_force_error(ball) == pytest.approx(0.03 * solver.spacing / 2e-3)
     assert solver.relative_force_error([ball, blade]) == solver.relative_force_error(blade) > 0.2
@@ -48,7 +48,7 @@ def test_doubt_is_of_the_narrowest_and_falls_with_the_grid(solver):
     assert solver.solve(()).relative_force_error == 0.0
 
 
-def test_a_film_is_as_fine_as_what_presses_it_wants(solver):
+def test_a_membrane_is_as_fine_as_what_presses_it_needs(solver):
     assert solver.refined_for(solver.obstacle("sphere", (8e-3,)), within=0.03) is solver
     finer = solver.refined_for(rod(0.0))
     assert finer.grid == (41, 31)
@@ -59,7 +59,7 @@ def test_a_film_is_as_fine_as_what_presses_it_wants(solver):
     assert solver.refined_for(wire).relative_force_error(wire) > 0.03
 
 
-def test_a_corner_that_no_node_meets_is_no_force_without_doubt(solver):
+def test_a_corner_that_no_node_meets_is_no_force_without_uncertainty(solver):
     c, s = np.cos(0.4), np.sin(0.4)
     tilt = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
     blade = solver.obstacle("box", (1.5e-4, 4e-3, 0.01), R_SO=tilt)
@@ -76,7 +76,7 @@ def test_a_corner_that_no_node_meets_is_no_force_without_doubt(solver):
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (1e-3, 1e-3), (7e-4, 3e-4)])
-def test_a_tip_s_force_is_off_by_no_more_than_is_said(solver, at):
+def test_a_tip_s_force_is_off_by_no_more_than_stated(solver, at):
     top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
     tip = solver.obstacle("cone", (6e-3, 6e-3), (*at, top - 1e-3))
     coarse, fine = solver.solve(tip), solver.refined_for(tip, 0.0).solve(tip)
@@ -97,7 +97,7 @@ KINDS_WITH_A_LOWEST_PLACE = {
 
 
 @pytest.mark.parametrize("kind", KINDS_WITH_A_LOWEST_PLACE)
-def test_a_body_s_lowest_place_is_where_its_heights_are_least(solver, kind):
+def test_a_body_s_lowest_place_is_where_its_heights_are_smallest(solver, kind):
     turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
     body = solver.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), turn)
     low = lowest_point(body)
@@ -113,7 +113,7 @@ def test_a_body_s_lowest_place_is_where_its_heights_are_least(solver, kind):
         )
 
 
-def test_an_area_is_known_where_the_grid_tells_it(solver):
+def test_an_area_is_known_where_the_grid_determines_it(solver):
     top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
     lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
     ball = solver.solve(solver.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))

@@ -45,14 +45,14 @@ def ball(membrane, radius, at, height):
     )
 
 
-def test_rest_is_the_full_membrane_s(fine):
+def test_rest_is_the_complete_membrane_s(fine):
     # of the independent solution: 2.8699 mm, 1.68755 mL at 1 kPa; this grid is 0.04 and 0.25 % off, and falls with its square
     assert fine.rest.heights.max() == pytest.approx(2.8699e-3, rel=2e-3)
     assert fine.rest.volume == pytest.approx(1.68755e-6, rel=4e-3)
 
 
 @pytest.mark.parametrize("press", PRESSES)
-def test_a_ball_is_held_with_the_full_membrane_s_force(fine, press):
+def test_a_ball_is_held_with_the_complete_membrane_s_force(fine, press):
     radius, at, force, pressure, height = press
     state = fine.solve(ball(fine, radius, at, height))
     assert state.converged
@@ -74,7 +74,7 @@ def other_designs():
 
 
 @pytest.mark.parametrize("case", other_designs())
-def test_other_sheets_and_pressures_are_the_full_membrane_s(case):
+def test_other_membranes_and_pressures_are_the_complete_membrane_s(case):
     membrane = benchmarks.quasistatic._membrane(case, (41, 31))
     state = membrane.solve(benchmarks.quasistatic._body(membrane, case))
     # nodes are 1 mm apart, and the independent sheet's 0.5 mm
@@ -101,7 +101,7 @@ def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
     assert jump.force_normal == pytest.approx(state.force_normal, rel=2e-4)
 
 
-def test_a_film_goes_on_as_its_body_does(coarse):
+def test_a_membrane_goes_on_as_its_body_does(coarse):
     """With the trend, a body that moves on evenly wants half the steps, and one that turns back is
     met as well."""
     steps = {True: 0, False: 0}
@@ -162,7 +162,7 @@ def test_what_does_not_converge_is_no_number(coarse):
     assert again.converged.all()
 
 
-def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
+def test_a_batch_is_each_of_its_membranes_with_any_number_of_threads(coarse):
     obstacles = [[ball(coarse, 8, (k, -k), 9.5)] for k in range(5)]
     one, three = (coarse.solve_batch(obstacles, threads=threads) for threads in (1, 3))
     assert one.converged.all()
@@ -181,7 +181,7 @@ def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
         coarse.solve_batch(obstacles[:3], into=one)
 
 
-def test_a_film_that_went_to_another_process_is_the_same(coarse):
+def test_a_membrane_that_went_to_another_process_is_the_same(coarse):
     membrane = pickle.loads(pickle.dumps(coarse))
     body = ball(coarse, 8, (1, 2), 9.5)
     np.testing.assert_array_equal(membrane.solve(body).x, coarse.solve(body).x)

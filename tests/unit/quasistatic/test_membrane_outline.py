@@ -30,7 +30,7 @@ SHAPES = pytest.mark.parametrize("design", OUTLINES.values(), ids=OUTLINES)
 
 
 @SHAPES
-def test_the_sheet_rests_where_ritz_s_does(design):
+def test_the_membrane_rests_where_ritz_s_does(design):
     rest = QuasistaticMembrane(design, (41, 31), PRESSURE).rest
     # 0.05 % of the rectangle at this spacing; a staircase of held nodes moves the rim by half a spacing of 30
     height = inflated_height(design, PRESSURE)
@@ -129,7 +129,7 @@ def test_derivatives_are_differences(monkeypatch, name):
 
 
 @SHAPES
-def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
+def test_between_nodes_a_membrane_is_as_smooth_as_its_outline(design):
     """Between its nodes a coarse membrane agrees with a finer one, at random positions up to the
     rim."""
     outline = design.frame.outline
@@ -148,7 +148,7 @@ def test_between_nodes_a_sheet_is_as_smooth_as_its_outline(design):
     assert np.median(np.abs(coarse - fine)) < 1e-6
 
 
-def test_what_touches_the_round_rim_is_told():
+def test_what_touches_the_round_rim_is_reported():
     solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
     aside = HALF / np.sqrt(2)  # within the square about it, and over the rim
     ball = solver.obstacle("sphere", (5e-3,), p_SO=(aside, aside, 4e-3))
@@ -156,7 +156,7 @@ def test_what_touches_the_round_rim_is_told():
         solver.solve(ball)
 
 
-def test_a_film_that_was_put_away_knows_its_outline():
+def test_a_membrane_that_was_put_away_knows_its_outline():
     solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
     again = pickle.loads(pickle.dumps(solver))
     ball = solver.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))

@@ -33,7 +33,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_they_are_what_differences_say(monkeypatch, name):
+def test_they_are_what_differences_state(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # tolerance in m; differences are 1e-6

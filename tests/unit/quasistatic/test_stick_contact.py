@@ -35,7 +35,7 @@ DRAGGED = [
 
 
 @pytest.mark.parametrize(("radius", "depth", "along", "across"), DRAGGED)
-def test_a_sticking_patch_is_as_stiff_as_an_independent_sheet_holds_it(
+def test_a_sticking_patch_is_as_stiff_as_an_independent_membrane_holds_it(
     fine, radius, depth, along, across
 ):
     (patch,) = fine.patches(pressed(fine, radius, depth))
@@ -48,7 +48,7 @@ def test_a_sticking_patch_is_as_stiff_as_an_independent_sheet_holds_it(
     np.testing.assert_allclose(patch.stiffness[2, :2], 0, atol=1e-5 * scale)
 
 
-def test_a_film_that_moves_holds_a_patch_nearly_as_stiffly():
+def test_a_membrane_that_moves_holds_a_patch_nearly_as_stiffly():
     """It takes the stiffness of the sheet at rest, for all contacts."""
     coarse = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     sticking = Sticking(coarse)

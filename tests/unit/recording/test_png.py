@@ -29,7 +29,7 @@ def test_opencv_reads_what_was_written(pixels):
     assert read.dtype == np.uint8
 
 
-def test_chunks_are_as_the_format_says():
+def test_chunks_are_as_the_format_states():
     """Lengths and checksums by zlib, and the rows by its inflate."""
     pixels = RNG.integers(0, 256, (5, 7), np.uint8)
     data = png.encode(pixels)[8:]

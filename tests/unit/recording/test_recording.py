@@ -98,7 +98,7 @@ def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
         recording.column("phase")
 
 
-def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
+def test_all_that_is_estimated_comes_back_in_its_shape(tmp_path):
     """Wrench, slip and contact of every finger are read back in their shape; unknown values are NaN
     in that shape."""
     estimated = fake_touch(0.5, 0.0)
@@ -147,7 +147,7 @@ def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
 
 
 @pytest.mark.parametrize(("frames", "kept"), [(0, 0), (1, 10), (4, 3)])
-def test_frames_may_be_left_out_and_the_log_stays_whole(tmp_path, frames, kept):
+def test_frames_may_be_left_out_and_the_log_stays_complete(tmp_path, frames, kept):
     with Recorder(tmp_path, {}, frames=frames) as recorder:
         for i in range(10):
             recorder.add(fake_cycle(i))
@@ -281,7 +281,7 @@ def test_a_process_without_descriptors(tmp_path, caplog):
     assert "Too many open files" in reported
 
 
-def test_a_notebook_that_contains_itself(tmp_path, caplog):
+def test_a_memory_that_contains_itself(tmp_path, caplog):
     memory = {}
     memory["me"] = memory
     recorder = Recorder(tmp_path, {})

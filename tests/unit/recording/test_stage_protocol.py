@@ -51,7 +51,7 @@ def test_what_is_wrong_is_named(tmp_path, text, message):
         read_moves(tmp_path / "p.csv")
 
 
-def test_a_person_is_told_what_to_do():
+def test_a_person_is_instructed_what_to_do():
     assert describe(Move(1.0, 2e-3, 1e-3, 5e-3)) == (
         "1 s: move to 2 mm below the first contact, 1 mm along x, at 5 mm/s"
     )

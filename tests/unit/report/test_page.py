@@ -57,7 +57,7 @@ def write(folder, cycles, summary=SUMMARY, view=None):
     return found, json.loads(found.scripts[0]) if found.scripts else None
 
 
-def test_the_page_says_what_the_recording_says(tmp_path):
+def test_the_page_states_what_the_recording_states(tmp_path):
     cycles = write_fake_recording(tmp_path, count=60)
     found, data = write(tmp_path, cycles, view=FakeScene(2))
     recording = load_recording(tmp_path)
@@ -96,7 +96,7 @@ def test_the_page_says_what_the_recording_says(tmp_path):
     assert (tmp_path / "summary.html").stat().st_size < 3e6
 
 
-def test_pictures_and_membranes_are_those_of_their_time(tmp_path):
+def test_images_and_membranes_are_those_of_their_time(tmp_path):
     # not the same from any two sides
     lopsided = 1 + 0.05 * np.arange(17)[:, None] + 0.02 * np.arange(21)
     cycles = [
@@ -176,7 +176,7 @@ def test_a_run_without_images_without_touch_or_without_a_cycle(tmp_path):
         assert ("no image was kept" if cycles else "ended before the first cycle") in found.text
 
 
-def test_a_recording_that_was_not_kept_whole_is_shown_as_far_as_it_goes(tmp_path):
+def test_a_recording_that_was_not_kept_complete_is_shown_as_far_as_it_goes(tmp_path):
     cycles = [fake_cycle(k) for k in range(10)]
     with Recorder(tmp_path, {}, frames=3) as recorder:
         for cycle in cycles:

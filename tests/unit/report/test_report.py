@@ -48,7 +48,7 @@ def render(folder, snapshot, scene=None):
 
 
 @pytest.mark.parametrize("break_force", [0.9, 2.5, None])
-def test_a_whole_run(tmp_path, break_force):
+def test_a_complete_run(tmp_path, break_force):
     cycles = write_fake_recording(tmp_path, count=60)
     recording = load_recording(tmp_path)
     recording.notes["break_force_N"] = break_force
@@ -69,7 +69,9 @@ def test_a_run_without_a_cycle(tmp_path):
 
 
 @pytest.mark.parametrize("alive", [True, False])
-def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_missed(tmp_path, alive):
+def test_a_process_beside_the_run_renders_the_same_and_one_that_ended_is_not_missed(
+    tmp_path, alive
+):
     cycles = write_fake_recording(tmp_path, count=20)
     shots = []
     with figure_writer_process() as beside:
@@ -88,7 +90,7 @@ def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_misse
     assert shots[0] == shots[1]
 
 
-def test_without_room_for_a_process_it_is_drawn_here(tmp_path, monkeypatch):
+def test_without_room_for_a_process_it_is_rendered_here(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise BlockingIOError("no more processes")
 
@@ -99,7 +101,7 @@ def test_without_room_for_a_process_it_is_drawn_here(tmp_path, monkeypatch):
     assert (tmp_path / "summary.png").exists()
 
 
-def test_what_the_process_fails_with_is_said_here(tmp_path):
+def test_what_the_process_fails_with_is_reported_here(tmp_path):
     write_fake_recording(tmp_path, count=3)
     with figure_writer_process() as beside, pytest.raises(FileNotFoundError, match="no/such"):
         beside(tmp_path / "no/such/summary.png", load_recording(tmp_path), None, SUMMARY)
@@ -119,7 +121,7 @@ def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():
     assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0
 
 
-def test_a_run_that_felt_nothing_known(tmp_path):
+def test_a_run_that_estimated_nothing_known(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         for i in range(3):
             recorder.add(fake_cycle(i, force=np.nan))

@@ -63,7 +63,7 @@ def test_the_scene_is_beside_it(tmp_path, recording):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_small_films(tmp_path, recording, suffix):
+def test_small_videos(tmp_path, recording, suffix):
     result = write_video(tmp_path / f"film{suffix}", recording)
     assert (tmp_path / f"film{suffix}").stat().st_size > 1000 and result["frames"] > 15
     if suffix == ".gif":  # PyAV does not read an animated WebP
@@ -74,7 +74,7 @@ def test_small_films(tmp_path, recording, suffix):
         )
 
 
-def test_nothing_but_its_own_film_is_overwritten(tmp_path, recording, capsys):
+def test_nothing_but_its_own_video_is_overwritten(tmp_path, recording, capsys):
     quasistatic = tmp_path / "film.mp4"
     words = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
     assert main([*words, str(quasistatic)]) == 0
@@ -96,7 +96,7 @@ def test_nothing_but_its_own_film_is_overwritten(tmp_path, recording, capsys):
         assert (tmp_path / name).read_bytes() == before
 
 
-def test_bad_input_is_said(tmp_path, recording):
+def test_bad_input_is_reported(tmp_path, recording):
     with pytest.raises(InputError, match="is not a supported video format"):
         write_video(tmp_path / "film.avi", recording)
     with pytest.raises(InputError, match="ends after"):

@@ -187,7 +187,7 @@ def test_a_changed_object_weighs_and_measures_what_it_should(name):
     np.testing.assert_allclose(shapes[1], 1.1 * shapes[0], atol=1e-12)
 
 
-def test_the_world_is_as_drawn_and_sensing_does_not_know():
+def test_the_world_is_as_sampled_and_sensing_does_not_know():
     world = sample_world("default", 3, DESIGN, FILE)
     rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), sampled=world)
     try:
@@ -219,7 +219,7 @@ def test_missing_markers_are_not_seen():
     )
 
 
-def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
+def test_a_sealed_rigid_chamber_warms_as_the_gas_law_states():
     """p / T is constant at a constant volume: 3 K of 293.15 in 30 s, in steps, with and without an
     exchange of heat."""
     for chamber in (Chamber(0.02), Chamber(0.02, polytropic_exponent=1.4, heat_exchange=1.0)):

@@ -85,7 +85,7 @@ def test_a_json_without_a_scenario_and_another_suffix(tmp_path):
         load_scenario(tmp_path / "other.txt")
 
 
-def test_files_are_looked_for_beside_the_scenario_first(tmp_path, monkeypatch):
+def test_files_are_searched_beside_the_scenario_first(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     for folder in (tmp_path, tmp_path / "here"):
         (folder / "mine.py").write_text("")
@@ -243,7 +243,7 @@ def step(observation):
 @pytest.mark.parametrize(
     "fingers", [("left",), pytest.param(("left", "right"), marks=pytest.mark.slow)]
 )
-def test_a_run_says_its_fingers_own_sensors_and_is_felt_again_with_them(
+def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     tmp_path, monkeypatch, capsys, fingers
 ):
     """The summary of such a recording once failed: the chain of another sensor found few of its

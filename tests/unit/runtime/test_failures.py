@@ -47,7 +47,7 @@ def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
 @pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
-def test_a_step_that_eats_the_memory_is_refused_and_the_hand_goes_down(greedy):
+def test_a_step_that_eats_the_memory_is_refused_and_the_gripper_goes_down(greedy):
     """A step that uses up the memory is rejected, and the gripper goes down.
 
     The step gets less than one of 16 GB: to allocate them all would stop the loop for seconds. The
@@ -168,7 +168,7 @@ def test_a_retreat_that_cannot_be_sent_is_the_end():
     assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)
 
 
-def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
+def test_a_memory_that_cannot_be_written_is_reported_once_and_the_grasp_goes_on():
     """Controller memory that cannot be written is reported once, and the grasp continues.
 
     Recorders and viewers get plain values; the controller keeps its own.
@@ -267,7 +267,7 @@ def test_a_controllers_module_state_and_its_thread_last_for_the_run():
 
 
 @pytest.mark.parametrize("phase", ["done", "abort"])
-def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
+def test_a_controller_that_ends_with_the_gripper_in_the_air(phase):
     world = World()
     controller = SimpleNamespace(
         path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase)
@@ -281,7 +281,7 @@ def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
     assert last.phase == phase and world.has_set_down()
 
 
-def test_who_is_told_of_a_cycle_and_fails():
+def test_an_observer_of_a_cycle_that_fails():
     def act():
         raise OSError("no space left")
 
@@ -291,7 +291,7 @@ def test_who_is_told_of_a_cycle_and_fails():
     assert len(cycles) == len(world.sent)  # and it receives every other one
 
 
-def test_a_chain_that_fails():
+def test_a_pipeline_that_fails():
     def perceive(image, now, reading=None):
         if image.time > 0.2:
             raise ValueError("singular matrix")

@@ -43,7 +43,7 @@ def closed(tmp_path_factory):
     return line, folder
 
 
-def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
+def test_a_flag_is_in_the_line_the_recording_and_the_export(closed):
     line, folder = closed
     edge = line["flags"]["sharp_edge"]
     assert "a sharp edge is in contact" in edge["reason"]
@@ -57,7 +57,7 @@ def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
     assert Exported(folder / "recording").facts["notes"]["flags"] == line["flags"]
 
 
-def test_a_doubt_is_on_the_pages_and_the_command_prints_it(closed, capsys):
+def test_a_flag_is_on_the_pages_and_the_command_prints_it(closed, capsys):
     line, folder = closed
     assert main(["summary", str(folder), "--out", str(folder / "one.html")]) == 0
     edge = read_flags(line["flags"])["sharp_edge"]
@@ -74,7 +74,7 @@ def _report(line):
 
 
 @pytest.mark.slow
-def test_a_doubt_is_in_what_grasp_says(closed, tmp_path, capsys):
+def test_a_flag_is_in_what_grasp_states(closed, tmp_path, capsys):
     line, folder = closed
     options = [f"--{key}={value}" for key, value in SCENE.items()]
     controller = f"--controller={folder / 'closes.py'}"
@@ -86,7 +86,7 @@ def test_a_doubt_is_in_what_grasp_says(closed, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_an_environment_says_its_doubts_and_forgets_them_with_the_episode():
+def test_an_environment_states_its_flags_and_forgets_them_with_the_episode():
     close = np.array([-1.0, 0.0, -0.9], np.float32)
     with gymnasium.make(mjtactile.gym.ID, **SCENE) as env:
         _, info = env.reset(seed=0)
@@ -97,7 +97,7 @@ def test_an_environment_says_its_doubts_and_forgets_them_with_the_episode():
         assert env.reset(seed=1)[1]["flags"] == {}
 
 
-def test_notes_are_taken_when_doubts_grow_and_at_the_end():
+def test_notes_are_taken_when_flags_grow_and_at_the_end():
     flags = {}
     noted = []
 

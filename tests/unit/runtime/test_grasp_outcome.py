@@ -42,7 +42,7 @@ def cycle(touch: Touch, command: Command) -> Any:
         (UNKNOWN, 0.04, "abort", "dropped"),
     ],
 )
-def test_who_ends_with_the_hand_up_has_not_set_down(touch, height, phase, outcome):
+def test_a_controller_that_ends_with_the_gripper_up_has_not_set_down(touch, height, phase, outcome):
     log = _Log(Observer(), None, None)
     log.add(cycle(HELD, Command(0.05, 4.0, 0.04, "hold")))
     log.add(cycle(touch, Command(0.05, 4.0, height, phase)))

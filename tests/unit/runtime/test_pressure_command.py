@@ -66,7 +66,7 @@ def run_air(world, valve, step, limits=AIR):
     return control_loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
 
 
-def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone():
+def test_air_starts_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone():
     valve = Chamber()
     world = World()
     world.lift = 0.0
@@ -95,7 +95,7 @@ def test_air_begins_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone(
         ((math.nan,), AIR, "nan is not a finite number"),
     ],
 )
-def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_hand_goes_down(
+def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_gripper_goes_down(
     pressures, limits, message
 ):
     world = World()

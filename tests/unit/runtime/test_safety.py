@@ -126,7 +126,7 @@ def test_a_leak_is_found_by_shape_without_a_sensor(supervisor):
     assert "has sunk" in supervisor.reason
 
 
-def test_the_jaws_open_only_when_the_hand_is_down_as_far_as_the_gripper_says(supervisor):
+def test_the_jaws_open_only_when_the_gripper_is_down_as_far_as_the_gripper_states(supervisor):
     """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
     supervisor.make_safe("a fault", 0.0)
     last = LAST
@@ -139,7 +139,7 @@ def test_the_jaws_open_only_when_the_hand_is_down_as_far_as_the_gripper_says(sup
     assert opened == pytest.approx(0.02 / RETREAT_SPEED + 1.0, abs=2 * PERIOD)
 
 
-def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supervisor):
+def test_the_jaws_open_at_once_when_the_gripper_has_come_down_with_its_command(supervisor):
     supervisor.make_safe("a fault", 0.0)
     last = LAST
     while last.opening == LAST.opening:
@@ -159,7 +159,7 @@ def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supe
     ],
     ids=["empty", "holds", "blind", "no other place", "it stood", "stood and is held again"],
 )
-def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
+def test_an_empty_gripper_over_the_place_it_was_given_is_not_driven_into_it(
     supervisor, place, touch, stood, lands
 ):
     rig = SimpleNamespace(goal=TaskGoal(place_height=place))
@@ -217,7 +217,7 @@ def test_when_nothing_obeys_the_run_ends_at_once():
     )
 
 
-def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
+def test_a_controller_that_fails_is_asked_no_more_and_the_gripper_retreats_first():
     """A failed controller is not called again, and the gripper retreats before it opens.
 
     To open immediately would drop an object held in the air.
@@ -289,7 +289,7 @@ def test_forces_that_are_gone_verify_what_no_gripper_measures():
 
 
 @pytest.mark.parametrize(("limit", "opens_with"), [(0.0, 4.0), (None, 4.0), (6.0, 6.0)])
-def test_a_hand_that_grips_softly_has_the_force_to_open(limit, opens_with):
+def test_a_gripper_that_grips_softly_has_the_force_to_open(limit, opens_with):
     _, sent = retreat(lambda goal: goal, last=replace(LAST, force_limit=limit))
     assert sent[-1].force_limit == opens_with
 
@@ -299,7 +299,7 @@ def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
     assert {one.force_limit for one in sent if one.opening < LAST.opening + 0.005} == {1.0}
 
 
-def test_a_hand_high_up_has_the_time_to_come_down():
+def test_a_gripper_high_up_has_the_time_to_come_down():
     """A gripper high up comes down before it opens.
 
     5 s are 0.15 m: from a greater height the held object was dropped.
@@ -319,7 +319,7 @@ def retreat_from(height):
     return supervisor, sent
 
 
-def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
+def test_a_gripper_that_is_measured_in_the_air_has_not_landed(supervisor):
     """A lift that lags: its command is down, the hand is not."""
     up = GripperState(0.06, 0.0, 0.0, 0.02)
     cycle = SimpleNamespace(
@@ -334,7 +334,7 @@ def test_a_hand_that_is_measured_in_the_air_has_not_landed(supervisor):
     assert not control_loop._has_landed(cycle) and supervisor.state == "safe"  # type: ignore[arg-type]
 
 
-def test_stuck_jaws_after_a_controller_that_raises_are_said_and_recorded():
+def test_stuck_jaws_after_a_controller_that_raises_are_reported_and_recorded():
     facts = {}
     reported = []
 

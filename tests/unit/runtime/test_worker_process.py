@@ -48,7 +48,7 @@ def test_an_answer_needs_no_memory(ends):
     np.testing.assert_array_equal(one.receive(1.0)[0], np.arange(20000))
 
 
-def test_what_is_closed_can_be_asked_nothing_and_says_so_as_a_lost_end_does():
+def test_what_is_closed_can_be_asked_nothing_and_reports_it_as_a_lost_end_does():
     ours, its = socket.socketpair()
     with its:
         one = Channel(ours, lent=mmap.mmap(-1, ROOM))

@@ -105,7 +105,7 @@ def test_modes_are_what_a_changed_camera_shows():
     assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
 
 
-def test_what_images_tell_of_a_camera_adds_up():
+def test_what_images_determine_of_a_camera_adds_up():
     """The filter's camera estimate equals one least-squares fit of all images.
 
     The rows (n, MODES) of each image observe a constant camera, and a size jitter that is
@@ -156,7 +156,7 @@ def test_overexposed_references_are_refused(sensor):
 @pytest.mark.parametrize(
     "left", [np.zeros((MODES, MODES)), 1e9 * np.eye(MODES), np.nan * np.eye(MODES)]
 )
-def test_an_image_that_breaks_the_numbers_tells_nothing_of_the_camera(left):
+def test_an_image_that_breaks_the_numbers_determines_nothing_of_the_camera(left):
     """A covariance that is singular, grows, or is no number: the belief stays, and the loop runs."""
     before = CameraDriftFilter.unseen(DEFAULTS.inverse)
     after = before.updated(np.ones(MODES), left, before.root, 1.0)

@@ -119,7 +119,7 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     assert shape.area == pytest.approx(np.pi * radius**2, rel=0.6e-3 / radius)
 
 
-def test_nothing_is_said_of_what_does_not_touch(sensor):
+def test_nothing_is_reported_of_what_does_not_touch(sensor):
     pipeline, state, _ = sensor
     still = touch_of(sensor, pipeline.inverse.positions(state.reference.rest.c))
     shape = shape_of(sensor, still)
@@ -165,7 +165,7 @@ def fine_membrane():
     return QuasistaticMembrane(load_sensor("dense"), (81, 61))
 
 
-def test_a_press_is_followed_for_some_films_an_image(sensor, fine_membrane, monkeypatch):
+def test_a_press_is_followed_for_some_solutions_an_image(sensor, fine_membrane, monkeypatch):
     """A contact episode takes a few membrane solutions per image.
 
     At constant depth this is one or two. The first image, with the likely shape models, takes about
@@ -249,7 +249,7 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
 
 
-def test_what_is_sharp_is_no_doubt_where_a_body_explains_it(sensor, cases):
+def test_what_is_sharp_is_no_warning_where_a_body_explains_it(sensor, cases):
     """The uncertainty from sharpness vanishes where a shape explains it.
 
     The shape does not determine the shear: its variance is the remainder of the nodal one's.
@@ -299,7 +299,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     assert taken(s) - taken(lower) == pytest.approx(by_height, abs=1e-6 * 0.05)
 
 
-def test_what_presses_the_sheet_below_its_frame_beside_it_is_in_doubt(sensor):
+def test_what_presses_the_membrane_below_its_frame_beside_it_is_uncertain(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
     membranes = sensor[2].forward
     frame = membranes.membrane.design.frame
@@ -361,7 +361,7 @@ class KnownMotion:
         return Found(self.shape, None, None)
 
 
-def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
+def test_the_pipeline_detects_a_body_that_turns_on_the_spot(sensor):
     """A shape that turns on the spot makes the chain report slip.
 
     Its center of pressure is constant: only the shape's motion shows the slip.
@@ -378,7 +378,7 @@ def test_the_chain_hears_of_a_body_that_turns_on_the_spot(sensor):
         assert after.slip.distance == estimated.slip.distance
 
 
-def test_rubber_that_turns_and_goes_is_told_apart():
+def test_rubber_that_turns_and_goes_is_distinguished():
     """A rigid motion of the nodes, any weights."""
     rng = np.random.default_rng(1)
     weight = rng.random(30)
@@ -394,7 +394,7 @@ def test_rubber_that_turns_and_goes_is_told_apart():
     assert rubber.twist == pytest.approx(angle, rel=1e-3)  # 2 tan(angle / 2)
 
 
-def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
+def test_a_press_checks_again_for_families_that_were_close_alone(sensor, cases):
     """A contact episode tries dropped shape models again only if they were close.
 
     A model that was behind by more than the tenth power of e when it was dropped is not tried.
@@ -408,7 +408,7 @@ def test_a_press_looks_again_for_families_that_were_close_alone(sensor, cases):
     assert {family.name for family in near} == {best.family.name, "disc"}
 
 
-def test_a_followed_fit_that_is_stuck_is_looked_at_before_all_families(sensor, cases, monkeypatch):
+def test_a_followed_fit_that_is_stuck_is_checked_before_all_families(sensor, cases, monkeypatch):
     """A fit that ends far off the markers, from where a look finds the ball again."""
     touch = touch_of(sensor, layout_places(cases[2]))
     alone = follow(sensor, [touch, touch])[1]

@@ -73,7 +73,7 @@ def test_dots_beside_a_bright_window_are_found(size):
     assert np.abs(nearer[:, 2] / [c.p_C[2] for c in circles] - 1).max() < 0.014
 
 
-def test_a_picture_in_black_and_white_only():
+def test_an_image_in_black_and_white_only():
     """Circles in a thresholded image are found, and their uncertainty includes the staircase edges.
 
     The half pixel of the edges leaves 0.05 px of radius.
@@ -144,7 +144,7 @@ def cut_discs(radius, cuts, seed=5):
 
 
 @pytest.mark.parametrize("radius", [6.0, 9.0, 14.0])
-def test_cut_discs_are_refused_and_whole_ones_are_not(radius):
+def test_cut_discs_are_refused_and_complete_ones_are_not(radius):
     image, centers, cut = cut_discs(radius, [0.0, 0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6])
     found, _, deformed = detect_thoroughly(image)
     good = found.center_px[found.status == "ok"]

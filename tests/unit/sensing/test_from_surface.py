@@ -47,7 +47,7 @@ def pressed(membrane, at, radius, depth):
     ("at", "radius", "depth"),
     [((0, 0), 8e-3, 3e-3), ((0, 0), 20e-3, 2e-3), ((4e-3, 3e-3), 6e-3, 2.5e-3)],
 )
-def test_force_is_the_films(membrane, at, radius, depth):
+def test_force_is_the_membranes(membrane, at, radius, depth):
     state = pressed(membrane, at, radius, depth)
     seen = points_of(membrane, state)
     # camera errors: 10 um, as of a depth camera for so small an object

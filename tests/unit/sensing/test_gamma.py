@@ -41,7 +41,7 @@ def depth_errors(found):
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_gamma_is_told_by_the_circles_and_undone(gamma):
+def test_gamma_is_identified_by_the_circles_and_undone(gamma):
     image = encoded(gamma)
     known = detect_circles(image, CAMERA, R, gamma=gamma)
     identified = detect_circles(image, CAMERA, R, gamma="auto")
@@ -55,7 +55,7 @@ def test_gamma_is_told_by_the_circles_and_undone(gamma):
     assert np.abs(error).max() < 0.2 and (normal**2).mean() < 2
 
 
-def test_a_wrong_gamma_is_said_and_in_the_error_bars():
+def test_a_wrong_gamma_is_reported_and_in_the_error_bars():
     found = detect_circles(encoded(2.2), CAMERA, R)
     error, normal = depth_errors(found)
     assert error.mean() > 0.3  # dark circles look small and far away
@@ -64,7 +64,7 @@ def test_a_wrong_gamma_is_said_and_in_the_error_bars():
     assert overcorrected.nonlinear and depth_errors(overcorrected)[0].mean() < -0.3
 
 
-def test_nothing_is_said_where_there_is_too_little_to_tell():
+def test_nothing_is_reported_where_there_is_too_little_information():
     """A sharp image has no grey levels between; fewer than six circles do not count; nor does a
     clipped ground."""
     assert np.isnan(detect_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)

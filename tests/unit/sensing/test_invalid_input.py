@@ -52,7 +52,7 @@ def test_markers_that_are_none_or_nowhere_are_no_reference(sensing_pipeline, fla
 
 
 @pytest.mark.parametrize("pressure", [None, np.nan, np.inf, "1000"])
-def test_what_is_no_pressure_is_said(sensing_pipeline, flat, pressure):
+def test_what_is_no_pressure_is_reported(sensing_pipeline, flat, pressure):
     with pytest.raises(InputError, match=r"gauge_pressure: .* is not a (number|pressure in Pa)"):
         sensing_pipeline.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
@@ -64,7 +64,7 @@ def test_a_pressure_that_nothing_holds_is_refused(sensing_pipeline, flat, pressu
 
 
 @pytest.mark.parametrize("young", [np.nan, np.inf])
-def test_a_stiffness_that_is_not_finite_is_said(flat, young):
+def test_a_stiffness_that_is_not_finite_is_reported(flat, young):
     design = replace(DESIGN, membrane=replace(DESIGN.membrane, young=young))
     with pytest.raises(MjtactileError, match="stiffness is not finite"):
         SensingPipeline(design).measure_rest_reference(
@@ -72,7 +72,7 @@ def test_a_stiffness_that_is_not_finite_is_said(flat, young):
         )
 
 
-def test_touch_without_markers_says_so(sensing_pipeline, flat):
+def test_touch_without_markers_reports_it(sensing_pipeline, flat):
     rest = sensing_pipeline.measure_rest_reference(
         flat, membrane_images.sequence().rest, membrane_images.GAUGE
     )
@@ -83,7 +83,7 @@ def test_touch_without_markers_says_so(sensing_pipeline, flat):
     assert np.isnan(touch.force_normal)
 
 
-def test_a_radius_that_is_no_number_is_said():
+def test_a_radius_that_is_no_number_is_reported():
     ellipses = detect(membrane_images.sequence().flat[0])
     for radius in ("x", None, [1e-3, "x"], object()):
         with pytest.raises(InputError, match="radius: "):

@@ -83,7 +83,7 @@ def test_it_recovers_within_an_image(clean, table):
             assert abs(touch.force_normal - requested.force_normal) < 0.03
 
 
-def test_what_has_changed_is_said():
+def test_what_has_changed_is_reported():
     """The reported camera change is right.
 
     It comes from position and size of ten circles, each measured to 0.005 px, 290 px from the
@@ -144,7 +144,7 @@ def estimate_after_loss(sensor, fraction, load):
 
 @pytest.mark.parametrize("load", [0.0, 0.4])
 @pytest.mark.parametrize("fraction", [0.01, 0.03])
-def test_gas_that_is_lost_without_a_gauge_is_told_from_the_camera(fraction, load):
+def test_gas_that_is_lost_without_a_gauge_is_distinguished_from_the_camera(fraction, load):
     """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
     the first image after the loss is right; without, 3 % are half a newton."""
     for off, sd in estimate_after_loss(SENSOR, fraction, load):
@@ -194,7 +194,7 @@ def test_without_fiducials_the_camera_is_where_it_was_last(clean):
 @pytest.mark.parametrize(
     ("hidden", "level"), [((), "ok"), ((2,), "warn"), (tuple(range(8)), "bad")]
 )
-def test_doctor_says_how_many_are_seen_and_where_they_stand(hidden, level):
+def test_doctor_reports_how_many_are_seen_and_where_they_stand(hidden, level):
     """`doctor` reports the number of detected fiducials, their shift and their size.
 
     The image is shifted by 4 px and -3 px and is 1 % larger. Circle centers and lens leave half a

@@ -317,7 +317,7 @@ def test_4k_image():
     ],
     ids=["lens", "pane"],
 )
-def test_lens_and_pane(camera):
+def test_lens_and_glass(camera):
     circles = marker_scenes.random_circles(camera, np.random.default_rng(5))
     error, _ = errors(marker_scenes.image(camera, circles), circles, camera)
     assert error.max() < 0.06e-3  # as without: the noise's worst of 16

@@ -34,7 +34,7 @@ def loaded(*forces, **more):
     return replace(AT_REST, force=np.array(forces, dtype=float).T, **more)
 
 
-def test_shares_are_of_the_force_and_torques_have_a_lever():
+def test_fractions_are_of_the_force_and_torques_have_a_lever():
     estimated = loaded([0.0, 0.0, -2.0], [0.0, 0.0, 0.0])
     assert sd(estimated, sparse=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
         [0.2, 0.2, 0.4, 0.6 * 3e-3, 0.6 * 3e-3, 0.8 * 3e-3]
@@ -43,13 +43,13 @@ def test_shares_are_of_the_force_and_torques_have_a_lever():
     assert sd(estimated, sparse, sparse=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
 
 
-def test_shear_that_cancels_itself_is_doubted_all_the_same():
+def test_shear_that_cancels_itself_is_uncertain_all_the_same():
     estimated = loaded([0.5, 0.0, 0.0], [-0.5, 0.0, 0.0])
     assert sd(estimated, lateral=(0.1, 0.0, 0.0, 0.0))[:2] == pytest.approx([0.1, 0.1])
 
 
 @pytest.mark.parametrize(("excess", "factor"), [(0.6, 0.0), (1.0, 0.0), (5.0, 2.0), (1e3, 19**0.5)])
-def test_shear_of_edges_that_catch_the_sheet_is_doubted_and_that_of_smooth_bodies_is_not(
+def test_shear_of_edges_that_catch_the_membrane_is_uncertain_and_that_of_smooth_bodies_is_not(
     excess, factor
 ):
     """Shear of edges that catch the membrane adds uncertainty, shear of smooth shapes does not.
@@ -102,7 +102,7 @@ def test_what_is_sharp_counts_up_to_a_limit():
     assert estimated == pytest.approx([0.05, 0.2, 0.2])
 
 
-def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_sides():
+def test_what_a_body_explains_is_sharpness_and_what_is_dragged_to_it_from_all_sides():
     """A shape explains the parts `sharp` and `caught`, and `lateral` for shear and spin; the rest
     of the variance remains."""
     estimated = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)
@@ -121,7 +121,7 @@ def test_what_a_body_explains_is_sharpness_and_what_is_drawn_to_it_from_all_side
     assert left[others] == pytest.approx(sd(estimated, **alone)[others] ** 2)
 
 
-def test_a_sheet_that_moves_sideways_drags():
+def test_a_membrane_that_moves_sideways_drags():
     """The simulated sheet's own drag: damping of 81 s/m^2 times its stiffness, on every m^2,
     against the frame."""
     estimated = replace(AT_REST, velocity=np.array([0.01, 0.0, 0.02]))
@@ -139,5 +139,5 @@ def test_a_wrench_that_changes_is_known_less():
     )
 
 
-def test_nothing_felt_is_not_doubted():
+def test_no_contact_is_not_uncertain():
     assert np.all(ModelErrorVariance(DENSE, NODES).variance(AT_REST) == 0.0)

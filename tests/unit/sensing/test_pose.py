@@ -107,7 +107,7 @@ def test_face_on_circle_is_harmless():
         (PANE, 4e-6),
     ],
 )
-def test_through_lens_and_pane(camera, bound):
+def test_through_lens_and_glass(camera, bound):
     p, n = random_poses(np.random.default_rng(1), 300, (5, 45))
     uv = optics.project(camera, rims(p, n, 256))
     center, shape = geometric_ellipses(uv)

@@ -39,7 +39,7 @@ def right(found, circles):
     return dot[0] > dot[1], found.sure[ok]
 
 
-def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
+def test_neighbours_on_a_membrane_decide_even_for_the_more_tilted_pose():
     """At the image's edges the right pose of a tilted sheet is often the one that is more tilted to
     the camera's axis."""
     for slope, bend in (((0.5, 0.3), 0.0), ((-0.2, 0.4), 15.0)):

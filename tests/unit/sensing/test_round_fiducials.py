@@ -63,7 +63,7 @@ def touches(path, change=lambda image: image):
 
 
 @pytest.mark.slow
-def test_a_knocked_camera_is_known(path):
+def test_a_shifted_camera_is_known(path):
     table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
     shifted = FaultyImage(from_table(CameraFaults, table, "test"))
     for now, then in zip(touches(path, shifted), touches(path), strict=True):

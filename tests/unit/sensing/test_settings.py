@@ -30,7 +30,7 @@ def stages():
     return [value for value in vars(DEFAULTS).values() if dataclasses.is_dataclass(value)]
 
 
-def test_every_number_says_what_it_is_and_where_it_comes_from():
+def test_every_number_states_what_it_is_and_where_it_comes_from():
     for owner in (DEFAULTS, *stages()):
         for field in dataclasses.fields(owner):
             if not dataclasses.is_dataclass(getattr(owner, field.name)):
@@ -69,7 +69,7 @@ def test_overriding_leaves_the_defaults_and_all_others_alone():
     )
 
 
-def test_a_chain_works_with_what_it_is_given():
+def test_a_pipeline_works_with_what_it_is_given():
     sensing_pipeline = SensingPipeline(
         load_sensor("paper16"),
         settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}),

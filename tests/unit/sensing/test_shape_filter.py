@@ -57,7 +57,7 @@ def marginal(J, own, place):
 
 
 @pytest.mark.parametrize("k2", [100.0, 180.0])
-def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
+def test_estimates_add_up_and_differ_as_normal_distributions_do(k2):
     rng = np.random.default_rng(0)
     common = ShapeFilter.of(BALL)
     means, variances = [], []
@@ -77,7 +77,7 @@ def test_looks_add_up_and_differ_as_normal_distributions_do(k2):
     assert common.drift == pytest.approx(off, rel=1e-4)
 
 
-def test_one_look_does_not_drift():
+def test_one_image_does_not_drift():
     fit, _ = estimate_of(100.0, np.random.default_rng(1).normal(size=(81, 4)))
     assert ShapeFilter.of(BALL).with_observation(fit).drift == 0.0
 

@@ -43,7 +43,7 @@ def test_a_short_step_is_gauss_newton_s_and_promises_what_it_gains(seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_long_step_stays_where_films_are_straight(seed):
+def test_a_long_step_stays_where_membranes_are_straight(seed):
     """Bounds as written in stepping.py; nearly as good as the best step within them."""
     step, rows, sides = asked(30.0, seed)
     maximum = np.array([1.5, 1.5, 0.5, 0.6 * 100.0]) / BALL.sd

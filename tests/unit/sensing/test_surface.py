@@ -263,7 +263,7 @@ def test_a_normal_that_is_the_wrong_one_of_two_does_no_harm():
     assert rms(spline.surface(), shape) < 1.1 * rms(fitter.fit(markers), shape)
 
 
-def test_few_bad_and_no_markers_are_said():
+def test_few_bad_and_no_markers_are_reported():
     design = load_sensor("dense")
     shape = Cosine()
     fitter = SurfaceFitter(design)

@@ -36,7 +36,7 @@ def blend(design, fraction, **how):
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("fraction", [0.3, 0.5, 0.8])
-def test_the_share_of_the_last_picture_is_found(sensor, fraction):
+def test_the_fraction_of_the_last_image_is_found(sensor, fraction):
     """Five sd: one sd of a correlation is 1 over the root of 20 pictures' 60 or 13 markers' three
     coordinates, and half of the share's."""
     design = load_sensor(sensor)
@@ -47,7 +47,7 @@ def test_the_share_of_the_last_picture_is_found(sensor, fraction):
 
 
 @pytest.mark.parametrize("missing", [(), (3, 40)])
-def test_pictures_of_their_own_do_not_lag(missing):
+def test_images_of_their_own_do_not_lag(missing):
     assert blend(load_sensor("dense"), 0.0, missing=missing).images == 0.0
 
 
@@ -68,7 +68,7 @@ def test_what_moves_is_no_lag():
     assert found.fraction == pytest.approx(0.5, abs=0.15)
 
 
-def test_what_lags_is_as_doubtful_as_it_changes():
+def test_what_lags_is_as_uncertain_as_it_changes():
     """With a lag of one image, a change of 0.1 N since the last image adds 0.25 N of
     uncertainty."""
     design = load_sensor("dense")

@@ -64,7 +64,7 @@ def traction(force, sd=5e-3):
 # --------------------------------------------------------------------------------
 
 
-def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
+def test_noise_is_learnt_and_a_light_touch_is_estimated_and_released():
     rng = np.random.default_rng(0)
     last = None
     for k in range(200):
@@ -162,7 +162,7 @@ def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
     assert abs(np.mean(estimated[64:80])) < 5e-3  # warmth alone is followed
 
 
-def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
+def test_zero_is_frozen_in_contact_and_a_lost_zero_is_reported():
     sensing_pipeline = SensingPipeline(load_sensor("paper16"))
     estimator = sensing_pipeline.inverse
     detect_rest_markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
@@ -221,7 +221,7 @@ def torn(markers):
     return replace(markers, p_SM=markers.p_SM + off)
 
 
-def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
+def test_after_a_torn_image_it_goes_on_where_it_was(loaded):
     sensing_pipeline, strong, surface, state = loaded
     before = sensing_pipeline.estimate_touch(state, strong, surface, 0.3)[0]
     touch, lost = sensing_pipeline.estimate_touch(state, torn(strong), surface, 0.3)
@@ -231,7 +231,7 @@ def test_after_a_torn_picture_it_goes_on_where_it_was(loaded):
     assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
 
 
-def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_says_of_how_much(loaded):
+def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_states_of_how_much(loaded):
     sensing_pipeline, strong, surface, state = loaded
     reported = []
     for k in range(20):
@@ -281,7 +281,7 @@ def light_estimate(sensor, **settings):
     return np.array(found).T
 
 
-def test_a_light_touch_is_not_overlooked_since_nothing_was_felt_before(sensor):
+def test_a_light_touch_is_not_overlooked_since_nothing_was_estimated_before(sensor):
     """A light touch after images without contact is estimated correctly.
 
     Without a second check only a third of it is estimated, until the camera model becomes

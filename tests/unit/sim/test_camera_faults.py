@@ -91,7 +91,7 @@ def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(images):
 
 
 @pytest.mark.parametrize("key", STRONG)
-def test_each_changes_the_picture_and_is_the_same_again(images, key):
+def test_each_changes_the_image_and_is_the_same_again(images, key):
     before = images[1].pixels
     one = shown(images, **{key: STRONG[key]})
     assert one.shape == before.shape and not np.array_equal(one, before)
@@ -104,7 +104,7 @@ def test_nothing_happens_before_its_time(images):
     assert first is images[0] and not np.array_equal(second.pixels, images[1].pixels)
 
 
-def test_a_zoom_and_a_knock_move_the_circles_as_they_say(images):
+def test_a_zoom_and_a_shift_move_the_circles_as_they_state(images):
     """A zoom about the image center and a shift move the circles by the stated amounts.
 
     Circles are located to 0.02 px; the resampling adds as much.
@@ -133,7 +133,7 @@ def test_levels_follow_their_curves():
     assert len(np.unique(curve(yuyv=1))) == 220
 
 
-def test_noise_reduction_and_rolling_shutter_mix_the_last_two_pictures(images):
+def test_noise_reduction_and_rolling_shutter_mix_the_last_two_images(images):
     first, second = [view.pixels.astype(float) for view in images]
     half = shown(images, noise_reduction_percent=50)
     assert np.abs(half - (first + second) / 2).max() <= 0.5
@@ -165,7 +165,7 @@ def test_a_rig_file_and_a_variation_name_them():
         rig_from_table(table, Path("my.toml"))
 
 
-def test_a_seed_draws_them_for_each_finger():
+def test_a_seed_samples_them_for_each_finger():
     variation = load_variation("camera")
     assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
     sampled = variation.sample(3, fingers=("left", "right"), markers=81)
@@ -174,7 +174,7 @@ def test_a_seed_draws_them_for_each_finger():
     assert replace(sampled.as_built_sensor("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
 
 
-def test_troubles_without_pictures_are_refused():
+def test_faults_without_images_are_refused():
     own = AsBuiltSensor("left", camera=CameraFaults(gamma=1.3))
     with pytest.raises(InputError, match="need images"):
         SimCamera(None, 0, SAMPLED - {Effect.IMAGES}, own)  # it is refused before it looks

@@ -48,7 +48,7 @@ def test_takes_the_cheapest_that_is_good_enough(table, asked, mesh):
     assert Fidelity.for_force_error(asked, table).mesh == mesh
 
 
-def test_says_how_close_it_can_get(table):
+def test_reports_how_close_it_can_get(table):
     best = Fidelity.for_force_error(0.001, table)
     assert not best.met
     assert best.mesh == (21, 17)
@@ -119,7 +119,7 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
         ("0.0001N", "auto", "egg", True),  # nothing is that good, the finest mesh comes closest
     ],
 )
-def test_a_force_error_may_be_had_from_a_film_where_the_object_is_round(
+def test_a_force_error_may_be_had_from_a_membrane_where_the_object_is_round(
     monkeypatch, accuracy, effects, grasped, mesh
 ):
     """For a round object the quasi-static membrane may meet the requested force error, and the rig

@@ -43,7 +43,7 @@ def outlines(design):
     [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_glass(), 0.05, 0.3)],
     ids=["rim", "pane"],
 )
-def test_they_are_where_lens_and_pane_have_them(design, place, size):
+def test_they_are_where_lens_and_glass_have_them(design, place, size):
     """Rendered fiducials have the center and size of their outline through lens and glass.
 
     The bounds in px are the edge detector's bias at 0.7 px of blur, and at 2 px, where it reads

@@ -105,7 +105,7 @@ def press_flags(path):
     return world.flags
 
 
-def test_a_hull_that_is_used_all_the_same_is_said(tmp_path, monkeypatch, cache):
+def test_a_hull_that_is_used_all_the_same_is_reported(tmp_path, monkeypatch, cache):
     binary(tmp_path / "l.stl")
     monkeypatch.setitem(sys.modules, "coacd", None)  # not installed
     flags = press_flags(tmp_path / "l.stl")

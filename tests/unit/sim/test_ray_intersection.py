@@ -57,7 +57,7 @@ def test_lines_enter_where_rays_do(kind):
     np.testing.assert_allclose(found[both], rays[both], atol=2e-6)
 
 
-def test_a_line_that_starts_inside_looks_back():
+def test_a_line_that_starts_inside_points_back():
     model, _ = _model("sphere")
     entry = ray_intersection.entry_of(model, 0)
     assert entry is not None

@@ -109,7 +109,7 @@ def dents(x, y):
     ("node", "wrong", "lit_and_wrong"),
     [(1e-3, 0.2, 0.05), pytest.param(0.25e-3, 0.04, 0.01, marks=pytest.mark.slow)],
 )
-def test_rays_meet_the_sheet_where_a_fine_march_does(node, wrong, lit_and_wrong):
+def test_rays_meet_the_membrane_where_a_fine_march_does(node, wrong, lit_and_wrong):
     """Rays are blocked as in a march of 1000 steps over the membrane's own formula, for every node
     and LED of a wide ring.
 
@@ -151,7 +151,7 @@ def test_no_shadow_in_a_convex_bulge(steepness):
 
 
 @pytest.mark.parametrize(("slope", "found"), [(0.85, False), (0.95, True)])
-def test_the_search_begins_where_a_slope_is_as_steep_as_a_ray(slope, found):
+def test_the_search_starts_where_a_slope_is_as_steep_as_a_ray(slope, found):
     """A light 10 m away, 0.9 down per length: all rays are as steep to 0.4 %."""
     xy = grid(1e-3)
     z = -slope * np.clip(xy[..., 0], 0, 4e-3)
@@ -171,7 +171,7 @@ def test_irradiance_is_inverse_square_with_both_cosines():
         np.testing.assert_allclose(light, expected, rtol=1e-9)  # the slope of a plane is exact
 
 
-def test_unblocked_flat_sheet_is_lit_as_without_shadows():
+def test_unblocked_flat_membrane_is_lit_as_without_shadows():
     even, shaded, _ = scene(DENSE.markers.p_SM.copy())
     # light without shadows is the same formula at the pixels' own positions. The remaining error is
     # the interpolation between nodes, (1 mm)^2 / 8 of a curvature of 1 / (30 mm)^2
@@ -192,7 +192,7 @@ def test_a_bulge_without_shadow_keeps_all_its_light():
     assert light._blocked(z, parts / parts.sum(axis=0)) is None
 
 
-def test_symmetric_scene_gives_a_symmetric_picture():
+def test_symmetric_scene_gives_a_symmetric_image():
     p = DENSE.markers.p_SM.copy()
     p[:, 2] = dented(11e-3, at=(14e-3, 0.0))[:, 2] + dented(11e-3, at=(-14e-3, 0.0))[:, 2]
     even, shaded, _ = scene(p)
@@ -239,7 +239,7 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     assert middle == pytest.approx(border, abs=0.15e-3)
 
 
-def test_camera_rays_meet_the_sheet_where_it_is():
+def test_camera_rays_meet_the_membrane_where_it_is():
     """Nodes of a dented membrane, projected through glass and lens, are the positions assigned to
     the pixels there."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
@@ -256,7 +256,7 @@ def test_camera_rays_meet_the_sheet_where_it_is():
 
 
 @pytest.mark.parametrize(("node", "worst"), [(1e-3, 8e-5), (0.25e-3, 2e-5)])
-def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monkeypatch):
+def test_membrane_goes_through_the_markers_and_ends_at_the_frame(node, worst, monkeypatch):
     monkeypatch.setattr(shadows, "_NODE", node)
     p = dented(4e-3, at=(5e-3, -3e-3), width=6e-3)
     p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
@@ -270,7 +270,7 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
     assert np.abs(rim).max() < 2e-5  # between the points by which it is held, 2.5 mm apart
 
 
-def test_a_circular_frame_holds_the_sheet_too():
+def test_a_circular_frame_holds_the_membrane_too():
     design = replace(DENSE, frame=replace(DENSE.frame, length=40e-3, width=40e-3, shape="circle"))
     membrane = SmoothMembrane(design)
     z = membrane.heights(dented(4e-3, design=design))

@@ -72,7 +72,7 @@ def test_exact_ellipses_lead_back_to_the_circles():
     assert np.minimum(first, second).max() < 3e-6
 
 
-def test_errors_are_as_large_as_said():
+def test_errors_are_as_large_as_stated():
     """Chi-square of five numbers, 81 markers, 40 sightings: 1 +- 0.011 (sd)."""
     sampler = EllipseSampler(DESIGN, seed=3)
     pose = bulged()
@@ -126,7 +126,7 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
 
 
 @pytest.mark.slow(10)
-def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
+def test_a_grasp_without_images_holds_the_egg_and_reports_it(tmp_path):
     with Recorder(tmp_path / "run", {}) as recorder:
         result = run_grasp(Scenario(effects="-images"), [recorder], workers=0)
         recorder.close(outcome=result.outcome)

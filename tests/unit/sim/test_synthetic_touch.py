@@ -23,7 +23,7 @@ PERIOD = 1 / 30
 SAMPLED = "-mesh,-pipeline"
 
 
-def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
+def test_errors_have_the_mean_spread_and_memory_that_the_model_states():
     """Sampled errors have the mean, spread and time correlation of the model.
 
     The test has 20000 images at one load. Bounds are four standard errors, including the
@@ -55,7 +55,7 @@ def test_errors_have_the_mean_spread_and_memory_that_the_model_says():
         assert (z[lag:] * z[:-lag]).mean() == pytest.approx(reported, abs=4 / np.sqrt(6 * alone))
 
 
-def test_the_kernel_draws_as_the_formula_does():
+def test_the_kernel_samples_as_the_formula_does():
     """The kernel samples w + G w + b(n) + e from the same random numbers, to the last digits of
     double precision.
 
@@ -100,7 +100,7 @@ def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
     assert parse_error_model(errors.table()).table() == errors.table()
 
 
-def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again():
+def test_a_grasp_with_sampled_touch_is_held_states_its_level_and_is_the_same_again():
     results = [run_grasp(Scenario(object="egg", effects=SAMPLED, seed=5)) for _ in range(2)]
     first, again = (result.summary() for result in results)
     assert first["outcome"] == "held"
@@ -109,7 +109,7 @@ def test_a_grasp_with_drawn_touch_is_held_says_its_level_and_is_the_same_again()
     assert first["hold_force_N"] != first["hold_force_true_N"]  # a measurement
 
 
-def test_without_a_chain_there_are_no_images_and_no_mesh():
+def test_without_a_pipeline_there_are_no_images_and_no_mesh():
     on = choose(DENSE, overrides=SAMPLED).on
     assert not on & {Effect.MESH, Effect.PIPELINE, Effect.IMAGES}
     for refused, message in (
@@ -120,7 +120,7 @@ def test_without_a_chain_there_are_no_images_and_no_mesh():
             choose(DENSE, overrides=refused)
 
 
-def test_who_needs_the_chain_is_told():
+def test_a_user_of_the_pipeline_is_named():
     reads = Controller(Path("mine.py"), lambda _: None, reads=("contact_shape",))
     with (
         open_session(Scenario(effects=SAMPLED)) as session,

@@ -120,7 +120,7 @@ def staged(folder, as_built):
     return folder
 
 
-def test_a_sensor_as_its_file_says_does_as_the_simulator(tmp_path, capsys):
+def test_a_sensor_as_its_file_states_does_as_the_simulator(tmp_path, capsys):
     folder = staged(tmp_path / "run", load_sensor("dense"))
     assert main(["compare-sim", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -143,7 +143,7 @@ def test_softer_rubber_is_named(tmp_path):
     assert shadow.explains > 0.9
 
 
-def test_creep_is_given_to_the_simulated_sheet():
+def test_creep_is_given_to_the_simulated_membrane():
     """The simulated membrane gets the creep of the as-built sensor.
 
     An indentation of 1.6 s on a membrane that relaxes by 10 % per decade was identified as 10.1 %;
@@ -186,7 +186,7 @@ class Begins:
 
 
 @pytest.mark.slow(8)
-def test_a_hand_whose_left_chamber_leaks(tmp_path):
+def test_a_gripper_whose_left_chamber_leaks(tmp_path):
     """The commands of a grasp's beginning, given to a simulated hand without the leak."""
     scenario = Scenario(seed=SEED, sensor="paper16", effects="-images")
     as_built = (AsBuiltSensor("left", leak=0.04 * ML_S_KPA),)
@@ -206,7 +206,7 @@ def test_a_hand_whose_left_chamber_leaks(tmp_path):
     assert left == pytest.approx(0.04 * ML_S_KPA, rel=0.3) and right < 0.3 * left
 
 
-def test_a_recording_that_says_no_object_is_refused(tmp_path, capsys):
+def test_a_recording_that_states_no_object_is_refused(tmp_path, capsys):
     from tests.fake_run import fake_cycle
 
     with Recorder(tmp_path / "run", {"sensor": "dense"}, frames=0) as recorder:

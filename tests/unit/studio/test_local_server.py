@@ -86,7 +86,7 @@ def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
     assert reply_headers["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
 
 
-def test_a_page_that_looks_is_known_and_a_stranger_is_none(port):
+def test_a_page_that_connects_is_known_and_a_stranger_is_none(port):
     local_server.checked_at.clear()
     get(port, "/")
     get(port, "/state", Origin="https://evil.example")

@@ -26,7 +26,7 @@ def run(manual_goal, command, cycles, squeeze=lambda opening: 0.0):
     return command
 
 
-def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controllers_notes():
+def test_it_goes_to_where_it_is_requested_at_the_grippers_speed_and_keeps_the_controllers_notes():
     start = Command(0.06, 0.0, 0.0, "lift", {"settled_time": 0.3})
     one = ManualGoal(0.05, 0.02).command(observe(start))
     assert one.opening == pytest.approx(0.06 - 0.03 * PERIOD) and one.lift_height == pytest.approx(
@@ -37,7 +37,7 @@ def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controller
     assert (end.opening, end.lift_height) == (0.05, 0.02)
 
 
-def test_it_squeezes_as_hard_as_is_wished():
+def test_it_squeezes_as_hard_as_is_requested():
     """The gripper squeezes with the requested force.
 
     A spring of 160 N/m on each finger acts below 50 mm: 0.6 N is measured at 50 mm - 2 x 3.75
@@ -57,7 +57,7 @@ def test_a_force_that_is_not_known_moves_nothing():
     assert ManualGoal(0.0, 0.0, 0.6).command(observe(command, math.nan)).opening == 0.05
 
 
-def test_the_controller_is_asked_while_nothing_is_wished():
+def test_the_controller_is_asked_while_nothing_is_requested():
     manual = ManualControl(
         SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
     )

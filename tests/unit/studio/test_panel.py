@@ -124,7 +124,7 @@ def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, bridge):
     )
 
 
-def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_where_it_is_deepest():
+def test_the_indentation_is_the_rest_shape_less_what_is_estimated_and_is_brightest_where_it_is_deepest():
     touch = fake_touch(0.6, 0.0)
     rest = fake_touch(0.0, 0.0).surface
     field = surface_colormap.field_of(
@@ -154,7 +154,7 @@ def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_c
     )  # symmetric
 
 
-def test_the_sheet_in_the_scene_is_the_felt_surface():
+def test_the_membrane_in_the_scene_is_the_estimated_surface():
     touch = fake_touch(0.6, 0.0)
     estimated = FingerSnapshot("left", fake_image(0), touch, rest=fake_touch(0.0, 0.0).surface)
     corners, rgb = surface_colormap.surface_geom(
@@ -179,7 +179,7 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     ] == [0, 0]
 
 
-def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, bridge):
+def test_geoms_are_those_of_the_touch_and_of_no_other(gui, bridge):
     plugin = Panel(bridge)
     plugin.viewer = FakeViewer()
     stranger = mujoco.MjvGeom()
@@ -224,7 +224,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     np.testing.assert_allclose(along, [0, 0, 1], atol=1e-6)
 
 
-def test_why_an_ellipse_is_not_trusted_is_said():
+def test_why_an_ellipse_is_not_trusted_is_reported():
     ellipses = Ellipses(
         np.zeros((4, 2)),
         np.ones((4, 2)),
@@ -307,14 +307,14 @@ def test_another_run_is_of_another_object_with_other_effects(gui, bridge):
     assert bridge.scenario.effects in ("+shadows", "-shadows")  # whichever it was not
 
 
-def test_what_cannot_be_taken_out_is_said(gui, bridge):
+def test_what_cannot_be_taken_out_is_reported(gui, bridge):
     gui.want("large deflection", False)
     plugin = ControlWindow(bridge)
     build(plugin)
     assert "cannot be left out" in bridge.last_message and plugin._next.effects == "auto"
 
 
-def test_an_effect_is_forced_and_let_go_of_again():
+def test_an_effect_is_forced_and_released_again():
     assert toggled("auto", "bending", True) == "+bending"
     assert toggled("+bending,-gas", "bending", False) == "-gas"
     assert toggled("-gas", "gas", True) == "auto"

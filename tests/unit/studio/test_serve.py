@@ -28,7 +28,7 @@ def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, end
         assert bridge.outcome == "a wire"
 
 
-def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch):
+def test_a_window_without_a_display_is_one_line_that_states_what_to_do(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(

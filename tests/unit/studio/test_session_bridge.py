@@ -52,7 +52,7 @@ def test_a_cycle_is_shown_with_what_was_true():
     assert "ground truth +0.200 N" in lines
 
 
-def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
+def test_a_flag_is_reported_once_and_stays_beside_the_numbers():
     text = []
     bridge = SessionBridge(notify=text.append)
     session = fake_session()
@@ -110,7 +110,7 @@ def test_a_signal_ends_a_pause(monkeypatch):
     assert not bridge.paused
 
 
-def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():
+def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_reported():
     bridge = SessionBridge()
     done = []
     bridge.session = fake_session()

@@ -82,7 +82,7 @@ def test_it_heeds_a_pause_and_a_reset(tips):
     assert tips.data.time <= 2 * tips.model.opt.timestep and not tips.sensors._paused
 
 
-def test_fingers_are_shown_anew_when_there_is_a_new_image():
+def test_fingers_are_shown_again_when_there_is_a_new_image():
     def seen(number):
         return SimpleNamespace(
             image=fake_image(number),
