@@ -17,7 +17,7 @@ height = [[1.0, 2.45]]
 [reference]
 source = "a test"
 percent = 2.0
-least = 0.0
+tolerance_min = 0.0
 """
 
 
