@@ -50,7 +50,7 @@ JSON: {"frames": [{"source": …, "status": "ok", or the reason for having no va
   "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": the reason for
   the rejection}]}]}
 Camera files: ROS camera_info, the output of `ros2 topic echo`, OpenCV YAML and XML, Kalibr, ini.
-Lens models: plumb_bob, rational_polynomial, equidistant. A YAML file may have a glass in addition:
+Lens models: those of sensor files. A YAML file may have a glass in addition:
   glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}
 One image of one circle allows two poses. The circles around it decide between them if they lie
 on a smooth surface; otherwise the less tilted pose is slightly more probable.

@@ -236,7 +236,7 @@ def _row(controller: str, label: str, group: Mapping[str, Any]) -> str:
         group["crushed"],
         stopped_text(group),
         group["error"],
-        _texts(group["peak_N"], "{median:.2f} ({most:.2f})"),
+        _texts(group["peak_N"], "{median:.2f} ({max:.2f})"),
         _texts(group["hold_N"], "{p5:.2f}-{p95:.2f}"),
         _texts(group["margin"], "{median:.1f}"),
     ]

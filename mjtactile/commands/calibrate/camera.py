@@ -66,7 +66,7 @@ ARGUMENTS = (
     ),
     arg.option(
         "--lens MODEL",
-        "lens model: plumb_bob, rational_polynomial, or equidistant for a fisheye",
+        "lens model to fit, such as equidistant for a fisheye; models: docs/reference/sensor_files.md",
         "plumb_bob",
     ),
     arg.option(
