@@ -66,7 +66,7 @@ ARGUMENTS = (
     ),
     arg.option(
         "--lens MODEL",
-        "lens model to fit, such as equidistant for a fisheye; models: docs/reference/sensor_files.md",
+        "lens model, such as equidistant for a fisheye; all: docs/reference/sensor_files.md",
         "plumb_bob",
     ),
     arg.option(
