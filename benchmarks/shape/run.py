@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shape import independent_reference
+from benchmarks.shape import foreign_shapes, independent_reference
 from benchmarks.shape.random_indenters import Case, sample_case
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
@@ -57,12 +57,17 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
     """
     del out
     balls = independent_reference.rows()
+    few = foreign_shapes.OBJECTS_QUICK
+    foreign = foreign_shapes.rows(few) if quick else foreign_shapes.rows()
+    notify(f"{len(foreign)} images of foreign shapes")
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
         reported = [row["kind"] for row in rows if row["seed"] == seed and row["stage"] == "press"]
         notify(f"body {seed}, {rows[-1]['name']}: {', '.join(reported)}")
-    return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
+    return {"mesh": MESH, "rows": rows, "independent": balls, "foreign": foreign} | {
+        "summary": summary(rows)
+    }
 
 
 def _press(seed: int) -> list[dict[str, Any]]:
@@ -130,6 +135,9 @@ def _followed(
         "chi2": _chi2(estimated.traction, true),
         "chi2_nodal": _chi2(nodal.traction, true),
         "area_nodal_mm2": 1e6 * contact.area if contact is not None else np.nan,
+        "area_nodal_interval_mm2": [1e6 * end for end in contact.area_interval]
+        if contact is not None
+        else [np.nan, np.nan],
         "milliseconds": 1e3 * seconds,
         **_reported(case, estimated.shape),
     }

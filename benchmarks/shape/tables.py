@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.shape import foreign_shapes
+
 _LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # force limits of the groups, N
 _SHARP = {"edge": "edges", "point": "corners", "multiple": "two balls"}
 _SMALL, _LARGE = 4.2, 30.0  # mm, of balls whose radius is asked for
@@ -31,7 +33,12 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
     wedges = [row for row in presses if row["name"] == "wedge" and row["force_true_N"] >= _FIRM]
     two = [row for row in presses if row["family"] == "multiple" and row["force_true_N"] >= _FIRM]
     ends = _ends(presses)
+    firm = _broad(presses)["firm"]
     return {
+        "coverage_nodal": [
+            _fraction(_covers(row, "area_nodal_interval_mm2") for row in firm),
+            len(firm),
+        ],
         "press": _summary(presses),
         "image": _summary([row for row in listed if row["stage"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
@@ -159,7 +166,11 @@ def table(result: dict[str, Any]) -> str:
         ("… smooth objects", *areas("smooth")),
         ("… faces", *areas("flat")),
         ("area, 0.06 to 0.2 N, error", *areas("light")),
-        ("68 % interval of the area contains the true one, from 0.2 N", *shares("coverage")),
+        (
+            "68 % interval of the area contains the true one, from 0.2 N",
+            *shares("coverage")[:2],
+            _part(s["coverage_nodal"]),
+        ),
         ("the same for curvatures", *shares("coverage_curvature")),
         (
             "radius of balls of 4.2 to 30 mm, from 0.2 N, error",
@@ -195,6 +206,7 @@ def table(result: dict[str, Any]) -> str:
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines += ["", *_independent(result["independent"])]
+    lines += ["", *foreign_shapes.table(result["foreign"])]
     kinds = "\n".join(
         f"- {name}: " + ", ".join(f"{kind} {count}" for kind, count in reported.items())
         for name, reported in s["kinds"].items()
@@ -282,8 +294,8 @@ def _errors(rows: list[Row], name: str, *, fraction: bool = True) -> list[float]
     return [float(np.median(off)), float(np.quantile(off, 0.9)), len(rows)]
 
 
-def _covers(row: Row) -> bool:
-    low, high = row["area_interval_mm2"]
+def _covers(row: Row, name: str = "area_interval_mm2") -> bool:
+    low, high = row[name]
     return bool(low <= row["area_true_mm2"] <= high)
 
 

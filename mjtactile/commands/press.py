@@ -35,8 +35,9 @@ JSON: {"sensor": …, "mesh": [nx, ny],
 "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
 on the membrane, frame S: z is negative under load), "wrench_estimated" (force N, torque N m
 about the frame center), "force_estimated_sd_N", "drive_force_N" (load cell on the drive),
-"contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (penetration of the simulated
-objects: the contact error), "pressure_kPa", "volume_mL", "converged", "status"}],
+"contact_area_mm2", "contact_area_interval_mm2" (68 %), "contact_area_true_mm2",
+"penetration_mm" (penetration of the simulated objects: the contact error), "pressure_kPa",
+"volume_mL", "converged", "status"}],
 "shape": {contact shape estimated from the images: "kind" (smooth, flat, edge, point, multiple,
 unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
 "area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
@@ -139,16 +140,17 @@ def _check(options: argparse.Namespace, design: SensorDesign) -> None:
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:
     print(
-        "depth mm   ground truth N [x, y, z]   est. N [x, y, z]           area mm2: est.  "
+        "depth mm   ground truth N [x, y, z]   est. N [x, y, z]    area mm2: est. (68 %)  "
         "true   penetr. mm  gauge kPa"
     )
     for s in result["steps"]:
         true, estimated = (
             " ".join(f"{v:8.4f}" for v in s[key]) for key in ("force_true_N", "force_estimated_N")
         )
+        low, high = s["contact_area_interval_mm2"]
         print(
-            f"{s['depth_mm']:8.3f} {true} {estimated} {s['contact_area_mm2']:16.1f} "
-            f"{s['contact_area_true_mm2']:6.1f} "
+            f"{s['depth_mm']:8.3f} {true} {estimated} {s['contact_area_mm2']:8.1f} "
+            f"({low:5.1f}-{high:5.1f}) {s['contact_area_true_mm2']:6.1f} "
             f"{s['penetration_mm']:11.4f} "
             f"{s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
             f"{'' if s['status'] == 'ok' else '  ' + s['status']}"

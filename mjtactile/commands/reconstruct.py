@@ -51,11 +51,13 @@ in the camera frame), tracks.png, some frames; JSON {"frames": [{"source", "circ
 JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal",
 "sd_mm"}],
   "surface": {"x_mm", "y_mm", "z_mm" (rows along y)}, "area_mm2", "area_sd_mm2", "volume_mL"
-  (under the bulge), "volume_sd_mL", "contact_area_mm2", "contact_centroid_mm", "depth_mm",
+  (under the bulge), "volume_sd_mL", "contact_area_mm2",
+  "contact_area_interval_mm2" (68 %), "contact_centroid_mm", "depth_mm",
   "force_N" ([x, y, z] on the membrane), "force_sd_N"}]}. Unknown values, and values that
   need a missing calibration, are null.
 """
 FIGURES_MAX = 40
+_CONTACT = ("contact_area_mm2", "contact_area_interval_mm2", "contact_centroid_mm", "depth_mm")
 
 
 ARGUMENTS = (
@@ -169,9 +171,10 @@ def _row(name: str, status: str, touch: Touch | None) -> dict[str, Any]:
 
 def _contact(contact: Contact | None) -> dict[str, Any]:
     if contact is None:
-        return dict.fromkeys(("contact_area_mm2", "contact_centroid_mm", "depth_mm"))
+        return dict.fromkeys(_CONTACT)
     return {
         "contact_area_mm2": 1e6 * contact.area,
+        "contact_area_interval_mm2": 1e6 * contact.area_interval,
         "contact_centroid_mm": 1e3 * contact.centroid,
         "depth_mm": 1e3 * contact.depth,
     }

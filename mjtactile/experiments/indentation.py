@@ -254,8 +254,9 @@ def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
     """One row of the JSON."""
     sensor = world.sensors[0]
     wrench = touch.traction.wrench if touch.traction is not None else np.full(6, np.nan)
-    area = touch.contact.area if touch.contact is not None else np.nan
-
+    contact = touch.contact
+    area = np.nan if contact is None else contact.area
+    interval = np.full(2, np.nan) if contact is None else contact.area_interval
     return {
         "depth_mm": 1e3 * world.depth,
         "force_true_N": ground_truth.contact_force(world, 0),
@@ -264,6 +265,7 @@ def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
         "wrench_estimated": wrench,
         "force_estimated_sd_N": touch.force_normal_sd,
         "contact_area_mm2": 1e6 * area,
+        "contact_area_interval_mm2": 1e6 * interval,
         "contact_area_true_mm2": 1e6 * ground_truth.contact_area(world, 0),
         "penetration_mm": 1e3 * ground_truth.penetration(world, 0),
         "pressure_kPa": 1e-3 * sensor.gauge_pressure,

@@ -42,6 +42,7 @@ LISTS = ("patches", "shape_outline")
 """Columns with a variable number of entries per finger."""
 _PARTS = {
     "wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
+    "contact_area_interval": ("low_m2", "high_m2"),
     "contact_centroid": ("x_m", "y_m"),
     "slip_velocity": ("x_m_s", "y_m_s"),
     "shape_area_interval": ("from_m2", "to_m2"),

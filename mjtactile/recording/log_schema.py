@@ -168,6 +168,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "total contact area; 0 without contact",
         _of_part("contact", "area", np.nan),
     ),
+    "contact_area_interval": (
+        "m^2",
+        "interval that contains the contact area with 68 % probability",
+        _of_part("contact", "area_interval", _NAN2),
+    ),
     "contact_centroid": (
         "m",
         "contact centroid (x, y), frame S",

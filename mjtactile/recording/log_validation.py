@@ -57,7 +57,7 @@ _MANY = {"patches": TABLE, "shape_outline": (NUMBER, NUMBER)}
 """Kind of the entries in columns with a list of variable length per finger."""
 _PARTS = {
     **dict.fromkeys(("wrench", "wrench_sd", "wrench_true"), 6),
-    **dict.fromkeys(("contact_centroid", "slip_velocity"), 2),
+    **dict.fromkeys(("contact_area_interval", "contact_centroid", "slip_velocity"), 2),
     **dict.fromkeys(("shape_area_interval", "shape_curvatures", "shape_rolling"), 2),
     "shape_sliding": 2,
     "shape_place": 3,

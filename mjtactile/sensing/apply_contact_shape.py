@@ -42,7 +42,7 @@ def attach_shape(
         return replace(touch, shape=shape)
     sharp = np.zeros(6) if sharpness is None else sharpness
     estimated = touch if load is None else with_load(touch, load, sharp)
-    by_body = replace(contact, area=shape.area, outline=shape.outline, area_source=shape.family)
+    by_body = _with_area(contact, shape)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
     return replace(estimated, shape=shape, contact=by_body, patches=patches)
 
@@ -80,7 +80,17 @@ def _patches_of(
     for patch in patches:
         nearest = min(left, key=lambda body: math.dist(body.p_SO[:2], patch.centroid))
         left.remove(nearest)
-        found.append(
-            replace(patch, area=nearest.area, outline=nearest.outline, area_source=nearest.family)
-        )
+        found.append(_with_area(patch, nearest))
     return tuple(found)
+
+
+def _with_area(contact: Contact, shape: ContactShape) -> Contact:
+    """Return the contact with area and outline of a shape."""
+    interval = np.array(shape.area_interval)
+    return replace(
+        contact,
+        area=shape.area,
+        outline=shape.outline,
+        area_source=shape.family,
+        area_interval=interval,
+    )

@@ -16,6 +16,7 @@ from mjtactile.core.types.vision import NO_PIXELS, CameraDrift, Image, Markers
 _NO_FORCE = fixed(np.full(3, np.nan))
 _NO_OUTLINE = fixed(np.zeros((0, 2)))
 _NO_AXES = fixed(np.full(2, np.nan))
+_NO_INTERVAL = fixed(np.full(2, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,7 @@ class Contact:
     Attributes:
         touching: True if there is contact. If not, `area` is 0 and `centroid` NaN.
         area: Area of the membrane in contact, m^2.
+        area_interval: Interval (2,), m^2, that contains the area with 68 % probability.
         centroid: Center of the contact (2,) m in S.
         depth: Maximum indentation relative to the rest shape, m.
         mask: Nodes of the traction grid in contact (ny, nx).
@@ -112,6 +114,7 @@ class Contact:
     semi_axes: Array = field(default_factory=lambda: _NO_AXES)
     angle: float = np.nan
     area_source: str = "nodal"
+    area_interval: Array = field(default_factory=lambda: _NO_INTERVAL)
 
     def __post_init__(self) -> None:
         freeze(self, "centroid", self.centroid, (2,))
@@ -119,6 +122,7 @@ class Contact:
         freeze(self, "force", self.force, (3,))
         freeze(self, "outline", self.outline, (None, 2))
         freeze(self, "semi_axes", self.semi_axes, (2,))
+        freeze(self, "area_interval", self.area_interval, (2,))
         keep_status(self)
 
 

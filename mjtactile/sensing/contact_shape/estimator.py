@@ -19,7 +19,7 @@ from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
 from mjtactile.sensing.contact_shape.fit_state import Data
-from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load
+from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load, tip_probability
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.hypotheses import PressHistory, ReportedKind
 from mjtactile.sensing.contact_shape.initial_search import Suggestions
@@ -32,7 +32,11 @@ from mjtactile.sensing.contact_shape.primitives import (
 )
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
 from mjtactile.sensing.contact_shape.shape_models import kinds_of
-from mjtactile.sensing.contact_shape.shape_result import build_shape
+from mjtactile.sensing.contact_shape.shape_result import (
+    build_shape,
+    with_curvature_spread,
+    with_tip,
+)
 from mjtactile.sensing.contact_shape.start_files import reference_guess
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, ContactShapeSettings, Settings
@@ -157,9 +161,12 @@ class ContactShapeEstimator:
         for probability, found in press.bodies():
             total = sum(areas(self.forward, found, s))
             weighed.append((probability, total, area_sd(found, total, scale, s)))
+        spread = scale * press.candidates[0].common.variance_factor
         shape = build_shape(
-            self.forward, press.now, kind, probabilities, scale, interval(weighed), s
+            self.forward, press.now, kind, probabilities, spread, interval(weighed), s
         )
+        shape = with_curvature_spread(shape, press.bodies())
+        shape = with_tip(shape, tip_probability(press.now, spread, s))
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 
     def _hint(self, touch: Touch) -> InitialGuess:

@@ -54,7 +54,7 @@ def contact_load(
     rows[2, 0] = -(height + above)
     more = forward.stiction_ratio(state, s)
     load = more * rows @ state.wrench
-    pointed = _pointed(found, noise, s)
+    pointed = tip_probability(found, noise, s)
     uncertain = max(blunt, pointed)
     place = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
     model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
@@ -71,7 +71,7 @@ def contact_load(
     return ContactLoad(load, cov, rows, max(1 - left, 0.0) * explains)
 
 
-def _pointed(found: Fit, noise: float, s: ContactShapeSettings) -> float:
+def tip_probability(found: Fit, noise: float, s: ContactShapeSettings) -> float:
     """Return the probability of a point contact: both curvatures above a limit."""
     from scipy.special import ndtr  # takes a while to import
 

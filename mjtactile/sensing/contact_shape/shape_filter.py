@@ -10,6 +10,7 @@ the markers.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +26,12 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 class ShapeFilter:
     """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
     deviation. `precision` (m, m) is their precision, `information` (m,) the precision times the
-    mean. `drift` is the sum of squares of their changes."""
+    mean. `drift` is the sum of squares of their changes, with `freedom` degrees of freedom."""
 
     precision: Array
     information: Array
     drift: float = 0.0
+    freedom: float = 0.0
 
     @classmethod
     def of(cls, family: ShapeModel) -> ShapeFilter:
@@ -37,14 +39,20 @@ class ShapeFilter:
         count = int(family.kept.sum())
         return cls(np.zeros((count, count)), np.zeros(count))
 
+    @property
+    def variance_factor(self) -> float:
+        """Ratio of the observed to the expected squared changes, at least 1 (Birge ratio)."""
+        return max(1.0, self.drift / max(self.freedom, 1.0))
+
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
         seen, information = _alone(fit)
         own = np.eye(len(information)) + seen @ _own_wrong(fit)
         seen = np.linalg.solve(own, seen)
         information = np.linalg.solve(own, information)
-        drift = self.drift + self._off(seen, information)
-        return ShapeFilter(self.precision + seen, self.information + information, drift)
+        drift = self.drift + _heavy_tailed(self._off(seen, information))
+        freedom = self.freedom + (len(information) if self.precision.any() else 0)
+        return ShapeFilter(self.precision + seen, self.information + information, drift, freedom)
 
     def _off(self, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
@@ -75,8 +83,15 @@ class ShapeFilter:
         return Prior(mean, np.linalg.inv(cov))
 
 
+_TAIL = 6.0  # squared distance from which a change counts less
 _UNSEEN = 1e-6  # of a family's own precision
 _BY_NODE = 1.5  # relative model error of a curvature or size, times the number of touching nodes
+
+
+def _heavy_tailed(square: float) -> float:
+    """Return the penalty of a change with the squared Mahalanobis distance `square`, as of a
+    distribution with heavy tails."""
+    return _TAIL * math.log1p(square / _TAIL)
 
 
 def _alone(fit: Fit) -> tuple[Array, Array]:

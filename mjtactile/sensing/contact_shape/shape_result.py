@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,6 +19,7 @@ from mjtactile.sensing.contact_shape.shape_filter import touching
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
+_THIRD_AXIS = 1.5  # sd of the inverse semi-axis, over the larger curvature
 _FINER = 4  # subdivision of the membrane's node spacing for an outline
 _UNKNOWN_DIRECTION_SD = math.pi / math.sqrt(12)  # rad
 _Rotations = tuple[int | None, int | None, int | None]
@@ -50,7 +51,19 @@ def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Ar
     by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
     kinds = [name.split("_")[0] for name in found.family.names]
     wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
+    bent = np.array([kind == "k" for kind in kinds])
+    wrong[bent] = np.hypot(wrong, _by_third_axis(found) * found.theta)[bent]
     return found.cov_with(scale) + np.outer(wrong, wrong)
+
+
+def _by_third_axis(found: Fit) -> float:
+    """Return the relative standard deviation of the curvatures of a smooth shape due to its unknown
+    third semi-axis, on which they depend with depth (docs/theory/contact_shape.md, Eq. F20)."""
+    if found.family.name != "smooth":
+        return 0.0
+    maximum, minimum, _ = principal(found.theta)
+    depth = found.state.area * math.sqrt(max(maximum * minimum, 0.0)) / (2 * math.pi)
+    return _THIRD_AXIS * depth * maximum / 2
 
 
 @dataclass(frozen=True)
@@ -174,6 +187,41 @@ def _smooth(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]
     if minimum > 0 and maximum < s.ball_ratio * minimum:
         measures |= _radius(mean, math.hypot(*sd) / 2)
     return measures
+
+
+def with_curvature_spread(shape: ContactShape, fits: list[tuple[float, Fit]]) -> ContactShape:
+    """Return the shape with the standard deviations of its curvatures over all round models. `fits`
+    are their probabilities and fits."""
+    if shape.family not in _ROUND:
+        return shape
+    bent = [(p, _principal(fit)) for p, fit in fits if fit.family.name in _ROUND]
+    p = np.array([one[0] for one in bent])
+    off = np.array([one[1] for one in bent]) - shape.curvatures
+    variance = p @ off**2 / p.sum()
+    sd = np.hypot(shape.curvatures_sd, np.sqrt(variance))
+    grown = float(np.linalg.norm(sd) / max(np.linalg.norm(shape.curvatures_sd), 1e-9))
+    return replace(shape, curvatures_sd=sd, radius_sd=grown * shape.radius_sd)
+
+
+def with_tip(shape: ContactShape, probability: float) -> ContactShape:
+    """Return the shape with the covariance of its position for a tip with `probability`. The lowest
+    point of a sharp tip is farther from the sensor than that of the ball that fits it."""
+    size = math.sqrt(max(shape.area, 0.0) / math.pi)
+    cov = shape.pose_cov.copy()
+    cov[[0, 1, 2], [0, 1, 2]] += probability * (size * np.array(_TIP)) ** 2
+    return replace(shape, pose_cov=cov)
+
+
+_TIP = (0.2, 0.2, 0.4)  # error of a tip's position over the contact radius
+_ROUND = ("ball", "cylinder", "smooth")
+
+
+def _principal(fit: Fit) -> tuple[float, float]:
+    """Return the curvatures of a round shape, 1/m, the larger first."""
+    if fit.family.name == "smooth":
+        return principal(fit.theta)[:2]
+    k = float(fit.theta[3])
+    return (k, k if fit.family.name == "ball" else 0.0)
 
 
 def _radius(curvature: float, sd: float) -> dict[str, Any]:

@@ -25,6 +25,11 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.force.traction_grid import REFINE
 from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 
+# Ends of the 68 % interval of an area, fitted to random presses (docs/theory/contact_shape.md)
+_AREA_ABOVE = 1.8
+_AREA_LOAD = 2.6e-3  # force over gauge pressure from which the area is the lower end, m^2
+_AREA_POWER = 0.34
+
 
 def find_patches(
     estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
@@ -53,7 +58,7 @@ def find_patches(
         grids = (nx, ny, REFINE, *fine.shape, fine, position, owner, k)
         load = (shape.traction, estimator.node_area, sunk, shape.gauge_pressure, blur)
         if kernel("measure_patch")(*grids, *load, as_numbers(s), inside, mask, sums):
-            patches.append(_patch(inside, mask.view(bool), sums, position))
+            patches.append(_patch(inside, mask.view(bool), sums, position, shape.gauge_pressure))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 
@@ -72,6 +77,7 @@ def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Conta
         max(p.depth for p in patches),
         np.logical_or.reduce([p.mask for p in patches]),
         force=np.sum([p.force for p in patches], axis=0),
+        area_interval=np.sum([p.area_interval for p in patches], axis=0),
     )
 
 
@@ -99,7 +105,11 @@ def _nearest_place(places: NDArray) -> NDArray:
 
 
 def _patch(
-    inside: NDArray[np.uint8], mask: NDArray[np.bool_], sums: Array, position: Array
+    inside: NDArray[np.uint8],
+    mask: NDArray[np.bool_],
+    sums: Array,
+    position: Array,
+    gauge_pressure: float,
 ) -> Contact:
     """Return one patch from its fine cells, its grid nodes and the kernel's results."""
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -115,4 +125,13 @@ def _patch(
         outline=position[:2, a, b].T,
         semi_axes=np.array([long, short]),
         angle=angle,
+        area_interval=_area_interval(area, -float(sums[2]), gauge_pressure),
     )
+
+
+def _area_interval(area: float, force: float, gauge_pressure: float) -> Array:
+    """Return the 68 % interval of the area (2,), m^2. The pressure of a light contact is not
+    resolved, so the object may be much sharper than it appears."""
+    load = max(force, 0.0) / max(gauge_pressure, 1.0)
+    lower = min((load / _AREA_LOAD) ** _AREA_POWER, 1.0)
+    return area * np.array([lower, _AREA_ABOVE])
