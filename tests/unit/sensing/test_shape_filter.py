@@ -57,7 +57,7 @@ def marginal(J, own, place):
 
 
 @pytest.mark.parametrize("k2", [100.0, 180.0])
-def test_estimates_add_up_and_differ_as_normal_distributions_do(k2):
+def test_estimates_add_up_and_differ_with_heavy_tails(k2):
     rng = np.random.default_rng(0)
     common = ShapeFilter.of(BALL)
     means, variances = [], []
@@ -74,7 +74,10 @@ def test_estimates_add_up_and_differ_as_normal_distributions_do(k2):
     assert common.precision[0, 0] == pytest.approx(precision, rel=1e-4)
     assert common.information[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
     off = (means[1] - means[0]) ** 2 / sum(variances)
-    assert common.drift == pytest.approx(off, rel=1e-4)
+    # large changes count less: as 6 ln(1 + off / 6)
+    assert common.drift == pytest.approx(6 * np.log1p(off / 6), rel=1e-4)
+    assert common.freedom == 1
+    assert common.variance_factor == pytest.approx(max(1.0, common.drift))
 
 
 def test_one_image_does_not_drift():
