@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.toml import read_json
 from mjtactile.experiments.motion_stage import NOTHING, record_stage
 from mjtactile.fit.identification import FitOptions, fit_recordings
 from mjtactile.fit.result import FitResult
@@ -52,14 +53,14 @@ class AsBuilt:
 
 
 AS_BUILT = (
-    AsBuilt(601),
-    AsBuilt(602, lens=1.02),
-    AsBuilt(603),
-    AsBuilt(604, lens=0.98),
-    AsBuilt(605, FINE_MESH),
-    AsBuilt(606),
-    AsBuilt(607),
-    AsBuilt(608),
+    AsBuilt(701),
+    AsBuilt(702, lens=1.02),
+    AsBuilt(703),
+    AsBuilt(704, lens=0.98),
+    AsBuilt(705, FINE_MESH),
+    AsBuilt(706),
+    AsBuilt(707),
+    AsBuilt(708),
 )
 DIFFERS = 0.3  # of each number, at most
 AIR = {"polytropic_exponent": 1.4, "thermal_time_constant_s": 1.0, "leak_mL_s_kPa": 0.01}
@@ -129,18 +130,33 @@ def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
 
 
 def run(
-    out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
+    out: Path,
+    *,
+    quick: bool = False,
+    resume: bool = False,
+    notify: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Record and fit the sensors; return one row each.
+    """Record and fit the sensors.
 
-    Results so far are stored in `out`/fit.json.
+    Args:
+        out: Folder; results so far are stored in its fit.json.
+        quick: The first sensor only.
+        resume: Continue with the stored results.
+        notify: Receiver of a message for every step; None: the terminal.
+
+    Returns:
+        "specimens", a row for each sensor.
     """
     notify = Progress().message if notify is None else notify
-    rows: list[dict[str, Any]] = []
+    kept = Path(out) / "fit.json"
+    stored = list(read_json(kept)["specimens"]) if resume and kept.exists() else []
+    rows = [row for row in stored if row["label"] in {one.label for one in AS_BUILT}]
     for as_built in AS_BUILT[:1] if quick else AS_BUILT:
+        if as_built.label in {row["label"] for row in rows}:
+            continue
         with tempfile.TemporaryDirectory() as folder:
             rows.append(_row(Path(folder), as_built, notify))
-        write_json(Path(out) / "fit.json", {"specimens": rows})
+        write_json(kept, {"specimens": rows})
         notify(
             f"{as_built.label}: worst number "
             f"{100 * max(abs(n['error']) for n in rows[-1]['numbers'] if n['is_fitted']):.1f} % "

@@ -66,7 +66,7 @@ def main(path="policy.npz", grasps="16", first="1000"):
     recorded = [watch(int(first) + k) for k in range(int(grasps))]
     seen, done = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
     w, b = fit(seen, done)
-    np.savez(path, w0=w, b0=b)
+    mjtactile.save_policy(path, [(w, b)])
     print(
         f"{len(seen)} cycles of {grasps} grasps: actions explained within "
         f"{np.sqrt(np.mean((seen @ w.T + b - done) ** 2)):.3f}"

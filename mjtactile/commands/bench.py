@@ -106,6 +106,7 @@ OPTIONS = {
         "explore",
         "camera-faults",
         "commissioning",
+        "fit",
         "outline",
         "suite-v2",
     ),

@@ -15,6 +15,7 @@ import numpy as np
 from mjtactile.core.types import Array
 
 _ENOUGH = 0.1  # of a standard deviation: a last step
+_NEAR = 3.0  # in sd: steps below it keep the Jacobian
 _HALVINGS = 3
 _FLAT = 1e-3  # relative change of the sum of squares caused by simulation noise
 
@@ -68,19 +69,38 @@ def gauss_newton(
     high: Array,
     iterations: int = 6,
     enough: float = _ENOUGH,
+    start: Array | None = None,
 ) -> Solution:
-    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r,
-    n). It ends when no step is longer than `enough` sd, or the sum falls no further."""
+    """Minimise the sum of squares from `x` within `low` and `high`.
+
+    It ends when no step is longer than `enough` sd, or the sum falls no further. A step shorter
+    than _NEAR keeps the Jacobian.
+
+    Args:
+        residuals: Residuals (r,), in sd, at parameters (n,).
+        jacobian: Their derivatives (r, n), at parameters and residuals.
+        x: Start (n,).
+        low: Lower limits (n,).
+        high: Upper limits (n,).
+        iterations: Maximum number of steps.
+        enough: Length of a negligible step, sd.
+        start: Jacobian near `x`; None: computed.
+
+    Returns:
+        The parameters.
+    """
     now = residuals(x)
+    J = jacobian(x, now) if start is None else start
+    is_new = start is None
     for _ in range(iterations):
-        J = jacobian(x, now)
-        H = J.T @ J
-        ridge = 1e-9 * np.diag(np.diag(H) + 1e-12)
-        goal = np.clip(x - np.linalg.solve(H + ridge, J.T @ now), low, high)
-        better = None
-        sd = np.sqrt(np.diag(np.linalg.inv(H + ridge)))
-        if np.all(np.abs(goal - x) < enough * sd):
+        goal, longest = _step(J, x, now, low, high)
+        if longest >= _NEAR and not is_new:
+            J = jacobian(x, now)
+            goal, longest = _step(J, x, now, low, high)
+        is_new = False
+        if longest < enough:
             break
+        better = None
         for halving in range(_HALVINGS):
             there = x + (goal - x) / 2**halving
             found = residuals(there)
@@ -93,5 +113,12 @@ def gauss_newton(
         x, now = better
         if flat:
             break
-    # the loop runs at least once
-    return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable]
+    return Solution(x, J, now)
+
+
+def _step(J: Array, x: Array, now: Array, low: Array, high: Array) -> tuple[Array, float]:
+    """Return the parameters after a Gauss-Newton step, and its longest component, sd."""
+    H = J.T @ J
+    inverse = np.linalg.inv(H + 1e-9 * np.diag(np.diag(H) + 1e-12))
+    goal = np.clip(x - inverse @ (J.T @ now), low, high)
+    return goal, float(np.max(np.abs(goal - x) / np.sqrt(np.diag(inverse))))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time as wall
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,23 +21,24 @@ from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit, Sealed, fit_gas, predict, sealed_runs
 from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
-from mjtactile.fit.membrane_fit import (
-    DEFAULT,
-    FitOptions,
-    MembraneFit,
-    fit_membrane,
-    replay,
-    simulate,
-)
+from mjtactile.fit.membrane_fit import DEFAULT, FitOptions, MembraneFit, fit_membrane, simulate
 from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
 from mjtactile.fit.rewrite_sensor_file import rewrite
+from mjtactile.fit.sealed_replay import (
+    MembraneErrors,
+    ReplayedRecording,
+    can_replay,
+    linear_model,
+    membrane_errors,
+    touches,
+)
 from mjtactile.recording.reader import load_recording
 from mjtactile.sim.attach import default_mesh
 
 # order in which undetermined parameters are fixed: those closest to their design value first
 _HEAT = ("heat_exchange", "polytropic_exponent")
-_FINER = 4 / 3  # mesh refinement for the discretization error
+_ROUNDS = 2  # of the gas fit: replays at its start, and at the first result
 _HELD_FIRST = ("friction", "pre_stretch", "young")
 
 
@@ -180,7 +181,8 @@ def _gas(
     """Fit the gas parameters in two stages.
 
     The first uses the volumes estimated from the markers. The second simulates the recorded
-    indentations over time.
+    indentations over time. Then a contact that cannot be simulated is left out: the errors of its
+    volume are not known.
     """
     with_pressure = [
         i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()
@@ -189,25 +191,76 @@ def _gas(
     runs = sealed_runs([evidence[i] for i in with_pressure], holds)
     if not runs:
         return None
-    start, _ = _fit_determined(membrane.design, runs, known)
-    options.notify(_report_gas(start))
-    design = replace(membrane.design, chamber=replace(membrane.design.chamber, **start.values))
-    models = [
-        _replayed(evidence[i], membrane.offsets[i], options.mesh)
-        if _can_replay(evidence[i])
-        else predict
-        for i in with_pressure
+    found, _ = _fit_determined(membrane.design, runs, known)
+    options.notify(_report_gas(found))
+    recordings = {
+        run: ReplayedRecording(
+            evidence[i], membrane.offsets[i], options.mesh or default_mesh(membrane.design)
+        )
+        for run, i in zip(runs, with_pressure, strict=True)
+        if can_replay(evidence[i])
+    }
+    if not recordings:
+        return found
+    used = [
+        run
+        for run, i in zip(runs, with_pressure, strict=True)
+        if run in recordings or not touches(evidence[i])
     ]
-    recordings = [(evidence[i], membrane.offsets[i]) for i in with_pressure]
-    modes = _modes(design, recordings, membrane, options.mesh or default_mesh(design))
-    file_values = membrane.design.chamber
-    found, held = _fit_determined(
-        design, runs, known, file_values, models=models, modes=modes, iterations=2
-    )
+    found, held = _fit_replayed(membrane, recordings, used, found, known)
     options.notify(_report_gas(found))
     for name in held.keys() - known.keys():
         options.notify(f"gas: the recordings do not determine {name}; it keeps the file's value")
     return found
+
+
+def _fit_replayed(
+    membrane: MembraneFit,
+    recordings: Mapping[Sealed, ReplayedRecording],
+    runs: Sequence[Sealed],
+    found: GasFit,
+    known: Mapping[str, float],
+) -> tuple[GasFit, dict[str, float]]:
+    """Fit the gas to replayed recordings, and again from the result.
+
+    Args:
+        membrane: Result of the membrane fit.
+        recordings: Replayed recordings of some runs.
+        runs: All runs; the others are predicted from their volumes.
+        found: Start.
+        known: Known values by name, SI.
+
+    Returns:
+        The fit, and the known and held values by name.
+    """
+    held = dict(known)
+    compliances: list[Array] = []
+    errors = MembraneErrors([], [])
+    for _ in range(_ROUNDS):
+        chamber = replace(membrane.design.chamber, **found.values)
+        design = replace(membrane.design, chamber=chamber)
+        base = [recording.replay(design) for recording in recordings.values()]
+        if not compliances:
+            compliances = [
+                recording.compliance(design, before)
+                for recording, before in zip(recordings.values(), base, strict=True)
+            ]
+            errors = membrane_errors(design, list(recordings.values()), base, membrane)
+        replayed = zip(recordings, base, compliances, errors.shift, strict=True)
+        models = {run: linear_model(design, *rest) for run, *rest in replayed}
+        modes = [
+            [dict(zip(recordings, mode, strict=True)).get(run, 0 * run.time) for run in runs]
+            for mode in errors.modes
+        ]
+        found, held = _fit_determined(
+            design,
+            runs,
+            known,
+            membrane.design.chamber,
+            models=[models.get(run, predict) for run in runs],
+            modes=modes,
+        )
+    return found, held
 
 
 def _fit_determined(
@@ -244,96 +297,6 @@ def _fit_determined(
 
 def _report_gas(found: GasFit) -> str:
     return f"gas: {', '.join(f'{name} {value:.4g}' for name, value in found.values.items())}"
-
-
-def _can_replay(evidence: Evidence) -> bool:
-    """Return True for a recording with contact at known depths and without shear.
-
-    Shear contains little information on the gas and takes long to simulate.
-    """
-    moves = evidence.stage.moves if evidence.stage else ()
-    return any(move.touches for move in moves) and not any(
-        move.is_weight or move.shear for move in moves
-    )
-
-
-def _modes(
-    design: SensorDesign,
-    recordings: Sequence[tuple[Evidence, float]],
-    membrane: MembraneFit,
-    mesh: tuple[int, int],
-) -> list[list[Array]]:
-    """Return the pressure errors of replayed recordings, each for one sd of a cause.
-
-    The causes are the first contact of each recording, modulus and pre-stretch along the axes of
-    their covariance, and the discretization by the mesh. The last two are common to all recordings.
-
-    Args:
-        design: Start of the fit.
-        recordings: Recordings with pressures, and the offset of their first contact, m.
-        membrane: Result of the membrane fit.
-        mesh: Vertices of the simulated membrane.
-
-    Returns:
-        For each cause, the pressure error of each recording, (time,) Pa; 0 where it is not
-        replayed.
-    """
-
-    def pressures(
-        changed: SensorDesign, mesh: tuple[int, int], touched: Evidence | None = None
-    ) -> list[Array]:
-        """Replay all recordings, or the one with another first contact; 0: not replayed."""
-        return [
-            replay(changed, e, offset + (_touch_sd(membrane, e) if e is touched else 0.0), mesh)
-            if _can_replay(e) and touched in (None, e)
-            else np.zeros(len(e.series.time))
-            for e, offset in recordings
-        ]
-
-    base = pressures(design, mesh)
-    modes = []
-    for number, (e, _) in enumerate(recordings):
-        if _can_replay(e):
-            mode = pressures(design, mesh, e)
-            mode[number] -= base[number]
-            modes.append(mode)
-    finer = tuple(2 * round(_FINER * (count - 1) / 2) + 1 for count in mesh)
-    scale = 1 / (1 - _FINER**-2)  # extrapolated to an infinitely fine mesh: second order
-    others = [(changed, mesh, 1.0) for changed in _membranes_within(design, membrane)]
-    for changed, grid, factor in [*others, (design, (finer[0], finer[1]), scale)]:
-        moved = pressures(changed, grid)
-        modes.append([factor * (p - before) for p, before in zip(moved, base, strict=True)])
-    return modes
-
-
-def _touch_sd(membrane: MembraneFit, evidence: Evidence) -> float:
-    i = membrane.names.index(f"first touch of {evidence.name}")
-    return math.sqrt(membrane.cov[i][i])
-
-
-def _membranes_within(design: SensorDesign, membrane: MembraneFit) -> list[SensorDesign]:
-    """Return the sensor with modulus and pre-stretch one sd off, along each axis of their
-    covariance."""
-    names = [name for name in ("young", "pre_stretch") if name in membrane.names]
-    rows = [membrane.names.index(name) for name in names]
-    values = np.array([membrane.values[name] for name in names])
-    if not names:
-        return []
-    relative = membrane.cov[np.ix_(rows, rows)] / np.outer(values, values)
-    spread, axes = np.linalg.eigh(relative)
-    moved = values * (1 + (axes * np.sqrt(np.maximum(spread, 0.0))).T)
-    return [
-        replace(
-            design, membrane=replace(design.membrane, **dict(zip(names, row.tolist(), strict=True)))
-        )
-        for row in moved
-    ]
-
-
-def _replayed(
-    evidence: Evidence, offset: float, mesh: tuple[int, int] | None
-) -> Callable[..., Array]:
-    return lambda design, run: replay(design, evidence, offset, mesh)
 
 
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:

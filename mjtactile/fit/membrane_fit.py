@@ -20,7 +20,7 @@ from mjtactile.fit.measurements import Evidence, Hold
 from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.stage import LIFTED, StageDrive
+from mjtactile.sim.scenes.stage import LIFTED
 
 # systematic marker error in addition to noise, m; similar in all holds, so that averaging does not
 # reduce it
@@ -31,6 +31,8 @@ FAST = 0.02
 FAST_FLOOR = 5e-5
 SHIFT_SD = 4e-6  # common height error in a hold, m
 LOAD_CELL_SD = 0.01  # load cell error, N
+DISCRETIZATION = "discretization error"
+_FINER = 4 / 3  # mesh refinement for the discretization error
 PRIOR = 1.0  # 1/sd of the scaled parameters without measurements: a factor of e, 0.2 of stretch
 # significant error of all heights, thus of the lens: in sd, and its minimum as a fraction
 _LENS_SURE = 3.0
@@ -95,10 +97,13 @@ class MembraneFit:
     """Result of the membrane fit.
 
     `values` by name of SCALES; `cov` in SI by `names`, including the first contact of each loaded
-    recording. `design` contains the values. `holds` are the simulated rest states and holds, a
-    tuple per recording. `rms` is the marker residual, m, and `offsets` are those of the first
-    contact by recording, m. `misfit` is the rms of the residuals in sd: above 1, it scales the
-    covariance. `heights` is the common relative error of all measured heights, and its sd.
+    recording and the discretization error. `design` contains the values. `holds` are the simulated
+    rest states and holds, a tuple per recording. `rms` is the marker residual, m, and `offsets` are
+    those of the first contact by recording, m. `misfit` is the rms of the residuals in sd: above 1,
+    it scales the covariance.
+
+    `heights` is the common relative error of all measured heights, and its sd. `discretization` is
+    the estimated discretization error: 0 for the mesh of the fit, 1 for an infinitely fine one.
     """
 
     values: Mapping[str, float]
@@ -110,6 +115,7 @@ class MembraneFit:
     offsets: tuple[float, ...]
     misfit: float = 1.0
     heights: tuple[float, float] = (0.0, 0.0)
+    discretization: float = 0.0
 
     @property
     def focal_scale(self) -> float:
@@ -128,7 +134,7 @@ def simulate(
     """The rest and the holds of a recording, in their order, first touch `offset` m deeper than its
     mark."""
     stage = evidence.stage
-    world = _world(design, evidence, mesh)
+    world = stage_world(design, evidence, mesh)
     world.inflate(_pressure(design, evidence, evidence.rest), seal=False)
     found = [_read_state(world)]
     known = {id(hold.move): hold for hold in evidence.holds}
@@ -145,27 +151,9 @@ def simulate(
     return tuple(found)
 
 
-def replay(
-    design: SensorDesign,
-    evidence: Evidence,
-    offset: float = 0.0,
-    mesh: tuple[int, int] | None = None,
-) -> Array:
-    """Gauge pressures, Pa, of the sealed chamber at the times of the recording's series, simulated
-    as it went."""
-    stage = evidence.stage
-    times = evidence.series.time
-    world = _world(design, evidence, mesh)
-    world.inflate(evidence.rest.pressure, seal=True)
-    drive = StageDrive(world, stage.moves if stage else (), offset)
-    pressures = []
-    for time in times.tolist():
-        drive.advance_to(time)
-        pressures.append(world.sensors[0].gauge_pressure)
-    return np.array(pressures)
-
-
-def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> PressWorld:
+def stage_world(
+    design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None
+) -> PressWorld:
     stage = evidence.stage
     period = 1 / design.camera.rate
     return PressWorld(
@@ -175,6 +163,15 @@ def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
         timestep=period / math.ceil(period / _LARGEST_STEP),
         mesh=mesh or default_mesh(design),
     )
+
+
+def finer_mesh(mesh: tuple[int, int]) -> tuple[tuple[int, int], float]:
+    """Return a finer mesh, and the factor of its effect at an infinitely fine one.
+
+    The discretization error is of second order. Both counts stay odd: one vertex is in the center.
+    """
+    finer = tuple(2 * round(_FINER * (count - 1) / 2) + 1 for count in mesh)
+    return (finer[0], finer[1]), 1 / (1 - _FINER**-2)
 
 
 def _move(world: PressWorld, move: Move, offset: float) -> None:
@@ -254,8 +251,9 @@ class _Problem:
     """Least-squares problem of the membrane fit.
 
     The unknowns x are one value per parameter (see `Scale`), and the first contact of each loaded
-    recording. Common marker errors are also unknown. These are a relative error of all heights, and
-    a shift of all heights in each hold. First contacts and common errors are in sd.
+    recording. Common marker errors are also unknown. These are a relative error of all heights, a
+    shift of all heights in each hold, and the discretization error. First contacts and common
+    errors are in sd.
 
     A recording that does not depend on a parameter is not simulated again for its column.
     """
@@ -288,9 +286,30 @@ class _Problem:
         ends = [
             (s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(scales, nominal, strict=True)
         ]
-        low, high = np.array([*ends, *[(-np.inf, np.inf)] * (self._counts[1] + self._counts[2])]).T
-        found = gauss_newton(self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high)
+        count = self._counts[1] + self._counts[2] + 1
+        low, high = np.array([*ends, *[(-np.inf, np.inf)] * count]).T
+        found = gauss_newton(
+            self.residuals, self.jacobian, np.zeros(len(low) - 1), low=low[:-1], high=high[:-1]
+        )
+        effect = self._discretization(found.x)
+        self._common = np.column_stack([self._common, -effect])
+        self._counts = (*self._counts[:2], self._counts[2] + 1)
+        column = np.concatenate([effect, np.zeros(len(found.jacobian) - len(effect))])
+        start = np.vstack([np.column_stack([found.jacobian, column]), np.eye(len(low))[-1]])
+        found = gauss_newton(
+            self.residuals, self.jacobian, np.append(found.x, 0.0), low=low, high=high, start=start
+        )
         return self._result(found)
+
+    def _discretization(self, x: Array) -> Array:
+        """Return the change of the residuals with an infinitely fine mesh, (r,)."""
+        design = self.made(x)
+        finer, factor = finer_mesh(self.options.mesh or default_mesh(design))
+        changes = [
+            self._of(i, simulate(design, e, self.offset(i, x), finer)) - self._of(i, holds)
+            for i, (e, holds) in enumerate(zip(self.evidence, self._all(x), strict=True))
+        ]
+        return factor * np.concatenate(changes)
 
     def value(self, name: str, x: Array) -> float:
         nominal = getattr(self.design.membrane, name)
@@ -394,9 +413,11 @@ class _Problem:
         ] * m
         misfit = self._misfit(found)
         inverse = max(misfit, 1.0) ** 2 * np.linalg.inv(found.information)
-        cov = inverse[: n + m, : n + m] * np.outer(slopes, slopes)
+        rows = [*range(n + m), len(inverse) - 1]
+        cov = inverse[np.ix_(rows, rows)] * np.outer([*slopes, 1.0], [*slopes, 1.0])
         lens = self._lens_sd * np.array([found.x[n + m], math.sqrt(inverse[n + m, n + m])])
-        names = (*self.names, *(f"first touch of {self.evidence[i].name}" for i in self.pressed))
+        touches = [first_touch(self.evidence[i]) for i in self.pressed]
+        names = (*self.names, *touches, DISCRETIZATION)
         return MembraneFit(
             values,
             cov,
@@ -407,6 +428,7 @@ class _Problem:
             tuple(self.offset(i, found.x) for i in range(len(self.evidence))),
             misfit,
             (float(lens[0]), float(lens[1])),
+            float(found.x[-1]),
         )
 
     def _misfit(self, found: Solution) -> float:
@@ -414,6 +436,11 @@ class _Problem:
         data = found.residuals[: len(self._common)]
         unknowns = sum(self._counts) - self._common.shape[1]
         return math.sqrt(self._repeats * float(data @ data) / max(len(data) - unknowns, 1))
+
+
+def first_touch(evidence: Evidence) -> str:
+    """Return the name of a recording's first contact in the covariance."""
+    return f"first touch of {evidence.name}"
 
 
 def is_fast(hold: Hold) -> bool:

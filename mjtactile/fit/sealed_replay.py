@@ -1,0 +1,227 @@
+"""Replay of a recording with closed valve: its simulated pressures, and their errors.
+
+A replay takes seconds, and the gas fit needs the pressures for many gas parameters. At a given
+position of the stage, the volume under the membrane changes in proportion to a small change of the
+pressure. Two replays determine this compliance. Then the gas model and the compliance give the
+pressures (docs/theory/gas.md, G1 and G4-G6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array
+from mjtactile.fit.gas import Sealed
+from mjtactile.fit.measurements import Evidence
+from mjtactile.fit.membrane_fit import (
+    DISCRETIZATION,
+    MembraneFit,
+    finer_mesh,
+    first_touch,
+    stage_world,
+)
+from mjtactile.sim.scenes.stage import StageDrive
+from mjtactile.sim.sensor.gas import ChamberGas
+
+_ADDED = 50.0  # pressure difference of the two replays, Pa
+_NEWTON = 5
+_SOLVED = 1e-3  # Pa
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Simulated gauge `pressure` (time,) Pa, and `volume` (time,) m^3 under the membrane."""
+
+    pressure: Array
+    volume: Array
+
+
+def replay(
+    design: SensorDesign,
+    evidence: Evidence,
+    offset: float = 0.0,
+    mesh: tuple[int, int] | None = None,
+    added: float = 0.0,
+) -> Replay:
+    """Simulate a recording with closed valve, at the times of its series.
+
+    Args:
+        design: Sensor.
+        evidence: Recording.
+        offset: Depth of first contact below its mark, m.
+        mesh: Vertices of the membrane; None: the default.
+        added: Pressure added after the depth of first contact was determined, Pa.
+
+    Returns:
+        Pressures and volumes.
+    """
+    stage = evidence.stage
+    world = stage_world(design, evidence, mesh)
+    sensor = world.sensors[0]
+    world.inflate(evidence.rest.pressure, seal=True)
+    if added:
+        sensor.open_valve(evidence.rest.pressure + added)
+        world.settle()
+        sensor.close_valve()
+    drive = StageDrive(world, stage.moves if stage else (), offset)
+    pressures = []
+    volumes = []
+    for time in evidence.series.time.tolist():
+        drive.advance_to(time)
+        pressures.append(sensor.gauge_pressure)
+        volumes.append(sensor.volume - design.chamber_volume_flat)
+    return Replay(np.array(pressures), np.array(volumes))
+
+
+@dataclass(frozen=True, eq=False)
+class ReplayedRecording:
+    """Recording that is replayed with its `offset` of the first contact, m."""
+
+    evidence: Evidence
+    offset: float
+    mesh: tuple[int, int]
+
+    def replay(self, design: SensorDesign, added: float = 0.0) -> Replay:
+        return replay(design, self.evidence, self.offset, self.mesh, added)
+
+    def compliance(self, design: SensorDesign, base: Replay) -> Array:
+        """Return the change of the volume with the pressure, (time,) m^3/Pa."""
+        other = self.replay(design, _ADDED)
+        return (other.volume - base.volume) / (other.pressure - base.pressure)
+
+
+def linear_model(
+    design: SensorDesign, base: Replay, compliance: Array, shift: Array
+) -> Callable[[SensorDesign, Sealed], Array]:
+    """Return the model of a recording's pressures for sensors with other gas.
+
+    `base` is the replay with `design`, and `shift` (time,) Pa is added to it.
+    """
+
+    def solve(sensor: SensorDesign, time: Array) -> Array:
+        return _pressures(sensor, time, base, compliance)
+
+    known: list[Array] = []
+
+    def model(sensor: SensorDesign, run: Sealed) -> Array:
+        if not known:
+            known.append(base.pressure + shift - solve(design, run.time))
+        return known[0] + solve(sensor, run.time)
+
+    return model
+
+
+def _pressures(design: SensorDesign, time: Array, base: Replay, compliance: Array) -> Array:
+    """Return the gauge pressures of the closed gas under a membrane of known compliance."""
+    gas = ChamberGas(design.chamber)
+    flat = design.chamber_volume_flat
+    pressure = float(base.pressure[0])
+    gas.seal(flat + float(base.volume[0]), pressure)
+    pressures = [pressure]
+    rows = zip(base.pressure[1:], base.volume[1:], compliance[1:], np.diff(time), strict=True)
+    before = pressure
+    for there, volume, softness, elapsed in np.array(list(rows)).tolist():
+        pressure += there - before
+        for _ in range(_NEWTON):
+            moved = gas.at(flat + volume + softness * (pressure - there), elapsed)
+            slope = 1 + softness * moved.stiffness(elapsed)
+            change = (moved.gauge_pressure - pressure) / slope
+            pressure += change
+            if abs(change) < _SOLVED:
+                break
+        gas.advance(flat + volume + softness * (pressure - there), elapsed)
+        pressures.append(pressure)
+        before = there
+    return np.array(pressures)
+
+
+@dataclass(frozen=True, eq=False)
+class MembraneErrors:
+    """Effect of the membrane fit's errors on the pressures.
+
+    `modes` are independent, each scaled to one sd: an array for each recording, (time,) Pa. `shift`
+    is the effect of the found discretization error, an array for each recording.
+    """
+
+    modes: list[list[Array]]
+    shift: list[Array]
+
+
+def membrane_errors(
+    design: SensorDesign,
+    recordings: Sequence[ReplayedRecording],
+    base: Sequence[Replay],
+    membrane: MembraneFit,
+) -> MembraneErrors:
+    """Return the effect of modulus, pre-stretch, first contacts and discretization.
+
+    Their errors are correlated: markers that the fit explains by one are not explained by another.
+    The modes are the sensitivities times the square root of the joint covariance.
+
+    Args:
+        design: Sensor with the fitted membrane.
+        recordings: Replayed recordings.
+        base: Their replays with `design`.
+        membrane: Result of the membrane fit.
+
+    Returns:
+        The modes and the shift.
+    """
+
+    def changes(
+        changed: SensorDesign, others: Sequence[ReplayedRecording], scale: float = 1.0
+    ) -> list[Array]:
+        return [
+            np.zeros(len(before.pressure))
+            if other is one and changed is design
+            else scale * (other.replay(changed).pressure - before.pressure)
+            for one, other, before in zip(recordings, others, base, strict=True)
+        ]
+
+    sd = dict(zip(membrane.names, np.sqrt(np.diag(membrane.cov)).tolist(), strict=True))
+    effects: dict[str, list[Array]] = {}  # of one sd
+    for name in ("young", "pre_stretch"):
+        if name in sd:
+            value = membrane.values[name] + sd[name]
+            changed = replace(design, membrane=replace(design.membrane, **{name: value}))
+            effects[name] = changes(changed, recordings)
+    for one in recordings:
+        if (name := first_touch(one.evidence)) in sd:
+            deeper = replace(one, offset=one.offset + sd[name])
+            effects[name] = changes(design, [deeper if r is one else r for r in recordings])
+    shift = [np.zeros(len(before.pressure)) for before in base]
+    if DISCRETIZATION in sd:
+        finer = [finer_mesh(r.mesh) for r in recordings]
+        finest = [replace(r, mesh=mesh) for r, (mesh, _) in zip(recordings, finer, strict=True)]
+        whole = changes(design, finest, finer[0][1])
+        shift = [membrane.discretization * change for change in whole]
+        effects[DISCRETIZATION] = [sd[DISCRETIZATION] * change for change in whole]
+    if not effects:
+        return MembraneErrors([], shift)
+    rows = [membrane.names.index(name) for name in effects]
+    scale = np.sqrt(np.diag(membrane.cov))[rows]
+    spread, axes = np.linalg.eigh(membrane.cov[np.ix_(rows, rows)] / np.outer(scale, scale))
+    roots = axes * np.sqrt(np.maximum(spread, 0.0))
+    modes = [
+        [np.tensordot(root, np.array(parts), 1) for parts in zip(*effects.values(), strict=True)]
+        for root in roots.T
+    ]
+    return MembraneErrors(modes, shift)
+
+
+def can_replay(evidence: Evidence) -> bool:
+    """Return True for a recording with contact at known depths and without shear.
+
+    Shear contains little information on the gas and takes long to simulate.
+    """
+    moves = evidence.stage.moves if evidence.stage else ()
+    return touches(evidence) and not any(move.is_weight or move.shear for move in moves)
+
+
+def touches(evidence: Evidence) -> bool:
+    """Return True if the stage of a recording indents the membrane."""
+    return any(move.touches for move in evidence.stage.moves) if evidence.stage else False
