@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import complete_folder, print_result, stdout_to_stderr
 from mjtactile.runtime.progress import Progress
+
+if TYPE_CHECKING:
+    from mjtactile.export.episode import RecordedEpisode
 
 SIMULATES = False
 DESCRIPTION = """\
@@ -84,9 +87,9 @@ def run(options: argparse.Namespace) -> int:
     left_out: list[str] = []
     episodes = find_episodes(options.source, left_out.append, outcome=options.outcome)
     problems = {
-        str(one.recording.folder): list(one.recording.problems)
+        str(one.recording.folder): found
         for one in episodes
-        if one.recording.problems
+        if (found := [*one.recording.problems, *_camera_problems(options, one)])
     }
     with complete_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
         result = _write(options, episodes, out, progress, left_out.append)
@@ -97,6 +100,11 @@ def run(options: argparse.Namespace) -> int:
     lines += [f"  {folder}: {'; '.join(found)}" for folder, found in problems.items()]
     print_result(options, result, "\n".join([*lines, f"  written to {options.out}"]))
     return 0
+
+
+def _camera_problems(options: argparse.Namespace, episode: RecordedEpisode) -> list[str]:
+    """LeRobot data sets have no camera geometry."""
+    return [] if options.format == "lerobot" else episode.camera_problems
 
 
 def _write(

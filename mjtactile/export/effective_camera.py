@@ -24,6 +24,8 @@ _NODES = 15  # points along x and y
 _DEPTHS = np.linspace(-0.25, 0.35, 7)  # z in S of the fitted points, as a fraction of the chamber
 _MARGIN = 0.05  # beyond the image, as a fraction of its size
 _STEPS = 20
+RESIDUAL_MAX = 0.3
+"""Limit of the residual above which `mjtactile export` states it, px."""
 
 
 @dataclass(frozen=True, eq=False)

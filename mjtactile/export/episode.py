@@ -23,7 +23,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array, Ellipses, Image, PressureReading, Touch
-from mjtactile.export.effective_camera import effective_camera
+from mjtactile.export.effective_camera import RESIDUAL_MAX, effective_camera
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.log_schema import SENSED, TRUE
 from mjtactile.recording.mounting import Mounting
@@ -162,6 +162,18 @@ class RecordedEpisode:
         """Return the camera without a glass that stands for the finger's camera behind it."""
         found = effective_camera(self.design_of(finger))
         return {**found.camera.intrinsics, "shift_m": found.shift, "residual_px": found.residual_px}
+
+    @property
+    def camera_problems(self) -> list[str]:
+        """Return a statement for each finger whose effective camera is not accurate."""
+        residuals = {name: self._effective_camera(name)["residual_px"] for name in self.fingers}
+        return [
+            f"camera {name}: points project up to {residual:.1f} px off (limit {RESIDUAL_MAX:g} "
+            "px): CameraInfo has no glass; use camera_in_sensor of the metadata and the glass of "
+            "the sensor file"
+            for name, residual in residuals.items()
+            if residual > RESIDUAL_MAX
+        ]
 
     @property
     def mounting(self) -> Mounting:

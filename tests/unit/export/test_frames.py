@@ -77,6 +77,20 @@ def test_the_effective_camera_is_that_behind_the_glass(model):
     assert found.residual_px < 0.3 and difference.max() < 0.3 and inside.sum() > 200
 
 
+def test_a_camera_that_is_not_accurate_is_stated(press, monkeypatch):
+    """10 mm of glass near a wide lens leave 4 px, which no lens model absorbs; 2 mm leave 0.1."""
+    episode = RecordedEpisode(press)
+    assert episode.camera_problems == []
+    design = load_sensor("dense")
+    camera = replace(design.camera, distance=0.025, fx=333.0, fy=333.0)
+    glass = replace(design.glass, thickness=0.01, distance=0.004)
+    chamber = replace(design.chamber, depth=0.01)
+    wide = replace(design, camera=camera, glass=glass, chamber=chamber)
+    monkeypatch.setattr(RecordedEpisode, "design_of", lambda *_: wide)
+    (found,) = episode.camera_problems
+    assert "camera left: points project up to" in found and "limit 0.3 px" in found
+
+
 def test_without_a_glass_the_camera_is_unchanged():
     design = load_sensor("dense")
     bare = replace(design, glass=replace(design.glass, refractive_index=1.0))
