@@ -124,11 +124,11 @@ def save_policy(
     _check_layers(plain, source)
     chosen = _checked_activation(activation, len(plain), source)
     w, b = plain[0]
-    w = w / np.asarray(input_scale, float)
-    plain[0] = (w, b - w @ np.broadcast_to(input_center, w.shape[1]))
+    w = w / _entries(input_scale, w.shape[1], "input_scale", is_scale=True)
+    plain[0] = (w, b - w @ _entries(input_center, w.shape[1], "input_center"))
     w, b = plain[-1]
-    scale = np.broadcast_to(output_scale, OUTPUTS)
-    plain[-1] = (w * scale[:, None], output_center + scale * b)
+    scale = _entries(output_scale, OUTPUTS, "output_scale")
+    plain[-1] = (w * scale[:, None], _entries(output_center, OUTPUTS, "output_center") + scale * b)
     _check_finite(plain, source)
     arrays = {
         f"{kind}{k}": a
@@ -136,6 +136,18 @@ def save_policy(
         for kind, a in zip("wb", layer, strict=True)
     }
     np.savez(target, allow_pickle=False, activation=np.array(chosen), **arrays)
+
+
+def _entries(values: ArrayLike, count: int, field: str, *, is_scale: bool = False) -> Array:
+    """Return (count,) values of a number or an array. Raises InputError."""
+    found = np.asarray(values, float)
+    if found.shape not in ((), (count,)):
+        valid = ["a number", f"({count},)"]
+        message = f"the shape {found.shape} does not match"
+        raise InputError(message, source="save_policy", field=field, choices=valid)
+    if np.isnan(found).any() or (is_scale and (found == 0).any()):
+        raise InputError("a value is 0 or not a number", source="save_policy", field=field)
+    return np.broadcast_to(found, count)
 
 
 @validated()

@@ -70,6 +70,21 @@ def test_a_wrong_network_is_one_line_when_saved(tmp_path, layers, activation, te
 
 
 @pytest.mark.parametrize(
+    ("scales", "text"),
+    [
+        ({"input_scale": np.ones(5)}, r"input_scale: the shape \(5,\).*valid: a number, \(30,\)"),
+        ({"input_center": np.ones((30, 1))}, r"input_center: the shape \(30, 1\)"),
+        ({"input_scale": 0.0}, "input_scale: a value is 0"),
+        ({"output_scale": [1, np.nan, 1]}, "output_scale: a value is 0 or not a number"),
+    ],
+)
+def test_wrong_scales_are_one_line_when_saved(tmp_path, scales, text):
+    with pytest.raises(InputError, match=text):
+        save_policy(tmp_path / "policy.npz", ONE, **scales)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
     ("arrays", "text"),
     [
         ({"w0": W0}, "valid: w0, b0, w1, b1"),
