@@ -38,7 +38,10 @@ from mjtactile.sim.attach import default_mesh
 
 # order in which undetermined parameters are fixed: those closest to their design value first
 _HEAT = ("heat_exchange", "polytropic_exponent")
-_ROUNDS = 2  # of the gas fit: replays at its start, and at the first result
+_ROUNDS = 3  # of the gas fit, each with replays at the last result
+# limit of the change of a recording's pressures by a round, rms, Pa: their linear model is accurate
+# to a tenth of it
+_LINEAR = 10.0
 _HELD_FIRST = ("friction", "pre_stretch", "young")
 
 
@@ -237,8 +240,7 @@ def _fit_replayed(
     compliances: list[Array] = []
     errors = MembraneErrors([], [])
     for _ in range(_ROUNDS):
-        chamber = replace(membrane.design.chamber, **found.values)
-        design = replace(membrane.design, chamber=chamber)
+        design = _with_gas(membrane.design, found)
         base = [recording.replay(design) for recording in recordings.values()]
         if not compliances:
             compliances = [
@@ -246,8 +248,12 @@ def _fit_replayed(
                 for recording, before in zip(recordings.values(), base, strict=True)
             ]
             errors = membrane_errors(design, list(recordings.values()), base, membrane)
-        replayed = zip(recordings, base, compliances, errors.shift, strict=True)
-        models = {run: linear_model(design, *rest) for run, *rest in replayed}
+        models = {
+            run: linear_model(design, before, compliance, shift)
+            for run, before, compliance, shift in zip(
+                recordings, base, compliances, errors.shift, strict=True
+            )
+        }
         modes = [
             [dict(zip(recordings, mode, strict=True)).get(run, 0 * run.time) for run in runs]
             for mode in errors.modes
@@ -260,7 +266,15 @@ def _fit_replayed(
             models=[models.get(run, predict) for run in runs],
             modes=modes,
         )
+        changed = _with_gas(membrane.design, found)
+        moved = [models[run](changed, run) - models[run](design, run) for run in recordings]
+        if max(float(np.sqrt(np.mean(change**2))) for change in moved) < _LINEAR:
+            break
     return found, held
+
+
+def _with_gas(design: SensorDesign, found: GasFit) -> SensorDesign:
+    return replace(design, chamber=replace(design.chamber, **found.values))
 
 
 def _fit_determined(
