@@ -2,7 +2,8 @@
 
 A replay takes seconds, and the gas fit needs the pressures for many gas parameters. At a given
 position of the stage, the volume under the membrane changes in proportion to a small change of the
-pressure. Two replays determine this compliance. Then the gas model and the compliance give the
+pressure. Two replays with
+different amounts of gas determine this compliance. Then the gas model and the compliance give the
 pressures (docs/theory/gas.md, G1 and G4-G6).
 """
 
@@ -27,7 +28,9 @@ from mjtactile.fit.membrane_fit import (
 from mjtactile.sim.scenes.stage import StageDrive
 from mjtactile.sim.sensor.gas import ChamberGas
 
-_ADDED = 50.0  # pressure difference of the two replays, Pa
+_MORE_GAS = 0.2  # additional gas volume of the second replay, as a fraction
+_CHANGE = 2.0  # change of the pressure by it that determines the compliance, Pa
+_ADDED = 50.0  # pressure difference for the compliance at rest, Pa
 _NEWTON = 5
 _SOLVED = 1e-3  # Pa
 
@@ -45,7 +48,6 @@ def replay(
     evidence: Evidence,
     offset: float = 0.0,
     mesh: tuple[int, int] | None = None,
-    added: float = 0.0,
 ) -> Replay:
     """Simulate a recording with closed valve, at the times of its series.
 
@@ -54,7 +56,6 @@ def replay(
         evidence: Recording.
         offset: Depth of first contact below its mark, m.
         mesh: Vertices of the membrane; None: the default.
-        added: Pressure added after the depth of first contact was determined, Pa.
 
     Returns:
         Pressures and volumes.
@@ -63,10 +64,6 @@ def replay(
     world = stage_world(design, evidence, mesh)
     sensor = world.sensors[0]
     world.inflate(evidence.rest.pressure, seal=True)
-    if added:
-        sensor.open_valve(evidence.rest.pressure + added)
-        world.settle()
-        sensor.close_valve()
     drive = StageDrive(world, stage.moves if stage else (), offset)
     pressures = []
     volumes = []
@@ -85,13 +82,31 @@ class ReplayedRecording:
     offset: float
     mesh: tuple[int, int]
 
-    def replay(self, design: SensorDesign, added: float = 0.0) -> Replay:
-        return replay(design, self.evidence, self.offset, self.mesh, added)
+    def replay(self, design: SensorDesign) -> Replay:
+        return replay(design, self.evidence, self.offset, self.mesh)
 
     def compliance(self, design: SensorDesign, base: Replay) -> Array:
-        """Return the change of the volume with the pressure, (time,) m^3/Pa."""
-        other = self.replay(design, _ADDED)
-        return (other.volume - base.volume) / (other.pressure - base.pressure)
+        """Return the change of the volume with the pressure, (time,) m^3/Pa.
+
+        Where more gas changes the pressure, it is that of a replay with more gas: a contact that
+        sticks makes the membrane softer than a pressure that was there before it. Elsewhere it is
+        the compliance at rest.
+        """
+        more = design.chamber.extra_volume + _MORE_GAS * design.chamber_volume_flat
+        other = self.replay(replace(design, chamber=replace(design.chamber, extra_volume=more)))
+        pressure = other.pressure - base.pressure
+        volume = other.volume - base.volume
+        weight = _CHANGE**2
+        return (volume * pressure + self._at_rest(design) * weight) / (pressure**2 + weight)
+
+    def _at_rest(self, design: SensorDesign) -> float:
+        """Return the compliance without contact, m^3/Pa."""
+        world = stage_world(design, self.evidence, self.mesh)
+        volumes = []
+        for added in (0.0, _ADDED):
+            world.inflate(self.evidence.rest.pressure + added, seal=False)
+            volumes.append(world.sensors[0].volume)
+        return (volumes[1] - volumes[0]) / _ADDED
 
 
 def linear_model(
