@@ -38,6 +38,7 @@ from mjtactile.sim.attach import default_mesh
 
 # order in which undetermined parameters are fixed: those closest to their design value first
 _HEAT = ("heat_exchange", "polytropic_exponent")
+_LENS_ROUNDS = 2  # further membrane fits, each with the lens of the last
 _ROUNDS = 3  # of the gas fit, each with replays at the last result
 # limit of the change of a recording's pressures by a round, rms, Pa: their linear model is accurate
 # to a tenth of it
@@ -62,9 +63,9 @@ def fit_recordings(
     known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
     design, manually = _with_fixed_values(nominal, known)
-    evidence = [read_evidence(path, design, options.finger, options.notify) for path in recordings]
-    free, membrane = _fit_membrane(design, evidence, manually["membrane"], options)
-    image = fit_image_noise(_with_lens(design, membrane.focal_scale), evidence[0].flat)
+    free, membrane, evidence = _fit_lens(recordings, design, manually["membrane"], options)
+    seen = _with_lens(design, membrane.focal_scale)
+    image = fit_image_noise(seen, evidence[0].flat)
     gas = _gas(membrane, evidence, manually["chamber"], options)
     numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, image))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
@@ -77,7 +78,7 @@ def fit_recordings(
         check
         for path in held_out
         for check in _check(
-            fitted, read_evidence(path, design, options.finger, options.notify), options.mesh
+            fitted, read_evidence(path, seen, options.finger, options.notify), options.mesh
         )
     )
     return FitResult(
@@ -135,18 +136,64 @@ def _with_fixed_values(
     return replace(design, **parts), by_section
 
 
+def _fit_lens(
+    recordings: Sequence[Path],
+    design: SensorDesign,
+    known: Mapping[str, float],
+    options: FitOptions,
+) -> tuple[MembraneFit, MembraneFit, list[Evidence]]:
+    """Fit the membrane, and again with the lens that the recordings show.
+
+    A wrong focal length scales the heights of level markers. Those of inclined ones differ from it
+    by some 0.05 mm, so that the images are evaluated again with the lens found.
+
+    Args:
+        recordings: Folders.
+        design: Sensor with the lens of the file.
+        known: Known values of the membrane by name, SI.
+        options: Options of the fit.
+
+    Returns:
+        The two fits of `_fit_membrane`, with `heights` relative to the file's lens, and the
+        measurements.
+    """
+    evidence = [read_evidence(path, design, options.finger, options.notify) for path in recordings]
+    fractions = [e.height_fraction for e in evidence]
+    free, membrane = _fit_membrane(design, evidence, known, options)
+    scale = 1.0
+    for _ in range(_LENS_ROUNDS):
+        if membrane.focal_scale == 1:
+            break
+        scale *= membrane.focal_scale
+        options.notify(f"lens: focal lengths times {scale:.4f}; the images are evaluated again")
+        seen = _with_lens(design, scale)
+        evidence = [
+            replace(
+                read_evidence(path, seen, options.finger, options.notify), height_fraction=fraction
+            )
+            for path, fraction in zip(recordings, fractions, strict=True)
+        ]
+        free, membrane = _fit_membrane(seen, evidence, known, options, membrane.values)
+    free, membrane = (
+        replace(fit, heights=((1 + fit.heights[0]) / scale - 1, fit.heights[1]))
+        for fit in (free, membrane)
+    )
+    return free, membrane, evidence
+
+
 def _fit_membrane(
     design: SensorDesign,
     evidence: Sequence[Evidence],
     known: Mapping[str, float],
     options: FitOptions,
+    start: Mapping[str, float] | None = None,
 ) -> tuple[MembraneFit, MembraneFit]:
     """Return two membrane fits: all unknown parameters free, and undetermined ones fixed.
 
     A fixed parameter has the file's value. The second fit makes correlated parameters consistent
-    with it.
+    with it. `start` contains values near the solution.
     """
-    free = membrane = fit_membrane(design, evidence, known=known, options=options)
+    free = membrane = fit_membrane(design, evidence, known=known, options=options, start=start)
     held = dict(known)
     while name := _first_undetermined(
         membrane.names, membrane.values, membrane.cov, "membrane", _HELD_FIRST

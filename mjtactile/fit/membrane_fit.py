@@ -235,16 +235,18 @@ def fit_membrane(
     *,
     known: Mapping[str, float],
     options: FitOptions = DEFAULT,
+    start: Mapping[str, float] | None = None,
 ) -> MembraneFit:
     """Fit the parameters in SCALES that are not `known` (values by name), and the first contact of
     each loaded recording.
 
-    Friction is fitted only if a recording contains shear.
+    Friction is fitted only if a recording contains shear. `start` contains values near the
+    solution; None: those of `design`.
     """
     dragged = any(move.shear for e in evidence if e.stage for move in e.stage.moves)
     names = tuple(name for name in SCALES if name not in known and (name != "friction" or dragged))
     nominal = replace(design, membrane=replace(design.membrane, **known))
-    return _Problem(nominal, evidence, names, options).solve()
+    return _Problem(nominal, evidence, names, options).solve(start or {})
 
 
 class _Problem:
@@ -280,7 +282,7 @@ class _Problem:
         self._counts = len(names), len(self.pressed), self._common.shape[1]
         self._last: tuple[Array, list[tuple[Simulated, ...]]] = np.empty(0), []
 
-    def solve(self) -> MembraneFit:
+    def solve(self, start: Mapping[str, float]) -> MembraneFit:
         nominal = [getattr(self.design.membrane, name) for name in self.names]
         scales = [SCALES[name] for name in self.names]
         ends = [
@@ -288,16 +290,17 @@ class _Problem:
         ]
         count = self._counts[1] + self._counts[2] + 1
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * count]).T
-        found = gauss_newton(
-            self.residuals, self.jacobian, np.zeros(len(low) - 1), low=low[:-1], high=high[:-1]
-        )
+        first = np.zeros(len(low) - 1)
+        for i, (name, scale, value) in enumerate(zip(self.names, scales, nominal, strict=True)):
+            first[i] = scale.scaled(start.get(name, value), value)
+        found = gauss_newton(self.residuals, self.jacobian, first, low=low[:-1], high=high[:-1])
         effect = self._discretization(found.x)
         self._common = np.column_stack([self._common, -effect])
         self._counts = (*self._counts[:2], self._counts[2] + 1)
         column = np.concatenate([effect, np.zeros(len(found.jacobian) - len(effect))])
-        start = np.vstack([np.column_stack([found.jacobian, column]), np.eye(len(low))[-1]])
+        near = np.vstack([np.column_stack([found.jacobian, column]), np.eye(len(low))[-1]])
         found = gauss_newton(
-            self.residuals, self.jacobian, np.append(found.x, 0.0), low=low, high=high, start=start
+            self.residuals, self.jacobian, np.append(found.x, 0.0), low=low, high=high, start=near
         )
         return self._result(found)
 
