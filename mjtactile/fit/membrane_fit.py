@@ -138,7 +138,9 @@ def simulate(
     world.inflate(_pressure(design, evidence, evidence.rest), seal=False)
     found = [_read_state(world)]
     known = {id(hold.move): hold for hold in evidence.holds}
-    for move in (None, *(stage.moves if stage else ())):
+    moves = (None, *(stage.moves if stage else ()))
+    last = max((i for i, move in enumerate(moves) if id(move) in known), default=-1)
+    for move in moves[: last + 1]:
         hold = known.get(id(move))
         if hold is not None:
             world.sensors[0].open_valve(_pressure(design, evidence, hold))
