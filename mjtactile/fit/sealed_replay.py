@@ -9,6 +9,7 @@ pressures (docs/theory/gas.md, G1 and G4-G6).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,9 @@ from mjtactile.sim.sensor.gas import ChamberGas
 _MORE_GAS = 0.2  # additional gas volume of the second replay, as a fraction
 _CHANGE = 2.0  # change of the pressure by it that determines the compliance, Pa
 _ADDED = 50.0  # pressure difference for the compliance at rest, Pa
+# sd of the depth, m, whose effect on the pressure is that of the contact's discretization in a
+# hold: another mesh changes it by 0.02 to 0.1 mm, not in proportion to the size of the cells
+CONTACT_SD = 5e-5
 _NEWTON = 5
 _SOLVED = 1e-3  # Pa
 
@@ -175,7 +179,8 @@ def membrane_errors(
     """Return the effect of modulus, pre-stretch, first contacts and discretization.
 
     Their errors are correlated: markers that the fit explains by one are not explained by another.
-    The modes are the sensitivities times the square root of the joint covariance.
+    The modes are the sensitivities times the square root of the joint covariance. Further modes are
+    the contact's discretization in each hold.
 
     Args:
         design: Sensor with the fitted membrane.
@@ -208,13 +213,23 @@ def membrane_errors(
         if (name := first_touch(one.evidence)) in sd:
             deeper = replace(one, offset=one.offset + sd[name])
             effects[name] = changes(design, [deeper if r is one else r for r in recordings])
-    shift = [np.zeros(len(before.pressure)) for before in base]
+    nothing = [np.zeros(len(before.pressure)) for before in base]
+    shift = nothing
     if DISCRETIZATION in sd:
         finer = [finer_mesh(r.mesh) for r in recordings]
         finest = [replace(r, mesh=mesh) for r, (mesh, _) in zip(recordings, finer, strict=True)]
         whole = changes(design, finest, finer[0][1])
         shift = [membrane.discretization * change for change in whole]
         effects[DISCRETIZATION] = [sd[DISCRETIZATION] * change for change in whole]
+    contacts = [
+        [
+            effects[name][number] * (CONTACT_SD / sd[name]) * during if n == number else none
+            for n, none in enumerate(nothing)
+        ]
+        for number, one in enumerate(recordings)
+        if (name := first_touch(one.evidence)) in effects
+        for during in _holds(one.evidence)
+    ]
     if not effects:
         return MembraneErrors([], shift)
     rows = [membrane.names.index(name) for name in effects]
@@ -225,7 +240,19 @@ def membrane_errors(
         [np.tensordot(root, np.array(parts), 1) for parts in zip(*effects.values(), strict=True)]
         for root in roots.T
     ]
-    return MembraneErrors(modes, shift)
+    return MembraneErrors([*modes, *contacts], shift)
+
+
+def _holds(evidence: Evidence) -> list[Array]:
+    """Return 1 from each indentation to the next move, otherwise 0, (time,)."""
+    time = evidence.series.time
+    moves = evidence.stage.moves if evidence.stage else ()
+    ends = [*(move.time for move in moves[1:]), math.inf]
+    return [
+        ((time >= move.time) & (time < end)).astype(float)
+        for move, end in zip(moves, ends, strict=True)
+        if move.touches and move.time <= time[-1]
+    ]
 
 
 def can_replay(evidence: Evidence) -> bool:

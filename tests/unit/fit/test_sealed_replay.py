@@ -12,6 +12,7 @@ from mjtactile.fit.gas import Sealed
 from mjtactile.fit.measurements import Evidence, Hold, Series
 from mjtactile.fit.membrane_fit import DISCRETIZATION, MembraneFit, finer_mesh, first_touch
 from mjtactile.fit.sealed_replay import (
+    CONTACT_SD,
     Replay,
     ReplayedRecording,
     can_replay,
@@ -64,7 +65,8 @@ def test_effects_of_correlated_errors(monkeypatch):
     """The modes' covariance is J C J^T, with the correlations of C.
 
     Pressures are linear in modulus, pre-stretch, depth and mesh here. The found discretization
-    error shifts them by its effect at an infinitely fine mesh.
+    error shifts them by its effect at an infinitely fine mesh. The contact's discretization acts as
+    another depth, in the hold only.
     """
     rng = np.random.default_rng(0)
     slopes = rng.normal(size=(4, len(TIME)))
@@ -86,9 +88,12 @@ def test_effects_of_correlated_errors(monkeypatch):
     recording = ReplayedRecording(one, 0.0, MESH)
     found = membrane_errors(DESIGN, [recording], [recording.replay(DESIGN)], membrane)
     J = slopes.T * [1e-6, 1.0, 1e3, 1.0]
-    modes = np.array([mode[0] for mode in found.modes])
+    *modes, contact = np.array([mode[0] for mode in found.modes])
+    modes = np.array(modes)
     np.testing.assert_allclose(modes.T @ modes, J @ membrane.cov @ J.T, atol=1e-9)
     np.testing.assert_allclose(found.shift[0], 0.5 * slopes[3], atol=1e-9)
+    during = (TIME >= 0.2) & (TIME < 0.8)
+    np.testing.assert_allclose(contact, 1e3 * CONTACT_SD * slopes[2] * during, atol=1e-9)
 
 
 def test_recordings_that_are_replayed():
