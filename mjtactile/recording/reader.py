@@ -299,7 +299,7 @@ def load_recording(path: str | Path) -> Recording:
     references = _references(folder, rows, problems)
     width = len(cycles[0]["image_time"]) if cycles else 0
     problems += _contradictions(notes, references, width)
-    sound = tuple(one for one in references if not width or len(one.names) == width)
+    sound = tuple(one for one in references if not _differs(one, width))
     return Recording(folder, header, notes, columns, complete, tuple(problems), sound)
 
 
@@ -316,6 +316,11 @@ def _references(
     return references
 
 
+def _differs(reference: RecordedReference, width: int) -> bool:
+    """Return True for another number of fingers than in the cycles; without images it has none."""
+    return bool(width and reference.names) and len(reference.names) != width
+
+
 def _contradictions(
     notes: dict[str, Any], references: Sequence[RecordedReference], width: int
 ) -> list[str]:
@@ -325,7 +330,7 @@ def _contradictions(
     found = [
         f"the reference {one.stage!r} has {len(one.names)} fingers, the cycles {width}: left out"
         for one in references
-        if len(one.names) != width
+        if _differs(one, width)
     ]
     names = notes.get("fingers")
     if names and len(names) != width:
