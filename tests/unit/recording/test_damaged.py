@@ -240,9 +240,9 @@ def test_a_reference_of_another_number_of_fingers_is_left_out(tmp_path, complete
     found = load_recording(tmp_path)
     assert found.references == ()
     assert any("has 1 fingers, the cycles 2" in problem for problem in found.problems)
-    without = lines.replace(
-        '"images": [[]], "image_time": [[0.0]]', '"images": [], "image_time": []'
-    )
+    times = '"images": [], "image_time": [[0.0], [0.0]]'
+    without = lines.replace('"images": [[]], "image_time": [[0.0]]', times)
+    without = without.replace('"gauge_pressure": [0.0]}', '"gauge_pressure": [0.0, 0.0]}')
     (tmp_path / "log.jsonl").write_text(without)
     found = load_recording(tmp_path)  # recorded without images: its references have none
     assert [one.stage for one in found.references] == ["flat"]
