@@ -40,7 +40,7 @@ SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
 RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
 # friction is known if its 5 % quantile is this fraction of the median; maximum time of the test, s
 KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
-SLIP_LOAD = 1.5  # load factor after a slip: the shear is a part of the load, and motion must stop
+SLIP_LOAD = 1.5  # load factor after a slip: friction may fall further, and the motion must stop
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
@@ -104,7 +104,6 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
     memory = command.memory
-    load = _stored(LoadEstimator, command).after(touch, observation.period)
     friction = _stored(FrictionFilter, command).after(
         touch, observation.period, is_test=memory["risk"] == TEST_RISK
     )
@@ -112,6 +111,7 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
         touch, observation.gripper.effort, observation.period
     )
     is_slipping = friction.grows or slip_sign(touch) == 2
+    load = _stored(LoadEstimator, command).after(touch, observation.period, is_slipping=is_slipping)
     slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
     inertia = load.worst * goal.acceleration / GRAVITY
@@ -142,17 +142,20 @@ def _regulated(observation: Observation, command: Command, forces: list[float]) 
     """
     memory = command.memory
     force = sum(forces) / len(forces)
-    spring = _stored(GripStiffnessEstimator, command).after(
-        observation.gripper.opening, force, observation.period
-    )
-    stiffness = spring.stiffness(force)
-    step = memory["target"] - observation.command.memory.get("target", MIN_FORCE)
-    step = step if memory["risk"] == TEST_RISK else max(step, 0.0)
+    spring = _stored(GripStiffnessEstimator, command)
+    if min(forces) > TOUCH_FORCE / 2:
+        spring = spring.after(observation.gripper.opening, force, observation.period)
+    else:
+        force = 0.0  # one finger that pushes the object against its stand does not grip
+    before = observation.command.memory.get("target", MIN_FORCE)
+    step = spring.way(before, memory["target"])
+    if memory["risk"] != TEST_RISK:
+        step = max(spring.way(max(before, force), memory["target"]), 0.0)
     due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
-    speed = (due - force) / (stiffness * SETTLING)
-    speed = step / (stiffness * observation.period) + max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
+    speed = (due - force) / (spring.stiffness(force) * SETTLING)
+    speed = max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
     actual = observation.gripper.opening
-    opening = command.opening - speed * observation.period
+    opening = command.opening - step - speed * observation.period
     opening = max(actual - 0.006, min(actual + 0.004, opening))
     return phases.remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
@@ -176,6 +179,7 @@ def _regulate(observation: Observation, command: Command, forces: list[float]) -
     """Bring the force to the first target."""
     command = _regulated(observation, command, forces)
     is_settled = abs(sum(forces) / len(forces) - command.memory["target"]) < FORCE_TOLERANCE
+    is_settled &= min(forces) > TOUCH_FORCE / 2
     return phases.settle(
         observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
     )

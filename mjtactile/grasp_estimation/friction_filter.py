@@ -35,7 +35,9 @@ _SIGNS = (
     (0.0002, 0.001, 0.003, 0.004, 0.008, 0.080, 0.100),
     (0.00001, 0.0001, 0.0007, 0.0035, 0.024, 0.110, 0.370),
 )
-_GROWTH = 5e-5  # minimum growth of the distance from image to image, m
+# minimum growth of the distance from image to image, m: constant part, and times the relative
+# increase of the grip, which drags the surface of a soft object along
+_GROWTH = (5e-5, 1e-3)
 _USED_SD = (0.025, 0.006)  # sd of the utilization: constant part, and times 1 N over the force
 _WRONG = 0.01  # probability of an image in which that model does not hold
 # fraction of an image that is independent of the previous one: in a steady hold its errors last
@@ -149,16 +151,17 @@ class FrictionFilter:
         slip = slip_sign(touch)
         if slip == SOME and max(ages) < _REPORT_TIME:
             slip = ALL  # one after the other
-        pairs = zip(distances, self.distances, strict=False)
-        growing = [new - old > _GROWTH for new, old in pairs]
-        if slip == ALL and growing and all(growing):
-            slip = CONFIRMED
-        pairs = zip(states, growing, strict=False)
-        grows = any(state == "slipping" and is_growing for state, is_growing in pairs)
         if min(self.press, self.drag) > 0:
             changes = press / self.press - 1, drag / self.drag - 1
         else:
             changes = math.nan, math.nan
+        min_growth = _GROWTH[0] + _GROWTH[1] * np.fmax(changes[0], 0.0)
+        pairs = zip(distances, self.distances, strict=False)
+        growing = [new - old > min_growth for new, old in pairs]
+        if slip == ALL and growing and all(growing):
+            slip = CONFIRMED
+        pairs = zip(states, growing, strict=False)
+        grows = any(state == "slipping" and is_growing for state, is_growing in pairs)
         return Signs(press, drag, recent, distances, slip, ages, *changes, grows)
 
     def density(self) -> Array:

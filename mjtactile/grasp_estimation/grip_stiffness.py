@@ -45,6 +45,18 @@ class GripStiffnessEstimator:
         """
         return self.hardness * (_SOFT + _STIFF * max(force, 0.0))
 
+    def way(self, start: float, end: float) -> float:
+        """Return the closing distance that changes each finger's force, m.
+
+        Args:
+            start: Initial force on each finger, N.
+            end: Final force, N.
+
+        Returns:
+            Decrease of the opening; negative for a smaller force.
+        """
+        return (_way(end) - _way(start)) / self.hardness
+
     def after(self, opening: float, force: float, period: float) -> GripStiffnessEstimator:
         """Update with one image, from the contact of all fingers on.
 

@@ -72,13 +72,16 @@ class LoadEstimator:
         """
         return load_vector(touch, np.asarray(self.down))
 
-    def after(self, touch: Sequence[Touch], period: float) -> LoadEstimator:
+    def after(
+        self, touch: Sequence[Touch], period: float, *, is_slipping: bool = False
+    ) -> LoadEstimator:
         """Update with one image.
 
         The load increases only if two images confirm it. A single image may have an error of half a
         load, which the grip would hold for 1.5 s. Once the object hangs, the grip also covers the
         predicted increase. Before that, the gripper waits for its grip, so the load grows no
-        faster. The load decreases slowly; the predicted part is not retained.
+        faster. The load decreases slowly; the predicted part is not retained. The shear of a
+        sliding contact is friction, a part of the load: meanwhile the load does not decrease.
 
         Internal shear between two opposite fingers is not load; once the object hangs, upward
         forces are not either.
@@ -86,6 +89,7 @@ class LoadEstimator:
         Args:
             touch: Current touches.
             period: Time since the previous image, s.
+            is_slipping: True if the object slides.
 
         Returns:
             The updated estimator.
@@ -102,7 +106,8 @@ class LoadEstimator:
         sure = now if self.last < 0 else min(now, self.last)
         past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
         ahead = sure + (max(sure - past, 0.0) if len(self.down) else 0.0)
-        maximum = max(sure, self.maximum * math.exp(-period / _KEPT))
+        kept = 1.0 if is_slipping else math.exp(-period / _KEPT)
+        maximum = max(sure, self.maximum * kept)
         return LoadEstimator(maximum, ahead, past, self.down, mass, now)
 
 

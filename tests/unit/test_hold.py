@@ -182,6 +182,9 @@ def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
             0.03 - way, force, 1 / 30
         )
     assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
+    # the same curve between two forces; its slope at the first one is only half of the last one's
+    assert spring.way(0.3, 0.9) == pytest.approx((ball(0.9) - ball(0.3)) / hardness, rel=0.02)
+    assert spring.way(0.9, 0.3) == -spring.way(0.3, 0.9)
     loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
     assert loose.hardness == pytest.approx(hardness, rel=0.03)
     # a travel as short as the backlash gives no measurement
@@ -232,6 +235,14 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
     for _ in range(30):
         load = load.after(light, 1 / 30)
     assert load.worst == pytest.approx(0.6 * math.exp(-1 / 1.5) + 0.02)
+
+
+def test_what_slides_is_as_heavy_as_before():
+    """The shear of a sliding contact is friction, which is less than the load."""
+    load = grasp_estimation.LoadEstimator()
+    for shear in (0.3, 0.3, *[0.1] * 90):
+        load = load.after([touch(0, -shear, 1.0)] * 2, 1 / 30, is_slipping=shear < 0.2)
+    assert load.maximum == pytest.approx(0.3)
 
 
 def test_a_weight_is_an_average_over_seven_tenths_of_a_second():

@@ -18,6 +18,7 @@ from mjtactile.core.types import (
     Touch,
     Traction,
 )
+from mjtactile.grasp_estimation import GripStiffnessEstimator
 from mjtactile.runtime.controller import load_controller
 
 PERIOD = 1 / 30
@@ -132,10 +133,10 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     assert still.memory["target"] < 1.5 * grip  # a report lasts for several images
     one = run(command, report("slipping", "slipping"), 1, goal)
     more = one.memory["target"] - grip
-    # within a cycle it closes by the compression of two membranes under that force
-    stiffness = kept["spring"]["hardness"] * (110 + 260 * grip)
+    # within a cycle it closes by the compression of two membranes from one force to the other
+    spring = GripStiffnessEstimator(**kept["spring"])
     assert more > 0.2 * grip
-    way = min(more / stiffness, 0.006)
+    way = min(spring.way(grip, grip + more), 0.006)
     assert one.opening == pytest.approx(command.opening - way, abs=1.2e-4)
     both = run(command, report("slipping", "slipping"), 3, goal)
     # an object that moves along one finger may roll
@@ -178,3 +179,14 @@ def test_what_is_not_known_stops_it():
     assert run(command, lambda k, c: (blind, finger(0.2)), 6, goal).phase == "hold"
     over = run(command, lambda k, c: (blind, finger(0.2)), 20, goal)
     assert over.phase == "abort" and over.reason == "the contact force is unknown: too dark"
+
+
+def test_it_lifts_only_what_all_fingers_touch():
+    """An egg in its cup resists one finger: a mean force at the target is no grip."""
+    start = Command(0.04, 5.0, 0.0, "regulate")
+    one_sided = lambda k, c: (finger(0.0, normal=0.36), finger(0.0, normal=0.0))  # noqa: E731
+    command = run(start, one_sided, 30)
+    assert command.phase == "regulate"
+    assert command.opening < start.opening - 1e-3  # on towards the other finger
+    both = lambda k, c: (finger(0.0, normal=0.18),) * 2  # noqa: E731
+    assert run(command, both, 30).phase == "lift"
