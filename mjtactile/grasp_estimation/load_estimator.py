@@ -80,8 +80,8 @@ class LoadEstimator:
         The load increases only if two images confirm it. A single image may have an error of half a
         load, which the grip would hold for 1.5 s. Once the object hangs, the grip also covers the
         predicted increase. Before that, the gripper waits for its grip, so the load grows no
-        faster. The load decreases slowly; the predicted part is not retained. The shear of a
-        sliding contact is friction, a part of the load: meanwhile the load does not decrease.
+        faster. The load decreases slowly. The predicted part is not retained. A sliding contact
+        carries only its friction. The load does not decrease meanwhile.
 
         Internal shear between two opposite fingers is not load; once the object hangs, upward
         forces are not either.

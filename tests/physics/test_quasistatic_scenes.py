@@ -125,10 +125,10 @@ def test_each_of_two_balls_slides_at_its_own_limit():
 
 @pytest.mark.parametrize("apart", [True, False])
 def test_balls_that_are_pushed_apart_are_no_slip_of_both(apart):
-    """Two equal balls are moved out and back by 4 mm, in opposite directions or in the same one.
+    """Two equal balls are moved out and back by 4 mm. Slip is the motion of their mean.
 
-    Slip is the motion of their mean. Friction, 0.16 N at 120 N/m, sticks for 1.3 mm on the way out
-    and twice as far on the way back: 4 mm of the 8 mm remain.
+    Friction, 0.16 N at 120 N/m, sticks for 1.3 mm on the way out. On the way back it sticks twice
+    as far. 4 mm remain.
     """
     slide = X_SLIDE.replace('stiffness="1e4" ', "")
     pair = [

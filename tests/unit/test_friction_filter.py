@@ -160,7 +160,7 @@ def test_signs_are_likelier_at_a_higher_utilization():
 
 @pytest.mark.parametrize(("growth", "is_slip"), [(1e-4, False), (6e-4, True)])
 def test_a_surface_that_closing_jaws_drag_along_is_no_slip(growth, is_slip):
-    """The grip grows by 30 % in an image: up to 0.05 mm + 0.3 x 1 mm are due to the jaws."""
+    """A grip firmer by 30 % drags the surface by up to 0.35 mm."""
     steady = updated(FrictionFilter(), touches(0.2, 0.5, "slipping"), 8)
     firmer = updated(steady, touches(0.2, 0.65, "slipping", growth))
     assert firmer.grows == is_slip

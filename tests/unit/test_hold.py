@@ -238,7 +238,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
 
 
 def test_what_slides_is_as_heavy_as_before():
-    """The shear of a sliding contact is friction, which is less than the load."""
+    """A sliding contact carries less than the load."""
     load = grasp_estimation.LoadEstimator()
     for shear in (0.3, 0.3, *[0.1] * 90):
         load = load.after([touch(0, -shear, 1.0)] * 2, 1 / 30, is_slipping=shear < 0.2)

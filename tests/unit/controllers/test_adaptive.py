@@ -182,7 +182,7 @@ def test_what_is_not_known_stops_it():
 
 
 def test_it_lifts_only_what_all_fingers_touch():
-    """An egg in its cup resists one finger: a mean force at the target is no grip."""
+    """An egg in its cup resists one finger."""
     start = Command(0.04, 5.0, 0.0, "regulate")
     one_sided = lambda k, c: (finger(0.0, normal=0.36), finger(0.0, normal=0.0))  # noqa: E731
     command = run(start, one_sided, 30)
