@@ -60,7 +60,9 @@ def shipped_with(controller: str, **constants: float) -> str:
 
 def controller_text(hold: float = 60.0) -> str:
     """The shipped controller, quicker, holding for `hold` s."""
-    text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1)
+    text = shipped_with(
+        "gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, LIFT_SPEED=0.08, OPENING_SPEED=0.08
+    )
     return text.replace("observation.goal.hold_time", f"{hold}")
 
 

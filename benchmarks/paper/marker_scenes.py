@@ -79,10 +79,15 @@ def _fill(polygon: Array, size: NDArray) -> Array:
     x = np.sort(
         [np.interp(lines, pipeline[:, 1], pipeline[:, 0]) for pipeline in (one, other)], axis=0
     )
-    inside = (lines > polygon[top, 1]) & (lines < polygon[bottom, 1])
+    inside = np.flatnonzero((lines > polygon[top, 1]) & (lines < polygon[bottom, 1]))
     cells = np.arange(width)
-    spans = np.clip(x[1][:, None] - cells, 0, 1) - np.clip(x[0][:, None] - cells, 0, 1)
-    return (spans * inside[:, None]).reshape(height, _LINES, width).mean(axis=1)
+    spans = np.zeros((len(lines), width))
+    rows = spans[inside[0] : inside[-1] + 1]
+    np.subtract(x[1][inside, None], cells, out=rows)
+    np.clip(rows, 0, 1, out=rows)
+    left = x[0][inside, None] - cells
+    rows -= np.clip(left, 0, 1, out=left)
+    return spans.reshape(height, _LINES, width).mean(axis=1)
 
 
 def image(

@@ -11,6 +11,7 @@ import pytest
 
 from mjtactile.recording.reader import load_recording
 
+GRASP = [sys.executable, "-m", "mjtactile", "grasp", "--sensor", "paper16", "--out", "result"]
 WAIT = 600  # time limit for the start of the run on a heavily loaded computer, s
 
 
@@ -19,7 +20,7 @@ WAIT = 600  # time limit for the start of the run on a heavily loaded computer, 
 )
 def test_what_was_recorded_is_kept(tmp_path, stop):
     process = subprocess.Popen(
-        [sys.executable, "-m", "mjtactile", "grasp", "--out", "result", "--json"],
+        [*GRASP, "--json"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -53,7 +54,7 @@ def test_a_run_that_is_killed_leaves_complete_cycles(tmp_path):
     """After SIGKILL the recording holds all finished cycles, each with its images, although no
     handler runs."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "mjtactile", "grasp", "--out", "result"],
+        GRASP,
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

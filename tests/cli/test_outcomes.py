@@ -10,7 +10,9 @@ from mjtactile.core import resources
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
-DENSE = resources.find("paper16", "models/sensors", ".toml").read_text()
+DENSE = resources.find("dense", "models/sensors", ".toml").read_text()
+
+SAMPLED = "--effects=-mesh,-pipeline"  # the fastest level: outcomes follow from ground truth
 
 # Close to `OPENING` m at 60 mm/s, push with up to `FORCE` N, lift, hold, and end, without touch.
 BLIND = """
@@ -34,9 +36,7 @@ def run(mjtactile, tmp_path, opening, force, *args):
         "grasp",
         "--controller",
         "blind.py",
-        "--sensor",
-        "paper16",
-        "--effects=-images",
+        SAMPLED,
         "--out",
         "result",
         "--json",
@@ -79,9 +79,7 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
         "grasp",
         "--controller",
         "shy.py",
-        "--sensor",
-        "paper16",
-        "--effects=-images",
+        SAMPLED,
         "--out",
         "result",
         "--json",
@@ -97,7 +95,7 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
 def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactile, tmp_path):
     shallow = DENSE.replace("depth_mm = 20.0", "depth_mm = 2.0")
     (tmp_path / "shallow.toml").write_text(shallow)
-    process, report = run(mjtactile, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml")
+    process, report = run(mjtactile, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml", "--effects=-images")
     assert (process.returncode, report["outcome"]) == (3, "fault")
     line = process.stderr.strip().splitlines()[-1]
     assert "step" in line and "t =" in line and "glass" in line
@@ -123,8 +121,7 @@ def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, 
         "./heavy.xml",
         "--controller",
         "quick.py",
-        "--sensor",
-        "paper16",
+        SAMPLED,
         "--frames",
         "none",
         "--out",
@@ -148,6 +145,6 @@ def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, 
     np.testing.assert_allclose(
         np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9
     )
-    options = ("--controller", "quick.py", "--sensor", "paper16", "--out", "again")
+    options = ("--controller", "quick.py", "--out", "again")
     replay = mjtactile("grasp", "--rig", "replay:result", *options)
     assert replay.returncode == 2 and "0 of" in replay.stderr and "--frames all" in replay.stderr

@@ -42,7 +42,7 @@ def test_a_grasp_goes_on_when_both_cameras_are_shifted(tmp_path, sensor):
     path = tmp_path / "knocked.toml"
     path.write_text(FAULTS)
     quick = tmp_path / "quick.py"
-    quick.write_text(controller_text(hold=0.5))
+    quick.write_text(controller_text(hold=0.2))
     scenario = Scenario(
         object="egg", sensor=sensor, controller=str(quick), seed=6, randomization=str(path)
     )

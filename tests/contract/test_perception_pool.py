@@ -22,6 +22,7 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.perception_processes import PerceptionPool, default_count
 from mjtactile.runtime.session import open_session
+from tests.emulated_host import controller_text
 
 IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
 NAMES = "left", "right"
@@ -161,7 +162,10 @@ class Killing(Observer):
 
 @pytest.mark.slow
 def test_a_grasp_whose_process_is_killed_sets_down_and_reports_why(tmp_path):
-    scenario = Scenario(sensor="paper16", seed=21)
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.2))
+    scenario = Scenario(
+        sensor="paper16", seed=21, effects="-images", controller=str(tmp_path / "quick.py")
+    )
     killing = Killing()
     with (
         Recorder(tmp_path, {"object": "egg"}) as recorder,

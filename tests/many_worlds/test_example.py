@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("mujoco_warp")
 
-pytestmark = pytest.mark.slow(90)
+pytestmark = pytest.mark.slow(12)
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/many_worlds.py"
 

@@ -41,7 +41,7 @@ def worlds(count, **how):
     )
 
 
-@pytest.mark.slow(150)  # MuJoCo Warp on a CPU
+@pytest.mark.slow(25)  # MuJoCo Warp on a CPU
 def test_randomized_grasps_follow_the_environment_on_the_cpu():
     """The same commands, placement, masses and as-built membranes give the same forces.
 
@@ -75,7 +75,7 @@ def test_randomized_grasps_follow_the_environment_on_the_cpu():
     many.close()
 
 
-@pytest.mark.slow(60)
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_an_episode_that_is_over_starts_again_as_gymnasium_defines_it(mode):
     """The object drops out of an open gripper that rises: the outcome is paid once."""
@@ -130,7 +130,7 @@ def test_unsupported_options_are_refused_in_one_line(how, text):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.slow(30)
+@pytest.mark.slow
 def test_a_reset_of_some_worlds_leaves_the_others_alone():
     many = worlds(2, object="block")
     many.reset(seed=1)

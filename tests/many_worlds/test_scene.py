@@ -16,7 +16,7 @@ import warp as wp
 
 import mjtactile.warp
 
-pytestmark = pytest.mark.slow(60)  # compiling MuJoCo Warp takes half a minute
+pytestmark = pytest.mark.slow(15)  # compiling MuJoCo Warp takes half a minute
 
 STEP = 0.00208
 SCENE = """
@@ -57,13 +57,18 @@ def on_the_cpu():
 
 
 def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
+    """The first of three worlds is also compared with the same scene on the CPU."""
     model, tip = scene(**BOX)
     m, d, touch = worlds_of(model, tip, 3)
     mass = m.body_mass.numpy().repeat(3, axis=0)
     mass[1, model.body("object").id] *= 2  # without compiling
     m.body_mass = wp.array(mass.astype(np.float32), dtype=float)
-    for _ in range(1200):
+    forces, heights = [], []
+    for _ in range(900):
         mjw.step(m, d)
+        forces.append(-float(touch.wrench.numpy()[0, 0, 2]))
+        heights.append(float(d.qpos.numpy()[0, 2]))
+    compare_with_cpu(forces[:600], heights[599])
     wrench, pressure = touch.wrench.numpy(), touch.pressure.numpy()
     weight = 0.03 * 9.81 * np.array([1.0, 2.0, 1.0])
     # the box still swings by a few micrometers
@@ -78,20 +83,14 @@ def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
     assert touch.pressure.numpy()[1, 0] == before
 
 
-def test_the_same_scene_on_the_cpu():
-    model, tip = scene(**BOX)
-    m, d, touch = worlds_of(model, tip, 1)
-    forces = []
-    for _ in range(600):
-        mjw.step(m, d)
-        forces.append(-float(touch.wrench.numpy()[0, 0, 2]))
-    height = float(d.qpos.numpy()[0, 2])
+def compare_with_cpu(forces, height):
+    """Compare the forces of each step, N, and the last height, m, with MuJoCo's."""
     model, tip = scene(**BOX)
     data = mujoco.MjData(model)
     with warnings.catch_warnings(action="ignore"):
         finger = tip.bind(model, data)
     same = []
-    for _ in range(600):
+    for _ in forces:
         mjtactile.step(model, data, [finger])
         same.append(finger.ground_truth_wrench())
     same = -np.array(same)[:, 2]
@@ -104,18 +103,18 @@ def test_an_object_that_is_held_does_not_creep():
     """A flat disc under its weight; gravity then gets a component along the membrane."""
     disc = {"kind": "cylinder", "size": "0.009 0.002", "x": 0.0, "z": 0.0051, "mass": 0.05}
     m, d, touch = worlds_of(*scene(**disc), 1)
-    for _ in range(400):
+    for _ in range(300):
         mjw.step(m, d)
     m.opt.gravity = wp.array([[0.0, -1.0, -9.81]], dtype=wp.vec3)
-    for _ in range(800):
+    for _ in range(600):
         mjw.step(m, d)
     start = d.qpos.numpy()[0, :3].copy()
-    for _ in range(480):
+    for _ in range(240):
         mjw.step(m, d)
     moved = d.qpos.numpy()[0, :3] - start
     assert touch.wrench.numpy()[0, 0, 1] == pytest.approx(-0.05, rel=0.02)
     assert touch.slides.numpy()[0, 0] == 0
-    assert np.abs(moved).max() < 1e-6  # 1 um/s
+    assert np.abs(moved).max() < 0.5e-6  # 1 um/s
 
 
 def test_what_cannot_be_bound_is_named():

@@ -39,7 +39,7 @@ def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True):
     ],
 )
 def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):
-    depths = np.arange(0.5e-3, 2.1e-3, 0.25e-3)
+    depths = (0.5e-3, 1.0e-3, 1.5e-3, 2.0e-3)
     for force, touch in presses(sensor, depths, gauge=gauge):
         assert touch.status == "ok"
         assert touch.force_normal == pytest.approx(force, rel=error, abs=0.02)
@@ -61,7 +61,7 @@ def test_a_sudden_plate_is_no_camera_change():
     ("size", "at", "tilt"), [(0.035, (-2e-3, 1.5e-3), 0.5), (0.045, (0.0, 2e-3), 1.0)]
 )
 def test_cubes_off_center_and_tilted(size, at, tilt):
-    depths = np.arange(0.5e-3, 1.8e-3, 0.25e-3)
+    depths = (0.5e-3, 1.0e-3, 1.75e-3)
     for force, touch in presses("dense", depths, size=size, at=at, tilt=np.radians(tilt)):
         assert touch.status == "ok"
         assert touch.force_normal == pytest.approx(force, rel=0.04, abs=0.02)

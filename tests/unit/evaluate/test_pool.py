@@ -25,7 +25,7 @@ from tests.emulated import wait_for
 from tests.emulated_host import controller_text
 from tests.fake_run import fake_cycle
 
-COMMON = dict(scenario=Scenario(sensor="paper16", effects="-images"), count=1, objects=["vial"])
+COMMON = dict(scenario=Scenario(effects="-mesh,-pipeline"), count=1, objects=["vial"])
 
 
 def episode(controller, item, seed, **fields):

@@ -195,7 +195,7 @@ def test_a_worst_episode_is_run_again_and_rendered(tmp_path):
         object="random:3",
         controller=str(tmp_path / "quick.py"),
         seed=3,
-        sensor="paper16",
+        effects="-mesh,-pipeline",
         randomization="default",
     )
     episode = Episode(0, scenario)
@@ -204,7 +204,7 @@ def test_a_worst_episode_is_run_again_and_rendered(tmp_path):
     assert "--seed 3" in Balanced(image.with_suffix(".html").read_text()).text  # and its page
     assert '"randomized"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
-    bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")
+    bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, effects="-mesh,-pipeline")
     assert render(Episode(0, bad), tmp_path / "other") is not None
 
 

@@ -61,12 +61,16 @@ def roll(env, seed, actions):
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space:UserWarning")
 @pytest.mark.parametrize(
-    "observation",
-    ["wrench", *(pytest.param(name, marks=pytest.mark.slow) for name in ("markers", "image"))],
+    ("observation", "effects"),
+    [
+        ("wrench", SAMPLED),
+        ("markers", "-mesh,-images"),
+        pytest.param("image", "-mesh", marks=pytest.mark.slow),
+    ],
 )
-def test_gymnasiums_own_check_passes(observation):
+def test_gymnasiums_own_check_passes(observation, effects):
     """Spaces, seeds, determinism of reset and step, render."""
-    check_env(make(observation=observation, render_mode="rgb_array").unwrapped)
+    check_env(make(observation=observation, effects=effects, render_mode="rgb_array").unwrapped)
 
 
 def test_the_name_is_found_by_its_module():
@@ -193,19 +197,21 @@ def test_no_truth_is_shown(env):
 
 
 @pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
-def test_several_at_once_are_each_its_own(env, mode):
-    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=2, vectorization_mode=mode)
+def test_several_at_once_are_each_its_own(mode):
+    envs = gymnasium.make_vec(
+        mjtactile.gym.ID, num_envs=2, vectorization_mode=mode, effects=SAMPLED
+    )
     shown, _ = envs.reset(seed=5)
     for _ in range(3):
         shown, *_ = envs.step(np.stack([CLOSE, CLOSE]))
     envs.close()
-    for k in range(2):
-        np.testing.assert_array_equal(shown[k], roll(env, 5 + k, [CLOSE] * 3)[0][-1])
+    with make(effects=SAMPLED) as env:
+        for k in range(2):
+            np.testing.assert_array_equal(shown[k], roll(env, 5 + k, [CLOSE] * 3)[0][-1])
 
 
-@pytest.mark.slow
 def test_a_world_that_varies_is_a_new_one():
-    with make(randomization="default") as varied:
+    with make(randomization="default", effects=SAMPLED) as varied:
         infos = [varied.reset(seed=seed)[1] for seed in (1, 2, 1)]
     assert infos[0]["randomized"] == infos[2]["randomized"] != infos[1]["randomized"]
 

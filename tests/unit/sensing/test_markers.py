@@ -301,10 +301,10 @@ def test_colour_and_16_bit_images(circles):
 def test_4k_image():
     camera = optics.Camera(3840, 2160, 3000.0, 3000.0, 1919.5, 1079.5)
     circles = marker_scenes.random_circles(
-        camera, np.random.default_rng(1), rows=4, columns=6, depth=(0.05, 0.06)
+        camera, np.random.default_rng(1), rows=2, columns=3, depth=(0.05, 0.06)
     )
     image = marker_scenes.image(camera, circles, noise_dn=4, blur_px=1.5)
-    assert_right_or_flagged(image, circles, at_least=24, camera=camera)
+    assert_right_or_flagged(image, circles, at_least=6, camera=camera)
 
 
 @pytest.mark.parametrize(

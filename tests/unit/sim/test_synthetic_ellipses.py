@@ -18,6 +18,7 @@ from mjtactile.sensing.image.ellipse import axes_from_shape
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
+from tests.emulated_host import controller_text
 
 DESIGN = load_sensor("dense")
 FLAT = DESIGN.markers.p_SM, np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
@@ -127,8 +128,10 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
 
 @pytest.mark.slow(10)
 def test_a_grasp_without_images_holds_the_egg_and_reports_it(tmp_path):
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.3))
     with Recorder(tmp_path / "run", {}) as recorder:
-        result = run_grasp(Scenario(effects="-images"), [recorder], workers=0)
+        scenario = Scenario(effects="-images", controller=str(tmp_path / "quick.py"))
+        result = run_grasp(scenario, [recorder], workers=0)
         recorder.close(outcome=result.outcome)
     assert result.outcome == "held" and result.summary()["images"] is False
     assert result.hold_force_true == pytest.approx(0.6, abs=0.02)  # force in N, as with images
