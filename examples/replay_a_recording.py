@@ -26,7 +26,7 @@ class Squeeze:
             return replace(command, phase="done")
         return replace(
             command,
-            opening=command.opening - 0.02 * observation.period,
+            opening=command.opening - 0.04 * observation.period,
             force_limit=3.0,
             phase="close",
         )

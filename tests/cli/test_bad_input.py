@@ -127,16 +127,7 @@ def test_bad_file_or_name(command, tmp_path, case):
 def test_a_controller_that_misbehaves_is_named(command, tmp_path, body, words):
     (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
     process = command(
-        "grasp",
-        "--controller",
-        "bad.py",
-        "--sensor",
-        "paper16",
-        "--workers",
-        "0",
-        "--out",
-        "result",
-        "--json",
+        "grasp", "--controller", "bad.py", "--effects=-mesh,-pipeline", "--out", "result", "--json"
     )
     assert_one_line(process, ["bad.py", *words])
     assert json.loads(process.stdout)["exit_code"] == 2
@@ -151,16 +142,7 @@ def step(observation):
     return observation.command
 """)
     process = command(
-        "grasp",
-        "--controller",
-        "bad.py",
-        "--sensor",
-        "paper16",
-        "--workers",
-        "0",
-        "--out",
-        "result",
-        "--json",
+        "grasp", "--controller", "bad.py", "--effects=-mesh,-pipeline", "--out", "result", "--json"
     )
     assert_one_line(process, ["bad.py", "line 4", "tired"])
     report = json.loads(process.stdout)

@@ -20,11 +20,7 @@ WAIT = 600  # time limit for the start of the run on a heavily loaded computer, 
 )
 def test_what_was_recorded_is_kept(tmp_path, stop):
     process = subprocess.Popen(
-        [*GRASP, "--json"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [*GRASP, "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     log = tmp_path / "result" / "recording" / "log.jsonl"
     deadline = time.monotonic() + WAIT
@@ -54,10 +50,7 @@ def test_a_run_that_is_killed_leaves_complete_cycles(tmp_path):
     """After SIGKILL the recording holds all finished cycles, each with its images, although no
     handler runs."""
     process = subprocess.Popen(
-        GRASP,
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        GRASP, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     log = tmp_path / "result" / "recording" / "log.jsonl"
     deadline = time.monotonic() + WAIT

@@ -33,14 +33,7 @@ def run(mjtactile, tmp_path, opening, force, *args):
         BLIND.replace("OPENING", str(opening)).replace("FORCE", str(force))
     )
     process = mjtactile(
-        "grasp",
-        "--controller",
-        "blind.py",
-        SAMPLED,
-        "--out",
-        "result",
-        "--json",
-        *args,
+        "grasp", "--controller", "blind.py", SAMPLED, "--out", "result", "--json", *args
     )
     assert "Traceback" not in process.stderr
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"]
@@ -75,15 +68,7 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
         )
         .replace('memory={"t": t}', 'memory={"t": t}, reason="" if t < 1.6 else "shy"')
     )
-    process = mjtactile(
-        "grasp",
-        "--controller",
-        "shy.py",
-        SAMPLED,
-        "--out",
-        "result",
-        "--json",
-    )
+    process = mjtactile("grasp", "--controller", "shy.py", SAMPLED, "--out", "result", "--json")
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
     assert report["reason"] == "the controller aborted in phase 'close', 1.6 s after its start: shy"
@@ -95,7 +80,9 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
 def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactile, tmp_path):
     shallow = DENSE.replace("depth_mm = 20.0", "depth_mm = 2.0")
     (tmp_path / "shallow.toml").write_text(shallow)
-    process, report = run(mjtactile, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml", "--effects=-images")
+    process, report = run(
+        mjtactile, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml", "--effects=-images"
+    )
     assert (process.returncode, report["outcome"]) == (3, "fault")
     line = process.stderr.strip().splitlines()[-1]
     assert "step" in line and "t =" in line and "glass" in line

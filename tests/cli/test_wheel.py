@@ -156,30 +156,26 @@ def test_a_library_has_no_instructions_but_of_its_set(wheel, tmp_path, instructi
     assert "%zmm" not in text
 
 
-@pytest.mark.parametrize("target", [name for name in build.PLATFORMS if "x86_64" not in name])
-def test_another_platforms_wheel_is_made_here(tmp_path, target):
-    """A wheel for another platform builds from the checkout, with a library for its processor
-    only."""
-    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
-    run(*pip, "--wheel-dir", tmp_path, CHECKOUT, variables={"MJTACTILE_WHEEL": target})
+def test_another_platforms_wheel_is_made_here(tmp_path):
+    """A wheel for another platform builds from the checkout, with a library for its processor only.
+
+    Format of the library, processor and name of the wheel all differ from Linux on x86-64.
+    """
+    target = "darwin-arm64"
+    build_wheel = (sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path)
+    run(*build_wheel, cwd=CHECKOUT, variables={"MJTACTILE_WHEEL": target})
     (made,) = tmp_path.iterdir()
     assert made.name.endswith(f"-py3-none-{build.PLATFORMS[target][1]}.whl")
     with zipfile.ZipFile(made) as archive:
         (library,) = (archive.read(n) for n in archive.namelist() if n.endswith(".so"))
-    if target == "linux-aarch64":
-        aarch64 = 183  # e_machine
-        assert library[:4] == b"\x7fELF" and int.from_bytes(library[18:20], "little") == aarch64
-        assert glibc_needed(library) <= GLIBC
-    else:
-        arm64 = 0x0100000C  # cputype
-        assert library[:4] == bytes.fromhex("cffaedfe")
-        assert int.from_bytes(library[4:8], "little") == arm64
+    arm64 = 0x0100000C  # cputype
+    assert library[:4] == bytes.fromhex("cffaedfe")
+    assert int.from_bytes(library[4:8], "little") == arm64
 
 
 def test_a_wheel_for_an_unknown_platform_is_refused(tmp_path):
-    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
-    command = (*pip, "--wheel-dir", tmp_path, CHECKOUT)
-    _, reported = run(*command, code=1, variables={"MJTACTILE_WHEEL": "amiga"})
+    command = (sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path)
+    _, reported = run(*command, cwd=CHECKOUT, code=1, variables={"MJTACTILE_WHEEL": "amiga"})
     assert "MJTACTILE_WHEEL=amiga: choose from linux-x86_64, " in reported
 
 

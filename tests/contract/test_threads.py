@@ -37,10 +37,11 @@ def grasps(tmp_path_factory):
     quick = tmp_path_factory.mktemp("quick") / "gentle.py"
     # until the grip has settled
     quick.write_text(controller_text().replace("def _lift(", f"{ENDS}def _lifts("))
-    for folder, workers, rig in zip(
-        folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True
-    ):
-        scenario = Scenario(sensor="paper16", rig=rig, controller=str(quick), seed=21)
+    runs = ((0, "sim", "-mesh"), (2, "sim", "-mesh"), (1, f"replay:{folders[0]}", "auto"))
+    for folder, (workers, rig, effects) in zip(folders, runs, strict=True):
+        scenario = Scenario(
+            sensor="paper16", effects=effects, rig=rig, controller=str(quick), seed=21
+        )
         with Recorder(folder, {"object": "egg"}) as recorder:
             run_grasp(scenario, [recorder], workers=workers)
     return folders

@@ -18,6 +18,7 @@ from mjtactile.core import resources
 from mjtactile.recording.reader import load_recording
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.sim import ground_truth
+from tests.emulated_host import controller_text
 from tests.fake_run import write_fake_recording
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -132,7 +133,9 @@ def test_two_sensors_on_an_arm():
 @pytest.mark.slow
 def test_firmer_in_the_air(tmp_path):
     """The pressure goes from 0.6 to 2 kPa while an egg is held, and the force stays right."""
-    scenario = mjtactile.Scenario(controller=str(FOLDER / "firmer_in_the_air.py"))
+    scenario = mjtactile.Scenario(
+        controller=str(FOLDER / "firmer_in_the_air.py"), effects="-images"
+    )
     with mjtactile.Recorder(tmp_path, scenario.header(), frames=0) as recorder:
         result = run_grasp(scenario, [recorder])
     assert result.outcome == "held"
@@ -147,7 +150,10 @@ def test_firmer_in_the_air(tmp_path):
     assert np.abs(error).max() < 0.03
 
 
-def test_grasp_from_python(capsys):
+def test_grasp_from_python(capsys, monkeypatch, tmp_path):
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.3))
+    quick = mjtactile.load_controller(tmp_path / "quick.py")
+    monkeypatch.setattr(mjtactile, "load_controller", lambda _: quick)
     example = run("grasp_from_python")
     assert example.last.phase == "done" and "ended as 'done'" in capsys.readouterr().out
     # its target

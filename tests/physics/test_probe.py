@@ -66,7 +66,11 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
 def test_class(capsys, name, kind, sensor, brisk):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
-    mine = ["--controller", brisk(PRESS_TRAVEL_MAX=0.006)] if name == "clay" else []
+    mine = (
+        ["--controller", brisk(PRESS_TRAVEL_MAX=0.006, APPROACH_SPEED=0.03)]
+        if name == "clay"
+        else []
+    )
     code, found = probe(capsys, "--object", name, "--sensor", sensor, *mine)
     assert (code, found["material"]) == (0, kind)
     assert found["probability"][kind] > 0.7

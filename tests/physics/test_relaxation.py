@@ -183,7 +183,7 @@ def test_force_stays_right_while_rubber_fades():
     take_references(world, views, 1000.0)
     world.drive(4e-3)
     errors = []
-    for seconds in [0.1] * 5 + [1.0] * 20:
+    for seconds in [0.1] * 5 + [1.0] * 14:
         world.step(round(seconds / STEP))
         true = -ground_truth.contact_force(world, 0)[2]
         errors.append([view.touch().force_normal - true for view in views])

@@ -18,7 +18,6 @@ QUASISTATIC = {
     "blade 0.4 x 12 mm": (0.58, 0.25),
     "rod of 1 mm radius": (0.26, 0.25),
     "pin of 0.5 mm radius": (0.128, 0.15),
-    "pin of 1 mm radius": (0.160, 0.15),
     "pin of 1.5 mm radius": (0.191, 0.15),
 }
 

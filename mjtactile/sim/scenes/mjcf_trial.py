@@ -77,7 +77,7 @@ def _is_heavy(root: ElementTree.Element) -> bool:
 @lru_cache(256)
 def _tried(path: Path, *_state: int) -> str:
     """Return the outcome of a trial, once for each state of the file."""
-    child = process.start(__name__, path, talk=True)
+    child = process.start(__name__, path, TIME, talk=True)
     try:
         text, _ = child.communicate(timeout=scaled_clock.wall(_WAIT))
     except subprocess.TimeoutExpired:
@@ -91,13 +91,20 @@ def _tried(path: Path, *_state: int) -> str:
     return f"{_TOO_MUCH}, or MuJoCo fails to read it ({process.how_it_ended(child)})"
 
 
-def main(path: str) -> None:
-    """Read and compile the file in this process, with the limits; write the outcome to stdout."""
+def main(path: str, seconds: str) -> None:
+    """Read and compile the file in this process, with the limits; write the outcome to stdout.
+
+    Args:
+        path: Path of the file.
+        seconds: Maximum processor time, s.
+    """
     import mujoco
+
+    maximum = int(seconds)
 
     with contextlib.suppress(ImportError, ValueError, OSError):
         resource = importlib.import_module("resource")
-        resource.setrlimit(resource.RLIMIT_CPU, (TIME, TIME + 1))
+        resource.setrlimit(resource.RLIMIT_CPU, (maximum, maximum + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     outcome = ""
     with memory_limit.limited(MEMORY) as limit:
@@ -137,4 +144,4 @@ def _require_files(path: Path, done: set[Path]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -135,16 +135,16 @@ def npy(shape, data=b"", dtype="<f8"):
 
 
 BOMBS = {
-    "zeros that unpack to 200 MB": {"w0.npy": npy((25_000_000,), b"\0" * 200_000_000)},
-    "a shape of 8 TB": {"w0.npy": npy((10**12,))},
-    "a shape that overflows": {"w0.npy": npy((2**62, 2**62))},
-    "a negative shape": {"w0.npy": npy((-1,))},
-    "objects": {"w0.npy": npy((1,), b"\0" * 8, "|O")},
-    "no header": {"w0.npy": b"\x93NUMPY\x01\0\xff\xff"},
-    "a header that is code": {"w0.npy": npy("__import__('os')")},
-    "nested header": {"w0.npy": npy("(" * 9000 + ")" * 9000)},
-    "thousands of arrays": {f"w{k}.npy": npy((1,), b"\0" * 8) for k in range(5000)},
-    "no array": {"w0.npy": b"text"},
+    "zeros that unpack to 200 MB": lambda: {"w0.npy": npy((25_000_000,), b"\0" * 200_000_000)},
+    "a shape of 8 TB": lambda: {"w0.npy": npy((10**12,))},
+    "a shape that overflows": lambda: {"w0.npy": npy((2**62, 2**62))},
+    "a negative shape": lambda: {"w0.npy": npy((-1,))},
+    "objects": lambda: {"w0.npy": npy((1,), b"\0" * 8, "|O")},
+    "no header": lambda: {"w0.npy": b"\x93NUMPY\x01\0\xff\xff"},
+    "a header that is code": lambda: {"w0.npy": npy("__import__('os')")},
+    "nested header": lambda: {"w0.npy": npy("(" * 9000 + ")" * 9000)},
+    "thousands of arrays": lambda: {f"w{k}.npy": npy((1,), b"\0" * 8) for k in range(5000)},
+    "no array": lambda: {"w0.npy": b"text"},
 }
 
 
@@ -153,7 +153,7 @@ def test_an_archive_that_would_unpack_without_bounds_is_refused(tmp_path, kind):
     """Sizes count before anything is unpacked, and each defect is one line."""
     path = tmp_path / "policy.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in BOMBS[kind].items():
+        for name, data in BOMBS[kind]().items():
             archive.writestr(name, data)
     with pytest.raises(InputError, match=r"policy\.npz: ") as caught:
         load_policy(path)

@@ -187,9 +187,9 @@ def test_another_baud_rate_receives_nothing(bench):
 
 
 def test_bad_bytes_are_no_replies():
-    """A seeded 40 kB of noise and damaged packets; `mjtactile bench rig` feeds 10^6 bytes."""
-    result = fuzz_servos(40_000)
-    assert result["wrong"] == 0 and result["refused"] > 100
+    """A seeded 20 kB of noise and damaged packets; `mjtactile bench rig` feeds 10^6 bytes."""
+    result = fuzz_servos(20_000)
+    assert result["wrong"] == 0 and result["refused"] > 50
     assert result["true"] > 0  # the true answers among them were taken
     # a babbler gets five times the time-out of 2 ms; nothing hangs
     assert result["longest_s"] < 1.0

@@ -49,8 +49,8 @@ def test_no_damaged_line_is_read():
 
 
 def test_bad_lines_are_no_readings():
-    """A seeded 40 kB through a port; `mjtactile bench rig` feeds 10^7 bytes."""
-    result = fuzz_valve(40_000)
-    assert result["wrong"] == 0 and result["refused"] > 30
+    """A seeded 20 kB through a port; `mjtactile bench rig` feeds 10^7 bytes."""
+    result = fuzz_valve(20_000)
+    assert result["wrong"] == 0 and result["refused"] > 15
     assert result["true"] > 0  # the true answers among them were taken
     assert result["longest_s"] < 10.0  # nothing hangs

@@ -10,7 +10,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.toml import read_toml
 from mjtactile.fit.relaxation import RelaxationFit, _solve, fit_relaxation
 
-STEPS = "time_s,depth_mm,shear_mm,speed_mm_s,force_N\n2,3,,,\n12,,,,\n"
+STEPS = "time_s,depth_mm,shear_mm,speed_mm_s,force_N\n2,3,,,\n9,,,,\n"
 
 
 def test_fractions_and_their_sd_of_a_gauge_with_noise():
@@ -59,7 +59,7 @@ def test_a_press_that_is_held_and_let_go_states_what_fades(tmp_path, capsys):
     nominal = str(tmp_path / "nominal.toml")
     command = ["record", "--rig", "stage", "--sensor", nominal, "--indenter", "sphere:8"]
     command += ["--as-built", str(tmp_path / "specimen.toml")]
-    command += ["--protocol", str(tmp_path / "steps.csv"), "--seconds", "30"]
+    command += ["--protocol", str(tmp_path / "steps.csv"), "--seconds", "23"]
     assert main([*command, "--out", str(tmp_path / "held")]) == 0
     found = fit_relaxation(tmp_path / "held", load_sensor(nominal), "left")
     start, end = found.within
