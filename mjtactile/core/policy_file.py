@@ -100,9 +100,9 @@ def save_policy(
 ) -> None:
     """Write a network for `controllers/policy.py`.
 
-    The network computes a scaled action from a scaled observation: the input of the first layer is
-    (observation - input_center) / input_scale, and the action is output_center + output_scale
-    times the output of the last layer. Both scales become part of the weights.
+    The network computes a scaled action from a scaled observation. The input of the first layer is
+    (observation - input_center) / input_scale. The action is output_center + output_scale times the
+    output of the last layer. Both scales become part of the weights.
 
     Args:
         path: File, .npz.

@@ -86,8 +86,8 @@ class Recording:
 
         Returns:
             The folder; object, task, sensor, controller, rig and seed; the outcome and the error;
-            number of the recorded cycles, True if the recording was closed properly, and its
-            defects. A name is None if the recording does not contain it.
+            number of the recorded cycles. True if the recording was closed properly. Its defects.
+            A name is None if the recording does not contain it.
         """
         scenario = self.header.get("scenario") or {}
         names = ("object", "task", "sensor", "controller", "rig", "seed")

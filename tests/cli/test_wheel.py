@@ -157,10 +157,7 @@ def test_a_library_has_no_instructions_but_of_its_set(wheel, tmp_path, instructi
 
 
 def test_another_platforms_wheel_is_made_here(tmp_path):
-    """A wheel for another platform builds from the checkout, with a library for its processor only.
-
-    Format of the library, processor and name of the wheel all differ from Linux on x86-64.
-    """
+    """The wheel has the tag and one library of the other platform."""
     target = "darwin-arm64"
     build_wheel = (sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path)
     run(*build_wheel, cwd=CHECKOUT, variables={"MJTACTILE_WHEEL": target})

@@ -57,7 +57,7 @@ def on_the_cpu():
 
 
 def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
-    """The first of three worlds is also compared with the same scene on the CPU."""
+    """The first world also has the forces of MuJoCo."""
     model, tip = scene(**BOX)
     m, d, touch = worlds_of(model, tip, 3)
     mass = m.body_mass.numpy().repeat(3, axis=0)
@@ -84,7 +84,7 @@ def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
 
 
 def compare_with_cpu(forces, height):
-    """Compare the forces of each step, N, and the last height, m, with MuJoCo's."""
+    """Compare forces, N, and final height, m, with MuJoCo."""
     model, tip = scene(**BOX)
     data = mujoco.MjData(model)
     with warnings.catch_warnings(action="ignore"):
