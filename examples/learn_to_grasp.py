@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv  # pyright: ignore[re
 
 from mjtactile.gym.wrappers import ActionRepeatScaling, save_policy
 
-ENVIRONMENTS = 8  # a process each: with fewer, a core waits while another begins an episode
+ENVIRONMENTS = 8  # a process each: with fewer, a core waits while another starts an episode
 DECISIONS = 32  # of each environment between two updates: about a grasp
 
 

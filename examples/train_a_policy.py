@@ -47,7 +47,7 @@ def watch(seed):
 
 
 def fit(seen, done):
-    """Weights (3, k) and offsets (3,) that explain the actions best, a little drawn towards
+    """Weights (3, k) and offsets (3,) that explain the actions best, slightly biased towards
     zero."""
     # constant inputs carry no information
     scale = np.where(seen.std(axis=0) > 1e-9, seen.std(axis=0), np.inf)
