@@ -90,11 +90,11 @@ INLINE Eight sums_of(const Eight *v) {
     return sums;
 }
 
-INLINE void forward(long count, long height, const float *panels, int many, long apart, float *x) {
+INLINE void forward(long count, long height, const float *panels, int many, long stride, float *x) {
     for (long p = 0; p < count; p++) {
         const float *panel = panels + p * PANEL * height;
         for (int m = 0; m < many; m++) {
-            float *own = x + m * apart + p * PANEL;
+            float *own = x + m * stride + p * PANEL;
             Eight found = own[0] * CONST_EIGHT(panel), rest = own[1] * CONST_EIGHT(panel + height);
             for (int c = 2; c < PANEL; c += 2) {
                 found += own[c] * CONST_EIGHT(panel + c * height);
@@ -104,7 +104,7 @@ INLINE void forward(long count, long height, const float *panels, int many, long
         }
         for (long i = PANEL; i < height; i += PANEL)
             for (int m = 0; m < many; m++) {
-                float *own = x + m * apart + p * PANEL;
+                float *own = x + m * stride + p * PANEL;
                 Eight left = CONST_EIGHT(own + i), more = {0};
                 for (int c = 0; c < PANEL; c += 2) {
                     left -= own[c] * CONST_EIGHT(panel + c * height + i);
@@ -115,11 +115,11 @@ INLINE void forward(long count, long height, const float *panels, int many, long
     }
 }
 
-INLINE void backward(long count, long height, const float *panels, int many, long apart, float *x) {
+INLINE void backward(long count, long height, const float *panels, int many, long stride, float *x) {
     for (long p = count - 1; p >= 0; p--) {
         const float *panel = panels + p * PANEL * height;
         for (int m = 0; m < many; m++) {
-            float *own = x + m * apart + p * PANEL;
+            float *own = x + m * stride + p * PANEL;
             Eight below[PANEL];
             const Eight first = CONST_EIGHT(own + PANEL);
             for (int c = 0; c < PANEL; c++) below[c] = CONST_EIGHT(panel + c * height + PANEL) * first;
@@ -134,14 +134,14 @@ INLINE void backward(long count, long height, const float *panels, int many, lon
     }
 }
 
-void panels_forward(long count, long height, const float *panels, int many, long apart, float *x) {
-    if (many == 3) forward(count, height, panels, 3, apart, x);
-    else forward(count, height, panels, 1, apart, x);
+void panels_forward(long count, long height, const float *panels, int many, long stride, float *x) {
+    if (many == 3) forward(count, height, panels, 3, stride, x);
+    else forward(count, height, panels, 1, stride, x);
 }
 
-void panels_backward(long count, long height, const float *panels, int many, long apart, float *x) {
-    if (many == 3) backward(count, height, panels, 3, apart, x);
-    else backward(count, height, panels, 1, apart, x);
+void panels_backward(long count, long height, const float *panels, int many, long stride, float *x) {
+    if (many == 3) backward(count, height, panels, 3, stride, x);
+    else backward(count, height, panels, 1, stride, x);
 }
 
 void panels_solve_eight(long count, long height, const float *panels, Eight *x) {

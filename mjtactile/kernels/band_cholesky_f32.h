@@ -17,11 +17,11 @@ static inline long panels_height(long width) { return (width + 2 * PANEL - 1) / 
    `room` is the number of panels behind, so that nothing is written past the last one. Returns 1 if
    the matrix is not positive definite. */
 int panels_factor(long count, long room, long height, float *panels);
-/* Solve for `many` (1 or 3) right-hand sides, `apart` numbers from each other. Forward: x becomes
+/* Solve for `many` (1 or 3) right-hand sides, `stride` numbers from each other. Forward: x becomes
    L^-1 x, and the contribution of these rows is subtracted from the rows behind the last panel.
    Backward: x becomes L^-T x; the rows behind the last panel are known. */
-void panels_forward(long count, long height, const float *panels, int many, long apart, float *x);
-void panels_backward(long count, long height, const float *panels, int many, long apart, float *x);
+void panels_forward(long count, long height, const float *panels, int many, long stride, float *x);
+void panels_backward(long count, long height, const float *panels, int many, long stride, float *x);
 
 /* Solve for eight right-hand sides: x becomes (L L^T)^-1 x. A row of `x` has one entry of each of
    them. Behind the last panel's rows, `x` has room for `height` rows, which are zero. */

@@ -68,16 +68,16 @@ void band_forward(long n, long width, const double *L, double *x) {
 static double sum_of(Quad q) { return (q[0] + q[1]) + (q[2] + q[3]); }
 
 void band_backward(long n, long width, const double *L, double *x) {
-    const long stride = BAND_STRIDE(width), whole = n - 4 - width - 3 > 0 ? (n - 4 - width - 3 + 3) / 4 * 4 : 0;
+    const long stride = BAND_STRIDE(width), grouped = n - 4 - width - 3 > 0 ? (n - 4 - width - 3 + 3) / 4 * 4 : 0;
     long j = n - 1;
-    for (; j >= whole; j--) {
+    for (; j >= grouped; j--) {
         const double *column = L + j * stride;
         const long last = j + width < n ? width : n - 1 - j;
         double sum = x[j];
         for (long i = 1; i <= last; i++) sum -= x[j + i] * column[i];
         x[j] = sum / column[0];
     }
-    for (j = whole - 4; j >= 0; j -= 4) {
+    for (j = grouped - 4; j >= 0; j -= 4) {
         const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
         double *own = x + j;
         Quad s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};

@@ -218,7 +218,7 @@ static void derivative(const Camera *camera, const Circle *e, const Boundary *bo
 
 /* Compute an ellipse's boundary in ideal coordinates, the affine map that approximates it, and its
    cone. */
-static Affine look(const Camera *camera, const Circle *e, const double *center, double axes[2][2], Boundary *b, double Q[3][3]) {
+static Affine linearize(const Camera *camera, const Circle *e, const double *center, double axes[2][2], Boundary *b, double Q[3][3]) {
     if (has_lens(camera)) {
         for (int k = 0; k < POINTS; k++) {
             double u = center[0] + axes[0][0] * e->c[k] + axes[0][1] * e->s[k];
@@ -248,7 +248,7 @@ void circle_poses(int64_t n, const double *centers, const double *semi_axes, con
         double axes[2][2] = {{a * c, -b * s}, {a * s, b * c}};
         Boundary bound;
         Pose both[2];
-        Affine m = look(&camera, &e, centers + 2 * i, axes, &bound, Q);
+        Affine m = linearize(&camera, &e, centers + 2 * i, axes, &bound, Q);
         both_circles(Q, radii[i], both);
         if (camera.thickness != 0)
             for (int k = 0; k < 2; k++) both[k] = through_glass(&camera, &e, &bound, both + k, radii[i]);
@@ -274,7 +274,7 @@ void circle_covariances(int64_t n, const double *centers, const double *semi_axe
         Boundary bound;
         Pose pose;
         memcpy(pose.p, p + 3 * i, sizeof pose.p), memcpy(pose.n, normals + 3 * i, sizeof pose.n);
-        Affine m = look(&camera, &e, centers + 2 * i, axes, &bound, Q);
+        Affine m = linearize(&camera, &e, centers + 2 * i, axes, &bound, Q);
         derivative(&camera, &e, &bound, &m, &pose, a, b, angles[i], 5, G);
         sandwich5(G, covs + 25 * i, 5, out + 25 * i);
     }
@@ -287,7 +287,7 @@ void cones(int64_t n, const double *centers, const double *shapes, const double 
     for (int64_t i = 0; i < n; i++) {
         double axes[2][2] = {{shapes[3 * i], shapes[3 * i + 1]}, {shapes[3 * i + 1], shapes[3 * i + 2]}}, Q[3][3];
         Boundary bound;
-        look(&camera, &e, centers + 2 * i, axes, &bound, Q);
+        linearize(&camera, &e, centers + 2 * i, axes, &bound, Q);
         memcpy(out + 9 * i, Q, sizeof Q);
     }
 }

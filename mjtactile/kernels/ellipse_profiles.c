@@ -409,7 +409,7 @@ static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Comm
 
 /* Evaluate the profiles of all markers. Every fourth profile also gives its normal and the blur's
    standard deviation across the edge. */
-static void look(const Image *image, long n, const double *centers, const double *shapes, const Settings *s, const Fan *fan,
+static void sample_edges(const Image *image, long n, const double *centers, const double *shapes, const Settings *s, const Fan *fan,
                  const Filters *f, double sigma, Lines *l, double *kept, double *normals, double *blurs) {
     for (long i = 0; i < n; i++) {
         outline(l, shapes + 3 * i, fan);
@@ -451,7 +451,7 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     work = malloc(n * (4 * per + size) * sizeof *work);
     if (!work) return NO_MEMORY;
     double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per, *kept = work + 4 * n * per;
-    look(&view, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
+    sample_edges(&view, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);
     double middle = upper_median(sorted, n * per), bound = s.max_blur_variance * middle * middle;
     common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);

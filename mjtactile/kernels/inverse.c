@@ -143,7 +143,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
     Lanes *x = malloc((dofs + longer + nodal) * sizeof *x), *rows = x + dofs, *out = rows + longer;
     int failed = seats && motion && x ? 0 : NO_MEMORY;
     Observation observed = {markers, r, weights, tilts, seats};
-    if (!failed) take_seats(&s, markers, material, seats), together(&s, bulge, motion);
+    if (!failed) take_seats(&s, markers, material, seats), interleave_components(&s, bulge, motion);
     for (long first = 0; first < observed.rows && !failed; first += LANES) {
         long lanes = observed.rows - first < LANES ? observed.rows - first : LANES;
         Lanes along = {0};
@@ -225,8 +225,8 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     }
     take_seats(&s, markers, material, seats);
     /* relative to the state without tractions, c - K^-1 r */
-    together(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed);
-    together(&s, c, x);
+    interleave_components(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed);
+    interleave_components(&s, c, x);
     for (long m = 0; m < markers; m++) {
         double off[3] = {data[3 * m], data[3 * m + 1], data[3 * m + 2]};
         for (int k = 0; k < PRODUCTS; k++)
@@ -250,14 +250,14 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
             for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i] += row[k][i] * noise[r];
         for (long i = 0; i < modes; i++) drift_found[i] += drift[modes * r + i] * noise[r];
     }
-    solve_stiffness(&s, &K, x), apart(&s, x, parts);
+    solve_stiffness(&s, &K, x), separate_components(&s, x, parts);
     tractions(&s, &nodes, prior, parts, work, traction);
     for (int k = 0; k < 3; k++)
         sandwich(s.nx, jx, jy, s.ny, load_x, traction + k * jx * jy, load_y, work, parts + k * s.n);
     for (long i = 0; i < dofs; i++) parts[i] += drift_found[0] * gas_load[i];
-    together(&s, parts, x), solve_stiffness(&s, &K, x);
+    interleave_components(&s, parts, x), solve_stiffness(&s, &K, x);
     for (long i = 0; i < dofs; i++) x[i] -= relaxed[i];
-    apart(&s, x, change);
+    separate_components(&s, x, change);
     free(seats), free(relaxed);
     return 0;
 }

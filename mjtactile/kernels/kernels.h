@@ -287,13 +287,13 @@ int64_t qs_factors_size(const double *numbers /* 19 */);
 int64_t qs_factorize(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
                   float *kept /* keeping */);
-/* Find the equilibria of environments `begin` to `end` - 1, each with `settings`
+/* Find the equilibria of environments `start` to `end` - 1, each with `settings`
    (see qs_workspace.h) and obstacles. In and out: displacements `x` and contact forces `force`
    along -z, from the start to the equilibrium; `trend`, the previous change of both, replaced by
    the present one. Out: `found`, see qs_workspace.h. */
 int64_t qs_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
-                   int64_t begin, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
+                   int64_t start, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);

@@ -414,8 +414,8 @@ void add_up(const Membrane *f, const double *x, const double *force,
             if (isfinite(flanks)) {
                 const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
                 const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
-                const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
-                fraction = whole > 0 ? min_of(force[k] / whole, 1) : 1;
+                const double face_force = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
+                fraction = face_force > 0 ? min_of(force[k] / face_force, 1) : 1;
             } else {
                 double wide[4];
                 for (int side = 0; side < 4; side++) wide[side] = seen->edge[side * f->count + k] >= 0 ? seen->edge[side * f->count + k] : 0.5;

@@ -305,8 +305,8 @@ MembraneSums TYPE(qs_elastic)(const Membrane *f, const double *x, int parts, lon
     MembraneSums sums = {.min_turn = INFINITY, .min_root = INFINITY};
     TYPE(see_edges)(at, above, 1 / f->dy, 1, lambda2, line, &l.along[1]);
     for (long i = 0; i < f->columns - 1; i++) {
-        if (f->whole)
-            for (long j = 0; j < f->rows - 1; j++) l.weight[j] = (REAL)(f->whole[i * f->rows + j] * (f->dx * f->dy / 4));
+        if (f->uncut)
+            for (long j = 0; j < f->rows - 1; j++) l.weight[j] = (REAL)(f->uncut[i * f->rows + j] * (f->dx * f->dy / 4));
         const TYPE(Edges) kept = l.along[0];
         const TYPE(Loads) done = l.left;
         l.along[0] = l.along[1], l.along[1] = kept, l.left = l.right, l.right = done;

@@ -32,7 +32,7 @@ Membrane qs_membrane(const double *numbers, const double *law) {
     if (!cut) return membrane;
     const long nodes = membrane.columns * membrane.rows;
     membrane.lopsided = cut[0] != 0, membrane.groups = (long)cut[1];
-    membrane.inside = cut + 2, membrane.whole = membrane.inside + nodes, membrane.cuts = membrane.whole + nodes;
+    membrane.inside = cut + 2, membrane.uncut = membrane.inside + nodes, membrane.cuts = membrane.uncut + nodes;
     return membrane;
 }
 

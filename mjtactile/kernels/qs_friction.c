@@ -88,7 +88,7 @@ typedef struct {
 
 /* Write the poses of the geoms into the membrane's obstacles, and mark the near bodies. Returns 1
    if any geom has moved. */
-static int look(const Scene *s, double *rows, Memory *m, Patch *patches) {
+static int update_patches(const Scene *s, double *rows, Memory *m, Patch *patches) {
     int moved = 0;
     for (long k = 0; k < s->slots; k++) patches[k].near = 0;
     m->near = 0;
@@ -326,7 +326,7 @@ static int64_t attempt(const Solution *c, const double *settings, double lift, i
 }
 
 /* Find the equilibrium at the present poses. If there is none for more than LATE steps, raise the
-   obstacles until there is one. Obstacles stay raised until the next call of `look`. Returns 1 if a
+   obstacles until there is one. Obstacles stay raised until the next call of `update_patches`. Returns 1 if a
    solution was found, 0 if the last one is kept, or a negative error. */
 static int64_t solve(const Solution *c, const Scene *s, const double *settings, long nodes, double *keep, Memory *m, Patch *patches) {
     int64_t status;
@@ -344,7 +344,7 @@ static int64_t solve(const Solution *c, const Scene *s, const double *settings, 
     memcpy(once, settings, sizeof once);
     if (m->lift > FIRST_LIFT && (long)m->lost % LOWER == 0) lift /= 2;
     for (int k = 0; k < DOUBLINGS; k++, lift *= 2) {
-        look(s, c->body, m, patches);
+        update_patches(s, c->body, m, patches);
         ((Settings *)once)->again = k % 3 == 2; /* from rest, in small steps: slower, but surer */
         if ((status = attempt(c, once, lift, m->touching > 0, nodes, keep)) < 0) return status;
         if (status == CONVERGED) return m->lift = lift, 1;
@@ -465,7 +465,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
     const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier,
                      f.numbers.depth};
     (void)nbody, (void)ngeom;
-    const int has_moved = look(&s, body, m, patches);
+    const int has_moved = update_patches(&s, body, m, patches);
     const int again = m->time == g->time; /* same time instant */
     /* a repeated update changes nothing */
     if (again && !has_moved && m->gas_observed == settings[0] && m->sealed_seen == settings[1]) return 0;
@@ -519,7 +519,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
             for (long k = 0; k < slots; k++)
                 if (patches[k].touching && !patches[k].near) release(patches + k), m->touching -= 1;
         }
-        look(&s, body, m, patches);
+        update_patches(&s, body, m, patches);
     }
     const double gas = g->gas > 0 ? 1 / (1 / g->gas + 1 / g->bulge) : 0;
     double displaced = 0;

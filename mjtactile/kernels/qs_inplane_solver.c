@@ -85,10 +85,10 @@ static void solve_full(const Membrane *f, const Halves *h, const float *factor, 
 
 void qs_inplane_solve(const Membrane *f, const float *factor, float *residual, float *room) {
     const Halves h = halves_of(f);
-    const long size = h.panels * PANEL * h.height, apart = stride_of(&h), count = f->count;
+    const long size = h.panels * PANEL * h.height, stride = stride_of(&h), count = f->count;
     const int middle = f->inner_rows % 2;
-    float *even = room, *odd = room + apart;
-    memset(room, 0, 2 * apart * sizeof *room);
+    float *even = room, *odd = room + stride;
+    memset(room, 0, 2 * stride * sizeof *room);
     if (f->lopsided) {
         solve_full(f, &h, factor, residual, room);
         return;
@@ -103,8 +103,8 @@ void qs_inplane_solve(const Membrane *f, const float *factor, float *residual, f
         if (middle) at_even[0] = low[h.half], at_odd[1] = low[count + h.half];
     }
     for (int kind = EVEN; kind <= ODD; kind++) {
-        panels_forward(h.panels, h.height, factor + kind * size, 1, apart, room + kind * apart);
-        panels_backward(h.panels, h.height, factor + kind * size, 1, apart, room + kind * apart);
+        panels_forward(h.panels, h.height, factor + kind * size, 1, stride, room + kind * stride);
+        panels_backward(h.panels, h.height, factor + kind * size, 1, stride, room + kind * stride);
     }
     for (long i = 1; i < f->columns - 1; i++) {
         float *low = residual + i * f->line, *high = low + f->rows - 1;

@@ -55,8 +55,8 @@ Work qs_work_in(const Membrane *f, const RestHeights *rest, const float *plane_f
     w.fast.along_x = take_floats(&floats, n), w.fast.along_y = take_floats(&floats, n);
     w.residual = take_floats(&floats, 3 * n), w.pulls = take_floats(&floats, n), w.swells = take_floats(&floats, n);
     w.moved = take_floats(&floats, n), w.pushed = take_floats(&floats, n), w.plane = take_floats(&floats, 2 * n);
-    w.whole.area_by = take_floats(&floats, n), w.whole.volume_by = take_floats(&floats, n);
-    w.whole.y1 = take_floats(&floats, n), w.whole.y2 = take_floats(&floats, n);
+    w.global.area_by = take_floats(&floats, n), w.global.volume_by = take_floats(&floats, n);
+    w.global.y1 = take_floats(&floats, n), w.global.y2 = take_floats(&floats, n);
     w.plane_room = take_floats(&floats, qs_inplane_workspace_size(f));
     w.heights = qs_normal_in(f, rest, &floats);
     w.learnt = qs_anderson_in(4 * n, 3 * n, &floats);
@@ -144,7 +144,7 @@ void stiffen_edges(const Membrane *f, const double *z, double by, Work *w) {
 }
 
 int prepare_heights(const Membrane *f, const double *z, Work *w) {
-    Whole *all = &w->whole;
+    GlobalTerms *all = &w->global;
     const float over_tension = (float)(1 / max_of(w->sums.tension, 1e-3));
     for (long k = 0; k < f->count; k++) all->area_by[k] = w->pulls[k] * over_tension, all->volume_by[k] = w->swells[k];
     all->tension = f->numbers.tension_slope / f->numbers.opening, all->gas = w->gas_stiffness;
@@ -153,11 +153,11 @@ int prepare_heights(const Membrane *f, const double *z, Work *w) {
 }
 
 void step_heights(const Membrane *f, const double *z, int fresh, Work *w) {
-    Whole *all = &w->whole;
+    GlobalTerms *all = &w->global;
     const long n = f->count;
     const uint8_t *touching = w->seen.touching;
     const float *residual = w->residual + 2 * n;
-    float *y0 = w->heights.solved, *y1 = y0 + w->heights.apart, *y2 = y1 + w->heights.apart;
+    float *y0 = w->heights.solved, *y1 = y0 + w->heights.stride, *y2 = y1 + w->heights.stride;
     const double c1 = all->tension, c2 = all->gas;
     for (long k = 0; k < n; k++) w->moved[k] = touching[k] ? (float)(w->seen.obstacle[k] - w->seen.lower[k] - z[k]) : 0;
     memset(w->pushed, 0, n * sizeof *w->pushed);

@@ -96,10 +96,10 @@ int64_t qs_push(const double *given, int64_t slots, const double *patch, const i
         long carried = body; /* body with the free joint: this one, or one to which it is jointed */
         while (carried > 0 && !(joints[carried] == 1 && type[first[carried]] == JOINT_FREE)) carried = parent[carried];
         if (carried <= 0) continue;
-        double R_SB[9], p_SB[3], apart[3];
+        double R_SB[9], p_SB[3], offset[3];
         times(R, xmat + 9 * carried, 1, R_SB);
-        for (int i = 0; i < 3; i++) apart[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
-        into(R, apart, p_SB);
+        for (int i = 0; i < 3; i++) offset[i] = xpos[3 * carried + i] - xpos[3 * carrier + i];
+        into(R, offset, p_SB);
         hold_of(g, m, grip + 9 * slots * s + 3 * s, 3 * slots, dof[first[carried]], R_SB, p_SB, hold, R);
     }
     return pushes;

@@ -21,10 +21,10 @@ RestHeights qs_heights_at(const Membrane *f, float *kept) {
 long qs_normal_workspace_size(const Membrane *f) { return f->count * height_of(f) + 6 * (f->count + height_of(f)); }
 
 Heights qs_normal_in(const Membrane *f, const RestHeights *rest, float **room) {
-    Heights h = {.rest = rest, .apart = f->count + height_of(f), .scale = 1};
-    h.window = *room, h.solved = h.window + f->count * height_of(f), h.mirrored = h.solved + 3 * h.apart;
-    *room = h.mirrored + 3 * h.apart;
-    memset(h.solved, 0, 6 * h.apart * sizeof *h.solved);
+    Heights h = {.rest = rest, .stride = f->count + height_of(f), .scale = 1};
+    h.window = *room, h.solved = h.window + f->count * height_of(f), h.mirrored = h.solved + 3 * h.stride;
+    *room = h.mirrored + 3 * h.stride;
+    memset(h.solved, 0, 6 * h.stride * sizeof *h.solved);
     return h;
 }
 
@@ -116,8 +116,8 @@ int qs_normal_factor(const Membrane *f, const double *z, const Seen *seen, Heigh
 /* Rotate line `i` of all right-hand sides by half a turn, to or from its place in `mirrored`. */
 static void turn_line(const Membrane *f, const Heights *h, int many, long i, int back, int adds) {
     for (int m = 0; m < many; m++) {
-        float *one = h->solved + m * h->apart + i * f->line;
-        float *other = h->mirrored + m * h->apart + (f->columns - 1 - i) * f->line;
+        float *one = h->solved + m * h->stride + i * f->line;
+        float *other = h->mirrored + m * h->stride + (f->columns - 1 - i) * f->line;
         for (long j = 0; j < f->rows; j++) {
             if (!back) other[f->rows - 1 - j] = one[j];
             else one[j] = (adds ? one[j] : 0) + other[f->rows - 1 - j];
@@ -125,27 +125,27 @@ static void turn_line(const Membrane *f, const Heights *h, int many, long i, int
     }
 }
 
-static void scale(long n, int many, long apart, float by, float *x) {
+static void scale(long n, int many, long stride, float by, float *x) {
     for (int m = 0; m < many; m++)
-        for (long k = 0; k < n; k++) x[m * apart + k] *= by;
+        for (long k = 0; k < n; k++) x[m * stride + k] *= by;
 }
 
 void qs_normal_solve(const Membrane *f, int many, Heights *h) {
     const long line = f->line, per_line = line / PANEL, height = height_of(f), first = h->first, last = h->last;
-    const long behind = f->columns - 1 - last, apart = h->apart;
+    const long behind = f->columns - 1 - last, stride = h->stride;
     const float *rest = h->rest->factor, over = 1 / h->scale;
     float *window = h->solved + first * line;
-    panels_forward(first * per_line, height, rest, many, apart, h->solved);
+    panels_forward(first * per_line, height, rest, many, stride, h->solved);
     for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 0, 0);
-    for (int m = 0; m < many; m++) memset(h->mirrored + m * apart + behind * line, 0, line * sizeof *h->mirrored);
-    panels_forward(behind * per_line, height, rest, many, apart, h->mirrored);
+    for (int m = 0; m < many; m++) memset(h->mirrored + m * stride + behind * line, 0, line * sizeof *h->mirrored);
+    panels_forward(behind * per_line, height, rest, many, stride, h->mirrored);
     if (behind) turn_line(f, h, many, last, 1, 1);
-    panels_forward((last - first + 1) * per_line, height, h->window, many, apart, window);
-    panels_backward((last - first + 1) * per_line, height, h->window, many, apart, window);
-    scale(first * line, many, apart, over, h->solved), scale(behind * line, many, apart, over, h->mirrored);
-    panels_backward(first * per_line, height, rest, many, apart, h->solved);
+    panels_forward((last - first + 1) * per_line, height, h->window, many, stride, window);
+    panels_backward((last - first + 1) * per_line, height, h->window, many, stride, window);
+    scale(first * line, many, stride, over, h->solved), scale(behind * line, many, stride, over, h->mirrored);
+    panels_backward(first * per_line, height, rest, many, stride, h->solved);
     turn_line(f, h, many, last, 0, 0);
-    panels_backward(behind * per_line, height, rest, many, apart, h->mirrored);
+    panels_backward(behind * per_line, height, rest, many, stride, h->mirrored);
     for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 1, 0);
 }
 

@@ -21,7 +21,7 @@ int qs_normal_remainder(const Membrane *membrane, const double *x, const Membran
    then the solutions; `mirrored` has the same size. */
 typedef struct {
     const RestHeights *rest;
-    long first, last, apart;
+    long first, last, stride;
     float scale, *window, *solved, *mirrored;
 } Heights;
 

@@ -143,9 +143,9 @@ static int cone(const Obstacle *b, const Line *line, double *t, double *n) {
 /* Intersect a line with all of `count` half-spaces n x <= d, rows (n, d): the last entry before the
    first exit. Four are processed together, without branches: a hull has a hundred. */
 static int planes(const double *rows, long count, const Line *line, double *t, double *n) {
-    double enter[LANES], leave[LANES], which[LANES], beside[LANES];
+    double enter[LANES], leave[LANES], which[LANES], outside[LANES];
     const double *d = line->along, *o = line->from;
-    for (int k = 0; k < LANES; k++) enter[k] = -INFINITY, leave[k] = INFINITY, which[k] = 0, beside[k] = 0;
+    for (int k = 0; k < LANES; k++) enter[k] = -INFINITY, leave[k] = INFINITY, which[k] = 0, outside[k] = 0;
     for (long first = 0; first < count; first += LANES) {
         double own[4 * LANES];
         const double *row = rows + 4 * first;
@@ -157,7 +157,7 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
             const double towards = row[4 * k] * d[0] + row[4 * k + 1] * d[1] + row[4 * k + 2] * d[2];
             const double left = row[4 * k + 3] - (row[4 * k] * o[0] + row[4 * k + 1] * o[1] + row[4 * k + 2] * o[2]);
             const double way = left / towards, in = towards < -LEVEL ? way : -INFINITY, out = towards > LEVEL ? way : INFINITY;
-            beside[k] = fabs(towards) <= LEVEL ? min_of(beside[k], left) : beside[k];
+            outside[k] = fabs(towards) <= LEVEL ? min_of(outside[k], left) : outside[k];
             which[k] = in > enter[k] ? (double)first : which[k];
             enter[k] = in > enter[k] ? in : enter[k];
             leave[k] = out < leave[k] ? out : leave[k];
@@ -166,12 +166,12 @@ static int planes(const double *rows, long count, const Line *line, double *t, d
     int lane = 0;
     for (int k = 1; k < LANES; k++) {
         if (enter[k] > enter[lane]) lane = k;
-        leave[0] = min_of(leave[0], leave[k]), beside[0] = min_of(beside[0], beside[k]);
+        leave[0] = min_of(leave[0], leave[k]), outside[0] = min_of(outside[0], outside[k]);
     }
     const long last = (long)which[lane] + lane;
     for (int k = 0; k < 3; k++) n[k] = rows[4 * (last < count ? last : count - 1) + k];
     *t = enter[lane];
-    return beside[0] < 0 || !(enter[lane] < leave[0]) || isinf(enter[lane]);
+    return outside[0] < 0 || !(enter[lane] < leave[0]) || isinf(enter[lane]);
 }
 
 static int box(const Obstacle *b, const Line *line, double *t, double *n) {

@@ -205,7 +205,7 @@ static void handover(const Membrane *f, const Eight *found, long many, double *b
 
 /* Evaluate the equilibrium: contact, pressure, tension, and their dependence on displacements.
    Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
-static int begin(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
+static int prepare(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
     see_touch(f, force, &t->seen), narrow_view(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
@@ -236,7 +236,7 @@ int64_t qs_sensitivities(const double *numbers, const double *law, int64_t colum
     const long count = f.count, nodes = columns * rows;
     qs_pad(&f, 3, at, t.at), qs_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
-    const int sweeps = begin(&f, (const Settings *)settings, &base, x, force, &t);
+    const int sweeps = prepare(&f, (const Settings *)settings, &base, x, force, &t);
     if (!sweeps) return 1;
     if (qs_tangent_make(&f, &base, x, force, &t)) return NOT_DEFINITE;
     for (long first = 0; first < changes; first += AT_ONCE) {
@@ -252,7 +252,7 @@ int64_t qs_sensitivities(const double *numbers, const double *law, int64_t colum
         Lanes tension = {0};
         for (int c = 0; c < 3; c++)
             for (long k = 0; k < count; k++)
-                tension += (double)t.stiffness.tension_by[c * t.stiffness.apart + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
+                tension += (double)t.stiffness.tension_by[c * t.stiffness.stride + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
         for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_detection + (first + a) * FOUND);
         handover(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }

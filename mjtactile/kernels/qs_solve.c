@@ -164,20 +164,20 @@ static long max_faces(const double *body, long from, long to) {
 }
 
 int64_t qs_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, int64_t keeping, const float *kept,
-                   const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
+                   const double *rest, int64_t roomy, double *room, int64_t environments, int64_t start, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
                    double *force, double *trend, double *found) {
     const Membrane f = qs_membrane(numbers, law);
     if (columns != f.columns || rows != f.rows || f.line > QS_MAX_LINE || keeping < qs_factors_size(numbers)) return REFUSED;
-    if (roomy < qs_workspace_size_of(&f) || begin < 0 || end > environments) return REFUSED;
+    if (roomy < qs_workspace_size_of(&f) || start < 0 || end > environments) return REFUSED;
     (void)pooled;
     const long n = f.count, nodes = columns * rows;
     const RestHeights at_rest = qs_heights_at(&f, (float *)kept);
     Work w = qs_work_in(&f, &at_rest, kept + qs_normal_size(&f), room);
-    const long faced = bodies * max_faces(body, begin * bodies, end * bodies);
+    const long faced = bodies * max_faces(body, start * bodies, end * bodies);
     double *faces = faced ? malloc(faced * sizeof *faces) : 0;
     if (faced && !faces) return NO_MEMORY;
-    for (long e = begin; e < end; e++) {
+    for (long e = start; e < end; e++) {
         double *own_x = x + e * 3 * nodes, *own_force = force + e * nodes, *own_trend = trend + e * 4 * nodes, *own = found + e * FOUND;
         const Bodies own_bodies = {bodies, body + e * bodies * QS_OBSTACLE, pool, faces};
         if (faces) qs_faces(&own_bodies, faces);

@@ -8,7 +8,7 @@
 
 /* Terms of tension and gas in the height stiffness: tension a a^T + gas v v^T. a and v are the
    gradients of area and volume by heights, (count) each; y1 and y2 are the solutions for them. */
-typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } Whole;
+typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } GlobalTerms;
 
 typedef struct {
     Seen seen;
@@ -18,7 +18,7 @@ typedef struct {
     float *residual;                     /* (3, count): elastic forces minus those of the gas */
     float *pulls, *swells; /* (count): elastic forces, and the volume's gradient by heights */
     float *moved, *pushed, *plane, *plane_room;
-    Whole whole;
+    GlobalTerms global;
     Heights heights;
     Learnt learnt;
     const float *plane_factor;

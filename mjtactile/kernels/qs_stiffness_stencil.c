@@ -19,9 +19,9 @@ typedef struct {
 long qs_stencil_size(const Membrane *f) { return (9 * PAIRS + 3) * (f->count + LANES); }
 
 Stencil qs_stencil_in(const Membrane *f, float **room) {
-    Stencil s = {.apart = f->count + LANES};
-    for (int pair = 0; pair < PAIRS; pair++) s.block[pair] = *room, *room += 9 * s.apart;
-    s.tension_by = *room, *room += 3 * s.apart;
+    Stencil s = {.stride = f->count + LANES};
+    for (int pair = 0; pair < PAIRS; pair++) s.block[pair] = *room, *room += 9 * s.stride;
+    s.tension_by = *room, *room += 3 * s.stride;
     return s;
 }
 
@@ -106,7 +106,7 @@ static void push(Corner *c, Eight pressure, Eight turn_by[2][3]) {
 
 static void add_block(const Stencil *to, int pair, long node, int turned, Eight block[3][3]) {
     for (int k = 0; k < 3; k++)
-        for (int m = 0; m < 3; m++) add_at(to->block[pair] + (3 * k + m) * to->apart + node, turned ? block[m][k] : block[k][m]);
+        for (int m = 0; m < 3; m++) add_at(to->block[pair] + (3 * k + m) * to->stride + node, turned ? block[m][k] : block[k][m]);
 }
 
 /* Add corner (ci, cj) of the cells from (i, j) on. */
@@ -116,7 +116,7 @@ static void add_corner(const Membrane *f, const double *x, double pressure, long
     Corner c = {.over = {(float)((ci ? -1 : 1) / f->dx), (float)((cj ? -1 : 1) / f->dy)}, .height = eight_of(lanes_at(x + 2 * count + node))};
     Eight weight, turn_by[2][3] = {{{0}}}, across[3][3], own[3][3] = {{{0}}};
     for (int n = 0; n < LANES; n++) weight[n] = j + n < f->rows - 1 ? (float)(f->dx * f->dy / 4) : 0;
-    for (int n = 0; n < LANES && f->whole && j + n < f->rows - 1; n++) weight[n] *= (float)f->whole[i * f->rows + j + n];
+    for (int n = 0; n < LANES && f->uncut && j + n < f->rows - 1; n++) weight[n] *= (float)f->uncut[i * f->rows + j + n];
     for (int a = 0; a < 2; a++)
         for (int k = 0; k < 3; k++)
             c.g[a][k] = (float)(k == a) + c.over[a] * eight_of(lanes_at(x + k * count + end[a]) - lanes_at(x + k * count + node));
@@ -139,7 +139,7 @@ static void add_corner(const Membrane *f, const double *x, double pressure, long
         add_block(to, pairs[a], a ? (i + ci) * line + j : i * line + j + cj, a ? cj : ci, between);
         for (int k = 0; k < 3; k++) {
             const Eight by = c.over[a] * c.tension_by[a][k];
-            add_at(to->tension_by + k * to->apart + end[a], by), add_at(to->tension_by + k * to->apart + node, -by);
+            add_at(to->tension_by + k * to->stride + end[a], by), add_at(to->tension_by + k * to->stride + node, -by);
         }
     }
     add_block(to, PAIR_OWN, node, 0, own);
@@ -166,7 +166,7 @@ static void between_corners(const CutGroup *cut, const Corner *c, double pressur
 static void add_entries(const Membrane *f, const Stencil *to, long node, long other, const Eight block[3][3], int lane) {
     for (int pair = 0; pair < PAIRS; pair++)
         for (int k = 0; k < 3 && other == node + qs_pair_offset(f, pair); k++)
-            for (int m = 0; m < 3; m++) to->block[pair][(3 * k + m) * to->apart + node] += block[k][m][lane];
+            for (int m = 0; m < 3; m++) to->block[pair][(3 * k + m) * to->stride + node] += block[k][m][lane];
 }
 
 static void add_cuts(const Membrane *f, const double *x, double pressure, const CutGroup *cut, const Stencil *to) {
@@ -186,7 +186,7 @@ static void add_cuts(const Membrane *f, const double *x, double pressure, const 
         for (int k = 0; k < 3; k++) {
             const Eight by = eight_at(cut->by_x[a]) * c.tension_by[0][k] + eight_at(cut->by_y[a]) * c.tension_by[1][k];
             for (int n = 0; n < LANES; n++)
-                if (cut->node[a][n] > 0) to->tension_by[k * to->apart + (long)cut->node[a][n]] += by[n];
+                if (cut->node[a][n] > 0) to->tension_by[k * to->stride + (long)cut->node[a][n]] += by[n];
         }
         for (int b = 0; b < 3; b++) {
             Eight block[3][3];
@@ -206,13 +206,13 @@ void qs_stencil(const Membrane *f, const double *x, double pressure, const Stenc
 }
 
 void qs_stencil_times(const Membrane *f, const Stencil *s, long first, long last, const Eight *restrict what, Eight *restrict to) {
-    const long count = f->count, apart = s->apart;
+    const long count = f->count, node_stride = s->stride;
     for (long node = first * f->line; node < last * f->line; node++) {
         if (node % f->line >= f->rows) continue;
         Eight own[3], sum[3];
         for (int k = 0; k < 3; k++) own[k] = what[k * count + node], sum[k] = to[k * count + node];
         for (int k = 0; k < 3; k++)
-            for (int m = 0; m < 3; m++) sum[k] += s->block[PAIR_OWN][(3 * k + m) * apart + node] * own[m];
+            for (int m = 0; m < 3; m++) sum[k] += s->block[PAIR_OWN][(3 * k + m) * node_stride + node] * own[m];
         for (int pair = PAIR_UP; pair < PAIRS; pair++) {
             const long other = node + qs_pair_offset(f, pair);
             if (other >= count) continue;
@@ -221,7 +221,7 @@ void qs_stencil_times(const Membrane *f, const Stencil *s, long first, long last
             for (int k = 0; k < 3; k++) there[k] = what[k * count + other], back[k] = to[k * count + other];
             for (int k = 0; k < 3; k++)
                 for (int m = 0; m < 3; m++) {
-                    const float by = block[(3 * k + m) * apart];
+                    const float by = block[(3 * k + m) * node_stride];
                     sum[k] += by * there[m], back[m] += by * own[k];
                 }
             for (int k = 0; k < 3; k++) to[k * count + other] = back[k];

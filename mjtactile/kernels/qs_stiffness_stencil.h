@@ -9,7 +9,7 @@
 
 enum { PAIR_OWN, PAIR_UP, PAIR_BESIDE, PAIR_RISING, PAIR_FALLING, PAIRS };
 typedef struct {
-    long apart;
+    long stride;
     float *block[PAIRS]; /* (3, 3, apart) */
     float *tension_by;   /* (3, apart): derivatives of the mean tension by displacements */
 } Stencil;
@@ -32,7 +32,7 @@ static inline long qs_pair_offset(const Membrane *membrane, int pair) { /* offse
 }
 
 static inline float qs_block(const Stencil *s, int pair, int row, int column, long node) {
-    return s->block[pair][(3 * row + column) * s->apart + node];
+    return s->block[pair][(3 * row + column) * s->stride + node];
 }
 
 /* Return the index of a node among the inner nodes, or -1 if it is not free. */

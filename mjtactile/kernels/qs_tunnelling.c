@@ -24,7 +24,7 @@ static int is_behind(const Membrane *f, const Bodies *bodies, const double *x, c
     for (int c = 0; c < 4; c++) z += x[2 * f->count + corners[c]] / 4, touches |= seen->touching[corners[c]];
     if (z - floor <= BEHIND_UNSEEN * spacing) return 0;
     /* the rim is checked instead */
-    if (f->whole && f->whole[k / f->line * f->rows + k % f->line] == 0) return 0;
+    if (f->uncut && f->uncut[k / f->line * f->rows + k % f->line] == 0) return 0;
     for (long i = -1; i <= 2 && !touches; i++)
         for (long j = -1; j <= 2; j++) {
             const long near = k + i * f->line + j;

@@ -32,7 +32,7 @@ typedef struct {
     MembraneNumbers numbers;
     const double *law;
     /* over all nodes, for an outline: see qs_cut_cells.h; 0: rectangle */
-    const double *inside, *whole;
+    const double *inside, *uncut;
     const double *cuts;       /* triangles of cut cells, in groups of eight */
     long groups;
     int lopsided;             /* 1 if the outline changes under half a turn or a mirror along y */

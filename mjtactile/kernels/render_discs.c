@@ -35,7 +35,7 @@ typedef struct { double x_cos[HARMONICS + 1], x_sin[HARMONICS + 1], y_cos[HARMON
 
 /* Return the whole pixel of a position. `bin` is the part of a pixel beyond it, rounded to the
    nearest bin. */
-static long whole(double place, long bins, long *bin) {
+static long whole_pixel(double place, long bins, long *bin) {
     long rounded = (long)floor(place * bins + 0.5), pixel = (long)floor((double)rounded / bins);
     *bin = rounded - pixel * bins;
     return pixel;
@@ -76,8 +76,8 @@ static inline void dab(float *restrict row, long stride, const float *restrict a
 static void add_point(const Patch *patch, const Brush *brush, double x, double y, float weight) {
     long taps = brush->taps, bin_x, bin_y;
     if (!(fabs(x) < FAR_PX && fabs(y) < FAR_PX)) return;
-    long u = whole(x, brush->bins, &bin_x) - taps / 2 + 1 - patch->left;
-    long v = whole(y, brush->bins, &bin_y) - taps / 2 + 1 - patch->top;
+    long u = whole_pixel(x, brush->bins, &bin_x) - taps / 2 + 1 - patch->left;
+    long v = whole_pixel(y, brush->bins, &bin_y) - taps / 2 + 1 - patch->top;
     const float *across = brush->across + bin_x * taps, *down = brush->down + bin_y * (taps + 1);
     if (u >= 0 && v >= 0 && u + taps <= patch->width && v + taps < patch->height) {
         float *first = patch->rise + v * patch->width + u;
@@ -132,7 +132,7 @@ static Waves make_waves(void) {
 }
 
 /* Project a disc's rim into the image, px. `x0` is NaN if the rim is not completely visible. */
-static Rim look(const Camera *camera, const Waves *w, const double *p, const double *n, double radius) {
+static Rim projected_rim(const Camera *camera, const Waves *w, const double *p, const double *n, double radius) {
     /* tangents as in geometry.tangents */
     double sign = copysign(1, n[2]), h = -1 / (sign + n[2]), mixed = n[0] * n[1] * h;
     double a[3] = {1 + sign * n[0] * n[0] * h, sign * mixed, -sign * n[0]}, b[3] = {mixed, sign + n[1] * n[1] * h, -n[1]};
@@ -188,7 +188,7 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
     Waves waves = make_waves();
     memcpy(&camera, camera_, sizeof camera);
     for (int64_t i = 0; i < n; i++) {
-        Rim rim = look(&camera, &waves, p_CM + 3 * i, n_C + 3 * i, radii[i]);
+        Rim rim = projected_rim(&camera, &waves, p_CM + 3 * i, n_C + 3 * i, radii[i]);
         /* the patch then holds no memory */
         if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;
         if (patch.height <= 0) continue;

@@ -40,12 +40,12 @@ SplineMembrane membrane_of(long nx, long ny, const double *numbers) {
     return s;
 }
 
-void together(const SplineMembrane *s, const double *parts, double *x) {
+void interleave_components(const SplineMembrane *s, const double *parts, double *x) {
     for (long i = 0; i < s->n; i++)
         for (int k = 0; k < 3; k++) x[3 * i + k] = parts[k * s->n + i];
 }
 
-void apart(const SplineMembrane *s, const double *x, double *parts) {
+void separate_components(const SplineMembrane *s, const double *x, double *parts) {
     for (long i = 0; i < s->n; i++)
         for (int k = 0; k < 3; k++) parts[k * s->n + i] = x[3 * i + k];
 }
@@ -82,7 +82,7 @@ static void turn(const Turn *t, Point *p) {
 }
 
 /* Evaluate the deformation `c` (3, n) at the Gauss points. Returns 1 if memory runs out. */
-static int look(const SplineMembrane *s, const double *c, const Turn *turns, Sampling *l) {
+static int sample(const SplineMembrane *s, const double *c, const Turn *turns, Sampling *l) {
     l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
     double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
@@ -172,7 +172,7 @@ int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entr
     s.law = law_, s.entries = entries;
     Sampling l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
-    int failed = look(&s, c, (const Turn *)turns, &l) || !along;
+    int failed = sample(&s, c, (const Turn *)turns, &l) || !along;
     memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
     for (long i = 0; i < l.qx && !failed; i++) {
         memset(along, 0, 9 * s.ny * sizeof *along);
@@ -301,7 +301,7 @@ int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t en
     SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Sampling l;
-    int failed = look(&s, c, (const Turn *)turns, &l);
+    int failed = sample(&s, c, (const Turn *)turns, &l);
     if (!failed) assemble(&s, &l, scale, pressure, band);
     forget(&l);
     return failed ? NO_MEMORY : 0;
@@ -335,7 +335,7 @@ void solve_stiffness(const SplineMembrane *s, const Stiffness *K, double *x) {
 double soften(int64_t nx, int64_t ny, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
     SplineMembrane s = membrane_of(nx, ny, NULL);
     double along = 0;
-    together(&s, gradient, softened);
+    interleave_components(&s, gradient, softened);
     band_forward(3 * s.n, s.width, factor, softened);
     for (long i = 0; i < 3 * s.n; i++) along += softened[i] * softened[i];
     band_backward(3 * s.n, s.width, factor, softened);
@@ -348,7 +348,7 @@ int64_t spline_solve(int64_t nx, int64_t ny, const double *factor, const double 
     Stiffness K = {factor, softened, fraction};
     double *x = malloc(3 * s.n * sizeof *x);
     if (!x) return NO_MEMORY;
-    together(&s, forces, x), solve_stiffness(&s, &K, x), apart(&s, x, out);
+    interleave_components(&s, forces, x), solve_stiffness(&s, &K, x), separate_components(&s, x, out);
     free(x);
     return 0;
 }

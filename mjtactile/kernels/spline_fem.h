@@ -15,8 +15,8 @@ typedef struct { const double *factor, *softened; double fraction; } Stiffness;
 
 SplineMembrane membrane_of(long nx, long ny, const double *numbers); /* NULL: shape only */
 int has_enough_splines(long nx, long ny);                          /* 0: too few splines */
-void together(const SplineMembrane *membrane, const double *parts, double *x); /* (3, n) to (n, 3) */
-void apart(const SplineMembrane *membrane, const double *x, double *parts);
+void interleave_components(const SplineMembrane *membrane, const double *parts, double *x); /* (3, n) to (n, 3) */
+void separate_components(const SplineMembrane *membrane, const double *x, double *parts);
 /* x (n, 3) becomes K^-1 x */
 void solve_stiffness(const SplineMembrane *membrane, const Stiffness *K, double *x);
 
