@@ -94,9 +94,9 @@ _KINDS = (
     FlagKind(
         "sharp_edge",
         "a face with sharp edges is in contact: the force error depends on the edge position "
-        "between vertices",
+        "between vertices; or a wider face reaches the last vertices in front of the frame",
         "vertices resolve an edge to half their spacing: 0.5 to 1.2 times the force of a 12 mm "
-        "box, 0.3 to 1.4 times of a 6 mm box",
+        "box, 0.3 to 1.4 times of a 6 mm box; next to the frame 10 %",
         "a finer mesh",
         Cadence.CONTACT,
     ),

@@ -61,7 +61,8 @@ class WideFaceTest:
             return replace(found, on_frame=True)
         # tractions around a plane start from those around the last plane
         before = state.shape if state.face is not None else None
-        face = fit(replace(state, shape=before), plane=start, correlation=s.face_correlation)
+        kept = replace(state, shape=before)
+        face = fit(kept, plane=start, correlation=s.face_correlation, camera=self._steady(state))
         plane = face.shape.gain.mean
         if plane is None:
             return None
@@ -90,11 +91,15 @@ class WideFaceTest:
         self, state: PipelineState, found: Estimate, fit: Callable[..., Estimate]
     ) -> Estimate:
         """Add the estimate for wider tractions to `found` as an alternative, if the contact
-        reaches the outermost markers. The load beyond them depends on the prior."""
+        reaches the outermost markers or is as large as if it did. The load beyond them depends on
+        the prior."""
         shape = found.shape
-        if found.other is not None or not self._inverse.planes.loads_outermost(
+        flat = np.linalg.norm(self._inverse.force(shape)) / max(shape.gauge_pressure, 1.0)
+        is_large = flat > self._settings.face_area * self._inverse.design.frame.area
+        reaches = self._inverse.planes.loads_outermost(
             found.markers, shape.traction, shape.gauge_pressure
-        ):
+        )
+        if found.other is not None or not (is_large or reaches):
             return found
         wide = fit(replace(state, shape=None), correlation=self._settings.face_correlation)
         return replace(found, other=wide.shape)
@@ -123,6 +128,13 @@ class WideFaceTest:
             return None
         steady = CameraDriftFilter.unseen(self._settings, steady=True)
         return self._start(state, fit(state, camera=steady))
+
+    def _steady(self, state: PipelineState) -> CameraDriftFilter | None:
+        """Return the prior of an unchanged camera if no earlier image shows the camera: a plane
+        then explains a changed zoom, too. None: earlier images show it."""
+        if state.camera is not None or state.camera_drift is not None:
+            return None
+        return CameraDriftFilter.unseen(self._settings, steady=True)
 
     def _gained_gas(
         self, state: PipelineState, found: Estimate, reading: PressureReading | None

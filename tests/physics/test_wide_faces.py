@@ -56,6 +56,51 @@ def test_a_sudden_plate_is_no_camera_change():
         assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
 
 
+# Without a pressure sensor and without images before the load, a plane and a changed zoom explained
+# the markers: the force was 31 % too low with a standard deviation of 7 %.
+@pytest.mark.slow
+def test_a_plate_in_the_first_image_leaves_the_zoom_as_it_was():
+    for force, touch in presses("round30", (1e-3, 1.5e-3, 2.0e-3), gauge=False):
+        assert touch.status == "ok"
+        assert touch.force_normal == pytest.approx(force, rel=0.05)
+        assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
+
+
+# The edges of these cubes lie beyond the outermost markers: no marker shows where the contact ends.
+# The force was up to 18 % too low with a standard deviation of 1.3 %.
+@pytest.mark.slow(20)
+@pytest.mark.parametrize("size", [0.025, 0.03])
+@pytest.mark.parametrize("gauge", [True, False])
+def test_the_interval_contains_the_force_of_a_cube_with_edges_inside_the_frame(size, gauge):
+    allowed = 0.03 if gauge else 0.05
+    for force, touch in presses("dense", (1e-3, 1.5e-3, 2.0e-3, 2.25e-3), size=size, gauge=gauge):
+        if touch.status == "ok":
+            error = abs(touch.force_normal - force)
+            assert error < max(2 * touch.force_normal_sd, allowed * force)
+            assert touch.force_normal_sd < 0.5 * force
+        else:
+            assert touch.status.code == "inconsistent"
+
+
+# Next to the frame, the default mesh has one segment in place of a curve; the force is up to 10 % off.
+def test_a_face_that_reaches_the_frame_of_a_coarse_mesh_is_flagged():
+    flags = {}
+    for name, indenter, mesh in [
+        ("plate", Indenter("box", 0.06), None),
+        ("ball", Indenter("sphere", 0.03), None),
+        ("fine", Indenter("box", 0.06), (25, 21)),
+    ]:
+        world = PressWorld("dense", indenter, mesh=mesh)
+        world.inflate(1e3, seal=True)
+        world.press(1e-3)
+        assert "sharp_edge" not in world.flags, name
+        world.press(1.75e-3)
+        flags[name] = str(world.flags.get("sharp_edge", ""))
+    assert "use 25 x 21 vertices" in flags["plate"]
+    assert not flags["ball"]
+    assert not flags["fine"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "at", "tilt"), [(0.035, (-2e-3, 1.5e-3), 0.5), (0.045, (0.0, 2e-3), 1.0)]

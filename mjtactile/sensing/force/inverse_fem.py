@@ -361,7 +361,9 @@ class InverseMembrane(LoadedMembrane):
         velocity = self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3))
         excess = float(shape.excess[0].mean())
         cov = self._posterior(shape, positions)
-        fit = FitDiagnostics(force, change, velocity, excess, air_moved, lag)
+        unseen = self.planes.unseen_load(shape.traction, shape.gauge_pressure)
+        measured = shape.gain.gas[0][0]
+        fit = FitDiagnostics(force, change, velocity, excess, air_moved, lag, unseen, measured)
         cov.flat[:: len(cov) + 1] += self._model_error.variance(fit)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")
 

@@ -34,7 +34,9 @@ class FitDiagnostics:
     `force` (3, J), N, are the nodal forces, and `change` (6,) the change of the wrench since the
     last image. `velocity` (3,), m/s, is the mean velocity of the membrane since then. `excess` is
     the mean over all markers of their squared noise over its standard deviation. `air_moved`, Pa,
-    is the gas's own pressure change, and `lag` the delay of the camera, images.
+    is the gas's own pressure change, and `lag` the delay of the camera, images. `unseen`, N, is the
+    load that the contact may carry between the outermost markers and the frame, `measured` True
+    with a pressure sensor.
     """
 
     force: Array
@@ -43,6 +45,8 @@ class FitDiagnostics:
     excess: float
     air_moved: float = 0.0
     lag: float = 0.0
+    unseen: float = 0.0
+    measured: bool = False
 
 
 class ModelErrorVariance:
@@ -63,6 +67,7 @@ class ModelErrorVariance:
         self._shares = np.array(shares, float)[:, AXES]
         self._change = np.array(s.change)[AXES]
         self._lag = s.lag
+        self._unseen = s.unseen
         self._outside = _outside(layout, nodes)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
         self._resistance = settings.drag * frame.area * membrane.young * membrane.thickness
@@ -87,6 +92,7 @@ class ModelErrorVariance:
         )
         variance += np.square(self._lag * estimated.lag * estimated.change / self._unit)
         variance[2] += (self._change[2] * self._area * estimated.air_moved) ** 2
+        variance[2] += (self._unseen[int(estimated.measured)] * estimated.unseen) ** 2
         variance[:2] += (self._resistance * estimated.velocity[:2]) ** 2
         return self._unit**2 * variance
 

@@ -68,6 +68,7 @@ class PlaneContactSolver:
         edge_distance = loaded.design.frame.inside(layout.p_SM[:, :2])
         self._outermost = edge_distance < _OUTERMOST * max(layout.pitch_x, layout.pitch_y)
         self._at_markers = np.einsum("mi,mj->mij", *at).reshape(len(seats), -1)
+        self._unseen = self._unseen_areas()
 
     def plane_through(
         self, markers: Markers, traction: Array, pressure: float, flat: float
@@ -104,6 +105,23 @@ class PlaneContactSolver:
         the nodal tractions, `pressure`, Pa, is that of the gas."""
         carried = self._at_markers[markers.ids] @ -traction[2]
         return bool((carried[self._outermost[markers.ids]] > _REACHING * max(pressure, 1.0)).any())
+
+    def unseen_load(self, traction: Array, pressure: float) -> float:
+        """Return the load, N, that a flat contact at the outermost markers carries if it extends to
+        the frame. No marker shows where it ends. For the arguments see `loads_outermost`."""
+        pressure = max(pressure, 1.0)
+        carried = np.clip(self._at_markers @ -traction[2] / pressure, 0.0, 1.0)
+        return pressure * float(self._unseen @ carried)
+
+    def _unseen_areas(self) -> Array:
+        """Return the area (N,), m^2, next to each marker that is farther than half a pitch from all
+        of them."""
+        layout = self._loaded.design.markers
+        pitch = [layout.pitch_x, layout.pitch_y]
+        apart = np.abs(self._X[:, None] - layout.p_SM[:, :2]) / pitch  # (q, N, 2)
+        distance = apart.max(axis=2)
+        area = np.where(distance.min(axis=1) > 0.5, self._loaded.membrane.weights.ravel(), 0.0)
+        return np.bincount(distance.argmin(axis=1), area, minlength=layout.count)
 
     def fit(
         self,

@@ -198,6 +198,12 @@ class InverseSettings:
         "below, the contact does not reach the outermost markers",
         low=0.0,
     )
+    face_area: float = number(
+        0.5,
+        "force over gauge pressure, as a fraction of the frame's area, above which the contact "
+        "reaches the outermost markers, wherever the estimated tractions are",
+        FACE,
+    )
     face_flat: float = number(
         3.0,
         "root mean square deviation of the markers under a wide face from a plane, relative to "
@@ -354,6 +360,14 @@ class ModelErrorSettings:
         "fraction of the load beyond the outermost markers, and of a quarter of the load "
         "next to them",
         _BARS,
+        low=0.0,
+    )
+    unseen: tuple[float, float] = number(
+        (0.29, 0.15),
+        "standard deviation of the normal force of a contact at the outermost markers, as a "
+        "fraction of the load that it carries if it extends to the frame: any part of that load "
+        "is equally likely; with a pressure sensor half of it",
+        "plates of 25 to 80 mm, tests/physics/test_wide_faces.py",
         low=0.0,
     )
     change: tuple[float, float, float, float] = number(

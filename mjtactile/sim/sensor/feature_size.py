@@ -171,6 +171,28 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     )
 
 
+# bench wide-faces: 13 x 11 vertices differ from 25 x 21 by up to 10 %
+_RIM_ERROR = 0.1
+_FINE = 20  # vertices along the shorter side
+
+
+def rim_flag(distance: float, width: float, mesh: MembraneMesh) -> str | None:
+    """Return a flag with the force error due to the mesh next to the frame.
+
+    `distance`, m, is that of a flat contact from the frame, `width`, m, the shorter side of the
+    frame. Once the contact reaches the last vertices, one straight segment replaces the curved
+    membrane between contact and frame.
+    """
+    vertices = min(mesh.nx, mesh.ny)
+    if vertices >= _FINE or distance > 1.5 * width / (vertices - 1):
+        return None
+    return (
+        "a face reaches the last vertices in front of the frame: with a mesh of "
+        f"{mesh.nx} x {mesh.ny} the force may be off by {_RIM_ERROR:.0%}, its estimate without a "
+        f"pressure sensor by more; use {2 * mesh.nx - 1} x {2 * mesh.ny - 1} vertices"
+    )
+
+
 def _error(ratio: float, contact: str) -> float:
     """Return the relative force error of a round or thin geom of `ratio` vertex spacings."""
     of_triangles = [0.8, 0.5, 0.3, 0.05]

@@ -192,8 +192,13 @@ class SceneMonitor:
         if feature:
             flags["small_feature"] = feature
         if any(self._has_edges[k] for k in touching):
-            edge = feature_size.edge_flag(
-                self._nearest_edge(rows[others >= 0], others[others >= 0]), sensor.mesh
+            known = others >= 0
+            half_width = self._nearest_edge(rows[known], others[known])
+            frame = sensor.design.frame
+            edge = feature_size.edge_flag(half_width, sensor.mesh) or feature_size.rim_flag(
+                self._rim_distance(sensor, rows[known], others[known]),
+                min(frame.length, frame.width),
+                sensor.mesh,
             )
             flags |= {"sharp_edge": edge} if edge else {}
         for k in touching:
@@ -210,6 +215,15 @@ class SceneMonitor:
         return float(
             np.where(axial > feature_size.END, self._faces[others], self._sides[others]).min()
         )
+
+    def _rim_distance(
+        self, sensor: AnySensor, rows: NDArray[np.int64], others: NDArray[np.int64]
+    ) -> float:
+        """Return the minimum distance, m, of the touching faces with edges from the frame."""
+        flat = np.asarray(self._has_edges)[others]
+        p = self._data.contact.pos[rows[flat]] - self._data.xpos[sensor.body_id]
+        xy = (p @ self._data.xmat[sensor.body_id].reshape(3, 3))[:, :2]
+        return float(sensor.design.frame.inside(xy).min())
 
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
         """Return the penetration over the indentation that lasts for several checks."""
