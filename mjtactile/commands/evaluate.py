@@ -187,7 +187,7 @@ def _screen(options: argparse.Namespace) -> int:
         )
     with stdout_to_stderr():
         common, controllers = _scenario_of(options)
-        objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
+        objects = _objects(options.objects or (_OBJECTS if options.scenario is None else common.object))
         result = screens.screen(
             options.out,
             common,
@@ -262,7 +262,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         if options.merge:
             return merge(options.merge, out, partial=options.partial)
         common, controllers = _scenario_of(options)
-        objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
+        objects = _objects(options.objects or (_OBJECTS if options.scenario is None else common.object))
         return evaluate(
             out,
             common,

@@ -58,10 +58,10 @@ examples:
   mjtactile grasp --live rerun:egg.rrd     or store it for later
   mjtactile grasp --workers 0              all in one process: same results
 
-The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed", "fault"; on
-a rig without ground truth "not set down": the run ended while the raised gripper held the
-object, and "not held: set down": it ended early, with the object set down; "device_fault" if a
-device was the cause),
+The result (--json, summary.json) contains: outcome ("held", "dropped", "crushed", "fault",
+"not held: set down": the run ended early, with the object set down; on a rig without ground
+truth "not set down": the run ended while the raised gripper held the object; "device_fault" if
+a device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
 "probability", "area_mm2", "area_interval_mm2" of 68 %, "status"; null: no contact),

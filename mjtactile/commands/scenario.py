@@ -92,11 +92,12 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     for a controller file that no option names.
     """
     base = default or Scenario()
-    if getattr(options, "scenario", None):
+    has_file = getattr(options, "scenario", None) is not None
+    if has_file:
         base = load_scenario(options.scenario)
     values = {name: getattr(options, name, None) for name in _FIELDS}
     given = {name: value for name, value in values.items() if value is not None}
-    chosen = {*given, *(base.given if getattr(options, "scenario", None) else ())}
+    chosen = {*given, *(base.given if has_file else ())}
     if "sensor" in given:
         base = replace(base, sensors={})
         chosen.discard("sensors")

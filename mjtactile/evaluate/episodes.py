@@ -29,7 +29,7 @@ from mjtactile.rig.domain_randomization import sample_world
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.runtime.controller import LoadedController
 from mjtactile.runtime.cycle import Cycle
-from mjtactile.runtime.grasp import run_grasp
+from mjtactile.runtime.grasp import SET_DOWN, run_grasp
 from mjtactile.runtime.session import Session
 from mjtactile.sim.devices import SimClock
 from mjtactile.sim.scenes.objects import load_object
@@ -136,6 +136,8 @@ def run_episode(
         summary = _run(scenario, observers, controller)
         if summary["outcome"] == "error" and facts.is_crushed:
             summary["outcome"] = "crushed"  # whatever came of it then
+        if summary["outcome"] == SET_DOWN:
+            summary["outcome"] = "dropped"  # not held; the criterion of an evaluation
         if recorder is not None and recorder.cycles:
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:

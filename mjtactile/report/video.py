@@ -38,6 +38,7 @@ _MARGIN = 54  # px left of the curve, for its scale
 _INK = (40, 40, 40)
 _GRID = (225, 225, 225)
 _PAPER = (255, 255, 255)
+_MAX_FRAMES = 100_000
 _SAME = 0.05  # maximum time between a scene and its cycle, s
 
 
@@ -67,9 +68,16 @@ def write_video(
         )
     rate, scale = FORMATS[path.suffix]
     video = _VideoWriter(recording, views)
-    times = np.arange(
-        video.start + start, min(video.end, video.start + start + seconds) + 1e-9, speed / rate
-    )
+    first = video.start + start
+    duration = min(video.end, first + seconds) - first
+    if duration * rate / speed > _MAX_FRAMES:
+        raise InputError(
+            f"{speed:g} makes a video of {duration * rate / speed:.2g} images; at most "
+            f"{_MAX_FRAMES}, so at least {duration * rate / _MAX_FRAMES:.2g}",
+            source=recording.folder,
+            field="--speed",
+        )
+    times = np.arange(first, first + duration + 1e-9, speed / rate)
     if not len(times):
         raise InputError(
             f"the recording ends after {video.end - video.start:.1f} s",

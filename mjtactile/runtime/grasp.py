@@ -116,7 +116,7 @@ class GraspResult:
 
 
 SET_DOWN = "not held: set down"
-"""Outcome on a rig without ground truth: the run ended early, and the object stood."""
+"""Outcome of a run that ended early while the object stood."""
 OUTCOMES = ("held", "dropped", "crushed", "not set down", SET_DOWN, "fault")
 """Outcomes of a grasp; recordings of other jobs have others."""
 
@@ -264,7 +264,7 @@ def run_grasp(
         if result.outcome_from == "recording":
             reason = str(rig.recorded["error"] or "")
             result = replace(result, outcome=rig.recorded["outcome"], reason=reason)
-        elif result.outcome == "dropped":
+        elif result.outcome in ("dropped", SET_DOWN):
             causes = failure_causes(rig, flags, log.grip_opening)
             result = replace(result, reason="; ".join(filter(None, [result.reason, *causes])))
     if log.estimate is None:
@@ -328,6 +328,8 @@ def _result(
     parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
     if score is not None:
         outcome, reason = score.outcome(), score.reason()
+        if outcome == "dropped" and not completed and score.stands:
+            outcome = SET_DOWN
     else:
         early = SET_DOWN if log.was_set_down else "dropped"
         outcome = (log.left or "held") if completed else early

@@ -27,6 +27,7 @@ _STRAIN_EVERY = 0.02
 _NO_MARKERS = np.zeros((0, 3))
 # minus this tolerance, m: without a lift, an object that is not dropped counts as held
 _HELD_SLACK = 1e-3
+_STANDS = 2e-3  # maximum height change of an object that stands, m
 
 
 @dataclass
@@ -214,6 +215,13 @@ class GraspScore:
             return "crushed"
         fails = self.task_scorer is not None and self.task_scorer.failure()
         return "held" if self._is_held and not fails and not self.fell else "dropped"
+
+    @property
+    def stands(self) -> bool:
+        """True if the object is at its initial height: it neither stayed behind a raised gripper
+        nor fell."""
+        risen = float(self._object_position()[2] - self._rest_height)
+        return abs(risen) < _STANDS and not self.lost and not self.fell
 
     @property
     def _is_held(self) -> bool:

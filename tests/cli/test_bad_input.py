@@ -53,6 +53,8 @@ def bad_controller(text, *words):
 
 # case: option, file name, its text (None: not made), words that the message must have
 CASES = {
+    "empty scenario": ("--scenario", "", None, ["--scenario", "scenario format"]),
+    "accuracy below the solver's noise": ("--accuracy", "1e-12N", None, ["1e-12N", "0.0001 N"]),
     "unknown object": ("--object", "eg", None, ["eg", "egg", "strawberry", "vial"]),
     "unknown sensor": ("--sensor", "dens", None, ["dens", "dense", "paper16"]),
     "unknown controller": ("--controller", "rough", None, ["rough", "gentle"]),

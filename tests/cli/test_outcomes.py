@@ -70,7 +70,8 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
     )
     process = mjtactile("grasp", "--controller", "shy.py", SAMPLED, "--out", "result", "--json")
     report = json.loads(process.stdout)
-    assert (process.returncode, report["outcome"]) == (1, "dropped")
+    # the egg was not touched
+    assert (process.returncode, report["outcome"]) == (1, "not held: set down")
     assert report["reason"] == "the controller aborted in phase 'close', 1.6 s after its start: shy"
     log = load_recording(tmp_path / "result" / "recording")
     assert log.columns["command_reason"][-1] == "shy"

@@ -29,6 +29,8 @@ CHOICES = ("0.02N (a force error)", "realtime")
 QUASISTATIC = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
 """Default force error for the choice of effects, N."""
+MIN_FORCE_ERROR = 1e-4
+"""Minimum force error that can be required, N; the solver's noise in a grasp is larger."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,12 @@ class Fidelity:
         """Return the cheapest measured setting with a force error of at most `force_error`, N.
 
         If there is none, return the most accurate setting, with `met` False. With `membranes`, the
-        result may be a setting without a mesh. Raises InputError if `force_error` is not a number >
-        0.
+        result may be a setting without a mesh. Raises InputError if `force_error` is not a number
+        of at least `MIN_FORCE_ERROR`.
         """
-        if not math.isfinite(force_error) or force_error <= 0:
+        if not math.isfinite(force_error) or force_error < MIN_FORCE_ERROR:
             raise InputError(
-                f"{force_error!r} N is not a finite force error > 0",
+                f"{force_error!r} N is not a finite force error of at least {MIN_FORCE_ERROR:g} N",
                 source="Fidelity",
                 field="force_error_N",
             )
@@ -106,8 +108,9 @@ class Fidelity:
             value = float(word.removesuffix("n").strip())
         except ValueError:
             value = math.nan
-        if not word.endswith("n") or not value > 0 or math.isinf(value):
-            raise InputError(f"{text!r} is not an accuracy", field="--accuracy", choices=CHOICES)
+        if not word.endswith("n") or not MIN_FORCE_ERROR <= value < math.inf:
+            message = f"{text!r} is not an accuracy of at least {MIN_FORCE_ERROR:g} N"
+            raise InputError(message, field="--accuracy", choices=CHOICES)
         return cls.for_force_error(value, table, membranes=membranes)
 
     def with_effects(self, overrides: str) -> str:

@@ -55,6 +55,12 @@ def test_reports_how_close_it_can_get(table):
     assert "0.003" in best.basis
 
 
+@pytest.mark.parametrize("asked", ["1e-12N", "0N", "-0.1N", "infN", "nanN", "0.02"])
+def test_an_accuracy_out_of_range_is_refused_in_one_line(table, asked):
+    with pytest.raises(InputError, match="is not an accuracy of at least 0.0001 N"):
+        Fidelity.parse(asked, table)
+
+
 def test_real_time_leaves_room_and_takes_the_most_accurate(table):
     # 600 ms/s is 1.67 x real time, 4000 is not; the margin is REAL_TIME_MARGIN
     assert Fidelity.for_real_time(table).mesh == (12, 9)
