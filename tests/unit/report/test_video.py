@@ -100,7 +100,7 @@ def test_bad_input_is_reported(tmp_path, recording):
     with pytest.raises(InputError, match="is not a supported video format"):
         write_video(tmp_path / "film.avi", recording)
     # an endless video: 2 s of a run in 60 million images
-    with pytest.raises(InputError, match="at most 100000, so at least 0.00059"):
+    with pytest.raises(InputError, match=r"at most 100000, so at least 0\.00059"):
         write_video(tmp_path / "film.mp4", recording, speed=1e-6)
     with pytest.raises(InputError, match="ends after"):
         write_video(tmp_path / "film.mp4", recording, start=100.0)

@@ -57,7 +57,7 @@ def test_reports_how_close_it_can_get(table):
 
 @pytest.mark.parametrize("asked", ["1e-12N", "0N", "-0.1N", "infN", "nanN", "0.02"])
 def test_an_accuracy_out_of_range_is_refused_in_one_line(table, asked):
-    with pytest.raises(InputError, match="is not an accuracy of at least 0.0001 N"):
+    with pytest.raises(InputError, match=r"is not an accuracy of at least 0\.0001 N"):
         Fidelity.parse(asked, table)
 
 
