@@ -42,10 +42,7 @@ ARGUMENTS = (
         "FILE",
     ),
     arg.option(
-        "--speed X",
-        "playback speed, relative to real time",
-        1.0,
-        type=arg.number(0.001, 1000),
+        "--speed X", "playback speed, relative to real time", 1.0, type=arg.number(0.001, 1000)
     ),
     arg.option("--start S", "skip the first S seconds", 0.0, type=arg.number(0, 1e6)),
     arg.option("--seconds S", "duration to render (default: all)", math.inf, type=arg.POSITIVE),
