@@ -218,8 +218,7 @@ class GraspScore:
 
     @property
     def stands(self) -> bool:
-        """True if the object is at its initial height: it neither stayed behind a raised gripper
-        nor fell."""
+        """True if the object is at its initial height. A raised gripper did not lose it."""
         risen = float(self._object_position()[2] - self._rest_height)
         return abs(risen) < _STANDS and not self.lost and not self.fell
 

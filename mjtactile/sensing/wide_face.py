@@ -90,9 +90,9 @@ class WideFaceTest:
     def with_alternative(
         self, state: PipelineState, found: Estimate, fit: Callable[..., Estimate]
     ) -> Estimate:
-        """Add the estimate for wider tractions to `found` as an alternative, if the contact
-        reaches the outermost markers or is as large as if it did. The load beyond them depends on
-        the prior."""
+        """Add the estimate for wider tractions to `found` as an alternative. This applies to
+        contacts that reach the outermost markers, or are as large. The load beyond these markers
+        depends on the prior."""
         shape = found.shape
         flat = np.linalg.norm(self._inverse.force(shape)) / max(shape.gauge_pressure, 1.0)
         is_large = flat > self._settings.face_area * self._inverse.design.frame.area
@@ -130,8 +130,8 @@ class WideFaceTest:
         return self._start(state, fit(state, camera=steady))
 
     def _steady(self, state: PipelineState) -> CameraDriftFilter | None:
-        """Return the prior of an unchanged camera if no earlier image shows the camera: a plane
-        then explains a changed zoom, too. None: earlier images show it."""
+        """Return the prior of an unchanged camera; None: earlier images show the camera. Without
+        them, a plane explains a changed zoom, too."""
         if state.camera is not None or state.camera_drift is not None:
             return None
         return CameraDriftFilter.unseen(self._settings, steady=True)

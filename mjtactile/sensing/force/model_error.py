@@ -35,8 +35,8 @@ class FitDiagnostics:
     last image. `velocity` (3,), m/s, is the mean velocity of the membrane since then. `excess` is
     the mean over all markers of their squared noise over its standard deviation. `air_moved`, Pa,
     is the gas's own pressure change, and `lag` the delay of the camera, images. `unseen`, N, is the
-    load that the contact may carry between the outermost markers and the frame, `measured` True
-    with a pressure sensor.
+    possible load between the outermost markers and the frame. `measured` is True with a pressure
+    sensor.
     """
 
     force: Array

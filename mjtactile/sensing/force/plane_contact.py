@@ -107,15 +107,15 @@ class PlaneContactSolver:
         return bool((carried[self._outermost[markers.ids]] > _REACHING * max(pressure, 1.0)).any())
 
     def unseen_load(self, traction: Array, pressure: float) -> float:
-        """Return the load, N, that a flat contact at the outermost markers carries if it extends to
-        the frame. No marker shows where it ends. For the arguments see `loads_outermost`."""
+        """Return the load, N, beyond the outermost markers of a flat contact that extends to the
+        frame. No marker shows its end. For the arguments see `loads_outermost`."""
         pressure = max(pressure, 1.0)
         carried = np.clip(self._at_markers @ -traction[2] / pressure, 0.0, 1.0)
         return pressure * float(self._unseen @ carried)
 
     def _unseen_areas(self) -> Array:
-        """Return the area (N,), m^2, next to each marker that is farther than half a pitch from all
-        of them."""
+        """Return the unobserved area (N,), m^2, next to each marker. It is farther than half a
+        pitch from all markers."""
         layout = self._loaded.design.markers
         pitch = [layout.pitch_x, layout.pitch_y]
         apart = np.abs(self._X[:, None] - layout.p_SM[:, :2]) / pitch  # (q, N, 2)

@@ -179,9 +179,8 @@ _FINE = 20  # vertices along the shorter side
 def rim_flag(distance: float, width: float, mesh: MembraneMesh) -> str | None:
     """Return a flag with the force error due to the mesh next to the frame.
 
-    `distance`, m, is that of a flat contact from the frame, `width`, m, the shorter side of the
-    frame. Once the contact reaches the last vertices, one straight segment replaces the curved
-    membrane between contact and frame.
+    `distance`, m, is that of a flat contact from the frame. `width`, m, is the frame's shorter
+    side. Between the last vertices and the frame, the membrane is one straight segment.
     """
     vertices = min(mesh.nx, mesh.ny)
     if vertices >= _FINE or distance > 1.5 * width / (vertices - 1):
