@@ -142,7 +142,7 @@ def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float
     sd = np.maximum(sd, 1e-9)
     low = float((area - 4 * sd).min())
     high = float((area + 4 * sd).max())
-    grid = np.linspace(max(0.0, low), high, 400)
+    grid = np.linspace(max(0.0, low), high, 128)
     share = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
     ends = np.interp(_INTERVAL, share, grid)
     return float(ends[0]), float(ends[1])

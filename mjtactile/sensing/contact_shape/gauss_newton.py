@@ -6,7 +6,7 @@ The membrane is the forward model. The result includes the model evidence
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -63,6 +63,7 @@ class Fit:
     curvature: Array
     slopes: Jacobian
     force: float
+    _covs: dict[float, Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, problem: Problem, at: FitState, slopes: Jacobian) -> Fit:
@@ -98,13 +99,17 @@ class Fit:
 
     def cov_with(self, noise: float) -> Array:
         """Return the covariance (k, k) of the parameters."""
-        sd = self.family.sd
-        return np.linalg.inv(self.precision_with(noise)) * np.outer(sd, sd)
+        return self._scaled_cov(noise) * np.outer(self.family.sd, self.family.sd)
+
+    def _scaled_cov(self, noise: float) -> Array:
+        """Return the covariance (k, k) of the scaled parameters. It is needed several times."""
+        if noise not in self._covs:
+            self._covs[noise] = np.linalg.inv(self.precision_with(noise))
+        return self._covs[noise]
 
     def sums_cov_with(self, noise: float) -> Array:
         """Return the covariance (8, 8) of the membrane sums due to the parameters alone."""
-        cov = np.linalg.inv(self.precision_with(noise))
-        return self.slopes.sums @ cov @ self.slopes.sums.T
+        return self.slopes.sums @ self._scaled_cov(noise) @ self.slopes.sums.T
 
     def log_evidence_with(self, noise: float) -> float:
         """Return the log evidence of the model for this image (Laplace approximation). The marker
