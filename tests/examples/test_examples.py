@@ -266,3 +266,20 @@ def test_train_a_policy_finds_what_a_teacher_did():
     np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)
     np.testing.assert_allclose(offsets, [0.1, 0.2, 0.3], atol=2e-3)
     assert not found[:, 5].any()
+
+
+def test_a_trained_policy_loads(tmp_path, monkeypatch):
+    """The file computes the weights' action from 30 inputs of two fingers."""
+    example = run("train_a_policy")
+    rng = np.random.default_rng(1)
+    w = rng.standard_normal((3, 30))
+
+    def watch(_):
+        seen = rng.standard_normal((400, 30))
+        return seen, seen @ w.T
+
+    monkeypatch.setitem(example.main.__globals__, "watch", watch)
+    example.main(str(tmp_path / "policy.npz"), "2")
+    policy = mjtactile.load_policy(tmp_path / "policy.npz")
+    x = rng.standard_normal(30)
+    np.testing.assert_allclose(policy(x), w @ x, atol=5e-3)
