@@ -153,8 +153,16 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
             )  # fmt: skip
     figure.colorbar(artist, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
     on_front = np.array([one["on_front"] for one in candidates], bool)
-    front = sorted(zip(x[on_front], y[on_front], strict=True))
-    axes.plot(*zip(*front, strict=True), "k-", lw=1, label="Pareto front: none is better in all")
+    # rings: the front is a surface, as the number of markers counts too
+    axes.plot(
+        x[on_front],
+        y[on_front],
+        "o",
+        ms=10,
+        mfc="none",
+        mec="k",
+        label="Pareto front (force, edge, markers)",
+    )
     initial = swept["initial"]["performance"]
     if initial is not None:
         axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
@@ -168,5 +176,9 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         yscale="log",
         title=f"{len(candidates)} designs, predicted",
     )
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+    axes.tick_params(which="minor", labelsize=7)
     axes.grid(alpha=0.3, which="both")
     axes.legend(fontsize=8)
