@@ -12,7 +12,7 @@ import numpy as np
 import mjtactile
 
 FILE = str(Path(__file__).parents[1] / "models" / "grippers" / "arm_two_finger.xml")
-WANTED, GAIN, PERIOD = 0.3, 1.2e-3, 1 / 30  # force, N; gain, m per N and image; period, s
+FORCE_GOAL, GAIN, PERIOD = 0.3, 1.2e-3, 1 / 30  # force, N; gain, m per N and image; period, s
 plan = mink.Configuration(mujoco.MjModel.from_xml_path(FILE))  # the arm alone, for its kinematics
 plan.update_from_keyframe("home")
 tip = plan.get_transform_frame_to_world("left_tip", "site")
@@ -33,7 +33,7 @@ servos = [plan.model.actuator(k) for k in range(plan.model.nu)]
 finger = mount.bind(model, data)
 forces, goal = [], tip.translation().copy()
 for image in range(150):
-    goal[0] += GAIN * np.nan_to_num(WANTED - finger.touch.force_normal)  # unknown: stay
+    goal[0] += GAIN * np.nan_to_num(FORCE_GOAL - finger.touch.force_normal)  # unknown: stay
     task.set_target(mink.SE3.from_rotation_and_translation(tip.rotation(), goal))
     plan.integrate_inplace(mink.solve_ik(plan, [task], PERIOD, "daqp"), PERIOD)
     for servo in servos:

@@ -58,7 +58,7 @@ def measure_loop(seconds: float) -> dict[str, Any]:
         bench.close()
     return _loop_result(rows[:count], outcome) | {
         "world_lost_s": truth["lost"],
-        "picture_delay_ms": 1e3 * truth["picture_delay"],
+        "picture_delay_ms": 1e3 * truth["image_delay"],
         "cpu": fraction,
     }
 

@@ -31,7 +31,7 @@ from mjtactile.runtime.cycle import Cycle
 LEG = 300.0
 GRIP = 20.0
 _WATCH = 3.0  # time limit for the loop's reaction, s
-_PICTURES = 60  # cycles from one recorded image to the next: one a second
+_FRAMES = 60  # cycles from one recorded image to the next: one a second
 
 
 @dataclass
@@ -89,7 +89,7 @@ class SoakBench(KeptBench):
         folder = self._out / f"leg-{number:03d}"
         shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run
         leg = _Leg(bench, kind, at, self._grip)
-        with Recorder(folder, {"controller": "soak", "fault": kind}, frames=_PICTURES) as recorder:
+        with Recorder(folder, {"controller": "soak", "fault": kind}, frames=_FRAMES) as recorder:
             outcome = drive(
                 bench,
                 Gripping(self._grip),

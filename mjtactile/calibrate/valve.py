@@ -31,13 +31,13 @@ class ValveCalibration:
     """Valve parameters from a step response.
 
     `offset` Pa is the sensor's reading at ambient pressure, with noise `noise_sd` Pa. `step` Pa is
-    the pressure reached above the offset, `asked` Pa the commanded one. `rise_time` s is from 10 to
-    90 %, `time_constant` s to 63 %. `leak` Pa/s of the sealed chamber (positive: loss) has the
-    standard deviation `leak_sd`. `fall_time` s is from 90 to 10 % when vented (NaN: not
+    the pressure reached above the offset, `requested` Pa the commanded one. `rise_time` s is from
+    10 to 90 %, `time_constant` s to 63 %. `leak` Pa/s of the sealed chamber (positive: loss) has
+    the standard deviation `leak_sd`. `fall_time` s is from 90 to 10 % when vented (NaN: not
     recorded).
     """
 
-    asked: float
+    requested: float
     offset: float
     noise_sd: float
     step: float
@@ -50,7 +50,7 @@ class ValveCalibration:
 
     def report(self) -> dict[str, Any]:
         return {
-            "asked_Pa": self.asked,
+            "requested_Pa": self.requested,
             "offset_Pa": self.offset,
             "noise_sd_Pa": self.noise_sd,
             "step_Pa": self.step,
@@ -68,11 +68,11 @@ def valve_part(c: ValveCalibration, stamp: CalibrationMetadata) -> ValveZero:
 
 
 def calibrate_valve(
-    time: Array, pressure: Array, state: Sequence[str], asked: float
+    time: Array, pressure: Array, state: Sequence[str], requested: float
 ) -> ValveCalibration:
     """Evaluate samples of the gauge `pressure`, Pa, at `time`, s, of a step response.
 
-    The stages are vent, open (`asked` Pa commanded), closed, and optionally vent again. Raises
+    The stages are vent, open (`requested` Pa commanded), closed, and optionally vent again. Raises
     InputError when a stage is missing or too short.
     """
     stages = _stages(time, state)
@@ -102,13 +102,13 @@ def calibrate_valve(
         left = 1 - (pressure[down] - offset) / (pressure[sealed[-1]] - offset)
         fall = _crossing(time[down], left, 0.9) - _crossing(time[down], left, 0.1)
     result = ValveCalibration(
-        asked, offset, noise, step, high - low, tau, -slope, float(slope_sd), fall, ()
+        requested, offset, noise, step, high - low, tau, -slope, float(slope_sd), fall, ()
     )
     return replace(result, reasons=tuple(_refusals(result)))
 
 
 def _refusals(c: ValveCalibration) -> list[str]:
-    size = abs(c.asked)
+    size = abs(c.requested)
     checks = {
         (
             f"the vented sensor reads {c.offset:.0f} Pa: set its zero, or check that the "
@@ -119,9 +119,9 @@ def _refusals(c: ValveCalibration) -> list[str]:
             "cable, ground and range"
         ): c.noise_sd <= NOISE_MAX_FRACTION * size,
         (
-            f"the pressure reached {c.step:.0f} Pa instead of {c.asked:.0f} Pa: check the "
+            f"the pressure reached {c.step:.0f} Pa instead of {c.requested:.0f} Pa: check the "
             "supply, a stuck valve, and leaks as large as the flow"
-        ): abs(c.step - c.asked) <= ERROR_MAX_FRACTION * size,
+        ): abs(c.step - c.requested) <= ERROR_MAX_FRACTION * size,
         (
             f"the rise from 10 to 90 % takes {c.rise_time:.2f} s (allowed: {RISE_MAX:g}): "
             "check for a narrow hose"
@@ -135,7 +135,7 @@ def _refusals(c: ValveCalibration) -> list[str]:
 
 
 def _stages(time: Array, state: Sequence[str]) -> list[tuple[str, Array]]:
-    """Runs of equal state: (name, indices)."""
+    """Return runs of equal state: (name, indices)."""
     if len(time) != len(state) or np.any(np.diff(time) <= 0):
         raise InputError("times must increase from row to row", field="time_s")
     bad = next((text for text in state if text not in STATES), None)

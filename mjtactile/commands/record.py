@@ -242,12 +242,12 @@ def _on_rig(
     }
     given = {name: value for name, value in values.items() if value is not None}
     requested = Scenario(rig=options.rig, contact_shapes=options.contact_shapes, **given)
-    wanted = resolve_scenario(requested, tuple(given))
+    resolved = resolve_scenario(requested, tuple(given))
     # with the pressure that was asked for, unless the fingers name their own sensor
-    named = wanted.sensor == requested.sensor
-    built = replace(wanted, sensor=design) if named else wanted
+    named = resolved.sensor == requested.sensor
+    built = replace(resolved, sensor=design) if named else resolved
     with open_session(built, workers=0, notify=progress.message) as session:
-        header = wanted.header() | {"design": built.design().name}
+        header = resolved.header() | {"design": built.design().name}
         del header["command"]  # the recording does not contain a grasp
         if session.rig.scene is None and not session.rig.recorded:
             header["object"] = None
@@ -261,7 +261,7 @@ def _on_rig(
         result = _record(session, recorder, options.seconds, progress, stage)
     recorder.close(outcome="recorded")
     if session.rig.recorded:
-        result |= {"sensor": wanted.names()["sensor"], "recorded": dict(session.rig.recorded)}
+        result |= {"sensor": resolved.names()["sensor"], "recorded": dict(session.rig.recorded)}
     return result
 
 

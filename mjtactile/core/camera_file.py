@@ -30,7 +30,7 @@ DEEPEST = 16
 READABLE = ("ROS camera_info", "ros2 topic echo", "OpenCV YAML or XML", "Kalibr YAML", "ini of ROS")
 # of OpenCV: of plumb_bob without k3, with thin prism, with tilt
 _COUNTS = tuple(sorted({0, 4, 12, 14} | {len(model.coefficients) for model in MODELS.values()}))
-_PANE = {
+_GLASS = {
     "thickness_mm": (0.0, 1000.0, 1e-3),
     "refractive_index": (1.0, 3.0, 1.0),
     "distance_mm": (0.0, 1e5, 1e-3),
@@ -101,7 +101,7 @@ def read(path: Path) -> tuple[dict[str, Any], tuple[float, float, float] | None]
     if any(re.fullmatch(r"cam\d+", str(key)) for key in table):
         table = _kalibr_table(table, source)
     glass = table.get("glass")
-    return _pinhole(table, source), None if glass is None else _pane(glass, source)
+    return _pinhole(table, source), None if glass is None else _glass(glass, source)
 
 
 def camera_info(size: tuple[int, int], K: Array, lens: Lens, name: str) -> dict[str, Any]:
@@ -348,17 +348,17 @@ def _lens(table: Mapping[str, Any], key: str, source: str) -> Lens:
     return Lens(model.name, coefficients)
 
 
-def _pane(glass: Any, source: str) -> tuple[float, float, float]:
+def _glass(glass: Any, source: str) -> tuple[float, float, float]:
     """Return thickness, m, refractive index and distance, m, of a camera file's `glass`."""
-    if not isinstance(glass, dict) or set(glass) != set(_PANE):
+    if not isinstance(glass, dict) or set(glass) != set(_GLASS):
         raise InputError(
             f"{glass!r} does not have exactly the fields of the glass",
             source=source,
             field="glass",
-            choices=tuple(_PANE),
+            choices=tuple(_GLASS),
         )
     values = []
-    for name, (minimum, maximum, unit) in _PANE.items():
+    for name, (minimum, maximum, unit) in _GLASS.items():
         value = glass[name]
         if (
             isinstance(value, bool)

@@ -108,18 +108,19 @@ class SensorDesign:
         )
         return mine == others
 
-    def require_rectangle(self, who: str) -> None:
+    def require_rectangle(self, purpose: str) -> None:
         """Reject a frame that is not rectangular.
 
         Args:
-            who: Component that supports rectangles only, for the message.
+            purpose: Component that supports rectangles only, for the message.
 
         Raises:
             InputError: The frame is not rectangular.
         """
         if self.frame.shape != FrameShape.RECTANGLE:
             raise InputError(
-                f"{str(self.frame.shape)!r} can be simulated, but {who} supports rectangles only",
+                f"{str(self.frame.shape)!r} can be simulated, but {purpose} supports "
+                "rectangles only",
                 source=self.name,
                 field="frame.shape",
                 choices=[str(FrameShape.RECTANGLE)],

@@ -72,10 +72,6 @@ class GripperPath:
         """Maximum horizontal distance from the start along x or y, m."""
         return max(abs(value) for point in self.points for value in point[:2])
 
-    def is_moving(self, time: float) -> bool:
-        """Return True if the gripper moves at `time`, s."""
-        return any(start < time < end for start, end in zip(self.starts, self.ends, strict=True))
-
     def next_start(self, time: float) -> float:
         """Return the start of the first motion that has not ended at `time`, s; inf without one."""
         pairs = zip(self.starts, self.ends, strict=True)

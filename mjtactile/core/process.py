@@ -85,7 +85,7 @@ def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
 
 
 def failure(error: MjtactileError) -> str:
-    """The line with which a child answers that it failed."""
+    """Return the answer of a child that failed: a line of JSON."""
     return json.dumps({"error": str(error), "exit_code": error.exit_code})
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
-from mjtactile.design_study.virtual_bench import Coming, VirtualBench
+from mjtactile.design_study.virtual_bench import ObstacleAtDepth, VirtualBench
 from mjtactile.quasistatic import Obstacle, obstacle
 from mjtactile.sensing.contact_shape.fit_state import Data, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
@@ -39,7 +39,7 @@ class Resolution:
         force_sd: Standard deviation reported by the sensing pipeline, including all model errors,
             N.
         noise: Image-to-image noise of the estimated force from pixel noise alone, N.
-        place_sd: Standard deviation of the force's position, the larger of both directions, m.
+        position_sd: Standard deviation of the force's position, the larger of both directions, m.
         edge_sd: Standard deviation of the position of an edge along y or x, the larger of both, m.
         height: Height of the ball's lowest point in S, m. The force's position refers to its plane,
             since a sticking membrane presses straight down.
@@ -97,9 +97,9 @@ class ResolutionPredictor:
         cov = estimated.touch.traction.wrench_cov
         noise = math.sqrt(self.stand.noise(estimated)[2, 2])
         height = pressed.height
-        acts = position_sd(wrench, cov, height)
+        spread = position_sd(wrench, cov, height)
         sd = math.sqrt(cov[2, 2])
-        return Resolution(x, y, force, -float(wrench[2]), sd, noise, acts, edge_sd, height)
+        return Resolution(x, y, force, -float(wrench[2]), sd, noise, spread, edge_sd, height)
 
     def edge_sd(self, place: Array, force: float) -> float:
         """Predict the standard deviation, m, of the position of an edge across the face.
@@ -116,7 +116,7 @@ class ResolutionPredictor:
         sds = []
         for across, direction in ((1, 0.0), (0, math.pi / 2)):
             theta = np.array([0.0, 0.0, 0.0, 1 / EDGE_RADIUS, direction, 0.0])
-            cov = self._numbers_cov(FAMILIES["cylinder"], theta, place, force)
+            cov = self._parameter_cov(FAMILIES["cylinder"], theta, place, force)
             if cov is None:
                 return math.nan
             sds.append(1e-3 * math.sqrt(cov[across, across]))
@@ -134,10 +134,10 @@ class ResolutionPredictor:
             The ratio; NaN where the sensor does not carry the force.
         """
         theta = np.array([0.0, 0.0, 0.0, 1 / radius])
-        cov = self._numbers_cov(FAMILIES["ball"], theta, place, force)
+        cov = self._parameter_cov(FAMILIES["ball"], theta, place, force)
         return math.nan if cov is None else radius * math.sqrt(cov[3, 3])
 
-    def _numbers_cov(
+    def _parameter_cov(
         self, family: ShapeModel, theta: Array, place: Array, force: float
     ) -> Array | None:
         """Return the covariance (k, k) of a loaded shape's parameters (Eq. F18-F20)."""
@@ -179,7 +179,7 @@ class ResolutionPredictor:
         )
 
 
-def ball(at: Array, radius: float) -> Coming:
+def ball(at: Array, radius: float) -> ObstacleAtDepth:
     """Return a ball above a position, as a function of the height of its lowest point.
 
     Args:

@@ -38,7 +38,7 @@ class IndentedMembrane:
     height: float
 
 
-Coming = Callable[[float], Obstacle]
+ObstacleAtDepth = Callable[[float], Obstacle]
 """Obstacle as a function of the height of its reference point, m in S."""
 
 
@@ -113,7 +113,7 @@ class VirtualBench:
 
     # -- indentation
 
-    def press(self, body: Coming, force: float) -> IndentedMembrane | None:
+    def press(self, body: ObstacleAtDepth, force: float) -> IndentedMembrane | None:
         """Lower an obstacle until it indents the membrane with a force.
 
         Args:
@@ -153,7 +153,7 @@ class VirtualBench:
         off = abs(state.force_normal - force)
         return IndentedMembrane(state, low) if off < _OFF * force else None
 
-    def indent(self, body: Coming, depth: float) -> IndentedMembrane | None:
+    def indent(self, body: ObstacleAtDepth, depth: float) -> IndentedMembrane | None:
         """Lower an obstacle to a depth below first contact.
 
         Args:
@@ -183,7 +183,7 @@ class VirtualBench:
                 return state
         return None
 
-    def first_touch(self, body: Coming) -> float:
+    def first_touch(self, body: ObstacleAtDepth) -> float:
         """Return the obstacle's height at first contact with the membrane at rest, m."""
         x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
         places = np.column_stack([x.ravel(), y.ravel()])

@@ -15,7 +15,7 @@ import numpy as np
 FROM_WORLD = (
     *("time", "lost", "opening", "speed", "grip_force", "lift_height", "object_height"),
     *("pressure_1", "pressure_2", "contact_1", "contact_2"),
-    *("picture_delay", "failed", "pictures"),
+    *("image_delay", "failed", "images"),
 )
 FAULTS_TO_WORLD = (
     *("puncture", "frames_frozen", "frames_dark", "frames_saturated"),

@@ -231,7 +231,7 @@ class Cameras:
         self._queue: queue.Queue[Any] = queue.Queue(2)
         self._last: dict[str, Any] = {}
         self._stop = scaled_clock.Event()
-        self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="images", daemon=True)
         self._thread.start()
 
     def expose(self, poses: list[Any]) -> None:
@@ -256,10 +256,10 @@ class Cameras:
                 self.streams.names, self._renderers, poses, strict=False
             ):
                 self._send(name, renderer, p_SM, n_S)
-            self._shared["picture_delay"] += 0.1 * (
-                scaled_clock.monotonic() - exposed - self._shared["picture_delay"]
+            self._shared["image_delay"] += 0.1 * (
+                scaled_clock.monotonic() - exposed - self._shared["image_delay"]
             )
-            self._shared["pictures"] += 1
+            self._shared["images"] += 1
 
     def _send(self, name: str, renderer: Renderer, p_SM: Any, n_S: Any) -> None:
         shared = self._shared

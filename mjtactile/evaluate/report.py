@@ -51,7 +51,7 @@ def page(
         _failures(lines),
         _flags(summary, lines),
         _distributions(lines),
-        _varied(summary),
+        _parameter_sections(summary),
         _worst(worst, images),
     ]
     title = f"Evaluation: {_words(manifest['options']['controllers'])}"
@@ -193,7 +193,7 @@ def _quantiles(name: str, values: Sequence[float]) -> str:
     return f"{escape(name)}: median {median:.3g}, 95 % below {high:.3g}, maximum {maximum:.3g}"
 
 
-def _varied(summary: Mapping[str, Any]) -> str:
+def _parameter_sections(summary: Mapping[str, Any]) -> str:
     """Success against each varied value; the order is that of the first controller."""
     controllers = summary["controllers"]
     by_value: dict[str, dict[str, Any]] = {}
@@ -219,10 +219,10 @@ def _varied(summary: Mapping[str, Any]) -> str:
     if even:
         summary_text = f"<summary>{len(even)} values with 100 % success in each bin</summary>"
         more += f"<details>{summary_text}{_grid(even)}</details>"
-    return f"{title}{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{more}"
+    return f"{title}{_SENSITIVITY_NOTE}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{more}"
 
 
-_HOW_VARIED = """<p>
+_SENSITIVITY_NOTE = """<p>
 Each bin has the same number of episodes and is labeled with its center; intervals are 95 %.
 p: probability that chance alone separates failures from successes at least this far, in the
 value or (both ways) in its distance from the center (Mann and Whitney). Values below 5 %, shared

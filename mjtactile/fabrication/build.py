@@ -71,7 +71,7 @@ def build(
     notify("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _SEPARATE)
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap, loads)
-    images = _pictures(layout, optics, parts)
+    images = _renderings(layout, optics, parts)
     files = {
         "README.md": manual.readme(layout, parts, checked, source).encode(),
         "assembly.md": manual.assembly(layout, optics, list(images)).encode(),
@@ -136,7 +136,7 @@ def _papers(layout: Layout) -> dict[str, bytes]:
     return images | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
 
 
-def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
+def _renderings(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
     """Render the images of the steps, by name; none without matplotlib."""
     edge = Contour(layout.outer_x + 12, layout.outer_y + 12)
     rubber = plate(0.0, 0.6, edge, [circle(PEG, x, y) for x, y in pegs(layout)])
@@ -149,8 +149,8 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
             if not step.cut:
                 shifts = part_renderings.explode(parts, step.parts)
             bodies = part_renderings.bodies_of(parts, solids, shifts)
-            name = f"{step.picture}.png"
-            found[step.picture] = part_renderings.save_png(bodies, name, **step.view)
+            name = f"{step.figure}.png"
+            found[step.figure] = part_renderings.save_png(bodies, name, **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)
     half = print_templates.page_size(layout)
     found["print"] = write_png(print_templates.marker_pages(layout)[0], half[0] + 2, half[1] + 2)

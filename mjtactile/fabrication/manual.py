@@ -40,7 +40,7 @@ class ManualStep:
 
     title: str
     text: str
-    picture: str = ""
+    figure: str = ""
     parts: Sequence[str] = ()
     cut: bool = False
 
@@ -66,7 +66,7 @@ def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
     fiducials = layout.design.fiducials
     if fiducials is None:
         return STEPS
-    at = next(k for k, step in enumerate(STEPS) if step.picture == "stretch")
+    at = next(k for k, step in enumerate(STEPS) if step.figure == "stretch")
     return (*STEPS[:at], FIDUCIALS[fiducials.surface], *STEPS[at:])
 
 
@@ -118,8 +118,8 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     }
 
 
-def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
-    """Return the text of `assembly.md`; `pictures` are the available images."""
+def assembly(layout: Layout, optics: Optics, figures: Sequence[str]) -> str:
+    """Return the text of `assembly.md`; `figures` are the available images."""
     known = facts(layout, optics)
     blocks = [
         f"# Assembly of {layout.design.name!r}",
@@ -127,8 +127,8 @@ def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
     ]
     for number, step in enumerate(steps_of(layout)):
         blocks.append(f"## {number}. {step.title}")
-        if step.picture in pictures:
-            blocks.append(f"![{step.title}](pictures/{step.picture}.png)")
+        if step.figure in figures:
+            blocks.append(f"![{step.title}](pictures/{step.figure}.png)")
         blocks.append(step.text.format(**known))
     return "\n\n".join(blocks) + "\n"
 

@@ -314,7 +314,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             "slip_mm_true": 1e3 * score.slip,
             "break_force_N": rig.scene.object.break_force,
         }
-        varied: Mapping[str, Any] = rig.varied
+        randomized: Mapping[str, Any] = rig.randomized
         return {
             "seed": self._seed,
             "time_s": self._seen.time - self._start,
@@ -322,7 +322,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             "force_normal_true_N": np.array(score.forces()),
             **{k: v for k, v in found.items() if math.isfinite(v)},
             **self._left_out,
-            **({"randomized": dict(varied)} if varied else {}),
+            **({"randomized": dict(randomized)} if randomized else {}),
             "flags": dict(rig.flags()),
             **({"problem": self._problem} if self._problem else {}),
         }

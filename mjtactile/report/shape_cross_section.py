@@ -13,7 +13,7 @@ from mjtactile.core.types import Array, ContactShape
 from mjtactile.report.shape_wireframe import describe_shape, directions_of, lines_of
 
 _RADIUS = 9e-3  # half-width of a section, m
-_BELIEVED = (25, 25, 25)  # blue, green, red
+_ESTIMATED = (25, 25, 25)  # blue, green, red
 _TRUE = (0, 123, 224)
 _PAPER = (255, 255, 255)
 _TEXT = 24  # px of the line above
@@ -50,7 +50,7 @@ def plot_section(
         off = true - shape.p_SO
         own = off[(np.abs(off[:, :, :2] @ across) < 1e-9).all(axis=1)]
         _render(panel, [_flat(piece, way) for piece in own], _TRUE, 3)
-        _render(panel, [_flat(arc - shape.p_SO, way)], _BELIEVED, 1)
+        _render(panel, [_flat(arc - shape.p_SO, way)], _ESTIMATED, 1)
         _write(panel, _NAMES[number], (8, panel.shape[0] - 8))
     return image
 
@@ -77,5 +77,5 @@ def _render(
 
 def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
     own = np.ascontiguousarray(image)
-    cv2.putText(own, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, _BELIEVED, 1, cv2.LINE_AA)
+    cv2.putText(own, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, _ESTIMATED, 1, cv2.LINE_AA)
     image[:] = own

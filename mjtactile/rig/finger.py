@@ -92,7 +92,7 @@ class Rig:
         host_timeout: Time without a call after which the devices stop by themselves, s; inf: the
             world waits, as in simulation and replay.
         length: Time from the first to the last cycle, s; finite for a recording only.
-        varied: Values sampled for a randomized simulated world, by name, in the files' units.
+        randomized: Values sampled for a randomized simulated world, by name, in the files' units.
         simulated: Settings of a simulation: `mesh`, `timestep_ms`, and each of the `effects` with
             state, reason and cost.
         recorded: Names and outcome of a replayed run (`Recording.facts`); empty elsewhere.
@@ -117,7 +117,7 @@ class Rig:
     close: Callable[[], None]
     host_timeout: float = math.inf
     length: float = math.inf
-    varied: Mapping[str, Any] = field(default_factory=dict)
+    randomized: Mapping[str, Any] = field(default_factory=dict)
     simulated: Mapping[str, Any] = field(default_factory=dict)
     recorded: Mapping[str, Any] = field(default_factory=dict)
     flags: Callable[[], Flags] = dict

@@ -303,8 +303,8 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     score = GraspScore(rig.scene, TaskScorer.of(scenario, rig))
     rig.scene.after_each_step_batch(score.after_step_batch, score.due)
     force = rig.scene.object.break_force
-    varied = {"randomized": rig.varied} if rig.varied else {}
-    observer.note(break_force_N=force if math.isfinite(force) else None, **varied)
+    randomized = {"randomized": rig.randomized} if rig.randomized else {}
+    observer.note(break_force_N=force if math.isfinite(force) else None, **randomized)
     return score
 
 
@@ -328,7 +328,7 @@ def _result(
     parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
     if score is not None:
         outcome, reason = score.outcome(), score.reason()
-        if outcome == "dropped" and not completed and score.stands:
+        if outcome == "dropped" and not completed and score.is_standing:
             outcome = SET_DOWN
     else:
         early = SET_DOWN if log.was_set_down else "dropped"

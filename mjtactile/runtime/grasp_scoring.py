@@ -158,16 +158,18 @@ class GraspScore:
 
     def _is_torn(self) -> bool:
         """Return True if the strain of a soft object exceeds its material's limit."""
-        flesh = self.world.object.flesh
+        material = self.world.object.flex_material
         solid = self.world.solid
         time = self.world.time
-        if solid is None or flesh is None or time < self._next_strain:
+        if solid is None or material is None or time < self._next_strain:
             return False
         self._next_strain = time + _STRAIN_EVERY
         strain = solid.strain(self.world.data)
         self.peak_stress = float(np.fmax(self.peak_stress, strain.stress))
         self.peak_energy = float(np.fmax(self.peak_energy, strain.energy_density))
-        return strain.stress > flesh.break_stress or strain.energy_density > flesh.break_energy
+        return (
+            strain.stress > material.break_stress or strain.energy_density > material.break_energy
+        )
 
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
@@ -217,7 +219,7 @@ class GraspScore:
         return "held" if self._is_held and not fails and not self.fell else "dropped"
 
     @property
-    def stands(self) -> bool:
+    def is_standing(self) -> bool:
         """True if the object is at its initial height. A raised gripper did not lose it."""
         risen = float(self._object_position()[2] - self._rest_height)
         return abs(risen) < _STANDS and not self.lost and not self.fell

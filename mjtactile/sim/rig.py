@@ -185,7 +185,7 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
         clock=clock,
         limits=_limits(file),
         close=clock.close,
-        varied={**plan.sampled.values, **plan.sample_task.values},
+        randomized={**plan.sampled.values, **plan.sample_task.values},
         flags=lambda: world.flags,
         touch_is_synthetic=Effect.PIPELINE not in plan.on,
         scene=world,

@@ -128,13 +128,13 @@ def path_of(design: SensorDesign) -> Path:
     return resources.folder(FOLDER) / f"{design.name}.json"
 
 
-def load_errors(design: SensorDesign, varied: bool = False) -> SensingErrorModel:
-    """Load the errors of a design's sensing pipeline, larger if `varied` (`--randomization`).
+def load_errors(design: SensorDesign, randomized: bool = False) -> SensingErrorModel:
+    """Load the errors of a design's sensing pipeline, larger if `randomized` (`--randomization`).
 
     Raises InputError if they were never measured, or for another design of that name.
     """
     found = _load(path_of(design), fingerprint(design), design.name)
-    return found["varied" if varied else "errors"]
+    return found["varied" if randomized else "errors"]
 
 
 @cache

@@ -157,7 +157,7 @@ class Panel(plugin.ViewerPlugin):
                 self._upload(
                     k,
                     "membrane",
-                    surface_colormap.picture(
+                    surface_colormap.render(
                         estimated, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))
                     ),
                 )

@@ -101,7 +101,7 @@ def colours(values: Array, scale: float) -> NDArray[np.uint8]:
     )
 
 
-def picture(
+def render(
     estimated: FingerSnapshot, field: Field, scale: float, size: tuple[int, int]
 ) -> NDArray[np.uint8]:
     """Return an image of the membrane in camera view (x right, y down), red, green, blue (h, w, 3).

@@ -111,8 +111,8 @@ class Grasps:
         self._goals = zeros_of(Goals, worlds)
         self._commands = zeros_of(Commands, worlds, measured=4)
         self.scores = zeros_of(Scores, worlds)
-        is_varied = self.scenario.randomization != NONE
-        self._errors = error_model(load_errors(self.rig.fingers[0].design, is_varied))
+        is_randomized = self.scenario.randomization != NONE
+        self._errors = error_model(load_errors(self.rig.fingers[0].design, is_randomized))
         self._estimates = zeros_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
         self._limits = limits_of(self.rig, load_task(self.scenario.task).goal.task_goal())
         maximum = policy.policy_bounds(self.fingers)

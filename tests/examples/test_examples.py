@@ -70,8 +70,8 @@ def test_arm_follows_touch(capsys):
     example = run("arm_follows_touch", "mink")
     # the wall goes by at most 3 mm/s, the arm by 36 mm/s for each N: it lags by 0.08 N
     assert np.isfinite(example.held).all()
-    assert np.abs(example.held - example.WANTED).max() < 0.16
-    assert np.mean(example.held) == pytest.approx(example.WANTED, abs=0.08)
+    assert np.abs(example.held - example.FORCE_GOAL).max() < 0.16
+    assert np.mean(example.held) == pytest.approx(example.FORCE_GOAL, abs=0.08)
     assert "estimated 0." in capsys.readouterr().out
 
 

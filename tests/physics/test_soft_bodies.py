@@ -26,9 +26,11 @@ def test_shipped_soft_bodies_are_what_their_writer_writes(name):
     assert resources.find(name, "models/objects", ".xml").read_text() == to_mjcf(
         body, name, comment
     )
-    flesh = load_object(name).flesh
-    assert flesh is not None and flesh.young == pytest.approx(body.young)
-    assert min(flesh.break_stress, flesh.break_energy) == (body.break_stress or body.break_energy)
+    flex_material = load_object(name).flex_material
+    assert flex_material is not None and flex_material.young == pytest.approx(body.young)
+    assert min(flex_material.break_stress, flex_material.break_energy) == (
+        body.break_stress or body.break_energy
+    )
     # as written, four digits
     assert load_object(name).mass == pytest.approx(body.density * body.volume, rel=2e-3)
 

@@ -111,6 +111,6 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
 def _line(fit: Any) -> str:
     return (
         f"  zero {fit.offset:+.0f} Pa (noise {fit.noise_sd:.0f}), {fit.step:.0f} of "
-        f"{fit.asked:.0f} Pa in {fit.rise_time:.3f} s (10 to 90 %), sealed leak "
+        f"{fit.requested:.0f} Pa in {fit.rise_time:.3f} s (10 to 90 %), sealed leak "
         f"{fit.leak:+.2f} Pa/s (sd {fit.leak_sd:.2f})"
     )

@@ -314,15 +314,15 @@ class DynamixelBus:
             failures[servo] = error
 
     def _failed(self, servo: int | None, result: int) -> BusError:
-        who = f"servo {servo} on {self.name}" if servo is not None else f"bus {self.name}"
+        device = f"servo {servo} on {self.name}" if servo is not None else f"bus {self.name}"
         if result == COMM_RX_TIMEOUT:
-            return BusError(f"{who}: no reply", servo=servo, reason="no reply")
+            return BusError(f"{device}: no reply", servo=servo, reason="no reply")
         if result == COMM_RX_CORRUPT:
             return BusError(
-                f"{who}: broken reply (wrong CRC or cut off)", servo=servo, reason="corrupt"
+                f"{device}: broken reply (wrong CRC or cut off)", servo=servo, reason="corrupt"
             )
         text = self._packets.getTxRxResult(result).replace("[TxRxResult] ", "").rstrip("!.")
-        return BusError(f"{who}: {text or result}", servo=servo, reason="lost")
+        return BusError(f"{device}: {text or result}", servo=servo, reason="lost")
 
 
 def _bytes_of_word(value: int) -> tuple[int, int]:

@@ -31,18 +31,18 @@ class JawServo:
         self.law = _law(config, source)
 
     def part(self, ticks: float) -> float:
-        """This servo's part of the opening, m, at a present position."""
+        """Return this servo's part of the opening, m, at a present position."""
         return self.law.part(self._angle(ticks))
 
     def ticks(self, part: float) -> int:
-        """The goal position for a part of the opening; the nearest that the law reaches."""
+        """Return the goal position nearest to a part of the opening in the range of the law."""
         return (
             round(self.config.zero_ticks + self.law.coordinate(part) * TICKS_PER_RAD)
             - self.revolution_offset_ticks
         )
 
     def slope(self, ticks: float) -> float:
-        """dx/da, m/rad, at a present position."""
+        """Return the opening per servo angle, m/rad, at a present position."""
         return self.law.slope(self._angle(ticks))
 
     def closing_force(self, current: float, ticks: float) -> float:

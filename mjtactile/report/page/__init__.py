@@ -219,14 +219,14 @@ def _simulated(recording: Recording) -> str:
         ]
 
     head = ["effect", "cost, ms per simulated s", "error without it, mN", "um", "why"]
-    varied = ", ".join(
+    randomized = ", ".join(
         f"{name} {value}" for name, value in recording.notes.get("randomized", {}).items()
     )
     has_traction = ""
-    if varied:
+    if randomized:
         has_traction = (
             "<details><summary>randomized values of this "
-            f"world</summary><p>{escape(varied)}</p></details>"
+            f"world</summary><p>{escape(randomized)}</p></details>"
         )
     return (
         "<h2>Simulated effects</h2><p>Membranes of "

@@ -26,7 +26,7 @@ from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow
 # Width of a camera image; height and width of the scene image, px
 _CAMERA = 480
 _SCENE = (405, 270)
-_PICTURES = 96  # of cameras, in all: 20 kB each
+_IMAGES_MAX = 96  # of cameras, in all: 20 kB each
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 70)
 _GREY = "#555555"
 
@@ -78,7 +78,7 @@ def page_data(
     recording: Recording, strip: Sequence[tuple[Seen, Any]], snapshot: Seen | None = None
 ) -> dict[str, Any]:
     """Return the scripts' data; `strip`: cycles with scenes, `snapshot`: the first shown."""
-    every = math.ceil(len(strip) * recording.width / _PICTURES) or 1
+    every = math.ceil(len(strip) * recording.width / _IMAGES_MAX) or 1
     moments = strip[::every]
     touches = [touch for cycle, _ in moments for touch in cycle.touch]
     low, high = _heights(touches)

@@ -44,11 +44,11 @@ class PressView:
         """Create the view of a sensor from presses. They have marker `heights` (n, N), m, normal
         `force` (n,), N, and pressure `center` (n, 2), mm."""
         # relative errors count
-        wanted = np.column_stack([np.ones(len(force)), center])
+        required = np.column_stack([np.ones(len(force)), center])
         relative = heights / force[:, None]
         noise = (sd / float(np.median(force))) ** 2 * np.eye(heights.shape[1])
         normal = relative.T @ relative + len(force) * noise
-        moments = np.linalg.solve(normal, relative.T @ wanted).T
+        moments = np.linalg.solve(normal, relative.T @ required).T
         count = min(_COMPONENTS, heights.shape[1])
         _, values, rows = np.linalg.svd(heights, full_matrices=False)
         scaled = (values[:count] / math.sqrt(len(heights)))[:, None] * rows[:count]

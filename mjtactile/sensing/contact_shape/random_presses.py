@@ -30,7 +30,6 @@ _WITHIN = 0.72  # fraction of the frame's half-extents in which centers lie
 _STEEP = 1.3  # maximum slope of a height field: the membrane leaves a steeper flank
 _BATCH = 64
 _SHARES = (0.16, 0.12, 0.16, 0.16, 0.16, 0.10, 0.14)  # of GROUPS
-_ALL_SHAPE = len(SHAPES)
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,9 +73,9 @@ class ShapeFilter:
         kept = family.kept
         free = ~kept
         mean = family.rebased(fit.theta, fit.hint, hint) / family.sd
-        believed = (family.mean / family.sd)[kept]
-        known = np.linalg.inv(self.precision / noise + np.eye(len(believed)))
-        mean[kept] = known @ (self.information / noise + believed)
+        scaled_mean = (family.mean / family.sd)[kept]
+        known = np.linalg.inv(self.precision / noise + np.eye(len(scaled_mean)))
+        mean[kept] = known @ (self.information / noise + scaled_mean)
         stood = np.linalg.inv(fit.precision_with(noise))[np.ix_(free, free)]
         cov = np.zeros((len(mean), len(mean)))
         cov[np.ix_(free, free)] = stood + np.diag((family.loose / family.sd)[free] ** 2)

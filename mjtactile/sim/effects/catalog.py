@@ -217,7 +217,7 @@ def quasistatic_is_valid(design: SensorDesign, grasped: ObjectModel, overrides: 
     """Return True if `--accuracy` may choose a quasi-static membrane: a rigid, round object."""
     if Effect.MESH in parse(overrides) or design.relaxation is not None:
         return False
-    return grasped.flesh is None and not _feature(grasped)[1]
+    return grasped.flex_material is None and not _feature(grasped)[1]
 
 
 def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:

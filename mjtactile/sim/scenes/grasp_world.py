@@ -88,12 +88,12 @@ class GraspWorld(GripperWorld):
             furnish=furnish,
             path=path,
         )
-        flesh = self.object.flesh
-        if flesh is None:
+        material = self.object.flex_material
+        if material is None:
             self.solid = None
         else:
             self.solid = SoftSolid(
-                self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson
+                self.model, soft_flex(self.model, PREFIX), material.young, material.poisson
             )
         """Elements of a soft object for its strain distribution; used for scoring and for flags."""
         self.second_object = second_object(self.model, self.data)

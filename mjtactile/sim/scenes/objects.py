@@ -38,7 +38,7 @@ SOFT_ITERATIONS = 2000
 
 
 @dataclass(frozen=True)
-class Flesh:
+class FlexMaterial:
     """Material of a volumetric flex, `young` Pa and `poisson`, and its strength.
 
     The limits apply to the twentieth of the volume under the highest load: `break_stress` Pa (von
@@ -68,7 +68,7 @@ class ObjectModel:
     grasp_height: float
     mass: float
     turn: float = math.pi
-    flesh: Flesh | None = None
+    flex_material: FlexMaterial | None = None
     changes: ObjectChange = UNCHANGED
     text: str = ""
     width: float | None = None
@@ -76,19 +76,19 @@ class ObjectModel:
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """Return this object with `changes` to its size, mass, stiffness and strength."""
-        stands = 1 + changes.breaking
-        flesh = self.flesh
-        if flesh is not None:
-            flesh = Flesh(
-                (1 + changes.stiffness) * flesh.young,
-                flesh.poisson,
-                stands * flesh.break_stress,
-                stands * flesh.break_energy,
+        strength = 1 + changes.breaking
+        flex_material = self.flex_material
+        if flex_material is not None:
+            flex_material = FlexMaterial(
+                (1 + changes.stiffness) * flex_material.young,
+                flex_material.poisson,
+                strength * flex_material.break_stress,
+                strength * flex_material.break_energy,
             )
         return replace(
             self,
-            break_force=stands * self.break_force,
-            flesh=flesh,
+            break_force=strength * self.break_force,
+            flex_material=flex_material,
             changes=changes,
             mass=(1 + changes.size) ** 3 * (1 + changes.mass) * self.mass,
             width=None if self.width is None else (1 + changes.size) * self.width,
@@ -105,9 +105,14 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
     spec = read_mjcf(path, text)
     _check_body(spec, path)
-    flesh = _flesh(spec, path)
-    stands_strain = flesh is not None and min(flesh.break_stress, flesh.break_energy) < math.inf
-    break_force = _numeric(spec, path, "break_force_N", default=math.inf if stands_strain else None)
+    flex_material = _flex_material(spec, path)
+    has_strain_limit = (
+        flex_material is not None
+        and min(flex_material.break_stress, flex_material.break_energy) < math.inf
+    )
+    break_force = _numeric(
+        spec, path, "break_force_N", default=math.inf if has_strain_limit else None
+    )
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
     turn = min(math.radians(_numeric(spec, path, "rotation_deg", default=180.0)), math.pi)
@@ -120,7 +125,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
         height,
         mass,
         turn,
-        flesh,
+        flex_material,
         text=text,
         width=width,
     )
@@ -148,14 +153,14 @@ def add_object(
     if model.liquid is not None:
         fill(spec, model.liquid)
     scene.attach(spec, frame=frame, prefix=PREFIX)
-    if model.flesh is not None:
+    if model.flex_material is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
 
 
 def with_liquid(model: ObjectModel, level: float) -> ObjectModel:
     """Return the object with water up to `level` of its height. Raises InputError for a soft
     object."""
-    if model.flesh is not None:
+    if model.flex_material is not None:
         text = "is soft; the task fills it with a liquid, which requires a rigid object"
         raise InputError(text, source=model.path, field="object")
     spec = read_spec(model)
@@ -206,7 +211,7 @@ def _solids(spec: mujoco.MjSpec) -> list[mujoco.MjsFlex]:
     return [flex for flex in spec.flexes if flex.dim == 3]
 
 
-def _flesh(spec: mujoco.MjSpec, path: Path) -> Flesh | None:
+def _flex_material(spec: mujoco.MjSpec, path: Path) -> FlexMaterial | None:
     """The volumetric flex that the object consists of; None for a rigid or lumped object."""
     solids = _solids(spec)
     if not solids:
@@ -220,7 +225,7 @@ def _flesh(spec: mujoco.MjSpec, path: Path) -> Flesh | None:
         )
     if not solids[0].young > 0:
         raise InputError(f"{solids[0].young:g} is not a modulus > 0 Pa", source=path, field="young")
-    return Flesh(
+    return FlexMaterial(
         float(solids[0].young),
         float(solids[0].poisson),
         1e3 * _numeric(spec, path, "break_stress_kPa", default=math.inf),

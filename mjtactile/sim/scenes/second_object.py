@@ -29,7 +29,7 @@ def add_second_object(
 
     Raises InputError for a soft object.
     """
-    if grasped.flesh is not None:
+    if grasped.flex_material is not None:
         text = "is soft, and the task puts a second object on it, which requires a rigid one"
         raise InputError(text, source=grasped.path, field="object")
     half = event.values["size"] / 2

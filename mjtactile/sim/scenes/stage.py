@@ -68,7 +68,7 @@ class ObjectOnStage:
     """Object in a holder, at pose `p_HO` (3,) m and `R_HO` (3, 3) relative to the holder."""
 
     def __init__(self, model: ObjectModel, p_HO: Array, R_HO: Array):
-        if model.flesh is not None:
+        if model.flex_material is not None:
             raise InputError(
                 f"{model.name!r} is a soft body of finite elements, which a holder cannot hold",
                 source="explore",

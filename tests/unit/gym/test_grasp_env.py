@@ -211,8 +211,8 @@ def test_several_at_once_are_each_its_own(mode):
 
 
 def test_a_world_that_varies_is_a_new_one():
-    with make(randomization="default", effects=SAMPLED) as varied:
-        infos = [varied.reset(seed=seed)[1] for seed in (1, 2, 1)]
+    with make(randomization="default", effects=SAMPLED) as randomized:
+        infos = [randomized.reset(seed=seed)[1] for seed in (1, 2, 1)]
     assert infos[0]["randomized"] == infos[2]["randomized"] != infos[1]["randomized"]
 
 

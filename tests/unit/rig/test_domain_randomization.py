@@ -198,7 +198,9 @@ def test_the_world_is_as_sampled_and_sensing_does_not_know():
             fraction = 1 + world.as_built_sensor(finger.name).stiffness_fraction
             assert sensor.design.membrane.young == pytest.approx(fraction * DESIGN.membrane.young)
         stands = load_object("egg").break_force * (1 + world.object.breaking)
-        assert rig.scene.object.break_force == pytest.approx(stands) and rig.varied == world.values
+        assert (
+            rig.scene.object.break_force == pytest.approx(stands) and rig.randomized == world.values
+        )
         assert rig.limits.speed == FILE.gripper.speed != rig.scene.rig.gripper.speed
         np.testing.assert_allclose(
             rig.scene.data.body("object/object").xpos[:2], world.object.place, atol=1e-9

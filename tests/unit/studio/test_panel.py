@@ -131,13 +131,13 @@ def test_the_indentation_is_the_rest_shape_less_what_is_estimated_and_is_brighte
         FingerSnapshot("left", fake_image(0), touch, rest=rest), "indentation"
     )
     assert field.values.max() == pytest.approx(0.6 * 0.002)  # at the center, as in fake_touch
-    picture = surface_colormap.picture(
+    render = surface_colormap.render(
         FingerSnapshot("left", fake_image(0), replace(touch, traction=None), rest=rest),
         field,
         0.0012,
         (80, 60),
     )
-    luminance = picture[:, :, 1].astype(int)  # green grows along viridis
+    luminance = render[:, :, 1].astype(int)  # green grows along viridis
     assert luminance[2, 2] < luminance[30, 30] < luminance[30, 40]
 
 
