@@ -7,19 +7,25 @@ import numpy as np
 import pytest
 
 import mjtactile
-from benchmarks.camera_faults.gas_changes import AFTER, BEFORE, FAULTS, MASS, errors, scene
+from benchmarks.camera_faults.gas_changes import BEFORE, FAULTS, MASS, errors, scene
 from mjtactile.core.types import PressureReading
 from mjtactile.sensing.force.gas_filter import GasFilter
 from mjtactile.sensing.force.spline_fem import Gas
 
 # force in N: three sd of an untouched sensor with pressure sensor, and the effect of a hole
 TOLERANCE = 0.03
+AFTER = 1.3  # duration after the change, s; the benchmark observes 2 s
 BOUNCE = 0.4  # time in s that the ball swings and the membrane drags after a pressure jump
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mass", [None, MASS], ids=["nothing touches", "0.6 N"])
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("fault", "mass"),
+    [
+        *((fault, MASS) for fault in FAULTS),
+        *((fault, None) for fault in ("valve to ambient", "valve to 2 kPa", "puncture")),
+    ],
+)
 def test_force_stays_right_or_is_unknown(fault: str, mass: float | None) -> None:
     model, data, finger = scene(mass)
     errors(model, data, finger, BEFORE)

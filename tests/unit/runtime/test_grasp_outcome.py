@@ -18,6 +18,7 @@ from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.runtime.failure_causes import failure_causes
 from mjtactile.runtime.grasp import _Log, _result, run_grasp
 from mjtactile.runtime.set_down import SetDown
+from tests.emulated_host import controller_text
 
 HELD = Touch(0.0, 0.0, 0.6, 0.01, True)
 EMPTY = Touch(0.0, 0.0, 0.0, 0.01, False)
@@ -185,7 +186,11 @@ def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
         data="solid"/></custom><worldbody>{posts}<body name="object" pos="0 0 0.045"><freejoint/>
         <geom type="cylinder" size="0.006 0.045" mass="0.012"/></body></worldbody></mujoco>"""
     )
-    result = run_grasp(Scenario(object=str(tube), effects="-images"))
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
+    scenario = Scenario(
+        object=str(tube), effects="-images", controller=str(tmp_path / "quick.py"), time_limit=20.0
+    )
+    result = run_grasp(scenario)
     assert result.outcome == "dropped"
     assert "the frame of sensor" in result.reason and "_post' with " in result.reason
     assert float(result.reason.split("with ")[1].split(" N")[0]) > 1.0
