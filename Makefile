@@ -45,11 +45,13 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. So few of
 # the first tier's compute that they go eight at a time; of whole rigs six keep both processors busy. A browser without a
 # graphics card wants two processors for itself.
-# Each worker reads all files that it is given: those that have the mark are enough.
-FIRST = -n 2 -m 'not slow and not clock and not browser'
+# Each worker reads all files that it is given: those that have the mark are enough, and for the first tier those that are
+# not slow or clock as a whole (`pytestmark`). MuJoCo Warp takes 3 s to import and is among these.
+FIRST = -n 2 -m 'not slow and not clock and not browser' $(wholly)
 FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
 SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
 SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(call marked,clock)
+wholly = $(addprefix --ignore=,$(shell grep -rlE '^pytestmark = \[?pytest\.mark\.(slow|clock)' --include='test_*.py' tests | sort))
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
 test: first  ## lint, import contracts, and the tests of what users do (below 5 minutes)

@@ -107,7 +107,7 @@ def test_with_no_force_the_jaws_close_on_nothing(rig):
         assert abs(after.effort) < 0.02  # effort in N; the servo current is rounded to 1 mA
 
 
-@pytest.mark.parametrize("name", ["sim", EMULATED])
+@pytest.mark.parametrize("name", [pytest.param("sim", marks=pytest.mark.slow), EMULATED])
 def test_more_force_is_never_a_softer_grip(name, request):
     rig = make(name, request)
     try:

@@ -71,9 +71,8 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
     return gentle
 
 
-@pytest.mark.parametrize(
-    "name", ["sim", *(pytest.param(name, marks=pytest.mark.slow) for name in SIMULATED[1:])]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SIMULATED)
 def test_gentle_lifts_an_egg(name, tmp_path):
     rig = near_rig(name, seed=1)
     try:
@@ -188,6 +187,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     assert last.lift_height == pytest.approx(0.0, abs=4e-3)
 
 
+@pytest.mark.slow
 def test_gentle_on_a_replay_requests_what_it_requested(tmp_path):
     rig = near_rig("sim_three_finger", seed=0)
     try:

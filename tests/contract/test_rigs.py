@@ -230,6 +230,7 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
 
+@pytest.mark.slow
 def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
     """Edited or gone: the same bits, since the recording contains the sensor. It is not that of the
     default, whose pressure would be another."""

@@ -15,6 +15,8 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
 from mjtactile.warp.as_built_membranes import match_membranes
 
+pytestmark = pytest.mark.slow  # importing MuJoCo Warp takes 3 s
+
 NAME = "mjtactile/Grasp-v0"
 GRID = (21, 16)
 

@@ -12,6 +12,8 @@ pytest.importorskip("mujoco_warp")
 from mjtactile.warp import Iteration, Membranes
 from mjtactile.warp.device.obstacles import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
+pytestmark = pytest.mark.slow  # importing MuJoCo Warp takes 3 s
+
 KINDS = {
     "sphere": SPHERE,
     "capsule": CAPSULE,

@@ -113,6 +113,7 @@ def test_cubes_off_center_and_tilted(size, at, tilt):
         assert abs(touch.force_normal - force) < 3 * touch.force_normal_sd
 
 
+@pytest.mark.slow
 # Below the frame the plate rests on it, so that no marker shows how much the membrane carries.
 def test_a_plate_on_the_frame_is_not_ok():
     depths = (0.5e-3, 1.25e-3, 1.75e-3, 2.25e-3)

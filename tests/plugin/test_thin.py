@@ -23,7 +23,11 @@ QUASISTATIC = {
 
 
 @pytest.mark.parametrize(
-    ("name", "membrane", "fraction"), [(name, *each) for name, each in QUASISTATIC.items()]
+    ("name", "membrane", "fraction"),
+    [
+        pytest.param(name, *each, marks=[pytest.mark.slow] if "blade" in name else [])
+        for name, each in QUASISTATIC.items()
+    ],
 )
 def test_what_is_thin_is_estimated_between_the_vertices_and_fast(name, membrane, fraction):
     """A thin object has the force of the quasi-static membrane within the fraction `fraction`.

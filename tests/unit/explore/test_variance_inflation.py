@@ -67,6 +67,7 @@ def ball_patch(way, radius_mm):
     return Patch(turn.apply(local), np.zeros((0, 3)), way, "smooth", 0.3)
 
 
+@pytest.mark.slow
 def test_touches_that_disagree_make_every_place_less_sure():
     """A ball touched in six places; then every other touch found 0.3 mm less: of no family."""
     ways = np.random.default_rng(2).normal(size=(6, 3))

@@ -93,6 +93,7 @@ def loaded(true, scale, height_fraction=0.02, jitter=0.0):
     )
 
 
+@pytest.mark.slow
 def test_a_wrong_lens_is_found_by_the_indentations(true):
     """A focal length 2 % too small in the file makes all heights 2 % too small; the stage's depths
     are right. The modulus stays within its interval."""
@@ -109,6 +110,7 @@ def test_a_wrong_lens_is_found_by_the_indentations(true):
     assert off @ np.linalg.solve(found.cov[:2, :2], off) < 9.2  # 99 % of two numbers
 
 
+@pytest.mark.slow
 def test_a_misfit_widens_the_intervals(true):
     """Marker errors of 50 um where 8 um are expected: sd of the parameters grow as the misfit."""
     options = FitOptions(mesh=MESH)
