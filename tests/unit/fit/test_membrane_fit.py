@@ -58,6 +58,18 @@ def test_two_pressures_determine_modulus_and_pre_stretch(true):
     assert off @ np.linalg.solve(found.cov[:2, :2], off) < 9.2  # 99 % of two numbers
 
 
+def test_a_start_near_the_solution_changes_nothing(true):
+    """The result is that of the file's start, within a fraction of the sd."""
+    options = FitOptions(mesh=MESH)
+    evidence = [evidence_of(true, p) for p in (500.0, 3000.0)]
+    far = fit_membrane(DESIGN, evidence, known={}, options=options)
+    start = {"young": 1.19e6, "pre_stretch": 1.0405}
+    near = fit_membrane(DESIGN, evidence, known={}, options=options, start=start)
+    sd = np.sqrt(np.diag(far.cov))
+    for i, name in enumerate(("young", "pre_stretch")):
+        assert near.values[name] == pytest.approx(far.values[name], abs=0.3 * sd[i])
+
+
 def test_one_pressure_does_not(true):
     """One pressure gives one height, so that modulus and pre-stretch stay strongly
     anticorrelated."""
