@@ -50,7 +50,7 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 FIRST = -n 2 -m 'not slow and not clock and not browser' $(wholly)
 FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
 SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
-SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(call marked,clock)
+SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(filter $(call marked,slow),$(call marked,clock))
 wholly = $(addprefix --ignore=,$(shell grep -rlE '^pytestmark = \[?pytest\.mark\.(slow|clock)' --include='test_*.py' tests | sort))
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
@@ -66,7 +66,9 @@ slow: $(VENV)/.test-ready  ## what `make test` leaves out: types, long tests, an
 	$(PYRIGHT) & types=$$!; $(BIN)/pytest $(SECOND) || { kill $$types; exit 1; }; wait $$types
 	$(BIN)/pytest $(SECOND_CLOCK)
 
-first: lint contracts
+# Lint and contracts at the same time: each has one processor busy.
+first: $(VENV)/.test-ready
+	$(MAKE) --no-print-directory -j2 lint contracts
 	$(BIN)/pytest $(FIRST)
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff), and the language (tools/check_prose.py)
