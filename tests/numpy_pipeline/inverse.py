@@ -41,6 +41,7 @@ class _Gain:
     innovation: Array
     reweighted: int
     modes: Array
+    gas: tuple[tuple[bool, bool], float]
     mean: PlaneContact | None = None
 
     def serves(
@@ -203,6 +204,7 @@ class DenseInverse(InverseMembrane):
             innovation,
             0 if before is None else before.gain.reweighted + 1,
             modes,
+            ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
         )
 
     def _drift(
