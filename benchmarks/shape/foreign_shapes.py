@@ -140,8 +140,8 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
         listed: Rows of `rows`.
     """
     lines = [
-        "| foreign shape, from 0.1 N | images | estimated | reported kinds | tip, tilt, curvature "
-        "within 2 sd | area error, median |",
+        "| foreign shape, from 0.1 N | images | estimated | reported kinds | lateral position of the "
+        "lowest point, tilt, curvature within 2 sd | area error, median |",
         "|---|---|---|---|---|---|",
     ]
     for name in [*FAMILIES, ""]:
@@ -159,7 +159,7 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-_COMPARED = {"tip": "tip", "tilt": "tilt", "curvatures": "curvature"}
+_COMPARED = {"tip": "lateral position", "tilt": "tilt", "curvatures": "curvature"}
 _WITH_AREA = ("ellipsoid 7 x 12 x 19", "tilted disc", "tilted block", "superquadric")
 
 
