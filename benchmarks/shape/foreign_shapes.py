@@ -140,8 +140,8 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
         listed: Rows of `rows`.
     """
     lines = [
-        "| foreign shape, from 0.1 N | images | estimated | reported kinds | lateral position of the "
-        "lowest point, tilt, curvature within 2 sd | area error, median |",
+        "| foreign shape, from 0.1 N | images | estimated | reported kinds | lateral position of "
+        "the lowest point, tilt, curvature within 2 sd | area error, median |",
         "|---|---|---|---|---|---|",
     ]
     for name in [*FAMILIES, ""]:
