@@ -140,26 +140,22 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
         listed: Rows of `rows`.
     """
     lines = [
-        "| foreign shape, from 0.1 N | images | estimated | reported kinds | lateral position of "
-        "the lowest point, tilt, curvature within 2 sd | area error, median |",
-        "|---|---|---|---|---|---|",
+        "| foreign shape, from 0.1 N | images | estimated | within 2 sd "
+        "(lateral: of the lowest point) | area error, median |",
+        "|---|---|---|---|---|",
     ]
     for name in [*FAMILIES, ""]:
         own = [row for row in listed if name in ("", row["family"])]
         known = [row for row in own if row["kind"] != "unknown"]
-        kinds: dict[str, int] = {}
-        for row in own if name else []:
-            kinds[row["kind"]] = kinds.get(row["kind"], 0) + 1
-        counts = ", ".join(f"{kind} {count}" for kind, count in kinds.items())
         errors = [abs(row["area_mm2"] / row["area_true_mm2"] - 1) for row in known]
         area = f"{100 * np.median(errors):.0f} %" if errors and name in _WITH_AREA else ""
         share = f"{100 * len(known) / max(len(own), 1):.0f} %"
         shares = ", ".join(_within(known, key) for key in _COMPARED if _values(known, key))
-        lines.append(f"| {name or 'all'} | {len(own)} | {share} | {counts} | {shares} | {area} |")
+        lines.append(f"| {name or 'all'} | {len(own)} | {share} | {shares} | {area} |")
     return lines
 
 
-_COMPARED = {"tip": "lateral position", "tilt": "tilt", "curvatures": "curvature"}
+_COMPARED = {"tip": "lateral", "tilt": "tilt", "curvatures": "curvature"}
 _WITH_AREA = ("ellipsoid 7 x 12 x 19", "tilted disc", "tilted block", "superquadric")
 
 
