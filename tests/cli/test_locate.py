@@ -56,8 +56,8 @@ def folder(tmp_path):
     return tmp_path
 
 
-def locate(mjtactile, source, *args):
-    process = mjtactile(
+def locate(command, source, *args):
+    process = command(
         "detect-circles",
         source,
         "--camera",
@@ -93,8 +93,8 @@ def check(frame):
         assert marker["ellipse_px"]["semi_axes"][0] == pytest.approx(30, abs=0.1)
 
 
-def test_an_image(mjtactile, folder):
-    (frame,) = locate(mjtactile, "dark.png")
+def test_an_image(command, folder):
+    (frame,) = locate(command, "dark.png")
     assert frame["source"] == "dark.png"
     assert all(
         set(r) == {"center_px", "semi_axes_px", "status"} and r["status"] != "ok"
@@ -103,20 +103,20 @@ def test_an_image(mjtactile, folder):
     check(frame)
 
 
-def test_bright_markers_and_16_bit(mjtactile, folder):
+def test_bright_markers_and_16_bit(command, folder):
     cv2.imwrite(str(folder / "bright.png"), render(dark=False).astype(np.uint16) * 200)
-    (frame,) = locate(mjtactile, "bright.png", "--bright", "--gamma", "auto")
+    (frame,) = locate(command, "bright.png", "--bright", "--gamma", "auto")
     check(frame)
     assert frame["gamma"]["assumed"] == 1 and not frame["gamma"]["wrong"]
 
 
-def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, folder):
+def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(command, folder):
     (folder / "images").mkdir()
     cv2.imwrite(str(folder / "images" / "b.png"), render())
     (folder / "images" / "a.png").write_bytes(b"no image")
     cv2.imwrite(str(folder / "images" / "c.png"), np.full((HEIGHT, WIDTH), 190, np.uint8))
     cv2.imwrite(str(folder / "images" / "d.png"), np.full((48, 64), 190, np.uint8))
-    frames = locate(mjtactile, "images", "--out", "out")
+    frames = locate(command, "images", "--out", "out")
     assert [frame["source"] for frame in frames] == ["a.png", "b.png", "c.png", "d.png"]
     assert frames[0]["status"] == "cannot be read" and frames[0]["markers"] == []
     check(frames[1])
@@ -130,17 +130,17 @@ def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, fold
     assert cv2.imread(str(folder / "out" / "b_overlay.png")).shape == (960, 1280, 3)
 
 
-def test_glass_in_front_of_the_camera(mjtactile, folder):
+def test_glass_in_front_of_the_camera(command, folder):
     """5 mm of n = 1.5 bring a point nearer by t (1 - 1/n) = 1.67 mm on the axis, more aside (Eq.
     V8): the picture without glass, taken for one through it, shows circles that much farther
     away."""
-    (frame,) = locate(mjtactile, "dark.png", "--glass-mm", "5:1.5:60")
+    (frame,) = locate(command, "dark.png", "--glass-mm", "5:1.5:60")
     further = np.array([m["center_mm"][2] for m in frame["markers"]]) - DEPTH_MM
     assert (further > 1.6).all() and (further < 2.2).all()
 
 
-def test_bad_glass_is_named(mjtactile, folder):
-    process = mjtactile(
+def test_bad_glass_is_named(command, folder):
+    process = command(
         "detect-circles",
         "dark.png",
         "--camera",
@@ -169,9 +169,9 @@ def test_bad_glass_is_named(mjtactile, folder):
         ),
     ],
 )
-def test_bad_sources_are_named(mjtactile, folder, name, make, words):
+def test_bad_sources_are_named(command, folder, name, make, words):
     make(folder / name)
-    process = mjtactile("detect-circles", name, "--camera", "camera.yaml", "--radius-mm", 6)
+    process = command("detect-circles", name, "--camera", "camera.yaml", "--radius-mm", 6)
     assert process.returncode == 2 and process.stdout == ""
     line = process.stderr.strip().splitlines()[-1]
     assert [word for word in words if word not in line] == [] and "Traceback" not in process.stderr

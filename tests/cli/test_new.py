@@ -41,11 +41,11 @@ def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypat
         assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments came along
 
 
-def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
-    report = json.loads(mjtactile("new", "rig", "mine", "--template", "sim", "--json").stdout)
+def test_a_copied_simulated_rig_brings_its_robot_along(command, tmp_path):
+    report = json.loads(command("new", "rig", "mine", "--template", "sim", "--json").stdout)
     assert report["files"] == ["mine.toml", "mine.xml"]
     rig = read_rig_file(tmp_path / "mine.toml")
-    assert mjtactile("docs", "rig_files").returncode == 0  # which it names as the page to read
+    assert command("docs", "rig_files").returncode == 0  # which it names as the page to read
     assert (
         rig.model == tmp_path / "mine.xml"
         and [
@@ -55,50 +55,49 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
         == ["paper16"] * 2
     )
     assert_one_line(
-        mjtactile("new", "rig", "mine.toml", "--template", "sim_arm"),
-        ["mine.toml", "exists already"],
+        command("new", "rig", "mine.toml", "--template", "sim_arm"), ["mine.toml", "exists already"]
     )
     (tmp_path / "other.xml").write_text("precious")
     assert_one_line(
-        mjtactile("new", "rig", "other", "--template", "sim"), ["other.xml", "exists already"]
+        command("new", "rig", "other", "--template", "sim"), ["other.xml", "exists already"]
     )
     assert (tmp_path / "other.xml").read_text() == "precious" and not (
         tmp_path / "other.toml"
     ).exists()
 
 
-def test_a_random_object_is_written_to_be_viewed(mjtactile, tmp_path):
+def test_a_random_object_is_written_to_be_viewed(command, tmp_path):
     report = json.loads(
-        mjtactile("new", "object", "thing", "--template", "random:7", "--json").stdout
+        command("new", "object", "thing", "--template", "random:7", "--json").stdout
     )
     assert (
         report["like"] == "random:7"
         and load_object(tmp_path / "thing.xml").mass == load_object("random:7").mass
     )
     assert_one_line(
-        mjtactile("new", "object", "other", "--template", "random"),
+        command("new", "object", "other", "--template", "random"),
         ["'random' is not a shipped file", "random:N"],
     )
 
 
-def test_what_it_states_to_run_next_runs(mjtactile, tmp_path):
-    process = mjtactile("new", "sensor", "mine")
+def test_what_it_states_to_run_next_runs(command, tmp_path):
+    process = command("new", "sensor", "mine")
     assert process.returncode == 0 and process.stderr == ""
     words = process.stdout.splitlines()[1].split()
-    assert words[0] == "mjtactile" and mjtactile(*words[1:]).returncode == 0
+    assert words[0] == "mjtactile" and command(*words[1:]).returncode == 0
     words = process.stdout.splitlines()[2].split()
     assert (
         words == ["mjtactile", "docs", "sensor_files"]
-        and "describes a tactile sensor" in mjtactile(*words[1:]).stdout
+        and "describes a tactile sensor" in command(*words[1:]).stdout
     )
 
 
 @pytest.mark.slow(10)
-def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
+def test_a_copied_controller_grasps_a_copied_object(command, tmp_path):
     for kind, name in (("object", "plum.xml"), ("controller", "mine.py")):
-        assert mjtactile("new", kind, name).returncode == 0
+        assert command("new", kind, name).returncode == 0
     report = json.loads(
-        mjtactile(
+        command(
             "grasp",
             "--object",
             "./plum.xml",
@@ -113,10 +112,10 @@ def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
     assert (report["outcome"], report["object"], report["controller"]) == ("held", "plum", "mine")
 
 
-def test_nothing_is_overwritten(mjtactile, tmp_path):
+def test_nothing_is_overwritten(command, tmp_path):
     (tmp_path / "mine.toml").write_text("precious")
     for name in ("mine", "mine.toml"):
-        assert_one_line(mjtactile("new", "sensor", name), ["mine.toml", "exists already"])
+        assert_one_line(command("new", "sensor", name), ["mine.toml", "exists already"])
     assert (tmp_path / "mine.toml").read_text() == "precious"
 
 
@@ -129,15 +128,15 @@ def test_nothing_is_overwritten(mjtactile, tmp_path):
         (("docs", "nothing"), ["nothing", "reference/sensor_files", "how-to/controllers"]),
     ],
 )
-def test_bad_usage(mjtactile, args, words):
-    assert_one_line(mjtactile(*args), words)
+def test_bad_usage(command, args, words):
+    assert_one_line(command(*args), words)
 
 
-def test_docs_lists_every_page_with_its_title(mjtactile):
-    report = json.loads(mjtactile("docs", "--json").stdout)
+def test_docs_lists_every_page_with_its_title(command):
+    report = json.loads(command("docs", "--json").stdout)
     assert report["pages"]["reference/sensor_files"] and {
         "validation/benchmarks",
         "how-to/hardware",
     } <= set(report["pages"])
-    listed = mjtactile("docs").stdout
+    listed = command("docs").stdout
     assert all(title.strip() and title in listed for title in report["pages"].values())

@@ -47,9 +47,9 @@ def test_a_grip_harder_than_the_egg_stands_crushes_it(mjtactile, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
+def test_an_object_that_is_not_gripped_is_dropped(command, tmp_path):
     # the fingers stay clear of the egg, 32 mm across
-    process, report = run(mjtactile, tmp_path, 0.045, 4.0)
+    process, report = run(command, tmp_path, 0.045, 4.0)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
     assert (
         report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9)
@@ -59,7 +59,7 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
+def test_a_controller_that_aborts_reports_when(command, tmp_path):
     (tmp_path / "shy.py").write_text(
         BLIND.replace("OPENING", "0.045")
         .replace("FORCE", "4.0")
@@ -68,7 +68,7 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
         )
         .replace('memory={"t": t}', 'memory={"t": t}, reason="" if t < 1.6 else "shy"')
     )
-    process = mjtactile("grasp", "--controller", "shy.py", SAMPLED, "--out", "result", "--json")
+    process = command("grasp", "--controller", "shy.py", SAMPLED, "--out", "result", "--json")
     report = json.loads(process.stdout)
     # the egg was not touched
     assert (process.returncode, report["outcome"]) == (1, "not held: set down")
@@ -78,11 +78,11 @@ def test_a_controller_that_aborts_reports_when(mjtactile, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactile, tmp_path):
+def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(command, tmp_path):
     shallow = DENSE.replace("depth_mm = 20.0", "depth_mm = 2.0")
     (tmp_path / "shallow.toml").write_text(shallow)
     process, report = run(
-        mjtactile, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml", "--effects=-images"
+        command, tmp_path, 0.01, 8.0, "--sensor", "shallow.toml", "--effects=-images"
     )
     assert (process.returncode, report["outcome"]) == (3, "fault")
     line = process.stderr.strip().splitlines()[-1]
@@ -100,16 +100,18 @@ HEAVY = """<mujoco model="heavy">
 
 
 @pytest.mark.slow
-def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
+def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(command, tmp_path):
     (tmp_path / "heavy.xml").write_text(HEAVY)
     (tmp_path / "quick.py").write_text(controller_text())
-    process = mjtactile(
+    process = command(
         "grasp",
         "--object",
         "./heavy.xml",
         "--controller",
         "quick.py",
-        SAMPLED,
+        "--sensor",
+        "paper16",
+        "--effects=-images",
         "--frames",
         "none",
         "--out",
@@ -133,6 +135,6 @@ def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, 
     np.testing.assert_allclose(
         np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9
     )
-    options = ("--controller", "quick.py", "--out", "again")
-    replay = mjtactile("grasp", "--rig", "replay:result", *options)
+    options = ("--controller", "quick.py", "--sensor", "paper16", "--out", "again")
+    replay = command("grasp", "--rig", "replay:result", *options)
     assert replay.returncode == 2 and "0 of" in replay.stderr and "--frames all" in replay.stderr
