@@ -208,15 +208,14 @@ class ControlCycle:
         rig = self.rig
         requested = requested.checked()
         _check_pressures(rig, requested)
-        opening = self.gripper.opening
         allowed = self.supervisor.decide(
             self.now,
             requested,
             self.last,
             self.touch,
             self.valves,
-            self.gripper.lift_height,
-            opening,
+            _measured(self.gripper.lift_height),
+            _measured(self.gripper.opening),
         )
         last = _rate_limit_start(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)
@@ -226,6 +225,11 @@ class ControlCycle:
         if (sent.phase, sent.memory, sent.reason) == kept:
             return sent
         return replace(sent, phase=allowed.phase, memory=allowed.memory, reason=allowed.reason)
+
+
+def _measured(value: float) -> float | None:
+    """Return a value of the gripper's state, or None if it is unknown."""
+    return value if math.isfinite(value) else None
 
 
 def _check_pressures(rig: Rig, requested: Command) -> None:

@@ -51,7 +51,8 @@ class Retreat:
         self._lowering_time_max = RETREAT_TIME_MAX
         self._measured: float | None = None  # last known opening, m
         self._goal: float | None = None  # goal of the opening, m; None: the gripper is not down yet
-        self._opening = self._before = math.nan
+        self._opening = 0.0  # commanded opening, m, once there is a goal
+        self._before: float | None = None  # previously commanded opening, m
         self.unverified = ""
 
     def watch(self, touch: Sequence[Touch], height: float) -> None:
@@ -59,15 +60,17 @@ class Retreat:
         self._load.note(touch, height)
 
     def next(
-        self, last: Command, touch: Sequence[Touch], opening: float, height: float
+        self, last: Command, touch: Sequence[Touch], opening: float | None, height: float | None
     ) -> Command | None:
-        """The next command; None: it is over. `opening` and `height` m are measured (NaN:
-        unknown)."""
-        if math.isfinite(opening):
+        """Return the next command; None: it is over.
+
+        `opening` and `height`, m, are measured (None: unknown).
+        """
+        if opening is not None:
             self._measured = opening
         return self._down(last, touch, height) or self._open(last, touch, opening)
 
-    def _down(self, last: Command, touch: Sequence[Touch], height: float) -> Command | None:
+    def _down(self, last: Command, touch: Sequence[Touch], height: float | None) -> Command | None:
         """Return the next lowering command; None: the gripper is down, or the held object
         stands."""
         self._stands |= self._load.stands(touch, last.lift_height)
@@ -80,12 +83,12 @@ class Retreat:
             step = RETREAT_SPEED * self._period
             return replace(last, lift_height=max(0.0, last.lift_height - step))
         self._down_time += self._period
-        is_above = height > last.lift_height + _DOWN  # not so where it is unknown
+        is_above = height is not None and height > last.lift_height + _DOWN
         if is_above and self._down_time < _DOWN_TIME_MAX:
             return last  # the lift is still moving, since it was stopped or is slow
         return None
 
-    def _open(self, last: Command, touch: Sequence[Touch], opening: float) -> Command | None:
+    def _open(self, last: Command, touch: Sequence[Touch], opening: float | None) -> Command | None:
         """Return the next opening command; None: the opening is verified, or took too long."""
         if self._goal is None:
             self._opening = last.opening if self._measured is None else self._measured
@@ -104,11 +107,13 @@ class Retreat:
             last, opening=max(self._opening, last.opening), force_limit=self._force(last)
         )
 
-    def _is_safe(self, last: Command, touch: Sequence[Touch], opening: float, goal: float) -> bool:
+    def _is_safe(
+        self, last: Command, touch: Sequence[Touch], opening: float | None, goal: float
+    ) -> bool:
         if last.opening < goal - OPENING_TOLERANCE:
             return False
         is_free = bool(touch) and not any(map(may_hold, touch))
-        return is_free or opening >= goal - _OPEN_SLACK
+        return is_free or (opening is not None and opening >= goal - _OPEN_SLACK)
 
     def _force(self, last: Command) -> float | None:
         """Enough to open with, once the goal no longer closes the jaws."""
@@ -117,10 +122,10 @@ class Retreat:
         return max(last.force_limit or 0.0, RETREAT_FORCE)
 
 
-def _measured_text(touch: Sequence[Touch], opening: float, goal: float) -> str:
+def _measured_text(touch: Sequence[Touch], opening: float | None, goal: float) -> str:
     """Return the measured values of a gripper that is not verified open, as text."""
     jaws = "the opening is unknown"
-    if math.isfinite(opening):
+    if opening is not None:
         jaws = f"the jaws are at {1e3 * opening:.1f} mm instead of {1e3 * goal:.1f} mm"
     forces = [
         f"{one.force_normal:.2f} N" if math.isfinite(one.force_normal) else "unknown"

@@ -52,12 +52,13 @@ class Supervisor:
         self.history: list[Transition] = []
         self._blind_since: float | None = None
         self._blind_why = ""
-        self._sealed: list[float] | None = None
-        self._bulge: list[float] | None = None
+        self._sealed: list[float | None] | None = None
+        self._bulge: list[float | None] | None = None
         self._sink_cycles = 0
         self._safe_requested = ""
         self._retreat = Retreat(period)
-        self._opening = self._height = math.nan
+        self._opening: float | None = None
+        self._height: float | None = None
         self.unverified = ""
 
     @property
@@ -74,13 +75,13 @@ class Supervisor:
         last: Command,
         touch: Sequence[Touch],
         valves: Sequence[ValveState],
-        height: float = math.nan,
-        opening: float = math.nan,
+        height: float | None = None,
+        opening: float | None = None,
     ) -> Command:
         """Return the command to pass on.
 
         `last` is the previous command. `height` and `opening`, m, are the gripper's measurements
-        (NaN: unknown).
+        (None: unknown).
         """
         self._opening = opening
         self._height = height
@@ -154,11 +155,8 @@ class Supervisor:
     def _leak(self, touch: Sequence[Touch], valves: Sequence[ValveState]) -> str:
         """Return a description of the sealed chamber that leaks, or ""."""
         if self._sealed is None or self._bulge is None:
-            self._sealed = [
-                math.nan if v.is_open or v.gauge_pressure is None else v.gauge_pressure
-                for v in valves
-            ]
-            self._bulge = [t.surface.volume if t.surface else math.nan for t in touch]
+            self._sealed = [None if v.is_open else v.gauge_pressure for v in valves]
+            self._bulge = [t.surface.volume if t.surface else None for t in touch]
         for i, t in enumerate(touch):
             self._note_sealed(i, t, valves[i] if i < len(valves) else None)
         lost = [
@@ -166,6 +164,7 @@ class Supervisor:
             for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
             if v.gauge_pressure is not None
             and not v.is_open
+            and sealed is not None
             and v.gauge_pressure < _LEAK_FRACTION * sealed
         ]
         sunk = [
@@ -174,6 +173,7 @@ class Supervisor:
             for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
             if t.surface is not None
             and not t.touching
+            and bulge is not None
             and bulge > 0
             and t.surface.volume < _BULGE_FRACTION * bulge
         ]
@@ -190,15 +190,13 @@ class Supervisor:
         """
         assert self._sealed is not None and self._bulge is not None
         if valve is not None and valve.is_open:
-            self._sealed[i] = math.nan
-            self._bulge[i] = math.nan
+            self._sealed[i] = self._bulge[i] = None
             return
         if touch.touching:
             return
-        gauge = None if valve is None else valve.gauge_pressure
-        if gauge is not None and math.isnan(self._sealed[i]):
-            self._sealed[i] = gauge
-        if touch.surface is not None and math.isnan(self._bulge[i]):
+        if valve is not None and self._sealed[i] is None:
+            self._sealed[i] = valve.gauge_pressure
+        if touch.surface is not None and self._bulge[i] is None:
             self._bulge[i] = touch.surface.volume
 
     def _enter(self, state: str, reason: str, now: float) -> None:

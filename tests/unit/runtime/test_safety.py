@@ -282,8 +282,8 @@ def test_jaws_that_stay_closed_are_not_called_safe():
 
 def test_forces_that_are_gone_verify_what_no_gripper_measures():
     free = replace(OK, force_normal=0.0, touching=False)
-    assert not retreat(lambda goal: math.nan, free)[0].unverified
-    assert retreat(lambda goal: math.nan, BLIND)[0].unverified == (
+    assert not retreat(lambda goal: None, free)[0].unverified
+    assert retreat(lambda goal: None, BLIND)[0].unverified == (
         "the opening is unknown, the forces are unknown, unknown"
     )
 
