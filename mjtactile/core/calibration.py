@@ -112,6 +112,7 @@ class Calibration:
         refused = {kind: refusal for kind, refusal in self.refused.items() if kind != part.kind}
         return replace(self, **{part.kind: part}, refused=refused)
 
+    @validated()
     def with_refusal(self, kind: str, reasons: Sequence[str]) -> Calibration:
         """Note that a part was refused now; a good one stays.
 
@@ -124,6 +125,7 @@ class Calibration:
         """
         return replace(self, refused={**self.refused, kind: Refusal(now(), tuple(reasons))})
 
+    @validated()
     def used(self, design: SensorDesign) -> Calibration:
         """Leave out the outdated parts, for use in a sensing pipeline.
 
@@ -199,6 +201,7 @@ class Calibration:
         """
         return reading if self.valve is None else reading - self.valve.offset
 
+    @validated()
     def check(self, design: SensorDesign, finger: str, source: object) -> None:
         """See that this calibration belongs to a finger and its sensor.
 

@@ -94,6 +94,7 @@ class SensorDesign:
         checksum = hashlib.sha256(content.encode()).hexdigest()
         return {"name": self.name, "sha256": checksum, "text": content}
 
+    @validated()
     def has_values_of(self, other: SensorDesign) -> bool:
         """Compare two sensors by content.
 

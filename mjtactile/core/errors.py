@@ -62,7 +62,9 @@ class InputError(MjtactileError):
 
 
 def _shortened(text: str) -> str:
-    """Return a message without the middle of a value of thousands of characters."""
+    """Return a message in one line, without the middle of a value of thousands of characters."""
+    if "\n" in text:  # such as that of an array
+        text = " ".join(text.split())
     if len(text) <= _LONGEST:
         return text
     return f"{text[: _LONGEST // 2]} … {text[-_LONGEST // 2 :]}"

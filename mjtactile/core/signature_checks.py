@@ -284,11 +284,11 @@ class _Check:
             return
         if not self.kind.accept(value):
             suffix = f" {self.kind.name}" if self.kind.name else " a valid value"
-            raise self._error(f"{_shown(value)} is not{suffix}")
+            raise self._error(f"{shown(value)} is not{suffix}")
         if self.range is None or value is None or isinstance(value, str):
             return
         if not self.range.holds(value):
-            found = f"{_shown(value)} is not {self.range}"
+            found = f"{shown(value)} is not {self.range}"
             raise self._error(found if np.ndim(value) == 0 else f"a value is not {self.range}")
 
     def _error(self, text: str) -> InputError:
@@ -316,7 +316,7 @@ def _evaluated(annotation: Any, known: dict[str, Any]) -> Any:
         return Any
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """Return the value in one line, shortened."""
     text = " ".join(repr(value).split())
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."

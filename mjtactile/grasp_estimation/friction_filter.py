@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, Touch
 from mjtactile.grasp_estimation.touch_statics import shear
 
@@ -103,6 +104,7 @@ class FrictionFilter:
     ages: Sequence[float] = ()
     grows: bool = False
 
+    @validated(period=above(0))
     def after(
         self, touch: Sequence[Touch], period: float, *, is_test: bool = False
     ) -> FrictionFilter:
@@ -168,10 +170,12 @@ class FrictionFilter:
         """Return the probability (n,) of each value of `GRID`."""
         return self._posterior().reshape(2, -1).sum(axis=0)
 
+    @validated(probability=within(0, 1))
     def quantile(self, probability: float) -> float:
         """Return the coefficient that the true one is below with this probability."""
         return float(np.interp(probability, np.cumsum(self.density()), GRID))
 
+    @validated(risk=within(0, 1))
     def utilization(self, risk: float) -> float:
         """Return the maximum load over grip force at which the probability of slip is `risk`.
 
@@ -181,6 +185,7 @@ class FrictionFilter:
         ahead = (_transition(_LAG) @ self._posterior()).reshape(2, -1).sum(axis=0)
         return float(np.interp(risk, np.maximum.accumulate(_slip_given() @ ahead), GRID))
 
+    @validated(risk=within(0, 1))
     def grip(self, load: float, risk: float) -> float:
         """Return the minimum normal force per finger, N, for a shear `load` per finger, N."""
         return load / self.utilization(risk)
@@ -235,6 +240,7 @@ def _kernel(offset: Array, sd: float) -> Array:
     return np.where(steps == 0, 1 - 2 * near, np.where(steps == 1, near, 0.0))
 
 
+@validated()
 def slip_sign(touch: Sequence[Touch]) -> int:
     """Return `NONE`, `SOME` or `ALL`: how many of the fingers in contact report slip."""
     states = [one.slip.state for one in touch if one.slip is not None]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from mjtactile.core.signature_checks import not_below, validated
+
 # Two membranes at 1 kPa around a ball: stiffness, N/m of opening, and its increase with the force
 # on a finger, 1/m (measured in simulation, docs/how-to/controllers.md); a flat face is about three
 # times as stiff
@@ -34,6 +36,7 @@ class GripStiffnessEstimator:
     force: float = 0.0
     hardness: float = _UNKNOWN
 
+    @validated()
     def stiffness(self, force: float) -> float:
         """Return the change of each finger's force per change of the opening.
 
@@ -45,6 +48,7 @@ class GripStiffnessEstimator:
         """
         return self.hardness * (_SOFT + _STIFF * max(force, 0.0))
 
+    @validated()
     def way(self, start: float, end: float) -> float:
         """Return the closing distance that changes each finger's force, m.
 
@@ -57,6 +61,7 @@ class GripStiffnessEstimator:
         """
         return (_way(end) - _way(start)) / self.hardness
 
+    @validated(period=not_below(0))
     def after(self, opening: float, force: float, period: float) -> GripStiffnessEstimator:
         """Update with one image, from the contact of all fingers on.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array, Touch
 from mjtactile.grasp_estimation.touch_statics import (
     GRAVITY,
@@ -50,6 +51,7 @@ class LoadEstimator:
         """Load on each finger that the grip must hold, N."""
         return max(self.maximum, self.ahead) + _SPARE
 
+    @validated()
     def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
         """Store the load direction; from now on the fingers alone carry the load.
 
@@ -61,6 +63,7 @@ class LoadEstimator:
         """
         return replace(self, down=load_direction(touch).tolist())
 
+    @validated()
     def vector(self, touch: Sequence[Touch]) -> Array:
         """Return the external force on the hanging object.
 
@@ -72,6 +75,7 @@ class LoadEstimator:
         """
         return load_vector(touch, np.asarray(self.down))
 
+    @validated(period=not_below(0))
     def after(
         self, touch: Sequence[Touch], period: float, *, is_slipping: bool = False
     ) -> LoadEstimator:
@@ -135,6 +139,7 @@ class FrameLoadEstimator:
     maximum: float = 100.0
     time: float = 0.0
 
+    @validated(period=not_below(0))
     def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
         """Update with one image.
 

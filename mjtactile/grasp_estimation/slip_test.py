@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 
 
@@ -35,6 +36,7 @@ _MOMENTS_MIN = 4
 _CHANGE_MIN = 0.01  # of the normal force, rms: less is in its noise
 
 
+@validated()
 def evaluate_slip_test(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
     """Test one finger, or the mean of several.
 

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array, Touch
 
 _TABLE_FORCE = 0.03  # noise of the load on all fingers, N
@@ -69,6 +71,7 @@ class Friction:
     slipped: float
 
 
+@validated()
 def shear(touch: Sequence[Touch]) -> Array:
     """Return the shear force on each finger's membrane.
 
@@ -78,9 +81,10 @@ def shear(touch: Sequence[Touch]) -> Array:
     Returns:
         (n, 2) Force, N, in each finger's frame S; NaN if it is unknown.
     """
-    return np.array([_wrench(one)[:2] for one in touch])
+    return np.array([_wrench(one)[:2] for one in touch]).reshape(-1, 2)
 
 
+@validated()
 def external_shear(touch: Sequence[Touch]) -> Array:
     """Return the shear of each finger without the internal forces of two opposite fingers.
 
@@ -99,6 +103,7 @@ def external_shear(touch: Sequence[Touch]) -> Array:
     return (found + _HALF_TURN * found[::-1]) / 2 if len(touch) == 2 else found
 
 
+@validated()
 def estimate_weight(
     touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: float = 0.0
 ) -> Weight:
@@ -114,7 +119,7 @@ def estimate_weight(
     Returns:
         The weight, with its error from the forces' covariances and `GAIN_SD`.
     """
-    change = shear(touch) - np.asarray(before, float)
+    change = shear(touch) - _per_finger(before, touch, "before")
     load = np.linalg.norm(change, axis=1)
     total = float(load.sum())
     pull = GRAVITY + acceleration
@@ -128,6 +133,7 @@ def estimate_weight(
     return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
 
 
+@validated(min_force=not_below(0))
 def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Friction:
     """Estimate friction from the shears: a hold gives a lower bound, a slip the value (Coulomb).
 
@@ -138,7 +144,7 @@ def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Fric
     Returns:
         The estimate from this moment alone.
     """
-    force = np.array([_wrench(one)[:3] for one in touch])
+    force = np.array([_wrench(one)[:3] for one in touch]).reshape(-1, 3)
     normal = -force[:, 2]
     presses = normal > min_force
     used = np.where(
@@ -147,13 +153,14 @@ def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Fric
     noise = np.array([math.sqrt(np.trace(_covariance(one))) for one in touch])
     sd = np.where(presses, np.hypot(noise / np.maximum(normal, 1e-9), GAIN_SD * used), np.nan)
     states = ["unknown" if one.slip is None else one.slip.state for one in touch]
-    slips = np.array([state == "slipping" for state in states]) & presses
-    holds = np.array([state in ("sticking", "incipient") for state in states]) & presses
+    slips = np.array([state == "slipping" for state in states], bool) & presses
+    holds = np.array([state in ("sticking", "incipient") for state in states], bool) & presses
     minimum = float(np.max((used - 2 * sd)[holds], initial=0.0))
     slipped = float(np.min(used[slips])) if slips.any() else math.nan
     return Friction(used, sd, minimum, slipped)
 
 
+@validated(fingers=not_below(1))
 def min_grip_force(
     mass: float, friction: float, fingers: int, *, acceleration: float = 0.0
 ) -> float:
@@ -168,10 +175,17 @@ def min_grip_force(
 
     Returns:
         Mean force of the fingers, N, for a grip at the center of mass.
+
+    Raises:
+        InputError: The coefficient is not positive.
     """
+    if friction <= 0:
+        text = f"{friction:g} is not above 0"
+        raise InputError(text, source="min_grip_force", field="friction")
     return mass * (GRAVITY + abs(acceleration)) / (fingers * friction)
 
 
+@validated()
 def stands(carried: float, held: float) -> bool:
     """Decide if an object that is lowered stands: the table carries more than half of its weight.
 
@@ -185,6 +199,7 @@ def stands(carried: float, held: float) -> bool:
     return carried < 0.5 * held - _TABLE_FORCE
 
 
+@validated()
 def support_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     """Return the external support against the load of the fingers, such as the table during
     lowering.
@@ -200,11 +215,12 @@ def support_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     Returns:
         Support beyond the object's weight, N on each finger; NaN if it is unknown.
     """
-    before = np.asarray(held, float)
+    before = _per_finger(held, touch, "held")
     gone = np.linalg.norm(shear(touch) - before, axis=1)
     return float(np.mean(gone - np.linalg.norm(before, axis=1)))
 
 
+@validated()
 def load_direction(touch: Sequence[Touch]) -> Array:
     """Estimate the direction of the load on each finger.
 
@@ -218,6 +234,7 @@ def load_direction(touch: Sequence[Touch]) -> Array:
     return change / np.maximum(np.linalg.norm(change, axis=1), 1e-9)[:, None]
 
 
+@validated()
 def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
     """Return the external force on the held object, without internal forces between the fingers.
 
@@ -234,7 +251,7 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
         which hold them by normal forces.
     """
     change = shear(touch)
-    way = np.asarray(down, float)
+    way = _per_finger(down, touch, "down")
     along = float((change * way).sum())
     if len(touch) != 2:
         return np.array([along, 0.0, 0.0])
@@ -244,6 +261,7 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
     return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])
 
 
+@validated()
 def pull_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     """Return the external pull on the held object along the membranes, for example by a person.
 
@@ -254,7 +272,17 @@ def pull_force(touch: Sequence[Touch], held: ArrayLike) -> float:
     Returns:
         Sum over all fingers, N; NaN if it is unknown.
     """
-    return float(np.linalg.norm(shear(touch) - np.asarray(held, float), axis=1).sum())
+    return float(np.linalg.norm(shear(touch) - _per_finger(held, touch, "held"), axis=1).sum())
+
+
+def _per_finger(values: ArrayLike, touch: Sequence[Touch], field: str) -> Array:
+    """Return values (n, 2) of the fingers. Raises InputError naming `field`."""
+    found = np.asarray(values, float)
+    shape = (len(touch), 2)
+    try:
+        return np.broadcast_to(found, shape)
+    except ValueError:
+        raise InputError(f"shape {found.shape} does not match {shape}", field=field) from None
 
 
 def _wrench(touch: Touch) -> Array:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.signature_checks import shown
+from mjtactile.core.types import Array
 from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.quasistatic.solution import MembraneSolution, MembraneSolutionBatch
 
@@ -61,9 +63,38 @@ def require_state(state: Any, shape: tuple[int, ...]) -> None:
 
 def thread_count(threads: Any, count: int) -> int:
     """Return the number of threads for `count` environments. Raises InputError."""
-    if not isinstance(threads, (int, np.integer)):
-        raise InputError(f"{threads!r} is not a whole number", field="threads")
-    return max(1, min(int(threads), count))
+    return max(1, min(_whole_number("threads", threads), count))
+
+
+def step_count(steps: Any) -> int:
+    """Return a maximum number of steps. Raises InputError."""
+    return _whole_number("max_steps", steps)
+
+
+def flag(field: str, value: Any) -> bool:
+    """Return True or False. Raises InputError."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{shown(value)} is not True or False", field=field)
+    return bool(value)
+
+
+def points(places: Any) -> Array:
+    """Return points (n, 2). Raises InputError."""
+    try:
+        where = np.asarray(places, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{shown(places)} is not (n, 2) numbers", field="places") from None
+    if where.ndim == 0 or where.shape[-1] != 2:
+        raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
+    if not np.isfinite(where).all():
+        raise InputError("is not finite", field="places")
+    return where.reshape(-1, 2)
+
+
+def _whole_number(field: str, value: Any) -> int:
+    if not isinstance(value, (int, np.integer)) or value < 1:
+        raise InputError(f"{shown(value)} is not a whole number of at least 1", field=field)
+    return int(value)
 
 
 def pressure(gauge: Any) -> float:

@@ -220,9 +220,9 @@ class QuasistaticMembrane:
             if given is not None:
                 argument_checks.require_batch(field, given, (count, 3, *self.grid))
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
-        settings = np.tile(
-            [self._gas, self.sealed, TOLERANCE, max_steps, bool(again), 0.0], (count, 1)
-        )
+        steps = argument_checks.step_count(max_steps)
+        repeats = argument_checks.flag("again", again)
+        settings = np.tile([self._gas, self.sealed, TOLERANCE, steps, repeats, 0.0], (count, 1))
         threads = argument_checks.thread_count(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
@@ -416,12 +416,7 @@ class QuasistaticMembrane:
         """
         listed = obstacle_rows.as_list(obstacles, "obstacles")
         rows, pool = obstacle_rows.rows_and_pool(listed, self.grid)
-        where = np.asarray(places, dtype=float)
-        if where.ndim == 0 or where.shape[-1] != 2:
-            raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
-        if not np.isfinite(where).all():
-            raise InputError("is not finite", field="places")
-        where = where.reshape(-1, 2)
+        where = argument_checks.points(places)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)
         kernel("qs_obstacle_heights")(

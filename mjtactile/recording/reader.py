@@ -19,7 +19,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, read_flags
 from mjtactile.core.image_decoding import decode, is_sound, read_file
 from mjtactile.core.renamed import current_row
-from mjtactile.core.signature_checks import validated
+from mjtactile.core.signature_checks import not_below, shown, validated
 from mjtactile.core.types import COMMAND_FIELDS, Array, Command, Image, ValveState
 from mjtactile.recording.files import FORMAT, LOG, READABLE, VERSION, finger_names
 from mjtactile.recording.log_schema import KEYS
@@ -123,6 +123,8 @@ class Recording:
             One state per valve, in the order of their fingers.
         """
 
+        self._require_cycle(cycle)
+
         def number(key: str, finger: int) -> float:
             value = self.columns[key][cycle][finger] if key in self.columns else None
             return math.nan if value is None else float(value)
@@ -148,8 +150,9 @@ class Recording:
             The command. A field that an older recording lacks has its default, or None.
 
         Raises:
-            InputError: The recording lacks the opening, or has an unknown phase.
+            InputError: The recording lacks the cycle or the opening, or has an unknown phase.
         """
+        self._require_cycle(cycle)
         values: dict[str, Any] = {"opening": None, "force_limit": None}
         for name, entry in COMMAND_FIELDS.items():
             if entry.column in self.columns:
@@ -160,6 +163,7 @@ class Recording:
             message = f"cycle {cycle} has no valid command: {error}"
             raise InputError(message, source=self.folder) from error
 
+    @validated(width=not_below(0))
     def column(self, key: str, width: int | None = None) -> Array:
         """Return a numeric column.
 
@@ -184,6 +188,12 @@ class Recording:
         raise InputError(
             f"{key!r} is not a column of numbers; use columns[{key!r}]", source=self.folder
         )
+
+    def _require_cycle(self, cycle: int) -> None:
+        is_number = isinstance(cycle, (int, np.integer)) and not isinstance(cycle, bool)
+        if not is_number or not 0 <= cycle < len(self):
+            text = f"{shown(cycle)} is not the number of a cycle, 0 to {len(self) - 1}"
+            raise InputError(text, source=self.folder, field="cycle")
 
     def require_images(self) -> None:
         """See that every cycle has its images.
@@ -235,8 +245,9 @@ class Recording:
             One image per finger; () if the cycle has none.
 
         Raises:
-            InputError: A file is missing or broken.
+            InputError: The recording lacks the cycle, or a file is missing or broken.
         """
+        self._require_cycle(cycle)
         names = self.columns["images"][cycle]
         times = self.columns["image_time"][cycle]
         return tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))

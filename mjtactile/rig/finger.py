@@ -11,7 +11,7 @@ from typing import Any
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.flags import Flags
-from mjtactile.core.signature_checks import validated
+from mjtactile.core.signature_checks import FINITE, validated
 from mjtactile.core.types import PressureReading, TaskGoal, ValveState
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.protocols import CameraDevice, Clock, Gripper, Valve
@@ -37,6 +37,7 @@ class Finger:
     valve: Valve | None = None
     calibration: Calibration | None = None
 
+    @validated()
     def pressure(self, reading: float | None) -> float:
         """Return the gauge pressure of the inflated chamber.
 
@@ -50,6 +51,7 @@ class Finger:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
 
+    @validated(gauge_pressure=FINITE)
     def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Have the valve keep the chamber at a pressure.
 
@@ -65,6 +67,7 @@ class Finger:
         zero = 0.0 if measured is None else measured.offset
         self.valve.regulate_pressure(None if gauge_pressure is None else gauge_pressure + zero)
 
+    @validated()
     def pressure_reading(self, valve: ValveState | None) -> PressureReading | None:
         """Return the corrected reading of the chamber's pressure sensor.
 

@@ -7,12 +7,14 @@ Each argument of each public name gets a value of no valid type. New public name
 import inspect
 import math
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 import mjtactile
+from mjtactile import grasp_estimation
 from mjtactile.core.errors import InputError
 
 CAMERA = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
@@ -205,3 +207,108 @@ def test_fields_next_to_a_scenario_are_refused():
         mjtactile.build_rig(mjtactile.Scenario(), seed=3)
     with pytest.raises(InputError, match="design: is already in the scenario"):
         mjtactile.build_rig(mjtactile.Scenario(), made()["design"])
+
+
+@cache
+def objects():
+    """Objects with public methods."""
+    membrane = mjtactile.QuasistaticMembrane("dense", (9, 9))
+    touch = mjtactile.Touch(0.0, 0.0, 1.0, 0.0, True)
+    count = {"time": np.zeros(3), "images": np.zeros((3, 0)), "image_time": np.zeros((3, 0))}
+    valves = {"valve_open": np.zeros((3, 1), bool), "opening": np.full(3, 0.05)}
+    recording = mjtactile.Recording(Path("run"), {}, {}, {**count, **valves}, True, ())
+    return {
+        "membrane": membrane,
+        "ball": membrane.obstacle("sphere", [5e-3], [0.0, 0.0, 8e-3]),
+        "touch": (touch, touch),
+        "recording": recording,
+        "finger": mjtactile.Finger("left", made()["design"], None),  # type: ignore[arg-type]
+        "calibration": mjtactile.Calibration("left", "dense"),
+        "friction": grasp_estimation.FrictionFilter(),
+        "load": grasp_estimation.LoadEstimator(),
+        "frames": grasp_estimation.FrameLoadEstimator(),
+        "stiffness": grasp_estimation.GripStiffnessEstimator(),
+    }
+
+
+NO_NUMBER = (object(), "x", None, [1.0])
+NO_TOUCH = (object(), None, 1.0, [None], "x")
+NO_PAIRS = (object(), "x", np.zeros(3), [])
+NO_CYCLE = (-1, 3, 0.5, math.nan, "x", None, True)
+# method, its valid arguments (@: one of `objects`), argument, wrong values
+METHODS = [
+    ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "max_steps", (0, 0.5, math.nan, "x")),
+    ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "threads", (0, -1, "x", np.zeros(2))),
+    ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "again", (1, "no", np.zeros(2))),
+    ("membrane.obstacle_heights", {"obstacles": "@ball"}, "places", (object(), "x", [[1], [2, 3]])),
+    ("recording.valves", {}, "cycle", NO_CYCLE),
+    ("recording.command", {}, "cycle", NO_CYCLE),
+    ("recording.images_of", {}, "cycle", NO_CYCLE),
+    ("recording.column", {"key": "time"}, "width", (-1, 0.5, "x", [1])),
+    ("recording.column", {}, "key", (None, 1, ["time"], "none")),
+    ("finger.pressure", {}, "reading", ("x", object(), [1.0])),
+    ("finger.regulate_pressure", {}, "gauge_pressure", ("x", object(), math.nan)),
+    ("finger.pressure_reading", {}, "valve", (1.0, "x", True)),
+    ("calibration.with_refusal", {"reasons": ["a"]}, "kind", (None, 1, ["a"])),
+    ("calibration.with_refusal", {"kind": "lens"}, "reasons", ("a", None, [1])),
+    ("calibration.check", {"finger": "left", "source": ""}, "design", ("dense", None)),
+    ("shear", {}, "touch", NO_TOUCH),
+    ("external_shear", {}, "touch", NO_TOUCH),
+    ("load_direction", {}, "touch", NO_TOUCH),
+    ("slip_sign", {}, "touch", NO_TOUCH),
+    ("estimate_friction", {}, "touch", NO_TOUCH),
+    ("estimate_friction", {"touch": "@touch"}, "min_force", (-1.0, math.nan, "x")),
+    ("estimate_weight", {}, "touch", NO_TOUCH),
+    ("estimate_weight", {"touch": "@touch"}, "before", NO_PAIRS),
+    ("estimate_weight", {"touch": "@touch"}, "acceleration", NO_NUMBER),
+    ("support_force", {"touch": "@touch"}, "held", NO_PAIRS),
+    ("pull_force", {"touch": "@touch"}, "held", NO_PAIRS),
+    ("load_vector", {"touch": "@touch"}, "down", NO_PAIRS),
+    ("min_grip_force", {"mass": 0.1, "fingers": 2}, "friction", (0.0, -1.0, "x")),
+    ("min_grip_force", {"mass": 0.1, "friction": 1.0}, "fingers", (0, -1, 1.5, math.nan)),
+    ("stands", {"carried": 0.1}, "held", NO_NUMBER),
+    ("friction.after", {"touch": "@touch"}, "period", (0.0, -1.0, math.nan, "x")),
+    ("friction.quantile", {}, "probability", (-0.1, 1.1, math.nan, "x")),
+    ("friction.utilization", {}, "risk", (-0.1, 1.1, math.nan, "x")),
+    ("friction.grip", {"load": 0.1}, "risk", (-0.1, 1.1, math.nan, "x")),
+    ("load.after", {"touch": "@touch"}, "period", (-1.0, math.nan, "x")),
+    ("load.hanging", {}, "touch", NO_TOUCH),
+    ("frames.after", {"touch": "@touch", "effort": 0.0}, "period", (-1.0, math.nan, "x")),
+    ("stiffness.after", {"opening": 0.0, "force": 0.0}, "period", (-1.0, math.nan, "x")),
+]
+
+
+def filled(value):
+    if isinstance(value, list):
+        return [filled(one) for one in value]
+    return objects()[value[1:]] if isinstance(value, str) and value[:1] == "@" else value
+
+
+@pytest.mark.parametrize(
+    ("name", "valid", "argument", "value"),
+    [(*case[:3], value) for case in METHODS for value in case[3]],
+)
+def test_a_wrong_argument_of_a_method_is_refused_by_name(name, valid, argument, value):
+    owner, _, method = name.rpartition(".")
+    function = getattr(objects()[owner] if owner else grasp_estimation, method)
+    with pytest.raises(InputError) as error:
+        function(**{key: filled(one) for key, one in valid.items()}, **{argument: value})
+    text = str(error.value)
+    assert "\n" not in text
+    assert error.value.field == argument or "no column" in text
+
+
+def test_touches_of_no_finger_give_no_values():
+    assert grasp_estimation.shear(()).shape == (0, 2)
+    assert math.isnan(grasp_estimation.estimate_friction(()).slipped)
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [np.full((8, 8), 0.5), np.full((8, 8), 300), np.full((8, 8), math.nan), np.full((8, 8), -1)],
+)
+def test_gray_levels_are_not_rounded_silently(pixels):
+    """Levels from 0 to 1 were all black, and 300 was 44."""
+    with pytest.raises(InputError, match="Image: pixels: a value is not a whole number from 0"):
+        mjtactile.Image(pixels)
+    assert mjtactile.Image([[0, 255]]).pixels.tolist() == [[0, 255]]  # type: ignore[arg-type]

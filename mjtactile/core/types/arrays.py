@@ -30,10 +30,15 @@ def freeze(
     """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None:
     any length)."""
     try:
-        array = np.asarray(value, dtype=dtype)
+        with np.errstate(invalid="ignore"):
+            array = np.asarray(value, dtype=dtype)
     except (TypeError, ValueError, OverflowError):
         text = f"{type(value).__name__} is not an array of {np.dtype(dtype).name} values"
         raise InputError(text, source=type(owner).__name__, field=name) from None
+    if array.dtype.kind in "iu" and array is not value and not np.array_equal(array, value):
+        limits = np.iinfo(array.dtype)
+        text = f"a value is not a whole number from {limits.min} to {limits.max}"
+        raise InputError(text, source=type(owner).__name__, field=name)
     if array.shape != shape and not _fits(array.shape, shape):
         raise InputError(
             f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name

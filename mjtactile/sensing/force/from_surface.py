@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core.errors import InputError
-from mjtactile.core.signature_checks import validated
+from mjtactile.core.signature_checks import FINITE, validated
 from mjtactile.core.types import Array
 from mjtactile.core.types.arrays import freeze
 
@@ -34,7 +34,7 @@ _MIN_SEEN = 0.25  # minimum ratio of a cell's point count to the usual one: less
 _FREE_MIN = 0.2  # minimum free fraction of the surface for a tension estimate
 
 
-@validated()
+@validated(pressure=FINITE)
 @dataclass(frozen=True, eq=False)
 class RestSurface:
     """Membrane without contact, measured in the same way as with contact.

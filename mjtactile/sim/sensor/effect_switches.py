@@ -99,7 +99,7 @@ def effects_named(
         forced = {effect for effect, on in switches.items() if on}
         return frozenset((default | forced) - (switches.keys() - forced))
     for name in names:
-        if name not in set(Effect):
+        if not isinstance(name, str) or name not in set(Effect):
             raise InputError(f"{name!r} is not an effect", field="effects", choices=Effect)
     return frozenset(map(Effect, names))
 
