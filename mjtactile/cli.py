@@ -14,9 +14,10 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NoReturn
 
-from mjtactile.commands import COMMANDS, arguments
+from mjtactile.commands import COMMANDS, arguments, option_rules
 from mjtactile.core import platform_support, signals
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.renamed import explain_option
@@ -118,7 +119,10 @@ def build_parser(*requested: str) -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         arguments.add(sub, (*command.ARGUMENTS, *_SHARED))
-        sub.set_defaults(run=command.run, simulates=getattr(command, "SIMULATES", True))
+        rules = getattr(command, "RULES", ())
+        check = partial(option_rules.check, arguments=command.ARGUMENTS, rules=rules)
+        simulates = getattr(command, "SIMULATES", True)
+        sub.set_defaults(run=command.run, check=check, simulates=simulates)
     return parser
 
 
@@ -154,6 +158,7 @@ def _main(argv: list[str]) -> int:
     )
     try:
         options = build_parser(*argv[:1]).parse_args(argv)
+        options.check(options)
         if options.simulates:
             # lazily: half a second that other commands need not wait
             from mjtactile.sim.mujoco_log import route_warnings

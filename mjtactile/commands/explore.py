@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
+from mjtactile.commands.option_rules import Rule
 from mjtactile.commands.output import (
     output_folder,
     print_flags,
@@ -102,6 +103,22 @@ ARGUMENTS = (
     arg.flag("--resume", "continue the exploration in --out"),
     arg.out("folder for the surface, its HTML report and its JSON"),
 )
+RULES = (
+    Rule(("--input",), lambda given: not given.resume, "with --resume"),
+    Rule(
+        (
+            "--setup",
+            "--touches",
+            "--accuracy-mm",
+            "--force-N",
+            "--object",
+            "--seed",
+            "--time-scale",
+        ),
+        lambda given: not given.sources,
+        "with --input, which fuses earlier touches",
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -115,8 +132,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    if options.sources and options.resume:
-        raise InputError("--input cannot be combined with --resume", field="--input")
+    if options.sources and len(options.turns) > len(options.sources):
+        text = f"{len(options.turns)} rotations are given for {len(options.sources)} inputs"
+        raise InputError(text, field="--rotation-deg")
     if options.resume and (options.out is None or not foreign_file.is_file(options.out / _TOUCHED)):
         raise InputError(f"this option requires --out DIR with {_TOUCHED} in it", field="--resume")
 

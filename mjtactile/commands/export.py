@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError
 from mjtactile.commands import arguments as arg
+from mjtactile.commands.option_rules import Rule
 from mjtactile.commands.output import complete_folder, print_result, stdout_to_stderr
 from mjtactile.runtime.progress import Progress
 
@@ -76,6 +77,14 @@ ARGUMENTS = (
     ),
     arg.option("--outcome NAME", "only recordings with this outcome, such as held"),
     arg.option("--task TEXT", 'lerobot: description of the task (default: "grasp the OBJECT")'),
+)
+RULES = (
+    Rule(
+        ("--images", "--crf", "--task"),
+        lambda given: given.format == "lerobot",
+        "without --format lerobot",
+    ),
+    Rule(("--crf",), lambda given: given.images == "video", "without --images video"),
 )
 
 

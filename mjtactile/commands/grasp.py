@@ -22,6 +22,7 @@ from mjtactile import (
 )
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import effects, scenario
+from mjtactile.commands.option_rules import Rule
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
@@ -114,12 +115,23 @@ ARGUMENTS = (
     ),
     arg.out("folder for the results (default: runs/<time>-<object>)"),
 )
+RULES = (
+    Rule(
+        ("--video",),
+        lambda given: given.frames > 0 and "-images" not in _effects(given),
+        "without camera images: --frames none or --effects=-images",
+    ),
+)
+
+
+def _effects(options: argparse.Namespace) -> list[str]:
+    return [part.replace(" ", "") for part in (options.effects or "").split(",")]
 
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.report.figure_process import figure_writer_process
 
-    _check_video(options.video, options.frames)
+    _check_video(options.video)
     if options.rig is not None:
         scenario.apply_time_scale(options.time_scale, options.rig)
     requested = scenario.scenario_of(options)
@@ -219,7 +231,7 @@ def _record_video(path: Path, out: Path, recorder: Recorder, progress: Progress)
         print(f"mjtactile: warning: {path} was not written: {error}", file=sys.stderr)
 
 
-def _check_video(path: Path | None, frames: int) -> None:
+def _check_video(path: Path | None) -> None:
     """Raise InputError if the video cannot be written. This is checked before the run."""
     from importlib.util import find_spec
 
@@ -236,8 +248,6 @@ def _check_video(path: Path | None, frames: int) -> None:
         require_new(path, "--video")
     if find_spec("av") is None:
         raise InputError("PyAV is not installed: pip install 'mjtactile[video]'", field="--video")
-    if not frames:
-        raise InputError("a video needs the images", field="--frames")
 
 
 def _report_fault(

@@ -8,9 +8,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Recorder, Scenario, load_recording
+from mjtactile import Recorder, Scenario, load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
+from mjtactile.commands.option_rules import Rule
 from mjtactile.commands.output import (
     optional_folder,
     print_flags,
@@ -48,13 +49,24 @@ ARGUMENTS = (
     scenario.FRAMES,
     arg.out("write probe.json, probe.png, probe.html and the recording there"),
 )
+RULES = (
+    Rule(
+        (
+            "--object",
+            "--scenario",
+            "--controller",
+            "--rig",
+            "--seed",
+            "--contact-shapes",
+            "--frames",
+        ),
+        lambda given: given.source is None,
+        "with --source, whose recording is classified",
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.source is not None and options.object is not None:
-        raise InputError(
-            "give either an object to probe or a recording to classify, not both", field="--source"
-        )
     with (
         optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out,
         stdout_to_stderr(),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import InputError, Recorder, Scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
+from mjtactile.commands.option_rules import Rule
 from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.observer import Observer, Observers
@@ -102,7 +103,19 @@ ARGUMENTS = (
         "--seed N", "sim and emulated: placement and noise (default: 0)", type=arg.integer(0)
     ),
 )
-
+RULES = (
+    Rule(
+        ("--indenter", "--position-mm", "--finger", "--load-cell"),
+        lambda given: given.protocol is not None,
+        "without --protocol",
+    ),
+    Rule(("--as-built", "--load-cell"), lambda given: given.rig == "stage", "without --rig stage"),
+    Rule(
+        ("--object", "--finger", "--time-scale"),
+        lambda given: given.rig != "stage",
+        "with --rig stage, one simulated sensor",
+    ),
+)
 
 _SENSOR = "dense"
 
@@ -163,9 +176,6 @@ def _stage(options: argparse.Namespace, design: SensorDesign) -> Stage | None:
     """Return the stage with its checked protocol; None without one."""
     from mjtactile.recording.stage_protocol import Stage, protocol_indenter, read_moves
 
-    if (options.as_built or options.load_cell) and options.rig != "stage":
-        message = "applies to the simulated stage only"
-        raise InputError(message, field="--as-built, --load-cell", choices=["--rig stage"])
     if options.contact_shapes and options.rig == "stage":
         raise InputError(
             "a stage records images without estimates; `mjtactile explore --input RUN` "
@@ -173,8 +183,6 @@ def _stage(options: argparse.Namespace, design: SensorDesign) -> Stage | None:
             field="--contact-shapes",
         )
     if options.protocol is None:
-        if options.indenter is not None:
-            raise InputError("needs a protocol", field="--indenter", choices=["--protocol NAME"])
         return None
     x, y = options.position_mm
     side = min(design.frame.length, design.frame.width)

@@ -8,6 +8,7 @@ import sys
 from mjtactile import load_recording
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
+from mjtactile.commands.option_rules import Rule, replays
 
 DESCRIPTION = """\
 Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes colored by
@@ -48,6 +49,18 @@ ARGUMENTS = (
     arg.flag("--no-browser", "do not open a browser"),
     arg.flag("--no-wait", "start at once, before the page is open"),
     arg.flag("--no-realtime", "run as fast as the simulation allows, not in real time"),
+)
+RULES = (
+    Rule(
+        ("--port", "--no-browser", "--no-wait"),
+        lambda given: not given.native,
+        "with --native, which has no page",
+    ),
+    Rule(
+        ("--controller", "--task", "--contact-shapes", "--seed", "--effects", "--accuracy"),
+        lambda given: not replays(given),
+        "on a recording, which is only shown",
+    ),
 )
 
 
