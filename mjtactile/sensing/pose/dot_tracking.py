@@ -27,6 +27,9 @@ CUT = "cut by image border"
 _GATE = 0.45  # maximum motion relative to the others, as a fraction of the circle distance
 _NEW = 0.7  # of it, from all that are followed: another circle
 _SMALL = 0.6  # minimum size relative to the median: less is a speck
+_EDGE = 0.1  # fraction of circles without a partner from which a larger motion is considered
+_CLEARLY = 0.5  # fraction of them that a larger motion may leave without a partner
+_NEIGHBORS = 8  # of a circle
 _FEWEST = 2  # circles that are not cut by the border, to begin with
 
 
@@ -69,8 +72,8 @@ def track_circles(
     """Find the circles of a marked skin in a sequence of images, and track each.
 
     Every image is searched completely, so that lost circles are found again. Between images, all
-    circles may move together by any amount. In addition, each may move by less than half of their
-    distance.
+    circles may move together by up to their distance if the edges of the pattern are visible, else
+    by less than half of it. In addition, each may move by less than half of their distance.
 
     Args:
         images: Gray levels or colors (H, W) or (H, W, 3), or `Image`s.
@@ -111,12 +114,16 @@ def track_circles(
             )
             ellipses = found.ellipses
             poses = found.poses
-        ids, skin = _followed(skin, ellipses)
+        pixels = image.pixels if isinstance(image, Image) else image
+        ids, skin = _followed(skin, ellipses, np.shape(pixels)[1::-1])
         yield TrackedCircles(ids, ellipses, poses)
 
 
-def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64], _Skin | None]:
-    """Return the track index of each circle, and the updated tracks."""
+def _followed(
+    skin: _Skin | None, ellipses: Ellipses, size_px: tuple[int, ...]
+) -> tuple[NDArray[np.int64], _Skin | None]:
+    """Return the track index of each circle, and the updated tracks. `size_px` is the width and
+    height of the image."""
     ids = np.full(len(ellipses), NOBODY)
     complete = np.flatnonzero(ellipses.status != CUT)
     size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[complete, 1])
@@ -129,7 +136,7 @@ def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64]
         return ids, _Skin(places, _distance(places), size)
     if not len(places):
         return ids, skin
-    expected = skin.places + _together(skin, places)
+    expected = skin.places + _motion(skin, places, np.array(size_px))
     distance = np.linalg.norm(expected[:, None] - places[None], axis=2)
     own = distance.argmin(axis=1)
     # mutual: a circle is one of the followed, and one alone
@@ -142,10 +149,44 @@ def _followed(skin: _Skin | None, ellipses: Ellipses) -> tuple[NDArray[np.int64]
     return ids, _Skin(np.concatenate([expected, places[new]]), skin.pitch, skin.size)
 
 
-def _together(skin: _Skin, places: Array) -> Array:
-    """Compute the motion (2,), px, of most circles. It is the median offset of all circles to the
-    nearest of `places` (n, 2). A second iteration starts from the result."""
-    moved = np.zeros(2)
+def _motion(skin: _Skin, places: Array, size_px: Array) -> Array:
+    """Compute the common motion (2,), px, of the circles to `places` (n, 2).
+
+    A motion by more than half of the circles' distance resembles a smaller one to the neighbors.
+    The edges of the pattern then remain without a partner inside the image. In this case the
+    motions to the neighbors are compared.
+    """
+    moved = _together(skin, places, np.zeros(2))
+    unmatched = _unmatched(skin, places, moved, size_px)
+    if unmatched <= _EDGE * len(places):
+        return moved
+    offsets = places - places[np.linalg.norm(places - places.mean(axis=0), axis=1).argmin()]
+    nearest = np.linalg.norm(offsets, axis=1).argsort()[1 : 1 + _NEIGHBORS]
+    others = [_together(skin, places, moved + offset) for offset in offsets[nearest]]
+    counts = [_unmatched(skin, places, other, size_px) for other in others]
+    if min(counts, default=unmatched) >= _CLEARLY * unmatched:
+        return moved
+    return others[int(np.argmin(counts))]
+
+
+def _unmatched(skin: _Skin, places: Array, moved: Array, size_px: Array) -> int:
+    """Count the tracks and places without a partner, away from the image border."""
+    expected = skin.places + moved
+    distance = np.linalg.norm(expected[:, None] - places[None], axis=2)
+    alone = [distance.min(axis=1), distance.min(axis=0)]
+    margin = skin.pitch
+    return sum(
+        int(
+            np.sum((gap > _GATE * margin) & np.all((at > margin) & (at < size_px - margin), axis=1))
+        )
+        for gap, at in zip(alone, (expected, places), strict=True)
+    )
+
+
+def _together(skin: _Skin, places: Array, start: Array) -> Array:
+    """Compute the motion (2,), px, of most circles near `start`. It is the median offset of all
+    circles to the nearest of `places` (n, 2). A second iteration starts from the result."""
+    moved = start
     for _ in range(2):
         distance = skin.places[:, None] + moved - places[None]
         nearest = np.linalg.norm(distance, axis=2).argmin(axis=1)

@@ -51,6 +51,36 @@ def test_every_dot_keeps_its_number(bright):
         number = found
 
 
+@pytest.mark.parametrize("jump", [(30, 0), (-30, 8), (26, 28), (44, 0)])
+def test_a_jump_by_more_than_half_a_pitch_keeps_the_numbers(jump):
+    """The pattern resembles itself moved by one pitch, except at its edges."""
+    small = START[(GRID[:, 0] > 0) & (GRID[:, 0] < 4) & (GRID[:, 1] < 3)] + [0.0, 10.0]
+    before, after = track_circles([image_of(small), image_of(small + jump, noise=1)])
+    places = dict(zip(before.ids.tolist(), before.ellipses.center_px, strict=True))
+    assert len(places) == 9
+    moved = [
+        center - places[number]
+        for number, center in zip(after.ids.tolist(), after.ellipses.center_px, strict=True)
+    ]
+    assert np.abs(np.array(moved) - jump).max() < 0.1
+
+
+def test_a_pattern_beyond_the_image_keeps_its_numbers_as_it_passes():
+    """Columns enter and leave at the borders; none of them is a jump."""
+    wide = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(4)), axis=-1).reshape(-1, 2) * PITCH
+    at = {}
+    for step in range(14):
+        truth = wide + [60.0 + 9.0 * step, 54.0]
+        at[step] = truth
+    numbers = {}
+    for step, tracked in enumerate(track_circles(image_of(at[k], noise=k) for k in at)):
+        distance = np.linalg.norm(tracked.ellipses.center_px[:, None] - at[step][None], axis=2)
+        for dot, number in zip(distance.argmin(axis=1).tolist(), tracked.ids.tolist(), strict=True):
+            if number >= 0:
+                assert numbers.setdefault(dot, number) == number
+    assert len(numbers) > 30
+
+
 def test_a_dot_that_was_covered_comes_back_as_itself():
     images = [image_of(START), image_of(np.delete(START, 8, axis=0) + 2), image_of(START + 4)]
     first, without, again = track_circles(images)
