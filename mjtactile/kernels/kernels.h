@@ -337,10 +337,10 @@ int64_t qs_push(const double *given /* 8 */, int64_t slots, const double *patche
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,
                   const double *axis /* njnt, 3 */, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
-                  int64_t nv, double *push /* nv */, double *holds /* slots, 43 */);
+                  int64_t nv, double *push /* 2, nv */, double *holds /* slots, 43 */);
 /* Add the `pushes` of all membranes to the forces `applied` by others, and the damping of `holds`
    to `undamped` (sim/sensor/quasistatic_forces.py). */
-int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, nv */, int64_t held, const double *holds /* held, 43 */,
+int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes /* membranes, 2, nv */, int64_t held, const double *holds /* held, 43 */,
                  double step, const double *inertia /* nv */, const double *velocity /* nv */, double *base /* nv */,
                  double *left /* nv */, double *applied /* nv */, const double *undamped /* nv */, double *damping /* nv */);
 /* Run up to `count` steps (sim/batched_quasistatic_step.py). `events`: number of steps done; number

@@ -76,7 +76,7 @@ int64_t qs_steps(int64_t count, const int64_t *mujoco, double time, double step,
             int64_t *const pushing = AT(int64_t, 37);
             if (now || *pushing) adding = 1;
             *pushing = now;
-            memcpy((double *)(intptr_t)p[20], (const double *)(intptr_t)p[18], nv * sizeof(double));
+            memcpy((double *)(intptr_t)p[20], (const double *)(intptr_t)p[18], 2 * nv * sizeof(double));
             memcpy((double *)(intptr_t)p[21], (const double *)(intptr_t)p[19], p[1] * HOLD * sizeof(double));
         }
         if (adding) add(adds);

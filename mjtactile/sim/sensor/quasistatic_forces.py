@@ -27,7 +27,7 @@ class QuasistaticForces:
         self._model = model
         self._data = data
         self._owners: list[str] = []
-        self._forces = np.zeros((0, model.nv))
+        self._forces = np.zeros((0, 2, model.nv))  # force; damping of inner joints
         self._holds = np.zeros((0, HOLD))
         self._rows: list[slice] = []  # of `_holds`, by owner
         self._base = data.qfrc_applied.copy()
@@ -44,7 +44,7 @@ class QuasistaticForces:
             first = len(self._holds)
             self._owners.append(owner)
             self._rows.append(slice(first, first + count))
-            self._forces = np.vstack([self._forces, np.zeros((1, self._model.nv))])
+            self._forces = np.vstack([self._forces, np.zeros((1, 2, self._model.nv))])
             self._holds = np.vstack([self._holds, np.zeros((count, HOLD))])
             self._bind()
         number = self._owners.index(owner)
@@ -53,8 +53,9 @@ class QuasistaticForces:
         return number
 
     def set(self, number: int, force: Array, holds: Array) -> None:
-        """Set row `number` to `force` (nv,) and the damping of the MuJoCo bodies of `holds`
-        (count, HOLD). Other changes to `qfrc_applied` are kept."""
+        """Set row `number` to `force` (2, nv), which is force and damping of inner joints, and the
+        damping of the MuJoCo bodies of `holds` (count, HOLD). Other changes to `qfrc_applied` are
+        kept."""
         self._forces[number] = force
         self._holds[self._rows[number]] = holds
         assert self._add is not None

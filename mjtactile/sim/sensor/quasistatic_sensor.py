@@ -99,7 +99,7 @@ class QuasistaticSensor(BaseSensor):
         self._before = np.zeros((6, *membrane.grid))
         self._pushes = pushes_of(model, data)
         self._number = self._pushes.join(prefix, count)
-        self._force = np.zeros(model.nv)
+        self._force = np.zeros((2, model.nv))  # and damping
         self._holds = np.zeros((count, HOLD))
         # largest extrapolated force so far, N, and the flag with it
         self._extrapolated = (0.0, "")
