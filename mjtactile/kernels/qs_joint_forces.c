@@ -12,7 +12,8 @@
    heavy body oscillates on */
 #define SHARE 0.75
 /* stiffness of parts of one object that move against each other side by side, over that of a part alone:
-   they take over each other's load. Measured at overlapping ellipsoids: up to 8 */
+   they take over each other's load. Overlapping ellipsoids have 5 to 75; a larger value slows the grip's
+   response, and stops no more of the oscillation */
 #define SIDE_BY_SIDE 16
 #define HOLD 43 /* numbers of a hold */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };
@@ -150,7 +151,7 @@ int64_t qs_push(const double *given, int64_t slots, const double *patch, const i
     return pushes;
 }
 
-/* Add the forces and damping `pushes` (membranes, 2, nv) and the `holds` (held, 43) of all membranes to `applied`
+/* Add the forces and the damping `pushes` (membranes, 2, nv) and the `holds` (held, 43) of all membranes to `applied`
    and `damping` (nv). */
 int64_t qs_add(int64_t nv, int64_t membranes, const double *pushes, int64_t held, const double *holds, double step, const double *inertia,
                  const double *velocity, double *base, double *left, double *applied, const double *undamped, double *damping) {
