@@ -9,8 +9,8 @@ import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from mjtactile import InputError
 from mjtactile.commands.arguments import Addable, Argument, Group, OneOf
+from mjtactile.core.errors import InputError
 
 
 @dataclass(frozen=True)

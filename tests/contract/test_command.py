@@ -181,7 +181,11 @@ def test_an_old_recordings_0_is_the_limit_before_it(folder, tmp_path):
 
 
 def test_a_replay_does_not_invent_a_limit():
-    columns = {"command_opening": np.array([0.05]), "command_force_limit": np.array([math.nan])}
+    columns = {
+        "time": np.zeros(1),
+        "command_opening": np.array([0.05]),
+        "command_force_limit": np.array([math.nan]),
+    }
     recording = Recording(Path(), {}, {}, columns, True, ())
     tape: Any = SimpleNamespace(cycle=0, recording=recording)
     assert ReplayGripper(tape).command(Command(0.05, 1.0)).force_limit is None

@@ -96,7 +96,7 @@ def test_shipped_as_built_sensors_are_what_their_writer_writes(name):
     ("args", "words"),
     [
         (("--object", "pineapple"), ("pineapple", "sponge")),
-        (("--object", "egg", "--source", "."), ("--source", "either")),
+        (("--object", "egg", "--source", "."), ("--source", "--object")),
         (("--source", "nothing-here"), ("nothing-here", "log.jsonl")),
         (("--seed", "-1"), ("--seed", "-1")),
     ],

@@ -55,7 +55,7 @@ def test_failures_on_a_computer_that_stands_still_are_undecided_and_reported(out
 def test_too_many_undecided_are_a_failure(pytester, monkeypatch):
     monkeypatch.setattr(stolen, "stolen_seconds", itertools.count(0, 1e3).__next__)
     pytester.makeini("[pytest]\nmarkers = clock")
-    for count, code in ((stolen.UNDECIDED_MAX, 0), (stolen.FRACTION_MAX + 1, 1)):
+    for count, code in ((stolen.UNDECIDED_MAX, 0), (stolen.UNDECIDED_MAX + 1, 1)):
         pytester.makepyfile(
             f"import pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', range({count}))\n"
             "def test_fails(k):\n    assert 0\n"

@@ -50,7 +50,7 @@ class ShapeFilter:
         own = np.eye(len(information)) + seen @ _own_wrong(fit)
         seen = np.linalg.solve(own, seen)
         information = np.linalg.solve(own, information)
-        drift = self.drift + _heavy_tailed(self._off(seen, information))
+        drift = self.drift + _heavy_tailed(self._off(seen, information), len(information))
         freedom = self.freedom + (len(information) if self.precision.any() else 0)
         return ShapeFilter(self.precision + seen, self.information + information, drift, freedom)
 
@@ -83,15 +83,16 @@ class ShapeFilter:
         return Prior(mean, np.linalg.inv(cov))
 
 
-_TAIL = 6.0  # squared distance from which a change counts less
+_TAIL = 6.0  # degrees of freedom of the distribution of changes
 _UNSEEN = 1e-6  # of a family's own precision
 _BY_NODE = 1.5  # relative model error of a curvature or size, times the number of touching nodes
 
 
-def _heavy_tailed(square: float) -> float:
-    """Return the penalty of a change with the squared Mahalanobis distance `square`, as of a
-    distribution with heavy tails."""
-    return _TAIL * math.log1p(square / _TAIL)
+def _heavy_tailed(square: float, count: int) -> float:
+    """Return the penalty of a change of `count` parameters with the squared Mahalanobis distance
+    `square`: -2 times the log density of a multivariate Student t distribution over that of no
+    change."""
+    return (_TAIL + count) * math.log1p(square / _TAIL)
 
 
 def _alone(fit: Fit) -> tuple[Array, Array]:

@@ -74,8 +74,8 @@ def test_estimates_add_up_and_differ_with_heavy_tails(k2):
     assert common.precision[0, 0] == pytest.approx(precision, rel=1e-4)
     assert common.information[0] / common.precision[0, 0] == pytest.approx(both, rel=1e-4)
     off = (means[1] - means[0]) ** 2 / sum(variances)
-    # large changes count less: as 6 ln(1 + off / 6)
-    assert common.drift == pytest.approx(6 * np.log1p(off / 6), rel=1e-4)
+    # large changes count less: a Student t distribution with 6 degrees of freedom
+    assert common.drift == pytest.approx(7 * np.log1p(off / 6), rel=1e-4)
     assert common.freedom == 1
     assert common.variance_factor == pytest.approx(max(1.0, common.drift))
 

@@ -70,7 +70,7 @@ def test_effects_are_chosen_for_what_was_asked_and_not_for_what_came_with_it(tab
     """Real time with a fine mesh must not switch on effects that only that mesh's small error calls
     for."""
     assert Fidelity.for_force_error(0.02, table).asked == 0.02
-    assert Fidelity.for_force_error(1e-6, table).asked == 1e-6  # also where nothing reaches it
+    assert Fidelity.for_force_error(1e-4, table).asked == 1e-4  # also where nothing reaches it
     assert Fidelity.for_real_time(table).asked == DEFAULT_FORCE_ERROR
 
 
