@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mjtactile.commands.arguments import Addable, Argument, Group, OneOf
-from mjtactile.core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,8 @@ def check(options: argparse.Namespace, arguments: Iterable[Addable], rules: Sequ
     for rule in rules:
         ignored = [name for name in rule.options if name in given]
         if ignored and not rule.applies(options):
+            from mjtactile import InputError  # elsewhere, so that --help stays fast
+
             raise InputError(f"has no effect {rule.needed}", field=ignored[0])
 
 
