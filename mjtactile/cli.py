@@ -120,9 +120,9 @@ def build_parser(*requested: str) -> argparse.ArgumentParser:
         )
         arguments.add(sub, (*command.ARGUMENTS, *_SHARED))
         rules = getattr(command, "RULES", ())
-        check = partial(option_rules.check, arguments=command.ARGUMENTS, rules=rules)
+        check_rules = partial(option_rules.check, arguments=command.ARGUMENTS, rules=rules)
         simulates = getattr(command, "SIMULATES", True)
-        sub.set_defaults(run=command.run, check=check, simulates=simulates)
+        sub.set_defaults(run=command.run, check_rules=check_rules, simulates=simulates)
     return parser
 
 
@@ -158,7 +158,7 @@ def _main(argv: list[str]) -> int:
     )
     try:
         options = build_parser(*argv[:1]).parse_args(argv)
-        options.check(options)
+        options.check_rules(options)
         if options.simulates:
             # lazily: half a second that other commands need not wait
             from mjtactile.sim.mujoco_log import route_warnings
