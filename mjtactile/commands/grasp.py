@@ -65,7 +65,8 @@ truth "not set down": the run ended while the raised gripper held the object; "d
 a device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
-"probability", "area_mm2", "area_interval_mm2" of 68 %, "status"; null: no contact),
+"probability", "misfit" (mean square of the residuals over their sd), "area_mm2",
+"area_interval_mm2" of 68 %, "status"; null: no contact),
 real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
@@ -291,8 +292,8 @@ def _write_report(
         print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
-_CLEAR = 0.9
-"""Probability of a kind of contact from which it is printed without reserve."""
+_CLEAR, _EXPLAINED = 0.9, 2.0
+"""Minimum probability and maximum misfit of a kind of contact that is printed without reserve."""
 
 
 def _contact_text(contact: dict[str, Any]) -> str:
@@ -300,7 +301,7 @@ def _contact_text(contact: dict[str, Any]) -> str:
         return f"unknown: {contact['status']}"
     low, high = contact["area_interval_mm2"]
     kind = f"{contact['kind']} ({100 * contact['probability']:.0f} %)"
-    if contact["probability"] < _CLEAR:
+    if contact["probability"] < _CLEAR or contact["misfit"] > _EXPLAINED:
         kind = f"kind unclear, likeliest {kind}"
     return f"{kind}, area {contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
 

@@ -53,10 +53,12 @@ def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str
 
 
 def _report(shape: ContactShape) -> dict[str, Any]:
-    """Return kind, probability, and area, mm^2, with its 68 % interval; unknown values are NaN."""
+    """Return kind, probability, misfit, and area, mm^2, with its 68 % interval; unknown values are
+    NaN."""
     return {
         "kind": shape.kind,
         "probability": float(shape.probabilities.get(shape.kind, float("nan"))),
+        "misfit": float(shape.misfit),
         "area_mm2": 1e6 * float(shape.area),
         "area_interval_mm2": [1e6 * float(end) for end in shape.area_interval],
         "status": str(shape.status),

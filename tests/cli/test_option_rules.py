@@ -65,7 +65,7 @@ ACCEPTED = [
 @pytest.mark.parametrize("words", ACCEPTED)
 def test_an_option_with_an_effect_is_accepted(words):
     options = build_parser(words[0]).parse_args(words)
-    options.check(options)
+    options.check_rules(options)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -6,10 +6,14 @@ from mjtactile.commands.grasp import _contact_text
 
 
 @pytest.mark.parametrize(
-    ("probability", "text"),
-    [(0.97, "smooth (97 %)"), (0.53, "kind unclear, likeliest smooth (53 %)")],
+    ("probability", "misfit", "text"),
+    [
+        (0.97, 1.0, "smooth (97 %)"),
+        (0.53, 1.0, "kind unclear, likeliest smooth (53 %)"),
+        (1.0, 2.7, "kind unclear, likeliest smooth (100 %)"),
+    ],
 )
-def test_a_kind_that_is_not_clear_is_printed_with_reserve(probability, text):
-    contact = {"kind": "smooth", "probability": probability, "area_mm2": 64.0}
+def test_a_kind_that_is_not_clear_is_printed_with_reserve(probability, misfit, text):
+    contact = {"kind": "smooth", "probability": probability, "misfit": misfit, "area_mm2": 64.0}
     contact["area_interval_mm2"] = [61.0, 119.0]
     assert _contact_text(contact) == f"{text}, area 64 mm2 (68 %: 61 to 119)"
