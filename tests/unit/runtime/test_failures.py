@@ -12,6 +12,7 @@ from enum import Enum
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mjtactile.core import memory_limit
@@ -62,7 +63,9 @@ def test_a_step_that_eats_the_memory_is_refused_and_the_gripper_goes_down(greedy
         if observation.time > 0.2:
             if greedy == "in a list":
                 while True:
-                    eaten.append(bytearray(64 << 20))  # the limit counts requested memory
+                    eaten.append(
+                        np.empty(64 << 20, np.uint8)
+                    )  # requested memory counts, unused as well
                     maximum.append(memory_limit._used())
             many = [0.0] * (2 << 30)
             return replace(observation.command, memory={"many": many})
