@@ -2,9 +2,8 @@
 
 A replay takes seconds, and the gas fit needs the pressures for many gas parameters. At a given
 position of the stage, the volume under the membrane changes in proportion to a small change of the
-pressure. Two replays with
-different amounts of gas determine this compliance. Then the gas model and the compliance give the
-pressures (docs/theory/gas.md, G1 and G4-G6).
+pressure. Two replays with different amounts of gas determine this compliance. The gas model and the
+compliance give the pressures (docs/theory/gas.md, G1 and G4-G6).
 """
 
 from __future__ import annotations

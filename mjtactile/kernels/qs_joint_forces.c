@@ -12,8 +12,8 @@
    heavy body oscillates on */
 #define SHARE 0.75
 /* stiffness of parts of one object that move against each other side by side, over that of a part alone:
-   they take over each other's load. Overlapping ellipsoids have 5 to 75; a larger value slows the grip's
-   response, and stops no more of the oscillation */
+   they take over each other's load. Overlapping ellipsoids have 5 to 75; twice this value slows the grip's
+   response, and hardly reduces the oscillation further */
 #define SIDE_BY_SIDE 16
 #define HOLD 43 /* numbers of a hold */
 enum { JOINT_FREE, JOINT_BALL, JOINT_SLIDE, JOINT_HINGE };

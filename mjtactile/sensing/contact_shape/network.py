@@ -15,7 +15,6 @@ _TINY = 1e-8
 _BATCH = 256
 
 Layer = tuple[Array, Array]
-Loss = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)

@@ -362,7 +362,7 @@ class InverseMembrane(LoadedMembrane):
         excess = float(shape.excess[0].mean())
         cov = self._posterior(shape, positions)
         unseen = self.planes.unseen_load(shape.traction, shape.gauge_pressure)
-        measured = shape.gain.gas[0][0]
+        (measured, _), _ = shape.gain.gas
         fit = FitDiagnostics(force, change, velocity, excess, air_moved, lag, unseen, measured)
         cov.flat[:: len(cov) + 1] += self._model_error.variance(fit)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.gauge_pressure, method="inverse")

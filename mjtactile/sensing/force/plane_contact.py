@@ -118,8 +118,8 @@ class PlaneContactSolver:
         pitch from all markers."""
         layout = self._loaded.design.markers
         pitch = [layout.pitch_x, layout.pitch_y]
-        apart = np.abs(self._X[:, None] - layout.p_SM[:, :2]) / pitch  # (q, N, 2)
-        distance = apart.max(axis=2)
+        offset = np.abs(self._X[:, None] - layout.p_SM[:, :2]) / pitch  # (q, N, 2)
+        distance = offset.max(axis=2)
         area = np.where(distance.min(axis=1) > 0.5, self._loaded.membrane.weights.ravel(), 0.0)
         return np.bincount(distance.argmin(axis=1), area, minlength=layout.count)
 

@@ -14,7 +14,6 @@ COLUMNS = 30
 MEAN = wp.constant(0)
 SD = wp.constant(6)
 FRESH = wp.constant(12)
-REPORTED = wp.constant(18)
 OUTLIERS = wp.constant(24)
 UNKNOWN = wp.constant(25)
 BETWEEN = wp.constant(29)
