@@ -35,39 +35,31 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(f"| {task}, `harsh` | {' | '.join(cells)} | {_difference(summary)} |")
     lines += [
         "",
-        f"| crushed / dropped / stopped / simulation failed | {head} |",
+        "Cells: crushed/dropped/stopped/simulation failed; grip force relative to required force, "
+        "median.",
+        "",
+        f"| failures; grip | {head} |",
         "|---" * (len(names) + 1) + "|",
     ]
     for task, summary in result["tasks"].items():
         cells = [_failures(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} |")
-    lines += [
-        "",
-        f"| grip force relative to required force, median | {head} |",
-        "|---" * (len(names) + 1) + "|",
-    ]
-    for task, summary in result["tasks"].items():
-        cells = [_value(summary["controllers"].get(name), "margin", "{:.1f}") for name in names]
-        lines.append(f"| {task} | {' | '.join(cells)} |")
     lines += ["", f"| other measures | {head} |", "|---" * (len(names) + 1) + "|"]
-    for task, key, which, label, form in (
-        ("place", "impact_N_s", "median", "impact at placement, N s: median", "{:.4f}"),
-        ("place", "impact_N_s", "p95", "impact at placement, N s: 95 %", "{:.4f}"),
-        ("hand-over", "release_delay_s", "median", "release delay, s: median", "{:.2f}"),
-        ("hand-over", "release_delay_s", "p95", "release delay, s: 95 %", "{:.2f}"),
-        ("bump", "margin_ready", "median", f"bump: {READY}", "{:.1f}"),
-        ("hand-over", "margin_ready", "median", f"hand-over: {READY}", "{:.1f}"),
-        (
-            "",
-            "margin",
-            "median",
-            "grip force relative to required force, all tasks, median",
-            "{:.1f}",
-        ),
-        ("", "margin", "p95", "grip force relative to required force, all tasks, 95 %", "{:.1f}"),
+    for task, key, label, form in (
+        ("place", "impact_N_s", "impact at placement, N s: median; 95 %", "{:.3f}"),
+        ("hand-over", "release_delay_s", "release delay, s: median; 95 %", "{:.2f}"),
+    ):
+        own = result["tasks"][task]["controllers"]
+        cells = [_spread(own.get(name), key, form) for name in names]
+        lines.append(f"| {label} | {' | '.join(cells)} |")
+    for task, key, which, label in (
+        ("bump", "margin_ready", "median", f"bump: {READY}"),
+        ("hand-over", "margin_ready", "median", f"hand-over: {READY}"),
+        ("", "margin", "median", "grip force relative to required force, all tasks, median"),
+        ("", "margin", "p95", "the same, 95 %"),
     ):
         own = (result["tasks"][task] if task else every)["controllers"]
-        cells = [_value(own.get(name), key, form, which) for name in names]
+        cells = [_value(own.get(name), key, "{:.1f}", which) for name in names]
         lines.append(f"| {label} | {' | '.join(cells)} |")
     found = result["weighed"]
     if found["objects"] > 1:
@@ -116,7 +108,9 @@ def _failures(group: Mapping[str, Any] | None) -> str:
     if group is None:
         return ""
     stopped = sum(group[kind] for kind in STOPPED)
-    return f"{group['crushed']} / {group['dropped']} / {stopped} / {group['error']}"
+    counts = f"{group['crushed']}/{group['dropped']}/{stopped}/{group['error']}"
+    grip = _value(group, "margin", "{:.1f}")
+    return f"{counts}; {grip}" if grip else counts
 
 
 def _difference(summary: Mapping[str, Any]) -> str:
@@ -126,6 +120,12 @@ def _difference(summary: Mapping[str, Any]) -> str:
             low, high = pair["difference_interval"]
             return f"{0 - 100 * pair['difference']:+.0f} ({-100 * high:+.0f} to {-100 * low:+.0f})"
     return ""
+
+
+def _spread(group: Mapping[str, Any] | None, key: str, form: str) -> str:
+    """Format median and 95th percentile."""
+    median, high = (_value(group, key, form, which) for which in ("median", "p95"))
+    return f"{median}; {high}" if median else ""
 
 
 def _value(group: Mapping[str, Any] | None, key: str, form: str, which: str = "median") -> str:

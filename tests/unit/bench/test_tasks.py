@@ -53,7 +53,7 @@ def test_the_table_states_what_the_lines_state(tmp_path):
     assert (
         "| grip force relative to required force, all tasks, median | 1.5 |  |  | 1.5 |  |" in text
     )
-    assert "| pour | 0 / 0 / 0 / 0 |  |  | 4 / 0 / 0 / 0 |  |" in text
+    assert "| pour | 0/0/0/0; 1.5 |  |  | 4/0/0/0; 1.5 |  |" in text
     assert text.startswith("Level `synthetic`: ")
     # Wilson's interval of 5 of 5 is 56.6 to 100 %
     assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
