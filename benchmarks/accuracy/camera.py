@@ -195,24 +195,22 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
     lines = [
-        "| camera | force error mN | marker error um | images without force | camera ms | "
-        "perception ms |",
-        "|---|---|---|---|---|---|",
+        "| camera | force error mN | marker error um | camera ms | perception ms |",
+        "|---|---|---|---|---|",
     ]
     for sweep in ("sensors", "resolution", "markers", "renderer"):
         lines += [
-            f"| {sweep}: {r['name']} | failed: {r['failed']} | | | | |"
+            f"| {sweep}: {r['name']} | failed: {r['failed']} | | | |"
             if "failed" in r
             else f"| {sweep}: {r['name']} | {1e3 * r['force_error_N']:.1f} | "
-            f"{r['marker_error_um']:.1f} | {r['unknown']} | {r['camera_ms']:.1f} | "
+            f"{r['marker_error_um']:.1f} | {r['camera_ms']:.1f} | "
             f"{r['perception_ms']:.1f} |"
             for r in result[sweep]
         ]
+    rates = ", ".join(f"{1e3 * r['force_error_N']:.1f} at {r['name']}" for r in result["rate"])
     lines += [
         "",
-        "| camera rate | error of an exact value until the next image, sphere pressed at 20 mm/s, "
-        "mN |",
-        "|---|---|",
+        "Error of an exact value until the next image, sphere pressed at "
+        f"{1e3 * _SPEED:.0f} mm/s, mN: {rates}.",
     ]
-    lines += [f"| {r['name']} | {1e3 * r['force_error_N']:.1f} |" for r in result["rate"]]
     return "\n".join(lines) + "\n"

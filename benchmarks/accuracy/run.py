@@ -64,10 +64,7 @@ TOGETHER = tuple(
     for tolerance in (1e-7, 1e-6)
     if not (step == 1 / 240 and tolerance == 1e-6)
 ) + (Setting((21, 17)), Setting((25, 21)))
-_HEAD = (
-    "| varied | mesh | step ms | tolerance | maximum iterations | contact softness | "
-    "force error mN | surface error um | noise mN | penetration um | ms per simulated s |"
-)
+_HEAD = "| varied | value | force error mN | surface error um | noise mN | ms per simulated s |"
 _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
 _QUICK_REFERENCE = (Setting((17, 13), softness=0.1), Setting((21, 17), softness=0.1))
 
@@ -249,36 +246,54 @@ def table(result: dict[str, Any]) -> str:
     lines = [
         f"Measured on {about['machine']}, Python {about['python']}, MuJoCo {about['mujoco']}, "
         f"{about['date']}. Uncertainty of the reference: {1e3 * limit['force_N']:.1f} mN and "
-        f"{limit['surface_um']:.0f} um.",
+        f"{limit['surface_um']:.0f} um. Default: {_pareto_value(DEFAULT.summary())}, "
+        f"{DEFAULT.iterations} iterations, contact softness {DEFAULT.softness:g}.",
         "",
         _HEAD,
-        "|" + "---|" * 11,
+        "|" + "---|" * 6,
     ]
-    for name, rows in {**result["sweeps"], "all: Pareto front": result["pareto"]}.items():
-        lines += [f"| {name} {_row(row)}" for row in rows]
+    default = DEFAULT.summary()
+    for name, rows in result["sweeps"].items():
+        value = _VALUES[name]
+        lines += [
+            f"| {name} | {value(row)} | {_errors_and_cost(row)}"
+            for row in rows
+            if name == "mesh" or value(row) != value(default)
+        ]
     lines += [
-        "",
-        "| free bulge at 1 kPa: mesh | height mm | Eq. M7 mm | difference |",
-        "|---|---|---|---|",
+        f"| Pareto front | {_pareto_value(row)} | {_errors_and_cost(row)}"
+        for row in result["pareto"]
     ]
-    lines += [
-        f"| {r['mesh'][0]}x{r['mesh'][1]} | failed: {r['failed']} | | |"
-        if "failed" in r
-        else f"| {r['mesh'][0]}x{r['mesh'][1]} | {r['height_mm']:.4f} | {r['theory_mm']:.4f} | "
-        f"{r['height_mm'] / r['theory_mm'] - 1:+.2%} |"
+    bulges = ", ".join(
+        f"{_mesh(r)} "
+        + ("failed" if "failed" in r else f"{r['height_mm'] / r['theory_mm'] - 1:+.2%}")
         for r in result["closed_form"]
-    ]
+    )
+    lines += ["", f"Height of the free bulge at 1 kPa relative to Eq. M7: {bulges}."]
     return "\n".join(lines) + "\n\n" + camera.table(result["camera"])
 
 
-def _row(row: dict[str, Any]) -> str:
-    start = (
-        f"| {row['mesh'][0]}x{row['mesh'][1]} | {row['timestep_ms']:.2f} | {row['tolerance']:g} | "
-        f"{row['iterations']} | {row['softness']:g} | "
-    )
+def _mesh(row: dict[str, Any]) -> str:
+    return f"{row['mesh'][0]}x{row['mesh'][1]}"
+
+
+def _pareto_value(row: dict[str, Any]) -> str:
+    return f"{_mesh(row)}, {row['timestep_ms']:.2f} ms, {row['tolerance']:g}"
+
+
+_VALUES: dict[str, Callable[[dict[str, Any]], str]] = {
+    "mesh": _mesh,
+    "time step": lambda row: f"{row['timestep_ms']:.2f} ms",
+    "tolerance": lambda row: f"{row['tolerance']:g}",
+    "iterations": lambda row: f"{row['iterations']}",
+    "contact softness": lambda row: f"{row['softness']:g}",
+}
+
+
+def _errors_and_cost(row: dict[str, Any]) -> str:
     if "failed" in row:
-        return f"{start}failed: {row['failed']} | | | | |"
+        return f"failed: {row['failed']} | | | |"
     return (
-        f"{start}{1e3 * row['force_error_N']:.1f} | {row['surface_error_um']:.0f} | "
-        f"{1e3 * row['force_noise_N']:.1f} | {row['penetration_um']:.0f} | {row['ms_per_s']:.0f} |"
+        f"{1e3 * row['force_error_N']:.1f} | {row['surface_error_um']:.0f} | "
+        f"{1e3 * row['force_noise_N']:.1f} | {row['ms_per_s']:.0f} |"
     )

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from benchmarks.speed import probe
@@ -121,7 +122,7 @@ def table(result: Mapping[str, Any]) -> str:
     lines = [
         f"Baseline (before) and this version (now), alternating, median of {len(rounds)} runs; "
         f"{result['processor']}, load average {result['load_average']:.1f}. Core time at 30 Hz, "
-        "one thread. Second rows: gain relative to the baseline.",
+        "one thread. Gain relative to the baseline: median of the row.",
         "",
     ]
 
@@ -136,12 +137,12 @@ def table(result: Mapping[str, Any]) -> str:
     def add(name: str, columns: Sequence[str], known: Container[str], *keys: str | int) -> None:
         cells = [values(*keys, column) if column in known else None for column in columns]
         speed = name.endswith("x real time")
-        gains = [None if one is None else _gain(*one, speed=speed) for one in cells]
-        lines.append(_line(name, ["" if one is None else f"{one[1]:.3g}" for one in cells]))
-        lines.append(_line("… gain", ["" if one is None else f"{one:.2f}" for one in gains]))
+        gain = median(_gain(*one, speed=speed) for one in cells if one is not None)
+        shown = ["" if one is None else f"{one[1]:.3g}" for one in cells]
+        lines.append(_line(name, [*shown, f"{gain:.2f}"]))
 
     first = rounds[0]["now"]
-    lines += [_line("", PHASES), "|---" * (1 + len(PHASES)) + "|"]
+    lines += [_line("", [*PHASES, "gain"]), "|---" * (2 + len(PHASES)) + "|"]
     for operation, by_phase in sorted(first["core"]["core_ms"].items()):
         add(
             f"{_LABELS.get(operation, operation)}, ms",
@@ -156,7 +157,7 @@ def table(result: Mapping[str, Any]) -> str:
         name for name in columns if any(name in one["factors"] for one in first["loop"])
     )
     heads = [_LABELS.get(name, name) for name in columns]
-    lines += ["", _line("", heads), "|---" * (1 + len(columns)) + "|"]
+    lines += ["", _line("", [*heads, "gain"]), "|---" * (2 + len(columns)) + "|"]
     for k, loop in enumerate(first["loop"]):
         name = f"{RATES[k]:g} Hz loop, x real time"
         add(name, columns, loop["factors"], "loop", k, "factors")

@@ -191,21 +191,16 @@ def table(result: dict[str, Any]) -> str:
         "time.",
         "",
         "| accuracy | processes for perception | x real time | while the object is held | core ms "
-        "per simulated s | load average |",
-        "|---|---|---|---|---|---|",
+        "per simulated s |",
+        "|---|---|---|---|---|",
     ]
     lines += [
         f"| {row['accuracy']} | {row['workers']} | {row['real_time_factor']:.2f} | "
-        f"{row['real_time_factor_held']:.2f} | {row['core_ms_per_s']:.0f} | "
-        f"{row['load_average']:.1f} |"
+        f"{row['real_time_factor_held']:.2f} | {row['core_ms_per_s']:.0f} |"
         for row in result["loops"]
     ]
-    slow = sum(row["denormals"] for row in result["loops"])
-    lines += [
-        "",
-        f"Denormal numbers in the state of pipelines and cameras after these grasps: {slow}. On "
-        "some processors they make products up to 20 times slower.",
-    ]
+    if slow := sum(row["denormals"] for row in result["loops"]):
+        lines += ["", f"Denormal numbers in pipelines and cameras after these grasps: {slow}."]
     if "compared" in result:
         lines += ["", compare.table(result["compared"])]
     return "\n".join(lines) + "\n"
