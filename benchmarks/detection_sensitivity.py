@@ -198,4 +198,4 @@ def table(result: Mapping[str, Any]) -> str:
 def _both(half: Mapping[str, Any], twice: Mapping[str, Any], key: str, unit: float, by: str) -> str:
     """At half and at twice; nothing where neither changes."""
     shown = [format(unit * row[key], by) for row in (half, twice)]
-    return "" if set(shown) <= {"0", "0.0", "1.00"} else " / ".join(shown)
+    return "" if set(shown) <= {"0", "0.0", "1.00"} else "/".join(shown)

@@ -144,7 +144,7 @@ def table(result: Mapping[str, Any]) -> str:
         cells = [_factors(half[key], twice[key], usual[key]) for key in ("rms_Pa", "sd_Pa")]
         setpoints = ""
         if (half["setpoints"], twice["setpoints"]) != (usual["setpoints"], usual["setpoints"]):
-            setpoints = f"{half['setpoints']} / {twice['setpoints']}"
+            setpoints = f"{half['setpoints']}/{twice['setpoints']}"
         lines.append(
             f"| `{row['name']}` | {row['default']:g} | {' | '.join([*cells, setpoints])} |"
         )
@@ -156,4 +156,4 @@ def _factors(half: float, twice: float, usual: float) -> str:
     shares = (half / usual, twice / usual)
     if all(abs(fraction - 1) < _ALIKE for fraction in shares):
         return ""
-    return f"{shares[0]:.2f} / {shares[1]:.2f}"
+    return f"{shares[0]:.2f}/{shares[1]:.2f}"

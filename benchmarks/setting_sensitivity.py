@@ -343,24 +343,32 @@ def table(result: Mapping[str, Any]) -> str:
         by_name.setdefault(row["name"], []).append(row)
     cells = {name: _cells(rows) for name, rows in by_name.items()}
     quiet = sum(not any(row) for row in cells.values())
-    lines = [
-        f"{len(cells)} parameters; {quiet} change nothing here and are left out.",
-        "",
-        "| parameter | default | force, mN | sd factor | markers | images | circles | depth, um "
-        "| sd factor |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    lines = [f"{len(cells)} parameters; {quiet} change nothing here and are left out."]
     defaults = DEFAULTS.to_dict()
-    for name, row in cells.items():
-        value = defaults[name]
-        shown = ", ".join(f"{v:g}" for v in (value if isinstance(value, tuple) else (value,)))
-        if any(row):
-            lines.append(f"| `{name}` | {shown} | {' | '.join(row)} |")
+    first = 0
+    for columns in TABLES:
+        part = slice(first, first + len(columns))
+        first = part.stop
+        rows = {name: row[part] for name, row in cells.items() if any(row[part])}
+        shown = [k for k in range(len(columns)) if any(row[k] for row in rows.values())]
+        if not rows:
+            continue
+        heads = ("parameter", "default", *(columns[k] for k in shown))
+        lines += ["", f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+        for name, row in rows.items():
+            value = defaults[name]
+            values = value if isinstance(value, tuple) else (value,)
+            default = ", ".join(f"{v:g}" for v in values)
+            lines.append(f"| `{name}` | {default} | {' | '.join(row[k] for k in shown)} |")
     return "\n".join(lines) + "\n"
 
 
+TABLES = (("force, mN", "sd factor", "markers", "images"), ("circles", "depth, um", "sd factor"))
+"""Columns of each table; those without a change are left out."""
+
+
 def _cells(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the changes by one parameter, empty where nothing changes."""
+    """Return the changes by one parameter in the order of `TABLES`; empty: no change."""
     return [
         _both(rows, "force_N", lambda x: f"{1e3 * x:.1f}"),
         _both(rows, "bar", lambda x: f"{x:.2f}"),
@@ -380,4 +388,4 @@ def _both(rows: Sequence[Mapping[str, Any]], key: str, text: Callable[[float], s
     empty = {"0.0", "0", "1.00", "+0.0", "-0.0"}
     if set(shown) <= empty:
         return ""
-    return " / ".join(shown)
+    return "/".join(shown)

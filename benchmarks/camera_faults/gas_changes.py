@@ -94,14 +94,16 @@ def errors(
 def table(found: list[Mapping[str, Any]]) -> list[str]:
     """Lines of Markdown."""
     lines = [
-        "| gas fault | load | force error (estimate minus ground truth), N: rms / worst | worst "
-        "from 0.5 s, N | ok | far |",
-        "|---|---|---|---|---|---|",
+        "| gas fault | force error, N, without load: rms / worst (from 0.5 s) | under a ball of "
+        "0.6 N | ok | far |",
+        "|---|---|---|---|---|",
     ]
-    lines += [
-        f"| {row['fault']} | {'ball, 0.6 N' if row['held'] else 'none'} | "
-        f"{row['rms_N']:.3f} / {row['worst_N']:.3f} | {row['worst_later_N']:.3f} | "
-        f"{row['ok']} of {row['images']} | {row['far']} |"
-        for row in found
-    ]
+    for fault in dict.fromkeys(row["fault"] for row in found):
+        rows = [row for row in found if row["fault"] == fault]
+        cells = [
+            f"{row['rms_N']:.3f} / {row['worst_N']:.3f} ({row['worst_later_N']:.3f})"
+            for row in rows
+        ]
+        ok, images, far = (sum(row[key] for row in rows) for key in ("ok", "images", "far"))
+        lines.append(f"| {fault} | {' | '.join(cells)} | {ok} of {images} | {far} |")
     return lines

@@ -103,6 +103,9 @@ def table(result: Mapping[str, Any]) -> str:
         if not rows:
             continue
         total = result["sums"][sensor]
+        names = list(dict.fromkeys(row["name"] for row in rows))
+        by_name = {name: [row for row in rows if row["name"] == name] for name in names}
+        usual = [name for name in names if name != "none" and _is_usual(by_name[name])]
         lines += [
             f"`{sensor}`, egg grasp of {rows[0]['images']} images: {total['ok']} of "
             f"{total['images']} images are `ok`. {total['far']} of these "
@@ -114,13 +117,38 @@ def table(result: Mapping[str, Any]) -> str:
             "",
             "| fault | always | run | always* | run* | only in the references |",
             "|---|---|---|---|---|---|",
-            *(
-                _row([row for row in rows if row["name"] == name])
-                for name in dict.fromkeys(row["name"] for row in rows)
-            ),
+            *(_row(by_name[name]) for name in names if name not in usual),
             "",
+            *_usual([row for name in usual for row in by_name[name]]),
         ]
     return "\n".join(lines)
+
+
+def _is_usual(rows: Sequence[Row]) -> bool:
+    """Return True if all images are ok and no error exceeds `FAR_N`."""
+    return not any(row["refused"] or set(row["status"]) - {"ok"} for row in rows) and not any(
+        found["far"] or round(found["worst_N"] or 0.0, 2) > FAR_N
+        for row in rows
+        for found in (row, row["without"])
+    )
+
+
+def _usual(rows: Sequence[Row]) -> list[str]:
+    """Return one row for all faults without effect."""
+    if not rows:
+        return []
+
+    def at_most(found: Sequence[Row]) -> str:
+        rms, worst = (max(one[key] or 0.0 for one in found) for key in ("rms_N", "worst_N"))
+        return f"{rms:.3f} / {worst:.2f}"
+
+    names = "; ".join(dict.fromkeys(label(row["name"]) for row in rows))
+    return [
+        "| without effect | largest rms / worst, N | the same* |",
+        "|---|---|---|",
+        f"| {names} | {at_most(rows)} | {at_most([row['without'] for row in rows])} |",
+        "",
+    ]
 
 
 def _row(rows: Sequence[Row]) -> str:

@@ -83,13 +83,13 @@ def table(result: dict[str, Any]) -> str:
     lines = [
         "Each row: the value with the largest error relative to the allowed one.",
         "",
-        "| case | quantity | at | reference | simulated | error | allowed | met | estimate minus "
-        "simulation | at | allowed | met |",
-        "|---" * 12 + "|",
+        "| case | quantity | reference | error | allowed | met | estimate minus simulation | "
+        "allowed | met |",
+        "|---" * 9 + "|",
     ]
     for row in result["cases"]:
         if "failed" in row:
-            lines.append(f"| {row['about']} | failed: {row['failed']} |{' |' * 10}")
+            lines.append(f"| {row['about']} | failed: {row['failed']} |{' |' * 7}")
         about = row["about"]
         kinds = dict.fromkeys(n["quantity"] for n in row["numbers"] if n["quantity"] != ESTIMATE)
         estimates = [n for n in row["numbers"] if n["quantity"] == ESTIMATE]
@@ -97,7 +97,7 @@ def table(result: dict[str, Any]) -> str:
             values = [n for n in row["numbers"] if n["quantity"] == quantity]
             lines.append(f"| {about} | {_simulated(quantity, values)} | {_estimated(estimates)} |")
             estimates = []
-    lines.append(f"| all |{' |' * 6} {result['met']} of {result['numbers']} |{' |' * 4}")
+    lines.append(f"| all |{' |' * 4} {result['met']} of {result['numbers']} |{' |' * 3}")
     return "\n".join(lines) + "\n"
 
 
@@ -108,17 +108,17 @@ def _simulated(quantity: str, numbers: Sequence[dict[str, Any]]) -> str:
         f" ({100 * worst['error'] / worst['reference']:+.1f} %)" if worst["reference"] else ""
     )
     return (
-        f"{quantity} | {worst['at']} | {worst['reference']:.4g}{unit} | {worst['measured']:.4g} | "
+        f"{quantity}, {worst['at']} | {worst['reference']:.4g}{unit} | "
         f"{worst['error']:+.2g}{fraction} | {worst['allowed']:.2g} | {_met(numbers)}"
     )
 
 
 def _estimated(numbers: Sequence[dict[str, Any]]) -> str:
     if not numbers:
-        return " | | | "
+        return " | | "
     worst = _worst(numbers)
     sd = f", {abs(worst['error']) / worst['sd']:.1f} sd" if worst["sd"] else ""
-    return f"{worst['error']:+.2g} N{sd} | {worst['at']} | {worst['allowed']:.2g} | {_met(numbers)}"
+    return f"{worst['error']:+.2g} N{sd} | {worst['allowed']:.2g} | {_met(numbers)}"
 
 
 def _worst(numbers: Sequence[dict[str, Any]]) -> dict[str, Any]:

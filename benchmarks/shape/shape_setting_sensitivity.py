@@ -159,4 +159,4 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _both(shown: Sequence[str]) -> str:
-    return "" if set(shown) <= {"0", "0.0"} else " / ".join(shown)
+    return "" if set(shown) <= {"0", "0.0"} else "/".join(shown)

@@ -31,6 +31,11 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     cells = next(line for line in shown.splitlines() if "gamma 1.3" in line).split(" | ")
     assert cells[1] == "" and cells[2].endswith("; 1 far (0.010); 1 fit failed")
     assert cells[4].endswith(" / 0.30; 1 far")
+    good = numbers(grasp, ReplayResult((touch(1.02, 0.01),) * 5))
+    rows = [row, {**row, "name": "y", **good, "without": good}]
+    lines = table({"rows": rows, "sums": _sums(rows), "air": []}).splitlines()
+    # a fault without effect has no row of its own
+    assert lines[-1] == "| y | 0.020 / 0.02 | 0.020 / 0.02 |"
 
 
 def test_strengths_are_near_their_names_and_the_same_again():

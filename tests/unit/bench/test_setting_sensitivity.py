@@ -10,4 +10,9 @@ def test_parameters_without_an_effect_are_counted_and_left_out():
     quiet = {**same, "name": "min_detected"}
     lines = table({"rows": [less, more, quiet, quiet]}).splitlines()
     assert lines[0] == "2 parameters; 1 change nothing here and are left out."
-    assert lines[4:] == ["| `prior.friction` | 0.8 | 0.7 / 1.2 |  |  | 0 / 1 |  |  |  |"]
+    # columns without a change are left out
+    assert lines[2:] == [
+        "| parameter | default | force, mN | images |",
+        "|---|---|---|---|",
+        "| `prior.friction` | 0.8 | 0.7/1.2 | 0/1 |",
+    ]
