@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,6 @@ AIR = {"polytropic_exponent": 1.4, "thermal_time_constant_s": 1.0, "leak_mL_s_kP
 """Gas parameters of the nominal file in addition to those of `dense`."""
 FORCE_REQUESTED = 0.02
 FRACTION_REQUESTED = 0.05
-FRACTION_AIM = 0.02
 FRACTION_ALLOWED = 0.03
 FITTED = (
     ("press_05", "press", "sphere:8", 500.0, 9.0),
@@ -303,32 +303,30 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: errors of each number, specimen by specimen."""
+    """Markdown: errors of each quantity, sensor by sensor."""
     rows = result["specimens"]
-    names = [row["label"] for row in rows]
+    names = "; ".join(row["label"] for row in rows)
     lines = [
-        f"| error, % (95 % interval) | required | target | {' | '.join(names)} |",
-        f"|---|---|---|{'---|' * len(rows)}",
+        f"Order of the sensors: {names}.",
+        "",
+        "| quantity | required | error, % if not stated (half of the 95 % interval, median) |",
+        "|---|---|---|",
     ]
     for i, number in enumerate(rows[0]["numbers"]):
-        cells = [_cell(row["numbers"][i]) for row in rows]
-        lines.append(
-            f"| {number['quantity']} | {100 * FRACTION_REQUESTED:g} | {100 * FRACTION_AIM:g} | "
-            f"{' | '.join(cells)} |"
-        )
-    worst = [
-        f"{1e3 * max(abs(f['error_N']) for f in row['forces']):.1f} of "
-        f"{max(f['load_cell_N'] for f in row['forces']):.2f} N"
-        for row in rows
-    ]
+        errors = _errors([row["numbers"][i] for row in rows])
+        lines.append(f"| {number['quantity']} | {100 * FRACTION_REQUESTED:g} | {errors} |")
+    worst = [f"{1e3 * max(abs(f['error_N']) for f in row['forces']):.1f}" for row in rows]
+    loads = [max(f["load_cell_N"] for f in row["forces"]) for row in rows]
     lines.append(
-        f"| largest error of the predicted force, held-out load, mN | {1e3 * FORCE_REQUESTED:g} | "
-        f"| {' | '.join(worst)} |"
+        f"| held-out loads of {min(loads):.2f} to {max(loads):.2f} N, largest error, mN | "
+        f"{1e3 * FORCE_REQUESTED:g} | {', '.join(worst)} |"
     )
-    lens = [_lens_cell(row) for row in rows]
-    lines.append(f"| focal length, % of the file's, by the fit | | | {' | '.join(lens)} |")
-    times = [f"{row['seconds']:.0f} ({row['core_s']:.0f})" for row in rows]
-    lines.append(f"| duration of the fit, s (core time) | 600 | | {' | '.join(times)} |")
+    heights = [row["height_error"] for row in rows]
+    lens = ", ".join(f"{-100 * error:+.1f}" for error, _ in heights)
+    interval = median(196 * sd for _, sd in heights)
+    lines.append(f"| focal length relative to the file | | {lens} (±{interval:.1f}) |")
+    times = [f"{row['core_s']:.0f}" for row in rows]
+    lines.append(f"| core time, s | 600 | {', '.join(times)} |")
     fitted = [n for row in rows for n in row["numbers"] if n["is_fitted"] and n["sd"] > 0]
     inside = sum(abs(n["error"]) <= 2 * n["sd"] for n in fitted)
     within = sum(abs(n["error"]) <= FRACTION_ALLOWED for n in fitted)
@@ -341,16 +339,11 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _lens_cell(row: Mapping[str, Any]) -> str:
-    """Return the focal length that the fit reports, relative to the file, and its interval."""
-    error, sd = row["height_error"]
-    return f"{-100 * error:+.1f} (±{196 * sd:.1f})"
-
-
-def _cell(number: Mapping[str, Any]) -> str:
-    if not number["is_fitted"]:
-        return "not fitted"
-    return f"{100 * number['error']:+.1f} (±{196 * number['sd']:.1f})"
+def _errors(numbers: Sequence[Mapping[str, Any]]) -> str:
+    """Format the errors of one quantity; "-": not fitted."""
+    errors = [f"{100 * n['error']:+.1f}" if n["is_fitted"] else "-" for n in numbers]
+    intervals = [196 * n["sd"] for n in numbers if n["is_fitted"]]
+    return ", ".join(errors) + (f" (±{median(intervals):.1f})" if intervals else "")
 
 
 def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:

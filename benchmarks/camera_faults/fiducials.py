@@ -114,14 +114,10 @@ def table(result: Mapping[str, Any]) -> str:
     plain, fixed = SENSORS
     seeds = ", ".join(map(str, result["grasp_seeds"]))
     lines = [
-        f"Egg grasps of seeds {seeds}. Each cell has, over all of them, in N:",
+        f"Egg grasps of seeds {seeds}, N. Cells: rms/largest force error; rms/largest change by "
+        "the fault; largest error in the first image after the references. *: no pressure sensor.",
         "",
-        "- force error (estimate minus ground truth), rms / worst;",
-        "- change relative to the same images without the fault, rms / worst;",
-        "- largest error in the first image after the references.",
-        "",
-        f"| fault after the references | `{plain}` | `{fixed}` | `{plain}`, no pressure sensor | "
-        f"`{fixed}`, no pressure sensor |",
+        f"| fault after the references | `{plain}` | `{fixed}` | `{plain}`* | `{fixed}`* |",
         "|---|---|---|---|---|",
     ]
     for name in dict.fromkeys(row["name"] for row in result["rows"]):
@@ -156,7 +152,7 @@ def _cell(rows: Sequence[Mapping[str, Any]]) -> str:
         return max(abs(row[key]) for row in known)
 
     text = (
-        f"{rms('rms_N'):.3f} / {worst('worst_N'):.2f}; {rms('changed_rms_N'):.3f} / "
+        f"{rms('rms_N'):.3f}/{worst('worst_N'):.2f}; {rms('changed_rms_N'):.3f}/"
         f"{worst('changed_worst_N'):.3f}; {worst('first_N'):.3f}"
     )
     unknown = sum(row["images"] - row["ok"] for row in rows)
