@@ -48,6 +48,7 @@ class Rejected:
         ]
 
 
+_STAIRCASE = 0.08  # residual of the edges of a black and white image, relative to the contrast
 NO_REJECTED = Rejected(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype="<U24"))
 
 
@@ -68,7 +69,7 @@ def detect_thoroughly(
     Raises:
         InputError: As `markers.detect`.
     """
-    grey = _with_grey_edges(markers.grey_image(image), settings.exhaustive_detection)
+    grey, edge_noise = _with_grey_edges(markers.grey_image(image), settings.exhaustive_detection)
     s = settings.markers
     markers.check_polarity(polarity)
     eight = markers.eight_bit(grey)
@@ -81,7 +82,7 @@ def detect_thoroughly(
     )
     status, keep = validate_fits(fit, found, polarity, grey.shape, min_radius_px, s)
     kept_fit = fit.take(keep)
-    kept_status, deformed = _by_outline(grey, kept_fit, status[keep])
+    kept_status, deformed = _by_outline(grey, kept_fit, status[keep], edge_noise)
     kept = as_ellipses(kept_fit, kept_status)
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
     places = np.concatenate([first.center[why != ""], found.center[~keep]])
@@ -90,21 +91,26 @@ def detect_thoroughly(
 
 
 def _by_outline(
-    grey: NDArray, fit: edge_fit.EdgeFit, status: NDArray[np.str_]
+    grey: NDArray, fit: edge_fit.EdgeFit, status: NDArray[np.str_], edge_noise: float
 ) -> tuple[NDArray[np.str_], bool]:
     """Return the status (N,) of each fit after the comparison of all outlines, and True if the
     trusted outlines are deformed."""
-    outlines = outline_residual(grey, fit)
-    ok = status == "ok"
-    status = np.where(ok & outlines.incomplete(ok), NOT_ELLIPSE, status)
-    return status, outlines.deformed(status == "ok")
+    trusted = status == "ok"
+    outlines = outline_residual(grey, fit.take(trusted), edge_noise)
+    incomplete = outlines.incomplete()
+    status = status.copy()
+    status[trusted] = np.where(incomplete, NOT_ELLIPSE, "ok")
+    return status, outlines.deformed(~incomplete)
 
 
-def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
-    """Return `grey`, slightly blurred if it is only black and white (synthetic or thresholded).
+def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> tuple[NDArray, float]:
+    """Return `grey`, slightly blurred if it is only black and white (synthetic or thresholded), and
+    the residual of its staircase edges, relative to the contrast.
+
     Without gray levels, nothing shows the edge position between two pixels. Blur of any size leaves
     the same staircase error, 0.05 px of radius at 13-20 px. But with blur the fit detects it, and
-    its uncertainty is right."""
+    its uncertainty is right.
+    """
     cross = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
     low = cv2.erode(grey, cross).astype(np.float32)
     high = cv2.dilate(grey, cross).astype(np.float32)
@@ -115,10 +121,9 @@ def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> NDArray:
         not level.size
         or ((level > s.grey_levels[0]) & (level < s.grey_levels[1])).mean() > s.grey_fraction
     ):
-        return grey
-    return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sampled_blur)).astype(
-        grey.dtype
-    )
+        return grey, 0.0
+    soft = np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sampled_blur))
+    return soft.astype(grey.dtype), _STAIRCASE
 
 
 def _with_more(

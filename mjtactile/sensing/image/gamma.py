@@ -126,9 +126,13 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         variance = pixels.sums(weight * residual**2) / np.maximum(
             pixels.sums(weight) - edge_fit.PARAMETERS, 1
         )
-        own = pull / information
-        sd = np.sqrt(variance / information)
-        step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MAX_STEP, _MAX_STEP))
+        known = information > 0  # rounding may leave nothing where a fit is degenerate
+        own = np.divide(pull, information, out=np.zeros(len(theta)), where=known)
+        sd = np.full(len(theta), np.inf)
+        np.sqrt(np.divide(variance, information, out=sd, where=known), out=sd)
+        total = (1 / sd**2).sum()
+        mean = (own / sd**2).sum() / total if total > 0 else 0.0
+        step = float(np.clip(mean, -_MAX_STEP, _MAX_STEP))
         theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step
         if abs(step) < _SETTLED:

@@ -34,7 +34,10 @@ _MIN_PEERS = 5  # circles, for the amplitude that is usual in an image
 _PEER_QUANTILE = 0.25  # below the median: many circles may be cut
 _MAX_RATIO = 4.0  # of a whole circle's amplitude to the usual one
 _MIN_FRACTION = 0.01  # of the radius: less costs less than 3 standard deviations
-_MAX_FRACTION = 0.06  # of the radius: more is not a circle in any photograph
+_MAX_FRACTION = 0.04  # of the radius; real circles have at most 0.031, of six in textures one more
+# Real circles have at most 0.053 (compressed color photographs), printed corners and letters 0.08
+# and more, seven of ten blobs of a texture more than 0.07.
+_MAX_EXCESS = 0.07  # of the contrast: residual of the fit beyond the noise of the pixels
 _MIN_DEFORMATION = 0.015  # px; simulated circles have 0.004 to 0.01, photographs 0.026 and more
 _MIN_HALF_WIDTH = 2.5  # px; of a profile
 _BLURS = 2.5  # half-width of a profile in blurs
@@ -45,20 +48,23 @@ _ROUNDING = 0.3  # standard deviation of rounding to gray levels
 @dataclass(frozen=True)
 class OutlineResidual:
     """Rms amplitude (N,), px, of harmonics 3 to 7 of each outline; that `expected` (N,) from the
-    pixels' noise; and `radius` (N,), the semi-minor axes, px."""
+    pixels' noise; and `radius` (N,), the semi-minor axes, px. `excess` (N,) is the residual of each
+    fit beyond the noise, relative to the contrast."""
 
     amplitude: Array
     expected: Array
     radius: Array
+    excess: Array
 
-    def incomplete(self, peers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def incomplete(self) -> NDArray[np.bool_]:
         """Return a mask (N,) of the outlines that deviate from an ellipse by more than noise and
-        more than the image's other circles, `peers` (N,)."""
+        more than the image's other circles, and of edges that are no edges of a disc."""
         limit = _MAX_RATIO * self.expected
-        if peers.sum() >= _MIN_PEERS:
-            usual = _MAX_RATIO * np.quantile(self.amplitude[peers], _PEER_QUANTILE)
+        if len(self.amplitude) >= _MIN_PEERS:
+            usual = _MAX_RATIO * np.quantile(self.amplitude, _PEER_QUANTILE)
             limit = np.maximum(limit, np.minimum(usual, _MAX_FRACTION * self.radius))
-        return self.amplitude > np.maximum(limit, _MIN_FRACTION * self.radius)
+        deviates = self.amplitude > np.maximum(limit, _MIN_FRACTION * self.radius)
+        return deviates | (self.excess > _MAX_EXCESS)
 
     def deformed(self, use: NDArray[np.bool_]) -> bool:
         """Return True if the typical outline in `use` (N,) deviates from an ellipse by more than
@@ -70,12 +76,13 @@ class OutlineResidual:
         return ratio > _MAX_RATIO and float(np.median(amplitude)) > _MIN_DEFORMATION
 
 
-def outline_residual(grey: NDArray, fit: EdgeFit) -> OutlineResidual:
+def outline_residual(grey: NDArray, fit: EdgeFit, edge_noise: float = 0.0) -> OutlineResidual:
     """Measure how far the outlines of N fits in the image `grey` (H, W) deviate from ellipses.
 
     Args:
         grey: Gray levels.
         fit: Ellipses with the levels inside and outside.
+        edge_noise: Additional residual of each edge, relative to its contrast.
 
     Returns:
         Amplitudes and expected amplitudes of each outline.
@@ -83,7 +90,7 @@ def outline_residual(grey: NDArray, fit: EdgeFit) -> OutlineResidual:
     n = len(fit.center)
     radius = np.maximum(ellipse.axes_from_shape(fit.shape)[0][:, 1], 1e-3)
     if not n:
-        return OutlineResidual(np.zeros(0), np.zeros(0), radius)
+        return OutlineResidual(np.zeros(0), np.zeros(0), radius, np.zeros(0))
     half = np.minimum(np.maximum(_MIN_HALF_WIDTH, _BLURS * fit.blur), _INSIDE * radius)
     points, e = ellipse.boundary(fit.center, fit.shape, _PROFILES)
     p, q, s = (column[:, None] for column in ellipse.inverse_shape(fit.shape).T)
@@ -93,7 +100,7 @@ def outline_residual(grey: NDArray, fit: EdgeFit) -> OutlineResidual:
     at = points[:, :, None] + normals[:, :, None] * across[:, None, :, None]
     read = cv2.remap(
         grey if grey.dtype == np.uint8 else grey.astype(np.float32),
-        at.reshape(n * _PROFILES, _SAMPLES, 2).astype(np.float32),
+        at.reshape(n, _PROFILES * _SAMPLES, 2).astype(np.float32),
         None,
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
@@ -105,8 +112,10 @@ def outline_residual(grey: NDArray, fit: EdgeFit) -> OutlineResidual:
     amplitude = np.sqrt(np.square(offset @ _HARMONICS.T).mean(axis=1))
     perimeter = 2 * np.pi * np.sqrt(np.square(fit.shape).sum(axis=1) / 2)
     # independent pixels in the band of a profile; 2/perimeter is the variance of a harmonic
-    expected = _noise(grey) / np.abs(contrast) * np.sqrt(2 * half * 2 / perimeter)
-    return OutlineResidual(amplitude, expected, radius)
+    noise = _noise(grey)
+    expected = noise / np.abs(contrast) * np.sqrt(2 * half * 2 / perimeter)
+    relative = (np.square(fit.residual) - noise**2) / np.square(contrast) - edge_noise**2
+    return OutlineResidual(amplitude, expected, radius, np.sqrt(np.maximum(relative, 0.0)))
 
 
 def _noise(grey: NDArray) -> float:
