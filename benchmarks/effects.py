@@ -250,7 +250,6 @@ def _nothing_left(design: SensorDesign) -> dict[str, Any]:
         "mujoco_us": 1e3 * float(np.min(pairs[:, 0])),
         "world_us": 1e3 * float(np.min(pairs[:, 1])),
         "tendons_all_off": int(off.model.ntendon),
-        "gas_tendons": 0 if off.model.ntendon == 1 else off.model.ntendon - 1,
         "activations_all_off": int(off.model.na),
         **_sleep(design),
     }
@@ -290,9 +289,8 @@ def table(result: dict[str, Any]) -> str:
     bare = result["nothing_left"]
     return "\n".join(lines) + (
         f"\n\nA step of a scene without sensors takes {bare['mujoco_us']:.1f} us in MuJoCo alone, "
-        f"{bare['world_us']:.1f} us in `World`, which also checks the state. With all effects "
-        f"off, the model has {bare['gas_tendons']} gas tendons. A step with one inflated sensor "
-        f"without contact takes {bare['awake_us']:.0f} us awake, {bare['asleep_us']:.0f} us "
+        f"{bare['world_us']:.1f} us in `World`, which also checks the state; with one inflated "
+        f"sensor without contact {bare['awake_us']:.0f} us awake, {bare['asleep_us']:.0f} us "
         "asleep.\n"
     )
 

@@ -227,8 +227,8 @@ def table(result: dict[str, Any]) -> str:
     """Both comparisons as Markdown."""
     lines = [
         "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | "
-        "reported sd (x, y, z) | beyond 5 sd, % | missed, % |",
-        "|---" * 6 + "|",
+        "beyond 5 sd, % |",
+        "|---" * 4 + "|",
     ]
     for row in result["markers"]:
 
@@ -239,9 +239,7 @@ def table(result: dict[str, Any]) -> str:
                 for one in values
             )
 
-        cells = map(
-            cell, ("mean_um", "sd_um", "reported_sd_um", "outliers_percent", "missed_percent")
-        )
+        cells = map(cell, ("mean_um", "sd_um", "outliers_percent"))
         lines.append(f"| {row['scene']} | {' | '.join(cells)} |")
     g = result["grasps"]
     low, high = (100 * value for value in g["held_interval"]["none"])

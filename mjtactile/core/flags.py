@@ -16,14 +16,14 @@ from mjtactile.core.renamed import FLAGS as RENAMED
 
 
 class Cadence(Enum):
-    """Period of the check that raises and clears a flag."""
+    """Period of the check that raises and clears a flag; in parentheses without a mesh."""
 
-    START = "once, at the start"
-    FAST = "20 ms; 0.1 s without `mesh`"
-    CONTACT = "20 ms; 2 s without `mesh`"
-    SLOW = "0.1 s; 2 s without `mesh`"
-    CYCLE = "each control cycle"
-    SETTLING = "each press or inflation"
+    START = "start"
+    FAST = "20 ms (0.1 s)"
+    CONTACT = "20 ms (2 s)"
+    SLOW = "0.1 s (2 s)"
+    CYCLE = "control cycle"
+    SETTLING = "press, inflation"
 
 
 SIMULATION = frozenset({Cadence.FAST, Cadence.CONTACT, Cadence.SLOW})
@@ -57,22 +57,21 @@ class FlagKind:
 _KINDS = (
     FlagKind(
         "stretch",
-        "the stretch exceeds 1.4, where real rubber is not neo-Hookean; or the bulge is more than "
-        "2 % too low",
-        "high pressure or load; or `hyperelasticity` is off",
-        "less pressure, a thicker membrane; or switch `hyperelasticity` on",
+        "stretch above 1.4, where real rubber is not neo-Hookean; or a bulge more than 2 % too low",
+        "high pressure or load; `hyperelasticity` off",
+        "less pressure, a thicker membrane; `hyperelasticity` on",
         Cadence.SLOW,
     ),
     FlagKind(
         "wrinkles",
-        "more than 1 % of the membrane area is under compression, where a real membrane wrinkles",
+        "more than 1 % of the membrane is under compression, where a real one wrinkles",
         "pre-stretch of 1 or less, strong shear",
         "`pre_stretch` above 1, more pressure",
         Cadence.SLOW,
     ),
     FlagKind(
         "bending",
-        "bending stiffness, which the model omits, would add more than 5 % to the stiffness",
+        "omitted bending would add more than 5 % to the stiffness",
         "a thick or slack membrane",
         "a thinner or more stretched membrane",
         Cadence.START,
@@ -86,32 +85,32 @@ _KINDS = (
     ),
     FlagKind(
         "small_feature",
-        "a contact geometry is finer than the mesh resolves; the text has the possible force error",
-        "a pin, a small ball; without `mesh`: narrow for the grid",
-        "the mesh named in the text, or trust position and time only",
+        "a contact geometry is finer than the mesh resolves",
+        "a pin, a small ball",
+        "the mesh that the reason names, or trust position and time only",
         Cadence.FAST,
     ),
     FlagKind(
         "sharp_edge",
-        "a face with sharp edges is in contact: the force error depends on the edge position "
-        "between vertices; or a wider face reaches the last vertices in front of the frame",
-        "vertices resolve an edge to half their spacing: 0.5 to 1.2 times the force of a 12 mm "
-        "box, 0.3 to 1.4 times of a 6 mm box; next to the frame 10 %",
+        "a face with sharp edges is in contact, or a wider face reaches the last "
+        "vertices in front of the frame",
+        "edge position between vertices: 0.5 to 1.2 times the force of a 12 mm box, 0.3 "
+        "to 1.4 times of a 6 mm box; next to the frame 10 %",
         "a finer mesh",
         Cadence.CONTACT,
     ),
     FlagKind(
         "hull",
-        "a hollow mesh is in contact, and MuJoCo uses its convex hull",
+        "MuJoCo uses the convex hull of a mesh in contact",
         "a non-convex mesh",
-        "split it into convex geoms; `press` splits it with `mjtactile[meshes]`",
+        "convex geoms; `press` splits it with `mjtactile[meshes]`",
         Cadence.CONTACT,
     ),
     FlagKind(
         "shape",
-        "`press` only: the simulated membrane is too coarse for the contact shape",
+        "`press` only: the membrane is too coarse for the contact shape",
         "the mesh bends at its vertices only",
-        "`press --mesh` with the numbers in the flag's reason",
+        "the `--mesh` that the reason names",
         Cadence.START,
     ),
     FlagKind(
@@ -125,20 +124,19 @@ _KINDS = (
         "speed",
         "an object approaches by more than half its size per step",
         "a fast object",
-        "the time step named in the text",
+        "the time step that the reason names",
         Cadence.SLOW,
     ),
     FlagKind(
         "solver",
-        "the solver does not converge within its iterations; forces are rough",
+        "the solver does not converge; forces are rough",
         "a free light object on a stiff contact",
         "a smaller time step",
         Cadence.FAST,
     ),
     FlagKind(
         "frame_contact",
-        "the frame of the sensor carries more than 0.2 N, which no marker shows; the text has the "
-        "maximum so far",
+        "the frame carries more than 0.2 N, which no marker shows",
         "contact outside the membrane",
         "move the contact to the membrane",
         Cadence.FAST,
@@ -147,8 +145,7 @@ _KINDS = (
     ),
     FlagKind(
         "carrier_contact",
-        "a geom to which the sensor is fixed carries more than 0.2 N past the membrane; the text "
-        "has the geom and the maximum so far",
+        "a geom to which the sensor is fixed carries more than 0.2 N",
         "a part of the robot in the chamber or in front of the frame",
         "move the site forward, set `contype` and `conaffinity` of the geom to 0, or "
         "`attach(..., carrier_contact=False)`",
@@ -158,25 +155,22 @@ _KINDS = (
     ),
     FlagKind(
         "rim_contact",
-        "without `mesh`: a geom lies on the rim, which carries load that the model omits; the text "
-        "has the geom",
-        "nodes 2 mm apart: 2 to 12 % where a 30 mm ball lies on the rim",
-        "switch `mesh` on",
+        "without `mesh`: a geom lies on the rim, whose load the model omits",
+        "2 to 12 % where a 30 mm ball lies on the rim",
+        "`mesh` on",
         Cadence.FAST,
     ),
     FlagKind(
         "quasistatic",
-        "without `mesh`: the membrane finds no equilibrium, and its force is extrapolated; the "
-        "text has the geom, the reason and the extrapolated part, N",
-        "an object that is too steep or thin, or is pressed against the glass",
-        "switch `mesh` on",
+        "without `mesh`: no equilibrium; the force is extrapolated",
+        "an object that is too steep or thin, or at the glass",
+        "`mesh` on",
         Cadence.FAST,
         grows=True,
     ),
     FlagKind(
         "unsensed_force",
-        "real or emulated rig: the servos push more than the fingers measure, beyond friction and "
-        "torque tolerance; the text has the maximum so far",
+        "rig: the servos push more than the fingers measure, beyond friction and torque tolerance",
         "contact on frames, finger sides or between the jaws",
         "clear the jaws; calibrate the gripper",
         Cadence.CYCLE,
@@ -185,15 +179,14 @@ _KINDS = (
     ),
     FlagKind(
         "strain",
-        "a soft object is compressed by more than 20 %, where rubber is stiffer than its linear "
-        "elements",
+        "a soft object is compressed by more than 20 %, where rubber is stiffer than its elements",
         "a large squeeze",
         "less force",
         Cadence.FAST,
     ),
     FlagKind(
         "unsettled",
-        "`press` or `inflate` did not come to rest; forces are those of a moving membrane",
+        "`press` or `inflate` did not come to rest",
         "vibration, a light load",
         "a smaller time step",
         Cadence.SETTLING,
@@ -391,7 +384,10 @@ class FlagTracker:
 
 def table() -> str:
     """Return the registry as a table in Markdown."""
-    lines = ["| flag | meaning | cause | remedy | checked every |", "|---" * 5 + "|"]
+    lines = [
+        "| flag | meaning | cause | remedy | checked every (without `mesh`) |",
+        "|---" * 5 + "|",
+    ]
     for kind in FLAGS.values():
         cells = (f"`{kind.name}`", kind.meaning, kind.cause, kind.remedy, kind.cadence.value)
         lines.append(f"| {' | '.join(cells)} |")
