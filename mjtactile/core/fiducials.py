@@ -49,11 +49,7 @@ class Fiducials:
     surface: str = text("surface", SURFACES, about="surface that carries the circles")
     radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
     places: tuple[tuple[float, float], ...] = entry(
-        Pairs(
-            key="positions_mm",
-            units=(MM, MM),
-            about="center [x, y] of each circle, in the sensor frame",
-        )
+        Pairs(key="positions_mm", units=(MM, MM), about="center [x, y] of each circle")
     )
     ground: float = number(
         "quiet_zone_mm", 0.05, 50, MM, default=0.5e-3, about="white ring around each circle, 8 px"
@@ -81,7 +77,7 @@ class Fiducials:
         0,
         20,
         default=2.0,
-        about="standard deviation of the image blur at the circles: the glass is out of focus",
+        about="sd of the image blur at the circles",
         only_if=("surface", ("pane",)),
     )
 

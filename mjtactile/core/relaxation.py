@@ -50,8 +50,8 @@ class Relaxation:
             key="terms_s",
             units=(1.0, 1.0),
             about=(
-                "[fraction, s] of each term: stress of a fast stretch in addition to the "
-                "long-term stress, and time constant of its decay (to 37 %)"
+                "[fraction, s] of each term: stress in addition to the long-term stress, and time "
+                "constant of its decay"
             ),
         )
     )
@@ -64,7 +64,7 @@ class Relaxation:
         1e4,
         KPA,
         default=5e3,
-        about="energy below the maximum ever stored at which 84 % of this loss occurs",
+        about="energy below the maximum at which 84 % of this loss occurs",
     )
 
     @property

@@ -68,9 +68,7 @@ class Frame:
     width: float = number(
         "width_mm", 2, 500, MM, about="inner opening along y", only_if=("shape", _SIDED)
     )
-    rim: float = number(
-        "wall_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
-    )
+    rim: float = number("wall_mm", 0, 100, MM, default=0.003, about="width of the wall")
     shape: str = FrameShape.RECTANGLE
     corner_radius: float = number(
         "corner_radius_mm",
@@ -85,9 +83,7 @@ class Frame:
         Pairs(
             key="corners_mm",
             units=(MM, MM),
-            about=(
-                "[x, y] of each corner before rounding, counter-clockwise around the center, convex"
-            ),
+            about="[x, y] of each corner before rounding, counter-clockwise, convex",
             only_if=("shape", (FrameShape.POLYGON,)),
         ),
         (),
@@ -158,25 +154,20 @@ class Frame:
 class Membrane:
     """Rubber membrane, SI: Pa, kg/m^3, m; `transmission` of its stress."""
 
-    thickness: float = number(
-        "thickness_mm", 0.01, 5, MM, about="thickness of the membrane before stretching"
-    )
+    thickness: float = number("thickness_mm", 0.01, 5, MM, about="before stretching")
     young: float = number("young_MPa", 0.01, 1000, 1e6, about="Young's modulus")
     poisson: float = number("poisson_ratio", 0, 0.499, ONE, about="rubber: 0.45 to 0.49")
-    density: float = number("density_kg_m3", 100, 20000, ONE, about="density of the rubber")
+    density: float = number("density_kg_m3", 100, 20000, ONE, about="of the rubber")
     pre_stretch: float = number(
         "pre_stretch",
         0.9,
         2,
         ONE,
         default=1.0,
-        about=(
-            "mounted length over free length, in both directions; 1: not stretched. Below 0.95 "
-            "the membrane folds and is refused"
-        ),
+        about="mounted length over free length; below 0.95 refused",
     )
     friction: float = number(
-        "friction", 0, 5, ONE, default=0.9, about="Coulomb friction coefficient with any object"
+        "friction", 0, 5, ONE, default=0.9, about="Coulomb friction coefficient"
     )
     law: Law = Law.NEO_HOOKEAN
 
@@ -203,9 +194,9 @@ class MarkerLayout:
     rows: int = integer("rows", 2, 200, about="along y")
     columns: int = integer("columns", 2, 200, about="along x")
     pitch_x: float = number(
-        "pitch_x_mm", 0.1, 200, MM, about="distance of marker centers along x, mounted and flat"
+        "pitch_x_mm", 0.1, 200, MM, about="distance of centers along x, mounted and flat"
     )
-    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same distance along y")
+    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same along y")
     radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
 
     frame: Frame | None = None
@@ -232,26 +223,21 @@ class MarkerLayout:
 class Chamber:
     """Sealed space behind the flat membrane, SI: m, Pa, K, s, m^3/(s Pa) of volume flow, m^3."""
 
-    depth: float = number(
-        "depth_mm", 0.1, 500, MM, about="from the flat membrane to the glass: maximum indentation"
-    )
+    depth: float = number("depth_mm", 0.1, 500, MM, about="from the flat membrane to the glass")
     polytropic_exponent: float = number(
         "polytropic_exponent",
         1,
         1.7,
         ONE,
         default=1.0,
-        about=(
-            "gamma of the gas law p V^gamma: 1 isothermal, 1.4 air without heat exchange with "
-            "the walls"
-        ),
+        about="gamma of p V^gamma: 1 isothermal, 1.4 air without heat exchange",
     )
     supply_gauge: float = number(
         "supply_pressure_kPa", -50, 100, KPA, default=1000.0, about="working pressure, gauge"
     )
     ambient: float = number("ambient_kPa", 1, 1000, KPA, default=101325.0, about="absolute")
     temperature: float = number(
-        "temperature_K", 200, 400, ONE, default=293.15, about="temperature of gas and walls"
+        "temperature_K", 200, 400, ONE, default=293.15, about="of gas and walls"
     )
     heat_exchange: float = number(
         "thermal_time_constant_s",
@@ -259,7 +245,7 @@ class Chamber:
         1e6,
         ONE,
         default=math.inf,
-        about="time constant of the heat exchange between gas and walls; 0.5-2 for a few mm of air",
+        about="heat exchange of gas and walls; 0.5-2 for a few mm of air",
     )
     valve_conductance: float = number(
         "valve_mL_s_kPa",
@@ -267,7 +253,7 @@ class Chamber:
         1e6,
         ML_S_KPA,
         default=math.inf,
-        about="flow through the open valve per kPa; infinite: the pressure follows at once",
+        about="flow through the open valve per kPa",
     )
     leak_conductance: float = number(
         "leak_mL_s_kPa", 0, 1e6, ML_S_KPA, default=0.0, about="flow per kPa through a leak"
@@ -279,7 +265,7 @@ class Chamber:
         ML,
         default=0.0,
         about=(
-            "gas volume outside the space between opening and glass: the hose up to the valve; "
+            "gas volume in addition to that between opening and glass, such as the hose; "
             "negative where the walls slope inward"
         ),
     )
@@ -294,7 +280,7 @@ class Glass:
         "refractive_index", 1, 3, ONE, about="glass 1.52, acrylic 1.49"
     )
     distance: float = number(
-        "distance_mm", 0, 1000, MM, about="from the camera center to the near face of the glass"
+        "distance_mm", 0, 1000, MM, about="from the camera center to the glass"
     )
 
 
@@ -316,7 +302,7 @@ class Pinhole:
             low=-1000,
             high=1000,
             about=(
-                "coefficients in the order of OpenCV and ROS: "
+                "in the order of OpenCV and ROS: "
                 + "; ".join(f"{', '.join(m.coefficients)} ({name})" for name, m in MODELS.items())
             ),
         ),
@@ -383,7 +369,7 @@ class CameraDesign(Pinhole):
     """Camera behind the glass, looking along +z of S; m, Hz."""
 
     distance: float = number(
-        "distance_mm", 1, 2000, MM, about="distance from the camera center to the flat membrane"
+        "distance_mm", 1, 2000, MM, about="from the camera center to the flat membrane"
     )
     rate: float = number(
         "rate_Hz", 0.1, 2000, ONE, default=30.0, about="images and control cycles per second"
@@ -394,10 +380,7 @@ class CameraDesign(Pinhole):
         20,
         ONE,
         default=0.7,
-        about=(
-            "standard deviation of the image blur, for simulation and as start value of the edge "
-            "correction"
-        ),
+        about="sd of the image blur; start value of the edge correction",
     )
     noise_dn: float = number(
         "noise_DN", 0, 100, ONE, default=2.0, about="pixel noise (sd) in gray levels of 8 bit"
@@ -413,17 +396,15 @@ class CameraDesign(Pinhole):
 class Leds:
     """LEDs on a ring around the camera, m, and the grey levels (0-255) under them."""
 
-    count: int = integer(
-        "count", 0, 1000, default=4, about="number of LEDs on a ring around the camera"
-    )
+    count: int = integer("count", 0, 1000, default=4, about="LEDs on a ring around the camera")
     ring_radius: float = number(
         "ring_radius_mm", 0, 500, MM, default=0.012, about="radius of the LED ring"
     )
     membrane_dn: float = number(
-        "membrane_DN", 0, 255, ONE, default=185.0, about="gray level of the lit white membrane"
+        "membrane_DN", 0, 255, ONE, default=185.0, about="gray level of the membrane"
     )
     marker_dn: float = number(
-        "marker_DN", 0, 255, ONE, default=40.0, about="gray level of a black marker"
+        "marker_DN", 0, 255, ONE, default=40.0, about="gray level of a marker"
     )
     vignetting: float = number(
         "vignetting", 0, 1, ONE, default=0.25, about="fraction of light lost at the image corners"
