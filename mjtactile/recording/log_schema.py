@@ -83,7 +83,7 @@ def _valves(name: str) -> Callable[[CycleLike], Any]:
 
 def _of_command(name: str, entry: CommandField) -> tuple[str, str, Callable[[CycleLike], Any]]:
     """Return unit, meaning and reader of the column of one field of `Command`."""
-    meaning = f"command, after limits: {entry.about}"
+    meaning = f"command: {entry.about}"
     if entry.none:
         meaning = f"{meaning}; null: {entry.none}"
     return (
@@ -120,16 +120,12 @@ def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
 
 
 SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
-    "time": ("s", "time on the rig's clock", lambda c: c.time),
+    "time": ("s", "rig's clock", lambda c: c.time),
     "phase": _COMMANDED["phase"],
-    "image_time": (
-        "s",
-        "capture time of each camera's image",
-        lambda c: [image.time for image in c.images],
-    ),
+    "image_time": ("s", "capture time of the image", lambda c: [image.time for image in c.images]),
     "force_normal": (
         "N",
-        "estimated normal force, positive when pressing",
+        "normal force, positive when pressing",
         _of_touch(lambda t: t.force_normal),
     ),
     "force_normal_sd": (
@@ -137,11 +133,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "standard deviation of `force_normal`",
         _of_touch(lambda t: t.force_normal_sd),
     ),
-    "force_shear": ("N", "magnitude of the estimated shear force", _of_touch(_shear)),
+    "force_shear": ("N", "magnitude of the shear force", _of_touch(_shear)),
     "wrench": (
         "N, N m",
-        "estimated force on the membrane (x, y, z) and torque about the center of the frame, "
-        "frame S; z is negative when pressing",
+        "force on the membrane (x, y, z) and torque about the frame center, frame S; z is "
+        "negative when pressing",
         _of_part("traction", "wrench", _NAN6),
     ),
     "wrench_sd": (
@@ -151,17 +147,9 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
             lambda t: _NAN6 if t.traction is None else np.sqrt(np.diag(t.traction.wrench_cov))
         ),
     ),
-    "touching": (
-        "",
-        "true if an object is in contact with the membrane",
-        _of_touch(lambda t: t.touching),
-    ),
+    "touching": ("", "contact with the membrane", _of_touch(lambda t: t.touching)),
     "status": ("", '"ok", or the reason why the force is unknown', _of_touch(lambda t: t.status)),
-    "status_code": (
-        "",
-        "short code of the status, one of `StatusCode`",
-        _of_touch(lambda t: t.status.code),
-    ),
+    "status_code": ("", "one of `StatusCode`", _of_touch(lambda t: t.status.code)),
     "touch_age": ("s", "age of the image at the end of perception", _of_touch(lambda t: t.age)),
     "contact_area": (
         "m^2",
@@ -170,7 +158,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "contact_area_interval": (
         "m^2",
-        "interval that contains the contact area with 68 % probability",
+        "68 % interval of the contact area",
         _of_part("contact", "area_interval", _NAN2),
     ),
     "contact_centroid": (
@@ -181,8 +169,8 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "contact_depth": ("m", "maximum indentation depth", _of_part("contact", "depth", np.nan)),
     "patches": (
         "m^2, m, N",
-        "contact patches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, "
-        "z), `semi_axes` and `angle` (rad from x) of the ellipse",
+        "contact patches, strongest first: `area`, `centroid`, `depth`, `force`, `semi_axes` and "
+        "`angle` (rad from x) of the ellipse",
         _of_touch(lambda t: [_patch(p) for p in t.patches]),
     ),
     "slip_state": (
@@ -192,14 +180,10 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "slip_velocity": (
         "m/s",
-        "velocity of the object relative to the membrane (x, y), frame S",
+        "of the object relative to the membrane (x, y), frame S",
         _of_part("slip", "velocity", _NAN2),
     ),
-    "slip_distance": (
-        "m",
-        "slip distance since the start of the contact",
-        _of_part("slip", "distance", np.nan),
-    ),
+    "slip_distance": ("m", "since the start of the contact", _of_part("slip", "distance", np.nan)),
     "stick_ratio": (
         "",
         "fraction of the contact that still sticks",
@@ -207,59 +191,54 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     ),
     "shape_kind": (
         "",
-        "kind of contact shape: smooth, flat, edge, point, multiple or unknown; none if not asked",
+        "smooth, flat, edge, point, multiple, unknown; none if not asked",
         _of_part("shape", "kind", "none"),
     ),
     "shape_family": (
         "",
-        "shape model: ball, cylinder, smooth, disc, block; several are joined by +",
+        "ball, cylinder, smooth, disc, block; several joined by +",
         _of_part("shape", "family", "none"),
     ),
-    "shape_area": (
-        "m^2",
-        "membrane area in contact with the shape",
-        _of_part("shape", "area", np.nan),
-    ),
+    "shape_area": ("m^2", "membrane area in contact", _of_part("shape", "area", np.nan)),
     "shape_area_interval": (
         "m^2",
-        "68 % interval of `shape_area`: from, to",
+        "68 % interval of `shape_area`",
         _of_part("shape", "area_interval", _NAN2),
     ),
     "shape_radius": (
         "m",
-        "radius of a ball, a lying cylinder or a disc",
+        "of a ball, a lying cylinder or a disc",
         _of_part("shape", "radius", np.nan),
     ),
     "shape_direction": (
         "rad",
-        "angle from x, of an edge or of the smaller curvature",
+        "angle from x of an edge or the smaller curvature",
         _of_part("shape", "direction", np.nan),
     ),
     "shape_curvatures": (
         "1/m",
-        "curvatures of a smooth shape at the contact, the larger first",
+        "of a smooth shape, the larger first",
         _of_part("shape", "curvatures", _NAN2),
     ),
     "shape_place": (
         "m",
-        "point of the shape that is nearest to the sensor (x, y, z), frame S",
+        "point nearest to the sensor (x, y, z), frame S",
         _of_part("shape", "p_SO", _NAN3),
     ),
-    "shape_outline": ("m", "contact outline: up to 24 points (x, y), frame S", _of_touch(_outline)),
+    "shape_outline": ("m", "up to 24 points (x, y), frame S", _of_touch(_outline)),
     "shape_rolling": (
         "rad/s",
-        "rotation rate of the shape about x and y, frame S; for a round shape the rate that "
-        "its motion over the rubber implies without slip",
+        "rotation rate about x and y; of a round shape as implied without slip",
         _of_part("shape.motion", "rolling", _NAN2),
     ),
     "shape_sliding": (
         "m/s",
-        "velocity of the shape relative to the rubber (x, y), frame S",
+        "velocity relative to the rubber (x, y), frame S",
         _of_part("shape.motion", "sliding", _NAN2),
     ),
     "shape_spinning": (
         "rad/s",
-        "rotation rate of the shape relative to the rubber about z",
+        "rotation rate relative to the rubber about z",
         _of_part("shape.motion", "spinning", np.nan),
     ),
     "marker_count": (
@@ -267,32 +246,24 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         "markers found",
         _of_touch(lambda t: 0 if t.markers is None else len(t.markers)),
     ),
-    "opening": ("m", "opening reported by the gripper", lambda c: c.gripper.opening),
-    "speed": ("m/s", "speed of the opening", lambda c: c.gripper.speed),
+    "opening": ("m", "reported by the gripper", lambda c: c.gripper.opening),
+    "speed": ("m/s", "of the opening", lambda c: c.gripper.speed),
     "effort": ("N", "force at a jaw, estimated by the servo", lambda c: c.gripper.effort),
-    "lift_height": ("m", "height of the gripper above its start", lambda c: c.gripper.lift_height),
-    "gripper_time": ("s", "time of the measurement", lambda c: c.gripper.time),
-    "gripper_age": ("s", "age of the measurement when it was delivered", lambda c: c.gripper.age),
+    "lift_height": ("m", "of the gripper above its start", lambda c: c.gripper.lift_height),
+    "gripper_time": ("s", "measurement time", lambda c: c.gripper.time),
+    "gripper_age": ("s", "age when delivered", lambda c: c.gripper.age),
     "valve_open": ("", "true for each open valve", _valves("is_open")),
     "gauge_pressure": (
         "Pa",
-        "gauge pressure of each chamber; null without a pressure sensor",
+        "of each chamber; null without a pressure sensor",
         _valves("gauge_pressure"),
     ),
-    "valve_time": ("s", "time of the measurement", _valves("time")),
-    "valve_age": ("s", "age of the measurement", _valves("age")),
+    "valve_time": ("s", "measurement time", _valves("time")),
+    "valve_age": ("s", "age when delivered", _valves("age")),
     **_COMMANDED,
-    "perception_ms": (
-        "ms",
-        "wall time of the sensing chain, all fingers",
-        lambda c: c.perception_ms,
-    ),
-    "state": (
-        "",
-        "state of the supervisor (docs/how-to/hardware.md)",
-        lambda c: getattr(c, "state", "running"),
-    ),
-    "reason": ("", "reason, if the state is not running", lambda c: getattr(c, "reason", "")),
+    "perception_ms": ("ms", "wall time of the sensing chain", lambda c: c.perception_ms),
+    "state": ("", "state of the supervisor", lambda c: getattr(c, "state", "running")),
+    "reason": ("", "if the state is not running", lambda c: getattr(c, "reason", "")),
 }
 """Unit and meaning of each key, and the function that reads it from a cycle."""
 
