@@ -39,7 +39,7 @@ from mjtactile.warp.grasps import Grasps
 from mjtactile.warp.starts import ignored_parameters
 
 _SOURCE = "Grasp-v0 with a device"
-_MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP)
+_RESET = f"{_SOURCE}: reset"
 
 
 @validated(num_envs=not_below(1), time_limit=above(0, math.inf))
@@ -52,7 +52,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
     Args:
         num_envs: Number of grasps.
         device: Warp device, such as "cuda" or "cpu".
-        autoreset_mode: Mode of Gymnasium, next step or same step.
+        autoreset_mode: Mode of Gymnasium. Disabled: `reset` restarts the worlds of a mask.
         object: Argument of `GraspEnv`; so are `sensor`, `rig`, `randomization`, `time_limit`,
             `task`, `reward`.
 
@@ -79,10 +79,6 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             choices = ["outcome", "progress"]
             raise InputError(f"{reward!r}", source=_SOURCE, field="reward", choices=choices)
         self._mode = AutoresetMode(autoreset_mode)
-        if self._mode not in _MODES:
-            choices = [mode.value for mode in _MODES]
-            text = f"{self._mode.value!r}"
-            raise InputError(text, source=_SOURCE, field="autoreset_mode", choices=choices)
         if object == RANDOM:
             text = "'random' differs between worlds; use random:SEED, one object for all worlds"
             raise InputError(text, source=_SOURCE, field="object")
@@ -118,13 +114,20 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start the episodes of `seed`, seed + 1, … (None: the generator's next)."""
+        """Start the episodes of `seed`, seed + 1, … (None: the generator's next).
+
+        `options={"reset_mask": mask}` starts the next episodes of the worlds of a mask only.
+        """
         if seed is not None and (not isinstance(seed, int | np.integer) or seed < 0):
             text = f"{seed!r} is not a whole number of at least 0"
-            raise InputError(text, source=f"{_SOURCE}: reset", field="seed")
-        if options:
+            raise InputError(text, source=_RESET, field="seed")
+        if set(options or {}) - {"reset_mask"} or (options and seed is not None):
             text = f"{options!r} has no effect; object and task are arguments of the environment"
-            raise InputError(text, source=f"{_SOURCE}: reset", field="options", choices=["None"])
+            raise InputError(text, source=_RESET, field="options", choices=["None", "reset_mask"])
+        if options and self._started:
+            self._write("reset_mask", options["reset_mask"], self._over)
+            self._grasps.restart(self._over)
+            return self._shown(self._grasps.observation), {}
         super().reset(seed=None if seed is None else int(seed))
         first = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         self._grasps.reset(first)
@@ -139,7 +142,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         """
         if not self._started:
             raise gymnasium.error.ResetNeeded("no episode has started: call reset()")
-        self._write(actions)
+        self._write("actions", actions, self._actions)
         grasps = self._grasps
         grasps.step(self._actions)
         scores = grasps.scores
@@ -149,7 +152,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._launch(clear_results, self._over, scores.reward, *ends)
             grasps.restart(self._over)
             self._launch(find_over, *ends, self._over)
-        else:
+        elif self._mode == AutoresetMode.SAME_STEP:
             info["final_obs"] = self._copied(grasps.observation)
             self._launch(find_over, *ends, self._over)
             info["outcome"] = self._copied(scores.outcome)
@@ -185,18 +188,19 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
     def _launch(self, kernel: Any, *arrays: Any) -> None:
         wp.launch(kernel, self.num_envs, list(arrays), device=self._grasps.device)
 
-    def _write(self, actions: Any) -> None:
-        """Copy the actions to the device."""
-        shape = tuple(getattr(actions, "shape", np.shape(actions)))
-        if shape != (self.num_envs, 3):
-            text = f"shape {shape} does not match ({self.num_envs}, 3)"
-            raise InputError(text, source=f"{_SOURCE}: step", field="actions")
-        if isinstance(actions, wp.array):
-            wp.copy(self._actions, actions)
-        elif self._torch is not None and isinstance(actions, self._torch.Tensor):
-            wp.copy(self._actions, wp.from_torch(actions.detach().float().contiguous()))
-        else:
-            self._actions.assign(np.ascontiguousarray(actions, np.float32))
+    def _write(self, field: str, values: Any, like: wp.array) -> None:
+        """Copy an argument to the array `like` on the device."""
+        found = tuple(getattr(values, "shape", np.shape(values)))
+        if found != like.shape:
+            text = f"shape {found} does not match {like.shape}"
+            raise InputError(text, source=_SOURCE, field=field)
+        is_bool = like is self._over
+        if self._torch is not None and isinstance(values, self._torch.Tensor):
+            own = self._torch.bool if is_bool else self._torch.float32
+            values = wp.from_torch(values.detach().to(own).contiguous(), dtype=like.dtype)
+        elif not isinstance(values, wp.array):
+            values = np.ascontiguousarray(values, np.bool_ if is_bool else np.float32)
+        like.assign(values)
 
     def _shown(self, array: Any) -> Any:
         return array.numpy() if self._torch is None else wp.to_torch(array)

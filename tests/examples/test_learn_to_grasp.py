@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjtactile.core.policy_file import load_policy
 from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -41,3 +42,22 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
             np.clip(controller["load"](path)(shown), -1, 1), MIDDLE + SPAN * requested, atol=1e-5
         )
     env.close()
+
+
+@pytest.mark.slow(60)
+def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
+    """Two worlds and one update on the CPU; to single precision."""
+    pytest.importorskip("rsl_rl")
+    import torch  # pyright: ignore[reportMissingImports]
+
+    example = runpy.run_path(str(CHECKOUT / "examples/learn_on_a_gpu.py"))
+    example["LEARNER"]["num_steps_per_env"] = 2
+    actor, decisions = example["learn"](1e-3, 2, "cpu", {**example["TASK"], "object": "egg"})
+    assert decisions == 4
+    example["save"](actor, tmp_path / "policy.npz")
+    policy = load_policy(tmp_path / "policy.npz")
+    rng = np.random.default_rng(0)
+    for shown in rng.uniform(-1, 1, (5, len(SCALE))) * SCALE:
+        scaled = torch.tensor((shown / SCALE).astype(np.float32))
+        requested = actor.mlp(scaled).detach().numpy()
+        np.testing.assert_allclose(policy(shown), MIDDLE + SPAN * requested, atol=1e-5)

@@ -123,7 +123,6 @@ def test_as_built_membranes_have_the_rest_volume_of_their_own_design():
         ({"object": "random"}, "random:SEED"),
         ({"task": "place"}, "needs more than fill"),
         ({"reward": "nothing"}, "outcome, progress"),
-        ({"autoreset_mode": "Disabled"}, "autoreset_mode"),
     ],
 )
 def test_unsupported_options_are_refused_in_one_line(how, text):
@@ -134,14 +133,30 @@ def test_unsupported_options_are_refused_in_one_line(how, text):
 
 @pytest.mark.slow
 def test_a_reset_of_some_worlds_leaves_the_others_alone():
-    many = worlds(2, object="block")
+    many = worlds(2, object="block", autoreset_mode="Disabled")
     many.reset(seed=1)
     for _ in range(3):
         many.step(np.full((2, 3), -0.5, np.float32))
-    grasps = many.unwrapped._grasps
-    before = grasps.observation.numpy().copy()
-    grasps.restart(wp.array([True, False], dtype=bool))
-    after = grasps.observation.numpy()
+    before = many.unwrapped._grasps.observation.numpy().copy()
+    after, _ = many.reset(options={"reset_mask": np.array([True, False])})
+    after = np.array(after)
     assert after[0, 16] > before[0, 16]
     np.testing.assert_array_equal(after[1, 16:22], before[1, 16:22])
+    for options in ({"reset_mask": np.array([True])}, {"mask": 1}):
+        with pytest.raises(InputError, match="reset_mask"):
+            many.reset(options=options)
+    many.close()
+
+
+@pytest.mark.slow
+def test_without_autoreset_an_episode_continues_until_it_is_reset():
+    many = worlds(2, object="block", autoreset_mode="Disabled", time_limit=0.2)
+    many.reset(seed=5)
+    for _ in range(8):
+        _, _, _, truncated, _ = many.step(np.zeros((2, 3), np.float32))
+    assert np.asarray(truncated).all()
+    many.reset(options={"reset_mask": np.array([False, True])})
+    _, _, _, truncated, _ = many.step(np.zeros((2, 3), np.float32))
+    assert np.asarray(truncated).tolist() == [True, False]
+    assert many.unwrapped.truth()["seed"].tolist() == [5, 8]
     many.close()
