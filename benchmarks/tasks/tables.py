@@ -9,14 +9,23 @@ from benchmarks.tasks.compared_controllers import CONTROLLERS, READY, SHOWN
 from benchmarks.tasks.simulation_levels import LEVELS, MESH
 from mjtactile.evaluate.episodes import STOPPED
 
+FEWEST = 5
+"""Episodes of a task below which a controller is left out."""
+
 
 def table(result: Mapping[str, Any]) -> str:
     """Return a Markdown table.
 
     It lists episodes held without damage, in percent with intervals. Grip over required force, and
-    the specific results of each task follow.
+    the specific results of each task follow. Controllers and tasks with fewer than `FEWEST`
+    episodes are left out, if others have more.
     """
-    names = list(SHOWN)
+    every = result["together"]
+    tasks = result["tasks"]
+    fewest = min(FEWEST, max(_episodes_max(one) for one in tasks.values()))
+    names = [
+        name for name in SHOWN if any(_episodes_max(one, name) >= fewest for one in tasks.values())
+    ]
     head = " | ".join(names)
     lines = [
         f"Level `{LEVELS[result['level']].label}`: {LEVELS[result['level']].about}.",
@@ -24,13 +33,13 @@ def table(result: Mapping[str, Any]) -> str:
         f"| held without damage | {head} | adaptive minus touchless, points |",
         "|---" * (len(names) + 2) + "|",
     ]
-    for task, summary in result["tasks"].items():
+    for task, summary in tasks.items():
         cells = [_fraction(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} | {_difference(summary)} |")
-    every = result["together"]
     cells = [_fraction(every["controllers"].get(name)) for name in names]
     lines.append(f"| all {len(result['tasks'])} | {' | '.join(cells)} | {_difference(every)} |")
-    for task, summary in result["harsh"].items():
+    harsh = {task: one for task, one in result["harsh"].items() if _episodes_max(one) >= fewest}
+    for task, summary in harsh.items():
         cells = [_fraction(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task}, `harsh` | {' | '.join(cells)} | {_difference(summary)} |")
     lines += [
@@ -41,7 +50,7 @@ def table(result: Mapping[str, Any]) -> str:
         f"| failures; grip | {head} |",
         "|---" * (len(names) + 1) + "|",
     ]
-    for task, summary in result["tasks"].items():
+    for task, summary in tasks.items():
         cells = [_failures(summary["controllers"].get(name)) for name in names]
         lines.append(f"| {task} | {' | '.join(cells)} |")
     lines += ["", f"| other measures | {head} |", "|---" * (len(names) + 1) + "|"]
@@ -94,6 +103,13 @@ def _agreement(result: Mapping[str, Any]) -> list[str]:
             f"{margin} |"
         )
     return lines
+
+
+def _episodes_max(summary: Mapping[str, Any], *names: str) -> int:
+    """Return the largest number of episodes of a controller, or of those in `names`."""
+    groups = summary["controllers"]
+    counts = (groups[name]["episodes"] for name in names or groups if name in groups)
+    return max(counts, default=0)
 
 
 def _fraction(group: Mapping[str, Any] | None) -> str:

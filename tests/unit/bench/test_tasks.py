@@ -42,18 +42,17 @@ def test_the_table_states_what_the_lines_state(tmp_path):
         "episodes": 8,
         "tasks": dict.fromkeys(TASKS, summarise(own)),
         "together": together(dict.fromkeys(TASKS, own)),
-        "harsh": {"weigh": summarise(own[:8])},
+        "harsh": {"weigh": summarise(own[:8]), "pour": summarise(own[:1])},
         "weighed": {"objects": 0},
     }
     text = table(result)
     # Wilson's interval of 8 of 8 is 67.6 to 100 %
-    assert "| pour | 8 of 8 (68-100 %) |  |  | 4 of 8 (22-78 %) |  | +50 (" in text
-    assert "| weigh, `harsh` | 8 of 8 (68-100 %) |  |  |  |  |  |" in text
-    assert "| all 6 | 48 of 48 (93-100 %) |  |  | 24 of 48 (36-64 %) |  | +50 (" in text
-    assert (
-        "| grip force relative to required force, all tasks, median | 1.5 |  |  | 1.5 |  |" in text
-    )
-    assert "| pour | 0/0/0/0; 1.5 |  |  | 4/0/0/0; 1.5 |  |" in text
+    assert "| pour | 8 of 8 (68-100 %) | 4 of 8 (22-78 %) | +50 (" in text
+    assert "| weigh, `harsh` | 8 of 8 (68-100 %) |  |  |" in text
+    assert "pour, `harsh`" not in text  # one episode
+    assert "| all 6 | 48 of 48 (93-100 %) | 24 of 48 (36-64 %) | +50 (" in text
+    assert "| grip force relative to required force, all tasks, median | 1.5 | 1.5 |" in text
+    assert "| pour | 0/0/0/0; 1.5 | 4/0/0/0; 1.5 |" in text
     assert text.startswith("Level `synthetic`: ")
     # Wilson's interval of 5 of 5 is 56.6 to 100 %
     assert "| adaptive | 5 of 5 (57-100 %) | 5 / 5 | 1.5 / 1.5 |" in text
