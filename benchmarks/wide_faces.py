@@ -124,9 +124,9 @@ def table(result: Mapping[str, Any]) -> str:
         "Error: median on the default mesh to median on the finer mesh / largest. Beyond: loads "
         "whose error exceeds both the required one and 2 sd (in parentheses: without a flag).",
         "",
-        "| sensor | plate | largest force, N | loads | with pressure sensor: error, % | unknown | "
-        "beyond | without: error, % | unknown | beyond |",
-        "|---" * 10 + "|",
+        "| sensor | plate | largest force, N | with pressure sensor: error, % | unknown; beyond | "
+        "without: error, % | unknown; beyond |",
+        "|---" * 7 + "|",
     ]
     for key, group in itertools.groupby(
         sorted(result["rows"], key=_order), key=lambda row: (row["sensor"], row["plate"])
@@ -135,7 +135,6 @@ def table(result: Mapping[str, Any]) -> str:
         sensor, plate = key
         lines.append(
             f"| `{sensor}` | {plate} | {max(row['force_max_N'] for row in rows):.1f} | "
-            f"{sum(row['loads'] for row in rows if row['gauge'])} | "
             + " | ".join(
                 _cells([row for row in rows if row["gauge"] == gauge]) for gauge in ALLOWED
             )
@@ -158,7 +157,7 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> str:
     median = " to ".join(f"{100 * row['error_median']:.1f}" for row in rows)
     return (
         f"{median} / {100 * max(row['error_max'] for row in rows):.0f} | "
-        f"{sum(row['unknown'] for row in rows)} | {sum(row['beyond'] for row in rows)} "
+        f"{sum(row['unknown'] for row in rows)}; {sum(row['beyond'] for row in rows)} "
         f"({sum(row['unflagged'] for row in rows)})"
     )
 

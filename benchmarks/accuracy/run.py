@@ -260,9 +260,11 @@ def table(result: dict[str, Any]) -> str:
             for row in rows
             if name == "mesh" or value(row) != value(default)
         ]
+    shown = [row for rows in result["sweeps"].values() for row in rows]
     lines += [
         f"| Pareto front | {_pareto_value(row)} | {_errors_and_cost(row)}"
         for row in result["pareto"]
+        if row not in shown
     ]
     bulges = ", ".join(
         f"{_mesh(r)} "

@@ -293,16 +293,17 @@ _AXES = {
 def table(result: dict[str, Any]) -> str:
     """Markdown: outcomes and flags by axis, then every refused or failed case with its reason."""
     rows = result["cases"]
+    outcomes = [outcome for outcome in OUTCOMES if any(row["outcome"] == outcome for row in rows)]
     lines = [
         f"{len(rows)} cases: " + ", ".join(f"{n} {o}" for o, n in result["counts"].items()) + ".",
         "",
-        "| axis | " + " | ".join(OUTCOMES) + " | flags and stops: cases |",
-        "|---" * (len(OUTCOMES) + 2) + "|",
+        "| axis | " + " | ".join(outcomes) + " | flags and stops: cases |",
+        "|---" * (len(outcomes) + 2) + "|",
     ]
     for axis in dict.fromkeys(row["axis"] for row in rows):
         group = [row for row in rows if row["axis"] == axis]
         counts = Counter(row["outcome"] for row in group)
-        cells = " | ".join(str(counts[o] or "") for o in OUTCOMES)
+        cells = " | ".join(str(counts[o] or "") for o in outcomes)
         lines.append(f"| {_AXES.get(axis, axis)} | {cells} | {_flag_counts(group)} |")
     bad = [row for row in rows if row["outcome"] in ("refused", "FAILED")]
     if bad:
