@@ -341,9 +341,13 @@ def table(result: Mapping[str, Any]) -> str:
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in result["rows"]:
         by_name.setdefault(row["name"], []).append(row)
-    cells = {name: _cells(rows) for name, rows in by_name.items()}
+    cells = {name: _cells(rows) if _matters(rows) else [] for name, rows in by_name.items()}
     quiet = sum(not any(row) for row in cells.values())
-    lines = [f"{len(cells)} parameters; {quiet} change nothing here and are left out."]
+    small = ", ".join(LITTLE.values())
+    lines = [
+        f"{len(cells)} parameters; {quiet} change little or nothing here and are left out (below "
+        f"{small})."
+    ]
     defaults = DEFAULTS.to_dict()
     first = 0
     for columns in TABLES:
@@ -365,6 +369,16 @@ def table(result: Mapping[str, Any]) -> str:
 
 TABLES = (("force, mN", "sd factor", "markers", "images"), ("circles", "depth, um", "sd factor"))
 """Columns of each table; those without a change are left out."""
+
+
+def _matters(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Return True if half or twice the value changes a result by a limit or more."""
+    return any(
+        abs(row[key] - (key == "bar")) >= limit
+        for row in rows
+        for key, limit in _LIMITS.items()
+        if key in row
+    )
 
 
 def _cells(rows: Sequence[Mapping[str, Any]]) -> list[str]:
