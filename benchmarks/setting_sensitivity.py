@@ -343,7 +343,7 @@ def table(result: Mapping[str, Any]) -> str:
         by_name.setdefault(row["name"], []).append(row)
     cells = {name: _cells(rows) if _matters(rows) else [] for name, rows in by_name.items()}
     quiet = sum(not any(row) for row in cells.values())
-    small = ", ".join(LITTLE.values())
+    small = ", ".join(text for _, text in LITTLE.values())
     lines = [
         f"{len(cells)} parameters; {quiet} change little or nothing here and are left out (below "
         f"{small})."
@@ -367,6 +367,14 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+LITTLE = {
+    "force_N": (0.5e-3, "0.5 mN"),
+    "bar": (0.05, "5 % of the sd"),
+    "reported": (3, "3 images"),
+    "circles": (3, "3 circles"),
+    "depth_m": (10e-6, "10 um"),
+}
+"""Change below which a parameter has no row, and its text."""
 TABLES = (("force, mN", "sd factor", "markers", "images"), ("circles", "depth, um", "sd factor"))
 """Columns of each table; those without a change are left out."""
 
@@ -376,7 +384,7 @@ def _matters(rows: Sequence[Mapping[str, Any]]) -> bool:
     return any(
         abs(row[key] - (key == "bar")) >= limit
         for row in rows
-        for key, limit in _LIMITS.items()
+        for key, (limit, _) in LITTLE.items()
         if key in row
     )
 
