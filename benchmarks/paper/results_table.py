@@ -142,27 +142,23 @@ _TABLES: dict[Row, tuple[str, ...]] = {
 
 _TEXT = {
     "fig5a": (
-        "**Fig. 5a.** A cylinder (6 mm) driven in by 1 mm steps; mesh finer than the default. "
-        "dF = c dA of the paper is worse than claimed: with the valve closed, area grows with the "
-        "square of the depth and force linearly; with the valve open, area shrinks.",
+        "**Fig. 5a.** A cylinder (6 mm) driven in by 1 mm steps. dF = c dA is worse than claimed: "
+        "with the valve closed, area grows with the square of the depth; with the valve open, it "
+        "shrinks.",
     ),
     "fig5b": (
         "**Fig. 5b.** The same face, rigid and on a sponge. Left, as in the paper: membrane and "
-        "object in series. Right: after subtracting the observed membrane displacement.",
+        "object in series. Right: less the observed membrane displacement.",
     ),
-    "fig5c": ("**Fig. 5c.** Driven in at 2 mm/s, one image each 1/30 s, then held.",),
+    "fig5c": ("**Fig. 5c.** Driven in at 2 mm/s, then held.",),
     "fig6": (
-        "**Fig. 6.** Synthetic images of 16 circles in random poses. Other methods: "
+        "**Fig. 6.** 16 circles in random poses. Other methods: "
         "[marker accuracy](benchmarks/perception.md).",
     ),
-    "fig7": (
-        "**Fig. 7.** Three objects: camera image, estimated membrane, force on each node "
-        "(tangential forces with a minus sign, as in the paper).",
-    ),
+    "fig7": ("**Fig. 7.** Three objects: camera image, estimated membrane, nodal forces.",),
     "air": (
         "**Amount of air.** More pressure (above 1 kPa) or less air increases the force of the "
-        "first millimetre, as claimed, but motion resolution does not improve. Force resolution "
-        "is best with the valve open, motion resolution with the valve closed.",
+        "first millimetre, as claimed, but not the motion resolution.",
     ),
 }
 
@@ -171,8 +167,7 @@ def page(results: Mapping[str, Any], images: str) -> str:
     """Return the page docs/validation/paper.md."""
     parts = [
         "# Experiments of the paper",
-        f'This page repeats the experiments of {_PAPER} ("paper").',
-        "**Question.** Are the paper's accuracy and claims reproduced?",
+        f'**Question.** Are accuracy and claims of {_PAPER} ("paper") reproduced?',
         "**Setup.** Simulated sensors without calibration; the pipeline gets rendered images only "
         '(noise 2 DN, blur 0.7 px). "Load cell": simulated contact force.',
         table(results).strip(),

@@ -2,4 +2,4 @@
 
 CONTROLLERS = ("adaptive", "gentle", "slip_aware", "touchless")
 SHOWN = (*CONTROLLERS, "oracle")
-READY = "grip force relative to that required with the announced push, median"
+READY = "grip force relative to that with the announced push, median"
