@@ -322,18 +322,16 @@ def table(result: dict[str, Any]) -> str:
     lines += ["", f"| time | {names} |", "|---" * (len(times) + 1) + "|"]
     for name, key in _TIMES.items():
         lines.append(f"| {name}, us | {' | '.join(f'{t[key]:.0f}' for t in times)} |")
-    for size in (1, 8, 64, 256):
+    for size in (1, 64):
         each = (f"{1e6 / t['batch_per_s'][f'{size}, 1']:.0f}" for t in times)
         lines.append(
             f"| batch of {size} in equilibrium, one thread, us each | {' | '.join(each)} |"
         )
     gains = [t["batch_per_s"]["64, 2"] / t["batch_per_s"]["64, 1"] for t in times]
     ceilings = [t["ceiling"] for t in times]
-    shares = (100 * gain / maximum for gain, maximum in zip(gains, ceilings, strict=True))
     lines += [
         f"| batch of {quasistatic_times.AT_ONCE}: rate of two threads / one "
         f"| {_row(gains, '.2f')} |",
         f"| rate of two independent processes / one | {_row(ceilings, '.2f')} |",
-        f"| gain of threads relative to processes, % | {_row(shares, '.0f')} |",
     ]
     return "\n".join(lines) + "\n"

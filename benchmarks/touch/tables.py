@@ -66,13 +66,13 @@ def table(result: Mapping[str, Any]) -> str:
     """Return the result as Markdown, next to the requirements."""
     sensors = result["sensors"]
     lines = [
-        "| quantity | required | target | " + " | ".join(sensors) + " |",
-        "|---" * (3 + len(sensors)) + "|",
+        "| quantity | required (target) | " + " | ".join(sensors) + " |",
+        "|---" * (2 + len(sensors)) + "|",
     ]
 
     def line(quantity: str, asked: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
         lines.append(
-            f"| {quantity} | {asked} | {aim} | "
+            f"| {quantity} | {f'{asked} ({aim})' if aim else asked} | "
             + " | ".join(show(s) for s in sensors.values())
             + " |"
         )
