@@ -108,6 +108,18 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(skip)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Give a tested program one processor: other tests keep the other processors busy.
+
+    Each process imports for a second of processor time. Emulated devices take all processors.
+    """
+    if item.get_closest_marker("clock"):
+        os.environ.pop("PYTHON_CPU_COUNT", None)
+    else:
+        os.environ["PYTHON_CPU_COUNT"] = "1"
+
+
 def pytest_collection_finish():
     """Exclude all objects that exist before the first test from garbage collection."""
     gc.freeze()

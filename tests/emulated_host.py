@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from mjtactile.core import resources, scaled_clock
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
+from tests.patient import RATE, SLOWER
 
 WAIT = 300.0  # time-out in s; an idle computer needs a few seconds
 # largest drop, m, of a lift of 40 mm; the two heights are not read at exactly the same time
@@ -32,12 +34,28 @@ FALLEN = 0.010
 _CHECK_TIME = 0.03  # period of the check on the hardware's clock, s; a fall of 40 mm takes 0.09 s
 _TAIL = 40_000  # bytes of the log's end, in which there is a whole line
 _GENEROUS = (
+    ("rate_Hz", "30.0", str(RATE)),
     ("delay_ms", "8.0", "400.0"),
     ("reply_timeout_ms", "20", "100"),
     ("watchdog_ms", "200", "1200"),
     ("heartbeat_ms", "250", "1200"),
     ("host_timeout_ms", "1000", "2000"),
 )
+
+
+def emulated_rig(object_name: str = "egg") -> EmulatorProcess:
+    """Emulated hardware whose cameras have the rate of `rig_text`."""
+    rig_file = load_rig_file("emulated")
+    cameras = tuple(replace(camera, rate=RATE) for camera in rig_file.cameras)
+    return EmulatorProcess(replace(rig_file, cameras=cameras), SLOWER, object_name=object_name)
+
+
+def write_slower_sensor(folder: Path) -> str:
+    """Write the sensor `paper16` with that rate to a folder; return the file's name."""
+    text = resources.find("paper16", "models/sensors", ".toml").read_text(encoding="utf-8")
+    assert "rate_Hz = 30.0" in text
+    (folder / "slower.toml").write_text(text.replace("rate_Hz = 30.0", f"rate_Hz = {RATE}"))
+    return "slower.toml"
 
 
 def rig_text(emulator: EmulatorProcess) -> str:
@@ -95,7 +113,7 @@ class Host:
                 "--rig",
                 "rig.toml",
                 "--sensor",
-                "paper16",
+                write_slower_sensor(folder),
                 "--controller",
                 "mine.py",
                 "--frames",

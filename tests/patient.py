@@ -6,6 +6,9 @@ from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
 
 DESIGN = load_sensor("paper16")
+# Half of the usual images: two processors render and evaluate those of six emulated rigs.
+RATE = 15.0  # image rate of emulated cameras, Hz
+SLOWER = replace(DESIGN, camera=replace(DESIGN.camera, rate=RATE))
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")
 
 
@@ -13,7 +16,7 @@ def patient_rig_file():
     """The shipped emulated rig for a computer that has much else to do."""
     rig_file = load_rig_file("emulated")
     # stale only after 0.6 s
-    cameras = tuple(replace(camera, delay=0.5) for camera in rig_file.cameras)
+    cameras = tuple(replace(camera, delay=0.5, rate=RATE) for camera in rig_file.cameras)
     return replace(
         rig_file,
         bus=replace(rig_file.bus, reply_timeout=0.25, watchdog=2.5, host_timeout=5.0),

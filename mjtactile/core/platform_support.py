@@ -16,8 +16,13 @@ def is_supported() -> bool:
 
 
 def processors() -> int:
-    """Return the number of processors available to this process; all processors if this is
-    unknown."""
+    """Return the number of processors available to this process; all processors if this is unknown.
+
+    The environment variable PYTHON_CPU_COUNT replaces it, as in Python 3.13.
+    """
+    given = os.environ.get("PYTHON_CPU_COUNT", "")
+    if given.isdecimal() and int(given) > 0:
+        return int(given)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjtactile.core import platform_support
 from mjtactile.core.errors import DeviceError, MjtactileError
 from mjtactile.runtime.worker_process import Channel, WorkerProcess
 
@@ -79,9 +80,15 @@ class FigureWriter:
 
 @contextlib.contextmanager
 def figure_writer_process() -> Iterator[FigureWriter]:
-    """Start a process that plots the figure of a run; yields its `FigureWriter`."""
+    """Start a process that plots the figure of a run; yields its `FigureWriter`.
+
+    With one processor, a second process saves no time: this process then plots the figure.
+    """
     with contextlib.ExitStack() as stack:
         worker = None
+        if platform_support.processors() == 1:
+            yield FigureWriter(None)
+            return
         with contextlib.suppress(OSError):  # a computer that has no room for another process
             worker = WorkerProcess(__name__, "renders the figure")
             stack.callback(worker.close)

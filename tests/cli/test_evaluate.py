@@ -37,7 +37,7 @@ COMMON = [
 
 
 @pytest.mark.slow(10)
-def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, capsys):
+def test_interrupted_resumed_and_in_shards(tmp_path, command, capsys):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen(
         [sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "1", "--out", "one"],
@@ -56,14 +56,11 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     kept = episodes.read_text()
     with episodes.open("a") as file:
         file.write('{"episode": 1, "contr')  # a line that was cut off
-    monkeypatch.chdir(tmp_path)
-    assert main(["evaluate", *COMMON, "--out", "one"]) == 2
-    assert "--out: already holds an evaluation; --resume continues it" in capsys.readouterr().err
-    summary = json.loads(
-        mjtactile(
-            "evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json"
-        ).stdout
-    )
+    refused = command("evaluate", *COMMON, "--out", "one")
+    assert refused.returncode == 2
+    assert "--out: already holds an evaluation; --resume continues it" in refused.stderr
+    resume = ("--workers", "1", "--out", "one", "--resume", "--json")
+    summary = json.loads(command("evaluate", *COMMON, *resume).stdout)
     assert set(kept.splitlines()) <= set(episodes.read_text().splitlines())
     assert (
         summary["controllers"]["quick"]["episodes"] == 2
@@ -72,19 +69,9 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     assert list(summary["controllers"]["quick"]["objects"]) == ["vial", "egg"]
     report = (tmp_path / "one" / "report.html").read_text()
     assert report.count("data:image/png") == 1 and "mjtactile grasp --object" in report
-    for part in ("1/2", "2/2"):
-        mjtactile(
-            "evaluate",
-            *COMMON,
-            "--workers",
-            "2",
-            "--worst",
-            "0",
-            "--shard",
-            part,
-            "--out",
-            f"part{part[0]}",
-        )
+    for part, workers in (("1/2", 2), ("2/2", 1)):
+        words = ("--workers", workers, "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
+        assert command("evaluate", *COMMON, *words).returncode == 0
     assert main(["evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole"]) == 0
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     capsys.readouterr()
@@ -127,7 +114,7 @@ def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-def test_the_command_of_an_episode_samples_the_same_world(tmp_path, mjtactile):
+def test_the_command_of_an_episode_samples_the_same_world(tmp_path, command):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text(
         "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"
@@ -143,14 +130,14 @@ def test_the_command_of_an_episode_samples_the_same_world(tmp_path, mjtactile):
         "--randomization",
         "my.toml",
     ]
-    mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
+    command("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert (
         line["randomized"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"}
         and "--randomization=my.toml" in line["rerun_command"]
     )
     again = json.loads(
-        mjtactile(*shlex.split(line["rerun_command"])[1:], "--out", "again", "--json").stdout
+        command(*shlex.split(line["rerun_command"])[1:], "--out", "again", "--json").stdout
     )
     assert all(
         again[name] == line[name]

@@ -53,9 +53,8 @@ def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
     assert np.abs(off).max() < 3e-4
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 @pytest.mark.clock
-@pytest.mark.xdist_group("an emulated rig")
 def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_same(
     capsys, tmp_path
 ):

@@ -12,6 +12,7 @@ import pytest
 from mjtactile.recording.reader import load_recording
 
 GRASP = [sys.executable, "-m", "mjtactile", "grasp", "--sensor", "paper16", "--out", "result"]
+GRASP += ["--workers", "1"]  # a process that the signal must end, too
 WAIT = 600  # time limit for the start of the run on a heavily loaded computer, s
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 
 from mjtactile.kernels import build
+from tests.emulated_host import controller_text
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 # of one worker: it builds the wheel once
@@ -198,7 +199,10 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
         "mjtactile: benchmarks are not in the installed package; run them from a checkout of the "
         "project's source, folder 'benchmarks' (pip install --editable .)\n"
     )
+    quick = tmp_path / "quick.py"
+    quick.write_text(controller_text(hold=0.1))
     grasp = (mjtactile, "grasp", "--sensor", "paper16", "--json", "--out", "egg")
+    grasp += ("--controller", quick)
     summary = json.loads(run(*grasp, cwd=work)[0])
     assert summary["outcome"] == "held"
     assert {path.name for path in (work / "egg").iterdir()} == {

@@ -23,11 +23,13 @@ from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.replay.rig import ReplayGripper, build_replay_rig
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.registry import build_rig
-from tests.contract.test_rigs import ONE_EMULATOR, record
-from tests.patient import DESIGN, SIMULATED, patient_rig_file
+from tests.contract.test_rigs import record
+from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
 from tests.stub_rig import World
 
-EMULATED = pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow(20), ONE_EMULATOR])
+# group for one worker, since the emulator starts slowly
+ONE_EMULATOR = pytest.mark.xdist_group("commands of an emulated rig")
+EMULATED = pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow(8), ONE_EMULATOR])
 PERIOD = 1 / 30
 
 
@@ -38,7 +40,7 @@ def make(name, request):
     if name == "emulated":
         emulator = request.getfixturevalue("emulator")
         return build_emulated_rig(
-            patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+            patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
         )
     if name == "gym":
         env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-mesh,-pipeline")

@@ -9,10 +9,7 @@ import sys
 
 import pytest
 
-from mjtactile.core.design import load_sensor
-from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rig.file import load_rig_file
-from tests.emulated_host import host, shipped_with
+from tests.emulated_host import emulated_rig, host, shipped_with
 
 pytestmark = pytest.mark.clock
 
@@ -42,9 +39,7 @@ def _unused("""
 def test_servos_that_push_a_frame_are_reported_and_a_step_that_eats_the_memory_is_refused(tmp_path):
     path = tmp_path / "board.xml"
     path.write_text(BOARD)
-    emulator = EmulatorProcess(
-        load_rig_file("emulated"), load_sensor("paper16"), object_name=str(path)
-    )
+    emulator = emulated_rig(str(path))
     text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, TARGET_FORCE=0.35)
     text = text.replace("def _hold(", GREEDY)
     try:

@@ -8,15 +8,13 @@ import math
 
 import pytest
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.scenario import Scenario
-from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rig.file import load_rig_file
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.studio.session_bridge import RED_BUTTON, SessionBridge
-from tests.emulated_host import controller_text, rig_text
+from tests.emulated_host import controller_text, emulated_rig, rig_text
+from tests.patient import SLOWER
 
 pytestmark = pytest.mark.clock
 
@@ -36,10 +34,8 @@ class Pressed(SessionBridge):
 
 
 @pytest.fixture
-def emulator(half_speed):
-    process = EmulatorProcess(
-        load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0
-    )
+def emulator():
+    process = emulated_rig()
     yield process
     process.close()
 
@@ -49,7 +45,7 @@ def test_the_red_button_while_holding_sets_down_releases_and_vents(emulator, tmp
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
     bridge = Pressed()
-    scenario = Scenario(sensor="paper16", rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
+    scenario = Scenario(sensor=SLOWER, rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
     controller = bridge.take_over(load_controller(tmp_path / "mine.py"))
     with pytest.raises(DeviceError, match=RED_BUTTON):
         run_grasp(scenario, [bridge], controller=controller)

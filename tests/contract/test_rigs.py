@@ -35,7 +35,7 @@ from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.pipeline import SensingPipeline
-from tests.patient import DESIGN, SIMULATED, patient_rig_file
+from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
 
 CYCLES = 12
 # group for one worker, since the emulator starts slowly; slow tests on it have groups of their own
@@ -103,7 +103,7 @@ def rig(request):
     elif request.param == "emulated":
         emulator = request.getfixturevalue("emulator")
         rig = build_emulated_rig(
-            patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+            patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
         )
     else:
         rig = build_replay_rig(str(request.getfixturevalue("recording_folder")))
@@ -120,7 +120,7 @@ def test_its_parts_are_what_the_protocols_state(rig):
     assert all(isinstance(valve, Valve) for valve in rig.valves)
     assert isinstance(rig.gripper, Gripper)
     assert isinstance(rig.clock, Clock)
-    assert rig.period == pytest.approx(1 / DESIGN.camera.rate)
+    assert rig.period == pytest.approx(1 / rig.fingers[0].design.camera.rate)
 
 
 def test_the_loop_runs_on_it(rig, tmp_path):
@@ -343,7 +343,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
 @ONE_EMULATOR
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(
-        patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+        patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
     )
     try:
         rig.valves[0].open(1000.0)

@@ -21,11 +21,15 @@ import termios
 import pytest
 
 from mjtactile.core import scaled_clock
-from mjtactile.core.design import load_sensor
-from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rig.file import load_rig_file
 from tests.emulated import wait_for
-from tests.emulated_host import WAIT, controller_text, host, rig_text
+from tests.emulated_host import (
+    WAIT,
+    controller_text,
+    emulated_rig,
+    host,
+    rig_text,
+    write_slower_sensor,
+)
 
 pytestmark = pytest.mark.clock
 
@@ -60,9 +64,7 @@ FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrup
 @pytest.fixture
 def emulator():
     """Its own for each test: the egg stands and the jaws are open."""
-    process = EmulatorProcess(
-        load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0
-    )
+    process = emulated_rig()
     yield process
     process.close()
 
@@ -203,6 +205,7 @@ def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, t
 @pytest.mark.clock(15)
 def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
+    sensor = write_slower_sensor(tmp_path)
     process = subprocess.Popen(
         [
             sys.executable,
@@ -212,7 +215,7 @@ def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
             "--rig",
             "rig.toml",
             "--sensor",
-            "paper16",
+            sensor,
             "--seconds",
             "60",
             "--out",

@@ -15,10 +15,10 @@ from tests.emulated_host import shipped_with
 @pytest.fixture
 def sensor(tmp_path):
     """Write the dense sensor with a lower image rate: the estimates are the same, in less time."""
-    path = tmp_path / "dense20.toml"
+    path = tmp_path / "slower.toml"
     text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
     assert "rate_Hz = 30.0" in text
-    path.write_text(text.replace("rate_Hz = 30.0", "rate_Hz = 20.0"), encoding="utf-8")
+    path.write_text(text.replace("rate_Hz = 30.0", "rate_Hz = 12.0"), encoding="utf-8")
     return path
 
 

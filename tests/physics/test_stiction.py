@@ -77,7 +77,7 @@ def test_held_shear_stays(timestep):
     world.press(2e-3, 3e-4)
     world.step(round(0.5 / timestep))
     before = mean_shear(world)
-    world.step(round(3.0 / timestep))  # the time constant was 1 s at 4 ms
+    world.step(round(1.0 / timestep))  # the time constant was 1 s at 4 ms
     assert mean_shear(world) == pytest.approx(before, rel=5e-3)
 
 
@@ -174,8 +174,9 @@ def test_a_sleeping_sensor_gets_no_torque():
     assert not world.data.xfrc_applied.any()
 
 
-@pytest.mark.parametrize("timestep", [2.08e-3, 4e-3, 6.67e-3])
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize(
+    ("count", "timestep"), [(1, 2.08e-3), (1, 6.67e-3), (2, 4e-3), (4, 2.08e-3), (4, 6.67e-3)]
+)
 def test_a_face_of_several_boxes_rests_as_one_box(count, timestep):
     """The mean force is the weight at any partition of the face. The solver's tolerance moves it by
     0.2 %; contacts that are found a step late by 5 to 60 %."""
@@ -185,8 +186,17 @@ def test_a_face_of_several_boxes_rests_as_one_box(count, timestep):
     assert forces.std() < 0.005 * 0.6
 
 
-@pytest.mark.parametrize("timestep", [2.08e-3, 4e-3, 6.67e-3])
-@pytest.mark.parametrize(("speed", "weight"), [(0.01, 0.6), (0.03, 0.6), (0.05, 0.2), (0.05, 2.0)])
+@pytest.mark.parametrize(
+    ("speed", "weight", "timestep"),
+    [
+        (0.01, 0.6, 4e-3),
+        (0.03, 0.6, 2.08e-3),
+        (0.03, 0.6, 6.67e-3),
+        (0.05, 0.2, 2.08e-3),
+        (0.05, 0.2, 6.67e-3),
+        (0.05, 2.0, 4e-3),
+    ],
+)
 def test_a_face_slides_as_quietly_as_it_rests(speed, weight, timestep):
     """The normal force is the weight in every step: the object does not move along the normal.
 

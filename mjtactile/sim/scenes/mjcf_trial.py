@@ -77,7 +77,7 @@ def _is_heavy(root: ElementTree.Element) -> bool:
 @lru_cache(256)
 def _tried(path: Path, *_state: int) -> str:
     """Return the outcome of a trial, once for each state of the file."""
-    child = process.start(__name__, path, TIME, talk=True)
+    child = process.start(__name__, path, TIME, MEMORY, talk=True)
     try:
         text, _ = child.communicate(timeout=scaled_clock.wall(_WAIT))
     except subprocess.TimeoutExpired:
@@ -91,12 +91,13 @@ def _tried(path: Path, *_state: int) -> str:
     return f"{_TOO_MUCH}, or MuJoCo fails to read it ({process.how_it_ended(child)})"
 
 
-def main(path: str, seconds: str) -> None:
+def main(path: str, seconds: str, memory: str) -> None:
     """Read and compile the file in this process, with the limits; write the outcome to stdout.
 
     Args:
         path: Path of the file.
         seconds: Maximum processor time, s.
+        memory: Maximum additional memory, bytes.
     """
     import mujoco
 
@@ -107,7 +108,7 @@ def main(path: str, seconds: str) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (maximum, maximum + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     outcome = ""
-    with memory_limit.limited(MEMORY) as limit:
+    with memory_limit.limited(int(memory)) as limit:
         limit()
         try:
             _require_files(Path(path), set())

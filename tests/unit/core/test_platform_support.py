@@ -22,14 +22,28 @@ def without(name, monkeypatch):
     monkeypatch.delattr(os, name, raising=False)
 
 
-def test_processors_that_this_process_may_use():
+@pytest.fixture
+def all_processors(monkeypatch):
+    monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
+
+
+@pytest.mark.parametrize(("given", "expected"), [("3", 3), ("1", 1), ("", 6), ("0", 6), ("two", 6)])
+def test_processors_that_the_environment_gives(monkeypatch, given, expected):
+    """As in Python 3.13; another text is ignored."""
+    without("sched_getaffinity", monkeypatch)
+    monkeypatch.setattr(os, "cpu_count", lambda: 6)
+    monkeypatch.setenv("PYTHON_CPU_COUNT", given)
+    assert platform_support.processors() == expected
+
+
+def test_processors_that_this_process_may_use(all_processors):
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     assert platform_support.processors() == allowed
 
 
 @pytest.mark.parametrize(("there", "expected"), [(6, 6), (None, 1)])
 def test_processors_where_the_system_does_not_report_which_are_allowed(
-    monkeypatch, there, expected
+    monkeypatch, all_processors, there, expected
 ):
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: there)

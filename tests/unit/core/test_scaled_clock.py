@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from mjtactile.cli import main
 from mjtactile.core import scaled_clock
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
@@ -50,13 +51,19 @@ def test_processes_that_are_started_inherit_it(five):
 
 
 @pytest.mark.parametrize("text", ["fast", "0.5", "nan", "inf", ""])
-def test_what_is_no_pace(text):
+def test_what_is_no_pace(monkeypatch, text):
+    monkeypatch.setenv("MJTACTILE_TIME_SCALE", text)
+    with pytest.raises(InputError, match="MJTACTILE_TIME_SCALE"):
+        scaled_clock._from_environment()
+
+
+def test_what_is_no_pace_is_one_line():
     done = subprocess.run(
         [sys.executable, "-m", "mjtactile", "emulate", "--faults", "meteorite"],
         check=False,
         text=True,
         capture_output=True,
-        env={**os.environ, "MJTACTILE_TIME_SCALE": text},
+        env={**os.environ, "MJTACTILE_TIME_SCALE": "fast"},
     )
     assert (
         done.returncode == 2
@@ -69,14 +76,9 @@ def test_what_is_no_pace(text):
     "arguments",
     [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--time-scale", "0.1")],
 )
-def test_only_the_emulated_rig_is_slow(arguments):
-    done = subprocess.run(
-        [sys.executable, "-m", "mjtactile", "grasp", "--time-scale", "3", *arguments],
-        check=False,
-        text=True,
-        capture_output=True,
-    )
-    assert done.returncode == 2 and "--time-scale" in done.stderr
+def test_only_the_emulated_rig_is_slow(capsys, arguments):
+    assert main(["grasp", "--time-scale", "3", *arguments]) == 2
+    assert "--time-scale" in capsys.readouterr().err
 
 
 def test_real_servos_have_a_clock_of_their_own(five):

@@ -282,8 +282,15 @@ def test_bad_input(capsys, options, words):
     assert words in capsys.readouterr().err
 
 
+@pytest.fixture
+def fewer_loads(monkeypatch):
+    """Score a sensor at one of its three positions, with two of the balls."""
+    monkeypatch.setattr(score_module, "_PLACES", score_module._PLACES[:1])
+    monkeypatch.setattr(score_module, "RADII", (4e-3, 12e-3))
+
+
 @pytest.mark.slow(10)
-def test_a_requirement_becomes_sensor_files(tmp_path, capsys):
+def test_a_requirement_becomes_sensor_files(tmp_path, capsys, fewer_loads):
     options = ["--sensor", "paper16", "--edge-mm", "0.3", "--count", "2", "--json"]
     assert main(["design", *options, "--out", str(tmp_path / "out")]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -296,7 +303,7 @@ def test_a_requirement_becomes_sensor_files(tmp_path, capsys):
 
 
 @pytest.mark.slow(10)
-def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch):
+def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads):
     # nine places, and one of the changes that are all scored alike
     monkeypatch.setattr(predict_file, "_SPACING", 20e-3)
     variants = predict_file.variants

@@ -101,12 +101,12 @@ def test_nothing_stands_out_by_accident():
     out."""
     rng = np.random.default_rng(3)
     seen = 0
-    for seed in range(100):
+    for seed in range(40):
         table = lines(60, seed=seed)
         for line, held in zip(table, rng.permutation([True] * 50 + [False] * 10), strict=True):
             line["outcome"] = "held" if held else "dropped"
         seen += any(one["stands_out"] for one in against(table))
-    assert seen <= 12  # 5 expected; 3 sd more
+    assert seen <= 6  # 2 expected; 3 sd more
 
 
 def test_both_controllers_are_binned_alike_and_errors_left_out():

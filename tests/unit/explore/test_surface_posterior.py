@@ -97,6 +97,13 @@ def explored(believed):
     return patches, surfaces[0]
 
 
+@pytest.fixture(scope="module")
+def touched_once(believed):
+    """The first patch, and the most probable surface of it alone."""
+    patches = believed[0][:1]
+    return patches, fuse(patches)[0]
+
+
 def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(believed):
     patches, surfaces = believed
     assert surfaces[0].family.name == "ellipsoid"
@@ -200,9 +207,9 @@ def test_six_patches_determine_an_ellipsoid(explored):
     assert sorted(np.exp(surface.theta[6:9])) == pytest.approx([10, 12, 16], rel=0.015)
 
 
-def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored):
+def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored, touched_once):
     patches, surface = explored
-    one = fuse(patches[:1])[0]
+    _, one = touched_once
     touched, untouched = patches[0].center[None], (2 * PLACE - patches[0].center)[None]
     assert one.distance_sd(touched)[0] < 1e-4  # sd of the patch itself, m
     assert one.distance_sd(untouched)[0] > 2e-3  # never touched
@@ -210,18 +217,18 @@ def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored):
     assert unknown().distance_sd(touched)[0] > 5e-3
 
 
-def test_the_next_touch_is_on_the_far_side(explored):
-    patches, _ = explored
-    mesh = mesh_of(fuse(patches[:1])[0], 2e-3)
-    aim = next_aim(mesh, patches[:1], [], lambda aim: True)
+def test_the_next_touch_is_on_the_far_side(touched_once):
+    patches, one = touched_once
+    mesh = mesh_of(one, 2e-3)
+    aim = next_aim(mesh, patches, [], lambda aim: True)
     assert aim is not None
     assert aim.n_H @ patches[0].normal < 0
     assert np.linalg.det(aim.R_SH()) == pytest.approx(1.0)
     # the target's normal points at the sensor: down in S
     assert aim.R_SH() @ aim.n_H == pytest.approx([0, 0, -1], abs=1e-12)
-    above = next_aim(mesh, patches[:1], [], lambda aim: aim.n_H[2] > 0)
+    above = next_aim(mesh, patches, [], lambda aim: aim.n_H[2] > 0)
     assert above is not None and above.n_H[2] > 0
-    assert next_aim(mesh, patches[:1], [], lambda aim: False) is None
+    assert next_aim(mesh, patches, [], lambda aim: False) is None
 
 
 def test_the_mesh_is_closed_and_has_the_ellipsoids_volume(explored):

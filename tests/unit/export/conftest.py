@@ -11,7 +11,7 @@ from mjtactile.runtime.session import open_session
 from tests.fake_run import fake_cycle, write_fake_recording
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def pair(tmp_path_factory):
     """Two made-up grasps of two fingers; in the second a force is unknown."""
     runs = tmp_path_factory.mktemp("pair")
@@ -26,7 +26,7 @@ def pair(tmp_path_factory):
     return runs
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def press(tmp_path_factory):
     """Record a whole simulated sensor under load; its images can be evaluated again."""
     folder = tmp_path_factory.mktemp("press") / "recording"
@@ -39,7 +39,7 @@ def press(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def estimated(tmp_path_factory):
     """Record two fingers of a stationary simulated rig, with their touches."""
     folder = tmp_path_factory.mktemp("felt") / "recording"

@@ -40,29 +40,33 @@ def true():
     return replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6, pre_stretch=1.04))
 
 
-def test_two_pressures_determine_modulus_and_pre_stretch(true):
+PRESSURES = (500.0, 3000.0)
+
+
+@pytest.fixture(scope="module")
+def two_pressures(true):
+    """Images at two pressures, and their fit."""
+    evidence = [evidence_of(true, p) for p in PRESSURES]
+    return evidence, fit_membrane(DESIGN, evidence, known={}, options=FitOptions(mesh=MESH))
+
+
+def test_two_pressures_determine_modulus_and_pre_stretch(two_pressures):
     """Two pressures determine modulus and pre-stretch, and the covariance covers the error.
 
     Tension holds the membrane at 0.5 kPa, the modulus at 3 kPa. With heights of 1-4 mm known to a
     few um each, both are known to a percent or two.
     """
-    found = fit_membrane(
-        DESIGN,
-        [evidence_of(true, p) for p in (500.0, 3000.0)],
-        known={},
-        options=FitOptions(mesh=MESH),
-    )
+    _, found = two_pressures
     assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
     assert found.values["pre_stretch"] == pytest.approx(1.04, abs=0.002)
     off = np.array([found.values["young"] - 1.2e6, found.values["pre_stretch"] - 1.04])
     assert off @ np.linalg.solve(found.cov[:2, :2], off) < 9.2  # 99 % of two numbers
 
 
-def test_a_start_near_the_solution_changes_nothing(true):
+def test_a_start_near_the_solution_changes_nothing(two_pressures):
     """The result is that of the file's start, within a fraction of the sd."""
     options = FitOptions(mesh=MESH)
-    evidence = [evidence_of(true, p) for p in (500.0, 3000.0)]
-    far = fit_membrane(DESIGN, evidence, known={}, options=options)
+    evidence, far = two_pressures
     start = {"young": 1.19e6, "pre_stretch": 1.0405}
     near = fit_membrane(DESIGN, evidence, known={}, options=options, start=start)
     sd = np.sqrt(np.diag(far.cov))
@@ -196,14 +200,12 @@ def test_a_step_near_the_solution_keeps_the_jacobian():
     assert near.x == pytest.approx(far.x, abs=1e-3)
 
 
-def test_a_coarse_mesh_is_found_and_covered(true):
+def test_a_coarse_mesh_is_found_and_covered(true, two_pressures):
     """A sensor with a finer mesh than that of the fit: the discretization error is found, and the
     intervals cover the parameters. It has the sign of a finer mesh."""
-    pressures = (500.0, 3000.0)
-    coarse = [evidence_of(true, p) for p in pressures]
-    fine = [evidence_of(true, p, finer_mesh(MESH)[0]) for p in pressures]
-    options = FitOptions(mesh=MESH)
-    same, other = (fit_membrane(DESIGN, e, known={}, options=options) for e in (coarse, fine))
+    fine = [evidence_of(true, p, finer_mesh(MESH)[0]) for p in PRESSURES]
+    _, same = two_pressures
+    other = fit_membrane(DESIGN, fine, known={}, options=FitOptions(mesh=MESH))
     row = same.names.index(DISCRETIZATION)
     assert abs(same.discretization) < 2 * np.sqrt(same.cov[row, row])
     assert other.discretization - same.discretization > 0.2

@@ -50,7 +50,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
 def test_a_press_that_is_held_and_let_go_states_what_fades(tmp_path, capsys):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     assert "rate_Hz = 30.0" in text
-    text = text.replace("rate_Hz = 30.0", "rate_Hz = 15.0")  # half of the images suffice
+    text = text.replace("rate_Hz = 30.0", "rate_Hz = 10.0")  # a third of the images suffice
     (tmp_path / "nominal.toml").write_text(text)
     terms = ((0.05, 1.0), (0.05, 10.0), (0.05, 100.0))
     section = f"\n[relaxation]\nterms_s = {[list(term) for term in terms]}\n"

@@ -40,38 +40,37 @@ SUMMARY = {
 }
 
 
-def render(folder, snapshot, scene=None):
-    report.write_figure(folder / "summary.png", load_recording(folder), snapshot, SUMMARY, scene)
+def render(recording, snapshot, scene=None):
+    folder = recording.folder
+    report.write_figure(folder / "summary.png", recording, snapshot, SUMMARY, scene)
     image = cv2.imread(str(folder / "summary.png"))
     assert image.shape[0] > 600 and image.std() > 10
     assert not list(folder.glob("*.part"))
 
 
-@pytest.mark.parametrize("break_force", [0.9, 2.5, None])
-def test_a_complete_run(tmp_path, break_force):
-    cycles = write_fake_recording(tmp_path, count=60)
+@pytest.mark.parametrize(
+    ("break_force", "fingers", "scene"), [(0.9, 1, True), (2.5, 2, False), (None, 3, True)]
+)
+def test_a_run_of_any_number_of_fingers_with_its_scene_and_without(
+    tmp_path, break_force, fingers, scene
+):
+    cycle = write_fake_recording(tmp_path, count=60)[40]
+    cycle = replace(cycle, touch=(cycle.touch[0],) * fingers, images=(cycle.images[0],) * fingers)
     recording = load_recording(tmp_path)
     recording.notes["break_force_N"] = break_force
-    render(tmp_path, cycles[40])
-
-
-@pytest.mark.parametrize("fingers", [1, 2, 3])
-def test_a_run_with_its_scene_and_any_number_of_fingers(tmp_path, fingers):
-    cycles = write_fake_recording(tmp_path, count=60)
-    cycle = cycles[40]
-    cycle = replace(cycle, touch=(cycle.touch[0],) * fingers, images=(cycle.images[0],) * fingers)
-    render(tmp_path, cycle, FakeScene(fingers))
+    render(recording, cycle, FakeScene(fingers) if scene else None)
 
 
 def test_a_run_without_a_cycle(tmp_path):
     Recorder(tmp_path, {}).close()
-    render(tmp_path, None)
+    render(load_recording(tmp_path), None)
 
 
 @pytest.mark.parametrize("alive", [True, False])
 def test_a_process_beside_the_run_renders_the_same_and_one_that_ended_is_not_missed(
-    tmp_path, alive
+    tmp_path, monkeypatch, alive
 ):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     cycles = write_fake_recording(tmp_path, count=20)
     shots = []
     with figure_writer_process() as beside:
@@ -95,13 +94,22 @@ def test_without_room_for_a_process_it_is_rendered_here(tmp_path, monkeypatch):
         raise BlockingIOError("no more processes")
 
     write_fake_recording(tmp_path, count=3)
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     monkeypatch.setattr(process, "start", refuse)
     with figure_writer_process() as beside:
         beside(tmp_path / "summary.png", load_recording(tmp_path), None, SUMMARY)
     assert (tmp_path / "summary.png").exists()
 
 
-def test_what_the_process_fails_with_is_reported_here(tmp_path):
+def test_with_one_processor_there_is_no_second_process(monkeypatch):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "1")
+    monkeypatch.setattr(process, "start", None)  # would raise
+    with figure_writer_process() as beside:
+        assert beside._worker is None
+
+
+def test_what_the_process_fails_with_is_reported_here(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     write_fake_recording(tmp_path, count=3)
     with figure_writer_process() as beside, pytest.raises(FileNotFoundError, match="no/such"):
         beside(tmp_path / "no/such/summary.png", load_recording(tmp_path), None, SUMMARY)
@@ -125,7 +133,7 @@ def test_a_run_that_estimated_nothing_known(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         for i in range(3):
             recorder.add(fake_cycle(i, force=np.nan))
-    render(tmp_path, recorder.snapshot)
+    render(load_recording(tmp_path), recorder.snapshot)
 
 
 def test_without_matplotlib_there_is_one_clear_line(tmp_path, monkeypatch):

@@ -251,7 +251,8 @@ def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.py").write_text(QUICK)
     rig = rig_with(tmp_path / "rig.toml", **dict.fromkeys(fingers, "paper16"))
-    code = main(["grasp", "--rig", rig, "--controller", "quick.py", "--out", "run", "--json"])
+    words = ["--rig", rig, "--controller", "quick.py", "--out", "run", "--json"]
+    code = main(["grasp", *words])
     summary = json.loads(capsys.readouterr().out)
     assert code == 1  # it only looked
     assert summary["sensor"] == ("dense, paper16" if len(fingers) == 1 else "paper16")

@@ -188,7 +188,11 @@ def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
     )
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     scenario = Scenario(
-        object=str(tube), effects="-images", controller=str(tmp_path / "quick.py"), time_limit=20.0
+        object=str(tube),
+        sensor="paper16",
+        effects="-images",
+        controller=str(tmp_path / "quick.py"),
+        time_limit=20.0,
     )
     result = run_grasp(scenario)
     assert result.outcome == "not held: set down"  # the tube still stands

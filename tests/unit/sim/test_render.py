@@ -77,7 +77,9 @@ def cast(design, p_SM, n_S, corner, size, blur):
         np.abs(flat[:, 1]) < design.frame.width / 2
     )
     gray = np.where(inner, design.leds.membrane_dn, 0.45 * design.leds.membrane_dn)
-    for center, n in zip(p_SM, n_S, strict=True):
+    # a marker 6 mm above the plane appears less than 8 mm aside
+    near = np.linalg.norm(p_SM[:, :2] - flat[:, :2].mean(axis=0), axis=1) < 12e-3
+    for center, n in zip(p_SM[near], n_S[near], strict=True):
         hit = p + d * (((center - p) @ n) / (d @ n))[:, None]
         gray[((hit - center) ** 2).sum(axis=1) < design.markers.radius**2] = design.leds.marker_dn
     gray = gray.reshape(len(v), len(u))
