@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -52,10 +53,8 @@ def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -
         low = np.floor(rim.min(axis=0)).astype(int) - margin
         high = np.ceil(rim.max(axis=0)).astype(int) + margin
         fine = _fill((rim - low + 0.5) * SUPER, (high - low + 1) * SUPER)
-        if blur_px > 0:
-            fine = cv2.GaussianBlur(fine, (0, 0), blur_px * SUPER, borderType=cv2.BORDER_REPLICATE)
-        height, width = (high - low + 1)[::-1]
-        patch = fine.reshape(height, SUPER, width, SUPER).mean(axis=(1, 3))
+        columns, rows = (_pixels_of_cells(count, blur_px) for count in (high - low + 1).tolist())
+        patch = rows @ fine @ columns.T
         v0 = max(low[1], 0)
         v1 = min(high[1] + 1, camera.height)
         u0 = max(low[0], 0)
@@ -63,6 +62,18 @@ def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -
         if v1 > v0 and u1 > u0:
             total[v0:v1, u0:u1] += patch[v0 - low[1] : v1 - low[1], u0 - low[0] : u1 - low[0]]
     return np.minimum(total, 1.0)
+
+
+@lru_cache(64)
+def _pixels_of_cells(count: int, blur_px: float) -> Array:
+    """Matrix (count, count * SUPER) that blurs a line of fine cells and averages those of each
+    pixel."""
+    lines = np.eye(count * SUPER)
+    if blur_px > 0:
+        size = round(8 * blur_px * SUPER + 1) | 1  # four sd on each side
+        kernel = cv2.getGaussianKernel(size, blur_px * SUPER)
+        lines = cv2.sepFilter2D(lines, -1, np.ones(1), kernel, borderType=cv2.BORDER_REPLICATE)
+    return lines.reshape(count, SUPER, -1).mean(axis=1)
 
 
 def _fill(polygon: Array, size: NDArray) -> Array:

@@ -105,7 +105,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert opening > 0.04
 
 
-@pytest.mark.slow(70)
+@pytest.mark.slow(40)
 @pytest.mark.xdist_group("its air")
 @pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_path, monkeypatch):
@@ -156,7 +156,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
     assert pressures[held].max() == pytest.approx(2000.0, abs=100)
 
 
-@pytest.mark.slow(100)
+@pytest.mark.slow(60)
 @pytest.mark.xdist_group("a task")
 @pytest.mark.clock
 def test_adaptive_does_a_task_on_the_emulated_rig(emulator):

@@ -40,7 +40,7 @@ def emulator():
     process.close()
 
 
-@pytest.mark.slow(30)
+@pytest.mark.slow(25)
 def test_the_red_button_while_holding_sets_down_releases_and_vents(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
