@@ -37,7 +37,7 @@ COMMON = [
 
 
 @pytest.mark.slow(10)
-def test_interrupted_resumed_and_in_shards(tmp_path, command, capsys):
+def test_interrupted_resumed_and_in_shards(tmp_path, command):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen(
         [sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "1", "--out", "one"],
@@ -72,11 +72,12 @@ def test_interrupted_resumed_and_in_shards(tmp_path, command, capsys):
     for part, workers in (("1/2", 2), ("2/2", 1)):
         words = ("--workers", workers, "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
         assert command("evaluate", *COMMON, *words).returncode == 0
-    assert main(["evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole"]) == 0
+    merge = ("--merge", "part2", "part1", "--worst", "0", "--out", "whole")
+    assert command("evaluate", *merge).returncode == 0
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
-    capsys.readouterr()
-    assert main(["evaluate", *COMMON[:-1], "8", "--out", "one", "--resume"]) == 2
-    assert "was started with different options: scenario.seed " in capsys.readouterr().err
+    refused = command("evaluate", *COMMON[:-1], "8", "--out", "one", "--resume")
+    assert refused.returncode == 2
+    assert "was started with different options: scenario.seed " in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,12 @@ def test_a_grasp_goes_on_when_both_cameras_are_shifted(tmp_path, sensor):
     quick = tmp_path / "quick.py"
     quick.write_text(controller_text(hold=0.2))
     scenario = Scenario(
-        object="egg", sensor=design, controller=str(quick), seed=6, randomization=str(path)
+        object="egg",
+        sensor=design,
+        effects="-mesh",
+        controller=str(quick),
+        seed=6,
+        randomization=str(path),
     )
     errors = Errors()
     result = run_grasp(scenario, [errors])
