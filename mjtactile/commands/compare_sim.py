@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from pathlib import Path
 
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
-from mjtactile.core import platform_support
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 from mjtactile.sim_comparison.discrepancy_parameters import CAUSES
@@ -50,7 +50,7 @@ ARGUMENTS = (
     arg.option(
         "--workers N",
         "number of simulation processes (default: half of the processors)",
-        max(1, platform_support.processors() // 2),
+        max(1, (os.cpu_count() or 1) // 2),
         type=arg.integer(1, 64),
     ),
     arg.out("folder for the HTML report and its numbers"),
