@@ -39,14 +39,13 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 	[ -f build/docs/egg/summary.html ] || $(BIN)/mjtactile grasp --frames none --out build/docs/egg
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-# The tests are in two tiers. The first says within five minutes whether what users do works; the second has what takes long
-# to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
-# if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
-# are processors, and nothing that computes beside them, not even at the lowest priority: valves then answer late. So few of
-# the first tier's compute that they go eight at a time; of whole rigs six keep both processors busy. A browser without a
-# graphics card wants two processors for itself.
-# Each worker reads all files that it is given: those that have the mark are enough, and for the first tier those that are
-# not slow or clock as a whole (`pytestmark`). MuJoCo Warp takes 3 s to import and is among these.
+# The tests have two tiers. The first checks what users do, within five minutes. The second has the tests marked `slow`: they
+# take more than about 3 s of a processor or of waiting, and a quicker test detects a complete failure. Tests marked `clock`
+# use emulated devices and mostly wait: more of them run at a time than there are processors. No other computation may run at
+# the same time, not even at the lowest priority, since valves would answer late. Few tests of the first tier compute, so that
+# eight run at a time; six whole rigs use both processors. A browser without a graphics card needs two processors.
+# Each worker reads all given files. Only those that contain the mark are given, and the first tier omits files that are slow
+# or clock as a whole (`pytestmark`), since the import of MuJoCo Warp takes 3 s.
 FIRST = -n 2 -m 'not slow and not clock and not browser' $(wholly)
 FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
 SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
@@ -60,13 +59,13 @@ test: first  ## lint, import contracts, and the tests of what users do (below 5 
 
 test-all: test slow  ## all that CI runs: `make test`, then types and the other tests (below 10 minutes)
 
-# Types beside the tests: pyright has one processor busy while it begins, pytest while it collects. It takes a fifth of
-# what the first tier takes, and says nothing of whether what users do works: so here.
+# Types run at the same time as the tests: pyright uses one processor while it starts, pytest while it collects. Types take a
+# fifth of the time of the first tier and do not show that a command fails, so they are in the second.
 slow: $(VENV)/.test-ready  ## what `make test` leaves out: types, long tests, and whole rigs of emulated hardware
 	$(PYRIGHT) & types=$$!; $(BIN)/pytest $(SECOND) || { kill $$types; exit 1; }; wait $$types
 	$(BIN)/pytest $(SECOND_CLOCK)
 
-# Lint and contracts at the same time: each has one processor busy.
+# Lint and contracts run at the same time: each uses one processor.
 first: $(VENV)/.test-ready
 	$(MAKE) --no-print-directory -j2 lint contracts
 	$(BIN)/pytest $(FIRST)
@@ -90,7 +89,7 @@ sanitize: $(VENV)/.test-ready  ## the kernels' tests, and chains with settings d
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
-# Three steps, each remade when what it depends on changes: an empty environment, what a run needs, what tests need.
+# Three steps, each repeated when its inputs change: an empty environment, packages of a run, packages of the tests.
 $(VENV)/bin/python:
 	@[ -n "$(PYTHON)" ] || { echo "make: no Python 3.11 or newer found; set PYTHON=/path/to/python" >&2; exit 2; }
 	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 \
