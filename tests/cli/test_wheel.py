@@ -15,6 +15,7 @@ import sys
 import sysconfig
 import tarfile
 import zipfile
+from importlib.util import cache_from_source
 from pathlib import Path
 
 import pytest
@@ -93,11 +94,15 @@ def link_locked(site):
         distribution = importlib.metadata.distribution(name)
         assert distribution.version == version, name
         for file in distribution.files:
-            if ".." in file.parts or (site / file).exists():  # scripts, and files in two packages
+            if ".." in file.parts:  # scripts
                 continue
-            (site / file).parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # bytecode that was cleaned away
-                link(distribution.locate_file(file), site / file)
+            # a module's bytecode exists once it has been imported
+            for one in (file, *[cache_from_source(str(file))] * (file.suffix == ".py")):
+                target = site / one
+                if not target.exists():  # a file may be in two packages
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    with contextlib.suppress(FileNotFoundError):
+                        link(distribution.locate_file(one), target)
 
 
 def link(source, target):
