@@ -13,17 +13,13 @@ from tests.emulated_host import shipped_with
 
 
 @pytest.fixture
-def slower(tmp_path):
-    """Write a shipped sensor with a lower image rate: the estimates are the same, in less time."""
-
-    def sensor(name):
-        path = tmp_path / f"{name}20.toml"
-        text = resources.find(name, "models/sensors", ".toml").read_text(encoding="utf-8")
-        assert "rate_Hz = 30.0" in text
-        path.write_text(text.replace("rate_Hz = 30.0", "rate_Hz = 20.0"), encoding="utf-8")
-        return path
-
-    return sensor
+def sensor(tmp_path):
+    """Write the dense sensor with a lower image rate: the estimates are the same, in less time."""
+    path = tmp_path / "dense20.toml"
+    text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
+    assert "rate_Hz = 30.0" in text
+    path.write_text(text.replace("rate_Hz = 30.0", "rate_Hz = 20.0"), encoding="utf-8")
+    return path
 
 
 @pytest.fixture
@@ -45,8 +41,7 @@ def probe(capsys, *args):
 
 
 @pytest.mark.slow
-def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, slower, brisk):
-    sensor = slower("dense")
+def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, brisk):
     words = ["--object", "sponge", "--sensor", sensor, "--controller", brisk(APPROACH_SPEED=0.03)]
     code, found = probe(capsys, *words, "--out", tmp_path / "live")
     sample = SHIPPED["sponge"][0]
@@ -68,7 +63,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, slower,
 
 @pytest.mark.slow(10)
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
-def test_class(capsys, name, kind, slower, brisk):
+def test_class(capsys, name, kind, sensor, brisk):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
     mine = (
@@ -76,7 +71,7 @@ def test_class(capsys, name, kind, slower, brisk):
         if name == "clay"
         else []
     )
-    code, found = probe(capsys, "--object", name, "--sensor", slower("paper16"), *mine)
+    code, found = probe(capsys, "--object", name, "--sensor", sensor, *mine)
     assert (code, found["material"]) == (0, kind)
     assert found["probability"][kind] > 0.7
     if kind == "solid":

@@ -284,9 +284,11 @@ def test_bad_input(capsys, options, words):
 
 @pytest.fixture
 def fewer_loads(monkeypatch):
-    """Score a sensor at one of its three positions, with two of the balls."""
+    """Score a sensor at one of its three positions, with two of the balls, and with a coarse
+    maximum force."""
     monkeypatch.setattr(score_module, "_PLACES", score_module._PLACES[:1])
     monkeypatch.setattr(score_module, "RADII", (4e-3, 12e-3))
+    monkeypatch.setattr(score_module, "_HALVINGS", 3)
 
 
 @pytest.mark.slow(10)
