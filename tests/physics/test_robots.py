@@ -13,12 +13,20 @@ from mjtactile.core.errors import InputError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.sim import ground_truth
 from mjtactile.sim.doctor import examine_simulated
+from mjtactile.sim.scenes import mjcf_trial
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 MESH = (11, 9)  # neither kinematics nor balance depend on the mesh, so take a cheap one
 RIGS = ("sim", "sim_arm", "sim_three_finger")
 ONE_AND_THE_REST = ["sim", *(pytest.param(name, marks=pytest.mark.slow) for name in RIGS[1:])]
 GRAVITY = 9.81
+
+
+@pytest.fixture(autouse=True)
+def no_trial(monkeypatch):
+    """Read models without a trial in a child process, which a number as large as a stiffness
+    requires."""
+    monkeypatch.setattr(mjcf_trial, "refusal", lambda *_: "")
 
 
 LIFT = "travel_mm = 150.0"
