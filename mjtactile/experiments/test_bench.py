@@ -11,11 +11,13 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Image, PressureReading, Touch
+from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sensing.touch.squeeze import contact_face
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.mesh_sensor import TactileSensor
 
 _REFERENCE_IMAGES = 10
 _GAUGE_SD = 5.0  # noise of the pressure sensor, Pa, as of a rig without a calibration
@@ -37,7 +39,11 @@ class View:
         self.sealed = True
         self._noise = np.random.default_rng([seed, 1]) if gauge else None
         self.renderer = Renderer(design, seed=seed, shadows=shadows)
-        self.perception = StatefulPipeline.of(design)
+        sensor = world.sensors[0]
+        settings = DEFAULTS
+        if isinstance(sensor, TactileSensor):
+            settings = DEFAULTS.for_mesh(design, (sensor.mesh.nx, sensor.mesh.ny))
+        self.perception = StatefulPipeline.of(design, settings=settings)
 
     def image(self) -> Image:
         """Return the current camera image."""

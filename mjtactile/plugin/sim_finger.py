@@ -21,6 +21,7 @@ from mjtactile.rig.finger import Finger
 from mjtactile.runtime.references import take_references
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
+from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.attach import NEEDED_FLAGS, Attachment, attach_membrane, configure_options
 from mjtactile.sim.camera import SimCamera
@@ -31,6 +32,7 @@ from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import carrier_geoms
 from mjtactile.sim.sensor.collision_rule import apply_collision_rule, contact_notes
 from mjtactile.sim.sensor.contact_loads import membrane_wrench
+from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
@@ -63,7 +65,8 @@ def at_rest(
     sensor = world.sensors[0]
     clock = SimClock(world)
     finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
-    perception = StatefulPipeline.of(design)
+    settings = DEFAULTS.for_mesh(design, mesh) if Effect.MESH in effects else DEFAULTS
+    perception = StatefulPipeline.of(design, settings=settings)
     flat, rest = take_references([finger], clock)
     perception.measure_flat_reference(flat.images[0])
     perception.measure_rest_reference(rest.images[0], finger.pressure(rest.gauge_pressure[0]))

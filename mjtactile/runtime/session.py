@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,11 @@ class Session:
             perceptions = [SyntheticPerception() for _ in rig.fingers]
         elif perceptions is None:
             perceptions = [
-                StatefulPipeline.of(finger.design, finger.calibration, settings=self.settings)
+                StatefulPipeline.of(
+                    finger.design,
+                    finger.calibration,
+                    settings=_for_simulation(self.settings, finger.design, rig.simulated),
+                )
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
@@ -310,6 +314,17 @@ def open_session(
                 contact_shapes=requested.contact_shapes,
                 notify=notify,
             )
+
+
+def _for_simulation(
+    settings: Settings, design: SensorDesign, simulated: Mapping[str, Any]
+) -> Settings:
+    """Return the settings of a finger's pipeline; a simulated mesh has larger model errors."""
+    effects = simulated.get("effects", ())
+    if not any(one.get("effect") == "mesh" and one.get("on") for one in effects):
+        return settings
+    columns, rows = simulated["mesh"]
+    return settings.for_mesh(design, (columns, rows))
 
 
 def _start_pool(rig: Rig, workers: int | None) -> PerceptionPool | None:

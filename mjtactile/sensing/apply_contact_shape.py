@@ -18,13 +18,16 @@ from mjtactile.sensing.touch.slip_from_motion import with_motion
 _GAUGE_STEP = 1.02  # ratio of the rest pressure above which the shapes need a new membrane model
 
 
-def finder_gauge(reference: Reference) -> float:
+def finder_gauge(reference: Reference, current: float | None = None) -> float:
     """Return the gauge pressure at rest for which a shape estimator is made, Pa: the pressure as
     first measured, in steps of 2 % if gas was let in or out, leaked or became warmer. Compression
-    of sealed gas by a touch is not included, because the membrane model computes it."""
+    of sealed gas by a touch is not included, because the membrane model computes it. The `current`
+    one stays within a step: pressure noise makes no new estimator."""
     first = reference.first.gas.gauge_pressure
     rest = reference.rest
     now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge_pressure
+    if current is not None and current / _GAUGE_STEP < now < current * _GAUGE_STEP:
+        return current
     return first * _GAUGE_STEP ** round(math.log(max(now, 1.0) / first) / math.log(_GAUGE_STEP))
 
 

@@ -146,10 +146,11 @@ class StatefulPipeline:
 
     def _finder_now(self) -> ContactShapeEstimator:
         """Made when it is first asked for, and again for another rest or another amount of gas."""
-        reference = self.state.reference
-        key = None if reference is None else (reference.first, finder_gauge(reference))
-        if self._finder is None or key is None or self._finder[0] != key:
-            finder = self.pipeline.make_shape_estimator(self.state)
-            assert key is not None
-            self._finder = (key, finder)
+        reference = self.state.required(self.pipeline.design.name, "a shape")
+        gauge_pressure = None
+        if self._finder is not None and self._finder[0][0] == reference.first:
+            gauge_pressure = self._finder[0][1]
+        key = (reference.first, finder_gauge(reference, gauge_pressure))
+        if self._finder is None or self._finder[0] != key:
+            self._finder = (key, self.pipeline.make_shape_estimator(self.state))
         return self._finder[1]

@@ -125,10 +125,12 @@ def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> f
         cov = found.cov_with(noise)[np.ix_(places, places)]
         by = (2 if found.family.name == "disc" else 1) * area / half
         known = float(by @ cov @ by)
-        model = s.rim_sd * found.hint.rounding * rim_length(found.family, found.theta)
+        rim_sd = s.mesh_ratio * s.rim_sd * found.hint.rounding
+        model = rim_sd * rim_length(found.family, found.theta)
     else:
         known = float(found.sums_cov_with(noise)[SUM_AREA, SUM_AREA])
-        model = math.hypot(s.area_sd, s.area_by_node / touching(found)) * area
+        by_node = s.mesh_ratio**2 * s.area_by_node / touching(found)
+        model = math.hypot(s.area_sd, by_node) * area
     return math.hypot(math.sqrt(max(known, 0.0)), model)
 
 

@@ -52,6 +52,7 @@ class Fit:
         prior: Prior of the parameters.
         curvature: Hessian (k, k) of half the sum of squares of the whitened residual, by the scaled
             parameters.
+        gradient: Gradient (k,) of the same half sum.
         slopes: Derivatives of heights and sums.
         force: Normal force of the nodal estimate in this image, N.
     """
@@ -61,6 +62,7 @@ class Fit:
     at: FitState
     prior: Prior
     curvature: Array
+    gradient: Array
     slopes: Jacobian
     force: float
     _covs: dict[float, Array] = field(default_factory=dict, repr=False)
@@ -69,8 +71,11 @@ class Fit:
     def of(cls, problem: Problem, at: FitState, slopes: Jacobian) -> Fit:
         """Return the fit that ends at `at`."""
         J = slopes.seen(problem.data)
+        curvature, gradient = J.T @ J, J.T @ at.residual
         force = problem.data.force
-        return cls(problem.family, problem.hint, at, problem.prior, J.T @ J, slopes, force)
+        return cls(
+            problem.family, problem.hint, at, problem.prior, curvature, gradient, slopes, force
+        )
 
     @property
     def theta(self) -> Array:
@@ -118,6 +123,11 @@ class Fit:
         spread = np.linalg.slogdet(self.precision_with(noise))[1]
         known = np.linalg.slogdet(self.prior.precision)[1]
         return -0.5 * (cost + float(spread - known))
+
+    def log_lacking_with(self, noise: float) -> float:
+        """Return the log evidence by which the model is behind one that explains the image within
+        the marker noise."""
+        return max(self.chi2 - len(self.at.residual), 0.0) / (2 * noise)
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,19 +30,27 @@ class Candidate:
     """Shape model that may be the right one. It holds the `fit` of the last evaluation, and the log
     evidence of the images. The filter `common` combines the constant parameters over all
     evaluations. `behind` is the log evidence by which it trailed the best model when it was
-    dropped."""
+    dropped. `possible` is the log evidence that it may have gained since then."""
 
     family: ShapeModel
     fit: Fit
     image_log: float
     common: ShapeFilter
     behind: float = 0.0
+    possible: float = 0.0
 
     @property
     def log(self) -> float:
         """Log evidence: that of the images, less the penalty for a change of the constant
         parameters."""
         return self.image_log - self.common.drift / 2
+
+    def without(self, best: Evaluation, noise: float) -> Candidate:
+        """Return the candidate after an image that it was not fitted to. It is assumed to explain
+        the image as well as the `best` fit, possibly within the marker noise."""
+        image_log = self.image_log + best.share * best.fit.log_evidence_with(noise)
+        possible = self.possible + best.share * best.fit.log_lacking_with(noise)
+        return replace(self, image_log=image_log, possible=possible)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +100,7 @@ class PressHistory:
         now: Fit of the first candidate to the newest image.
         noise: Factor on the marker variances from the best fit of the last evaluation.
         force: Estimated force at the last evaluation, N.
+        loads: Minimum and maximum force of the evaluations that added evidence, N.
         images: Number of images since the last evaluation.
         parts: Number of contact patches then.
         search_misfit: Mean square misfit at the last search over all models.
@@ -104,6 +113,7 @@ class PressHistory:
     now: Fit
     noise: float
     force: float
+    loads: tuple[float, float]
     images: int
     parts: int
     search_misfit: float
@@ -125,6 +135,12 @@ class PressHistory:
             for kind, share in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
                 sums[kind] += probability * share
         return sums
+
+    def adds_evidence(self, force: float) -> bool:
+        """Return True if no evaluation had about this force. At the same force, errors of membrane
+        and shape model repeat."""
+        minimum, maximum = self.loads
+        return not minimum / _HELD_FORCE < force < maximum * _HELD_FORCE
 
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Return those of `families` whose evidence is not far behind in this contact episode."""
@@ -171,8 +187,13 @@ def weigh(
     if past is not None:
         seen = {one.family.name for one in roughly}
         before = (*past.dropped, *past.candidates)
-        dropped += [one for one in before if one.family.name not in seen]
+        likeliest = max(found, key=lambda one: one.fit.log_evidence_with(noise))
+        dropped += [one.without(likeliest, noise) for one in before if one.family.name not in seen]
     kept.remove(best)
+    added = (data.force, data.force)
+    if past is not None:
+        forces = (*past.loads, data.force) if found[0].share else past.loads
+        added = (min(forces), max(forces))
     now = exactly(forward, best.fit, data, noise)
     best = replace(best, fit=now)
     return PressHistory(
@@ -180,6 +201,7 @@ def weigh(
         now,
         noise,
         data.force,
+        added,
         0,
         len(hint.parts),
         best.fit.misfit,

@@ -62,7 +62,7 @@ def follow(
         new = _refit_best(forward, press, hint, data)
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):
-        share = s.log_again if changed or new is not None else 0.0
+        share = s.log_again if press.adds_evidence(data.force) or new is not None else 0.0
         new = _evaluate_candidates(forward, press, hint, data, s, share, suggest, grown)
     if new is None:
         return _search_all(forward, hint, data, s, None, suggest)
@@ -116,7 +116,10 @@ def _search_all(
         fits += both
         if both and s.misfit_one < both[0].misfit < minimum:
             fits += other_parts(forward, both[0], data, s)
-    new = [Evaluation(fit, -_penalty(fit, s), ShapeFilter.of(fit.family), 1.0) for fit in fits]
+    new = [
+        Evaluation(fit, -_penalty(fit, s), ShapeFilter.of(fit.family, s.mesh_ratio), 1.0)
+        for fit in fits
+    ]
     return weigh(forward, new, hint, data, s)
 
 
@@ -157,7 +160,7 @@ def _with_past(
         if name in known:
             log, common = known[name].image_log, known[name].common
         else:
-            log, common = best.log - _penalty(fit, s), ShapeFilter.of(fit.family)
+            log, common = best.log - _penalty(fit, s), ShapeFilter.of(fit.family, s.mesh_ratio)
         merged.append(Evaluation(fit, log, common, s.log_again))
     return weigh(forward, merged, hint, data, s, past)
 
@@ -176,7 +179,7 @@ def _evaluate_candidates(
     a hold. If the force has grown, a suggested model that is not among them is added."""
     found: list[Evaluation] = []
     suggestions = None if suggest is None else suggest(data)
-    possible = _possible(press, suggestions)
+    possible = _possible(press, suggestions, share, s)
     for one in possible:
         start = press.now if one is press.candidates[0] else one.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
@@ -199,12 +202,18 @@ def _evaluate_candidates(
     return None if new is None else replace(new, search_misfit=press.search_misfit)
 
 
-def _possible(press: PressHistory, suggestions: Suggestions | None) -> list[Candidate]:
-    """Return the candidates that are likely by earlier images and this one."""
-    every = list(press.candidates)
+def _possible(
+    press: PressHistory, suggestions: Suggestions | None, share: float, s: ContactShapeSettings
+) -> list[Candidate]:
+    """Return the candidates that are likely by earlier images and this one. A dropped model is
+    among them again if those that remained have explained the images worse since then."""
+    best = max(one.log for one in press.candidates)
+    again = [one for one in press.dropped if one.log + one.possible > best - s.log_lost]
+    if not share:
+        again = []
+    every = [*press.candidates, *again]
     if suggestions is None:
         return every
-    best = every[0].log
     logs = {one.family.name: one.log - best for one in every if not one.family.parts}
     likely = suggestions.likely(logs)
     known = [one for one in every if one.family.name in likely]
@@ -224,7 +233,7 @@ def _added(
     """Fit the suggested models that are not candidates. A model without history gets that of the
     best one."""
     past = {one.family.name: one for one in press.dropped}
-    tried = {one.family.name for one in press.candidates}
+    tried = {one.family.name for one in press.candidates} | {one.fit.family.name for one in found}
     best = min((each.fit for each in found), key=lambda fit: fit.chi2)
     added = []
     likely = suggestions.likely(dict.fromkeys(FAMILIES, 0.0))
@@ -239,7 +248,7 @@ def _added(
         fit = suggestions.fit(forward, family, hint, data, press.noise, best.state, best.chi2)
         if fit is None:
             continue
-        log, common = press.candidates[0].log, ShapeFilter.of(family)
+        log, common = press.candidates[0].log, ShapeFilter.of(family, s.mesh_ratio)
         if name in past:
             log, common = past[name].image_log, past[name].common
         added.append(Evaluation(fit, log, common, s.log_again))

@@ -26,18 +26,20 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 class ShapeFilter:
     """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
     deviation. `precision` (m, m) is their precision, `information` (m,) the precision times the
-    mean. `drift` is the sum of squares of their changes, with `freedom` degrees of freedom."""
+    mean. `coarse` is the mesh ratio (`ContactShapeSettings.mesh_ratio`). `drift` is the sum of
+    squares of their changes, with `freedom` degrees of freedom."""
 
     precision: Array
     information: Array
+    coarse: float = 1.0
     drift: float = 0.0
     freedom: float = 0.0
 
     @classmethod
-    def of(cls, family: ShapeModel) -> ShapeFilter:
+    def of(cls, family: ShapeModel, coarse: float = 1.0) -> ShapeFilter:
         """Create the filter before any evaluation, without information."""
         count = int(family.kept.sum())
-        return cls(np.zeros((count, count)), np.zeros(count))
+        return cls(np.zeros((count, count)), np.zeros(count), coarse)
 
     @property
     def variance_factor(self) -> float:
@@ -47,12 +49,13 @@ class ShapeFilter:
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
         seen, information = _alone(fit)
-        own = np.eye(len(information)) + seen @ _own_wrong(fit)
+        own = np.eye(len(information)) + seen @ _own_wrong(fit, self.coarse)
         seen = np.linalg.solve(own, seen)
         information = np.linalg.solve(own, information)
         drift = self.drift + _heavy_tailed(self._off(seen, information), len(information))
         freedom = self.freedom + (len(information) if self.precision.any() else 0)
-        return ShapeFilter(self.precision + seen, self.information + information, drift, freedom)
+        precision = self.precision + seen
+        return ShapeFilter(precision, self.information + information, self.coarse, drift, freedom)
 
     def _off(self, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
@@ -79,7 +82,7 @@ class ShapeFilter:
         stood = np.linalg.inv(fit.precision_with(noise))[np.ix_(free, free)]
         cov = np.zeros((len(mean), len(mean)))
         cov[np.ix_(free, free)] = stood + np.diag((family.loose / family.sd)[free] ** 2)
-        cov[np.ix_(kept, kept)] = known + _own_wrong(fit)
+        cov[np.ix_(kept, kept)] = known + _own_wrong(fit, self.coarse)
         return Prior(mean, np.linalg.inv(cov))
 
 
@@ -105,8 +108,8 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
     prior = fit.prior
     noise = max(fit.misfit, 1.0)
     image = fit.curvature / noise
-    # at the minimum, the gradients of prior and image balance
-    information = image @ t + prior.precision @ (t - prior.mean) / noise
+    # that of the image alone: a fit may end before its prior and the image balance
+    information = image @ t - fit.gradient / noise
     stand = prior.precision[np.ix_(free, free)]
     place = np.linalg.solve(
         image[np.ix_(free, free)] + stand,
@@ -116,10 +119,14 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
     return image[np.ix_(kept, kept)] - through[:, :-1], information[kept] - through[:, -1]
 
 
-def _own_wrong(fit: Fit) -> Array:
+def _own_wrong(fit: Fit, coarse: float) -> Array:
     """Return the variance (m, m) of the scaled constant parameters from membrane model errors. It
-    covers errors that differ between evaluations. It grows as fewer nodes touch."""
-    share = np.hypot(fit.family.share, _BY_NODE / touching(fit))
+    covers errors that differ between evaluations. It grows as fewer nodes touch, and with the mesh
+    ratio `coarse`: an error of the position of a rim with the spacing, one of the sag between
+    vertices with its square."""
+    bent = np.array([name.startswith("k") for name in fit.family.names])
+    by_node = _BY_NODE * np.where(bent, coarse**2, coarse)
+    share = np.hypot(fit.family.share, by_node / touching(fit))
     return np.diag((share * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
 
 

@@ -48,7 +48,8 @@ def build_shape(
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
     """Return the covariance of the parameters including the error of membrane model and simulator.
     That error scales all curvatures or sizes together, and grows as fewer nodes touch."""
-    by_node = {"k": s.curvature_by_node, "radius": s.size_by_node, "half": s.size_by_node}
+    size = s.mesh_ratio * s.size_by_node
+    by_node = {"k": s.mesh_ratio**2 * s.curvature_by_node, "radius": size, "half": size}
     kinds = [name.split("_")[0] for name in found.family.names]
     wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
     bent = np.array([kind == "k" for kind in kinds])

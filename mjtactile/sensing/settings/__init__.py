@@ -15,10 +15,12 @@ parameters (steps, tolerances) stay with their code.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import setting_hint
 from mjtactile.sensing.settings.force import (
@@ -115,6 +117,13 @@ class Settings:
             changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass
             result = replace(result, **{stage: changed}) if stage else changed
         return result
+
+    def for_mesh(self, design: SensorDesign, mesh: tuple[int, int]) -> Settings:
+        """Return these settings for a sensor simulated with `mesh` vertices along x and y."""
+        frame = design.frame
+        cell = frame.length / (mesh[0] - 1) * frame.width / (mesh[1] - 1)
+        spacing = max(math.sqrt(cell), self.contact_shape.mesh_spacing)
+        return replace(self, contact_shape=replace(self.contact_shape, mesh_spacing=spacing))
 
     def to_dict(self) -> dict[str, Any]:
         """Return all parameters by names like "zero.touch_sd"."""

@@ -38,6 +38,7 @@ class PatchSettings:
 _SHAPES = "bench shape: shapes with seeds below 1000, which its table excludes"
 
 
+_CALIBRATED_SPACING = 1.25e-3  # m
 _CALIBRATED = "bench shape, calibrated on shapes with seeds 2000 to 2059: "
 
 
@@ -50,6 +51,11 @@ class ContactShapeSettings:
         16e-6,
         "standard deviation of the marker height error of the quasi-static membrane, m",
         "bench quasistatic",
+    )
+    mesh_spacing: float = number(
+        1.25e-3,
+        "vertex spacing of a simulated membrane, m; above the default, model errors grow",
+        _CALIBRATED + "with this spacing",
     )
     noise_min: float = number(
         2.0,
@@ -195,6 +201,11 @@ class ContactShapeSettings:
     ball_ratio: float = number(
         1.5, "maximum ratio of the two curvatures at which a smooth shape has a radius", PRESSED
     )
+
+    @property
+    def mesh_ratio(self) -> float:
+        """Ratio of the vertex spacing to that of the calibration, at least 1."""
+        return max(1.0, self.mesh_spacing / _CALIBRATED_SPACING)
 
 
 _SLID = "bench slip: tuned on its cases with seeds below 2000, which its table excludes"
