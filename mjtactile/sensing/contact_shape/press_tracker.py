@@ -38,6 +38,7 @@ _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 Suggest = Callable[[Data], Suggestions]
 _SUGGESTED = 3  # models fitted in the first image of a contact episode
 _SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
+_UNLIKELY = 3.0  # log evidence behind the best: 5 %
 _LIKELY_START = 0.1  # probability of a model whose fit is restarted from the suggested start
 _LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
 _SINGLE = tuple(FAMILIES.values())
@@ -206,11 +207,13 @@ def _possible(
     press: PressHistory, suggestions: Suggestions | None, share: float, s: ContactShapeSettings
 ) -> list[Candidate]:
     """Return the candidates that are likely by earlier images and this one. A dropped model is
-    among them again if those that remained have explained the images worse since then."""
+    among them again if those that remained have explained the images worse since then. An image
+    without evidence excludes no model, so those with a small probability are not fitted."""
     best = max(one.log for one in press.candidates)
-    again = [one for one in press.dropped if one.log + one.possible > best - s.log_lost]
     if not share:
-        again = []
+        rest = press.candidates[1:]
+        return [press.candidates[0], *(one for one in rest if one.log > best - _UNLIKELY)]
+    again = [one for one in press.dropped if one.log + one.possible > best - s.log_lost]
     every = [*press.candidates, *again]
     if suggestions is None:
         return every

@@ -140,8 +140,7 @@ def test_a_coarse_mesh_explains_larger_changes(name, power):
 def test_a_model_that_was_not_fitted_follows_the_best():
     """It explains an image as well as the best one, at most within the noise: 40 of 200."""
     best = SimpleNamespace(
-        log_evidence_with=lambda noise: -30.0 / noise,
-        log_lacking_with=lambda noise: 80.0 / noise,
+        log_evidence_with=lambda noise: -30.0 / noise, log_lacking_with=lambda noise: 80.0 / noise
     )
     model = Candidate(BALL, best, -50.0, ShapeFilter.of(BALL), behind=5.0)
     after = model.without(Evaluation(best, 0.0, model.common, 0.25), 2.0)
