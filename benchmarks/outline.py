@@ -142,8 +142,8 @@ def table(result: Mapping[str, Any]) -> str:
     statuses = [s["status"] for row in result["rows"] for p in row["presses"] for s in p["steps"]]
     note = (
         f"Balls, discs and boxes, 4 to 10 mm wide, at random positions (seeds {FIRST_SEED} to "
-        f"{last}); every other one is dragged by 1 mm. Required: at most {1e3 * ASKED:g} mN. "
-        f"{len(statuses) - statuses.count('ok')} of {len(statuses)} estimates have a status other "
-        "than `ok`. Theory: Eq. M8."
+        f"{last}); every other one dragged by 1 mm. Required: at most {1e3 * ASKED:g} mN. "
+        f"{len(statuses) - statuses.count('ok')} of {len(statuses)} estimates are not `ok`. "
+        "Theory: Eq. M8."
     )
     return "\n".join(lines) + f"\n\n{note}\n"

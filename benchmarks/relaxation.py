@@ -158,9 +158,8 @@ def table(result: Mapping[str, Any]) -> str:
         )
     price = 100 * (result["price"] - 1)
     note = (
-        f"Holds of {result['seconds']:.0f} s, evaluated every {_EVERY:.0f} s by the mean of "
-        f"{_IMAGES} images. Required: at most 30 mN (target 15 mN). The cost of a simulation step "
-        f"changes by {price:+.0f} % (allowed 10 %)."
+        f"Holds of {result['seconds']:.0f} s. Required: at most 30 mN (target 15 mN). The cost of "
+        f"a simulation step changes by {price:+.0f} % (allowed 10 %)."
     )
     return "\n".join(lines) + f"\n\n{note}\n"
 

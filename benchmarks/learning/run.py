@@ -253,8 +253,7 @@ def table(result: dict[str, Any]) -> str:
     lines += [
         "",
         f"{TOGETHER} environments with sampled touch in one process: {together['1']:.0f} steps "
-        f"per second of wall time in one thread, {together['2']:.0f} in two. The quasi-static "
-        f"membrane of a design is computed in {result['condense_s']:.2f} s. Memory of a process: "
+        f"per second of wall time in one thread, {together['2']:.0f} in two. Memory of a process: "
         f"{result['memory_MB']['one']:.0f} MB with one environment, "
         f"{result['memory_MB']['many']:.0f} MB with {result['memory_MB']['count']}.",
         "",

@@ -133,8 +133,7 @@ def table(result: Mapping[str, Any]) -> str:
             f"Medians of {len(rounds)} egg grasps with and without Studio, alternating; "
             f"{result['processors']} processors, load average {median('load'):.1f}, at least "
             f"{min(one['pictures'] for one in rounds)} images. The page runs in headless Chromium "
-            "on the same processors, with at most 30 frames per second. It does everything except "
-            "drawing, because there is no graphics card.",
+            "on the same processors, at most 30 frames per second, without drawing.",
             "",
         ]
     )
