@@ -23,7 +23,7 @@ from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, save_policy
 STEPS = 8  # control steps for each decision: 0.27 s
 FEAR = 0.3  # maximum penalty of a failure; at 1, some learners stop lifting
 HELD = 1  # number of the outcome "held"
-TASK = {"object": "egg", "randomization": "default", "reward": "progress", "time_limit": 12.0}
+TASK = {"object": "random", "randomization": "default", "reward": "progress", "time_limit": 12.0}
 LEARNER = {
     "num_steps_per_env": 8,
     "obs_groups": {"actor": ["policy"], "critic": ["policy"]},

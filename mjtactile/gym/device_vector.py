@@ -29,7 +29,7 @@ from mjtactile.core.policy import policy_bounds
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.core.types import Array
-from mjtactile.gym.env import PROGRESS, RANDOM
+from mjtactile.gym.env import PROGRESS
 from mjtactile.recording.policy_data import REWARDS
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.warp.device.grasp_phase import NAMES
@@ -54,7 +54,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         device: Warp device, such as "cuda" or "cpu".
         autoreset_mode: Mode of Gymnasium. Disabled: `reset` restarts the worlds of a mask.
         object: Argument of `GraspEnv`; so are `sensor`, `rig`, `randomization`, `time_limit`,
-            `task`, `reward`.
+            `task`, `reward`. "random": 256 rigid random objects (`truth()["object_seed"]`).
 
     Raises:
         InputError: A name does not exist, or the worlds do not support it.
@@ -79,9 +79,6 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             choices = ["outcome", "progress"]
             raise InputError(f"{reward!r}", source=_SOURCE, field="reward", choices=choices)
         self._mode = AutoresetMode(autoreset_mode)
-        if object == RANDOM:
-            text = "'random' differs between worlds; use random:SEED, one object for all worlds"
-            raise InputError(text, source=_SOURCE, field="object")
         names: Any = {"object": object, "sensor": sensor, "rig": rig, "task": task}
         self.scenario = Scenario(**names, randomization=randomization)
         self.ignored = ignored_parameters(randomization)
@@ -173,6 +170,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             "outcome": np.array(OUTCOMES)[scores.outcome.numpy()],
             "phase": np.array(NAMES)[self._grasps.phases()],
             "seed": self._grasps.episode_seeds,
+            "object_seed": self._grasps.object_seeds,
             "peak_force_true_N": scores.peak_force.numpy(),
             "hold_force_true_N": scores.hold_force.numpy() / steps,
             "slip_mm_true": 1e3 * scores.slip.numpy(),

@@ -92,30 +92,33 @@ def limits_of(rig: Rig, goal: TaskGoal) -> Any:
     return limits
 
 
-def scene_of(model: mujoco.MjModel, m: Any, worlds: int, friction: float) -> Any:
-    """Return the model's fields that differ between worlds, as arrays with a row for each."""
+_PER_WORLD: dict[str, Any] = {
+    **dict.fromkeys(("body_pos", "body_ipos", "body_inertia"), wp.vec3),
+    **dict.fromkeys(("geom_size", "geom_pos", "geom_friction", "geom_aabb"), wp.vec3),
+    **dict.fromkeys(("body_quat", "body_iquat", "geom_quat"), wp.quat),
+    **dict.fromkeys(("body_mass", "body_subtreemass", "geom_rbound"), float),
+    "body_invweight0": wp.vec2,
+    "geom_dataid": int,
+}
+
+
+def scene_of(model: mujoco.MjModel, m: Any, worlds: int, gripper: int, friction: float) -> Any:
+    """Return the model's fields that differ between worlds, as arrays with a row for each.
+
+    `gripper` is the MuJoCo body that the lift carries.
+    """
     scene = Scene()
-    kinds = {"body_quat": wp.quat, "body_mass": float, "body_subtreemass": float,
-             "geom_rbound": float}  # fmt: skip
-    for name in (
-        *("body_pos", "body_quat", "body_ipos", "body_mass", "body_subtreemass", "body_inertia"),
-        *("geom_size", "geom_pos", "geom_rbound", "geom_friction"),
-    ):
-        own = getattr(m, name).numpy()
-        rows = np.repeat(own[:1], worlds, axis=0)
-        array = wp.array(rows, dtype=kinds.get(name, wp.vec3))
+    for name, kind in _PER_WORLD.items():
+        rows = np.repeat(getattr(m, name).numpy()[:1], worlds, axis=0)
+        array = wp.array(rows, dtype=kind)
         setattr(m, name, array)
         setattr(scene, name, array)
-    scene.geom_quat = m.geom_quat
+    scene.diagonal = floats(np.tile(model.dof_M0, (worlds, 1)))
     scene.body_of = ints(model.geom_bodyid)
-    scene.ipos = vectors(model.body_ipos)
-    scene.mass = floats(model.body_mass)
-    scene.inertia = vectors(model.body_inertia)
-    scene.size = vectors(model.geom_size)
-    scene.pos = vectors(model.geom_pos)
-    scene.rbound = floats(model.geom_rbound)
     scene.friction = vectors(model.geom_friction)
     scene.membrane_friction = float(friction)
+    scene.gripper = int(model.body_rootid[gripper])
+    scene.height = float(model.body_pos[scene.gripper, 2])
     return scene
 
 

@@ -6,7 +6,10 @@ device; nothing waits for the host. On a GPU the physics of a control step is on
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -31,9 +34,12 @@ from mjtactile.warp.device.gripper import Goals, drive_grippers
 from mjtactile.warp.device.restart import Poses, restart_worlds
 from mjtactile.warp.device.sensing_errors import Estimates, estimate_all
 from mjtactile.warp.grasp_setup import drive_of, error_model, limits_of, require_supported, scene_of
+from mjtactile.warp.object_mix import random_mix, single, write_mix
 from mjtactile.warp.scene import bind_bodies
 from mjtactile.warp.starts import sample_starts, with_seed
 
+RANDOM = "random"
+"""Object name for different random objects in one batch."""
 EPISODES = 4
 """Different initial states of each world; the fifth episode starts like the first."""
 _CPU_ITERATIONS = 30
@@ -60,7 +66,8 @@ class Grasps:
         """Build the worlds; `reset` starts them.
 
         Args:
-            scenario: Object, sensor, rig, task and randomization; its effects are not used.
+            scenario: Object, sensor, rig, task and randomization; its effects are not used. Object
+                `RANDOM`: those of `random_mix`.
             worlds: Number of worlds.
             rewards: Reward of each outcome, at the end of an episode.
             progress: Start and increase of the reward of each phase; empty: only `rewards` count.
@@ -72,7 +79,16 @@ class Grasps:
         """
         self.scenario, self.worlds = scenario, worlds
         self.device = wp.get_device(device)
-        self.rig = build_sim_rig(with_seed(scenario, scenario.seed))
+        plain = with_seed(scenario, scenario.seed)
+        if scenario.object == RANDOM:
+            self.mix = random_mix()
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "random.xml"
+                write_mix(self.mix, file)
+                self.rig = build_sim_rig(replace(plain, object=str(file)))
+        else:
+            self.rig = build_sim_rig(plain)
+            self.mix = single(self.rig.scene)
         world = self.rig.scene
         require_supported(scenario, self.rig)
         self.fingers = len(self.rig.fingers)
@@ -91,7 +107,8 @@ class Grasps:
             self._m.opt.iterations = min(self._m.opt.iterations, _CPU_ITERATIONS)
             self._m.opt.warn_overflow &= ~mjw.OverflowType.ITERATIONS
         self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
-        self._scene = scene_of(self.model, self._m, worlds, world.sensors[0].friction)
+        gripper = int(world.start.gripper)
+        self._scene = scene_of(self.model, self._m, worlds, gripper, world.sensors[0].friction)
         self._up_since = wp.full(worlds, -1.0, dtype=float)
         gravity = np.tile(self.model.opt.gravity.astype(np.float32), (worlds, 1))
         self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
@@ -106,6 +123,7 @@ class Grasps:
             [sensor.body_id for sensor in sensors],
             sensors[0].design,
             (sensors[0].mesh.nx, sensors[0].mesh.ny),
+            inertia=self._scene.diagonal,
         )
         self._drive = drive_of(self.rig, self._m, worlds)
         self._goals = zeros_of(Goals, worlds)
@@ -140,8 +158,10 @@ class Grasps:
             if mask is None:
                 count = self.worlds * EPISODES
                 self.seeds = np.arange(seed, seed + count)
-                sampled = sample_starts(self.scenario, self.rig, self.seeds.tolist(), self.worlds)
+                seeds = self.seeds.tolist()
+                sampled = sample_starts(self.scenario, self.rig, self.mix, seeds, self.worlds)
                 self._starts, self._events = sampled.starts, sampled.events
+                self._kinds = sampled.kinds
                 self._graph = None  # it holds the arrays of the previous seeds
                 self._seed_generators(seed)
                 mask = wp.full(self.worlds, True, dtype=bool)
@@ -180,8 +200,13 @@ class Grasps:
     @property
     def episode_seeds(self) -> Array:
         """Return the seed (worlds,) of each world's episode. Waits for the device."""
-        episode = self._starts.episode.numpy() - 1
-        return self.seeds[(np.arange(self.worlds) + episode * self.worlds) % len(self.seeds)]
+        return self.seeds[self._starts.row.numpy()]
+
+    @property
+    def object_seeds(self) -> Array:
+        """Return the seed (worlds,) of each world's random object, or -1. Waits for the device."""
+        own = np.array([one.seed for one in self.mix])
+        return own[self._kinds[self._starts.row.numpy()]]
 
     def phases(self) -> Array:
         """Return the number (worlds,) of each world's phase. Waits for the device."""

@@ -179,8 +179,12 @@ def bind_bodies(
     grid: tuple[int, int],
     *,
     iteration: Iteration | None = None,
+    inertia: Any = None,
 ) -> Touch:
-    """Do the work of `bind` for sensors of one `design` on the MuJoCo `bodies`."""
+    """Do the work of `bind` for sensors of one `design` on the MuJoCo `bodies`.
+
+    `inertia` (worlds, nv) is the diagonal of the mass matrix, if it differs between worlds.
+    """
     if m.callback.passive is not None:
         raise InputError("has a passive callback already", source="bind", field="m")
     places, planes = _places(model, m, bodies, design, grid)
@@ -195,6 +199,8 @@ def bind_bodies(
     )
     with wp.ScopedDevice(membranes.device):
         touch = Touch(model, m, d, membranes, places)
+        if inertia is not None:
+            touch._joints.inertia = inertia
     m.callback.passive = touch.update
     return touch
 
@@ -226,11 +232,10 @@ def _places(
     geoms = max(1, *(len(part.ids) for part in found))
     bodies = max(1, *(len(part.bodies) for part in found))
     tables = {
-        name: np.full((len(frames), geoms), -1, np.int32)
-        for name in ("geoms", "kinds", "slots", "first", "count")
+        name: np.full((len(frames), geoms), -1, np.int32) for name in ("geoms", "kinds", "slots")
     }
     listed = np.full((len(frames), bodies), -1, np.int32)
-    planes: list[Array] = []
+    touchable: set[int] = set()
     for i, part in enumerate(found):
         listed[i, : len(part.bodies)] = part.bodies
         for k, geom in enumerate(part.ids):
@@ -241,10 +246,7 @@ def _places(
             tables["geoms"][i, k], tables["kinds"][i, k] = geom, kind
             tables["slots"][i, k] = part.slots[k]
             if kind == CONVEX:
-                own = _planes(model, int(geom))
-                tables["first"][i, k] = sum(len(rows) for rows in planes)
-                tables["count"][i, k] = len(own)
-                planes.append(own)
+                touchable.add(int(geom))
     places = Places()
     places.frames = wp.array(np.array(frames, np.int32), dtype=int)
     for name, table in tables.items():
@@ -252,14 +254,28 @@ def _places(
     places.bodies = wp.array(listed, dtype=int)
     places.rbound = m.geom_rbound
     places.radius = radius
+    places.mesh = m.geom_dataid
+    first, count = np.zeros((2, max(model.nmesh, 1)), np.int32)
+    planes = []
+    for mesh in _meshes(model, touchable):
+        planes.append(_planes(model, mesh))
+        first[mesh], count[mesh] = sum(len(rows) for rows in planes[:-1]), len(planes[-1])
+    places.first, places.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
     return places, np.concatenate(planes) if planes else np.zeros((1, 4))
 
 
-def _planes(model: mujoco.MjModel, geom: int) -> Array:
-    """Return the planes (n, 4) of a mesh's convex hull in the geom's frame: normal, distance."""
+def _meshes(model: mujoco.MjModel, geoms: set[int]) -> list[int]:
+    """Return the meshes of `geoms`, and those that no geom has: other worlds may use them."""
+    used = {int(model.geom_dataid[geom]) for geom in range(model.ngeom)}
+    own = {int(model.geom_dataid[geom]) for geom in geoms}
+    others = set(range(model.nmesh)) - used if geoms else set()
+    return sorted(own | others)
+
+
+def _planes(model: mujoco.MjModel, mesh: int) -> Array:
+    """Return the planes (n, 4) of a mesh's convex hull in its frame: normal, distance."""
     from scipy.spatial import ConvexHull  # takes a while to import
 
-    mesh = int(model.geom_dataid[geom])
     first = int(model.mesh_vertadr[mesh])
     hull = ConvexHull(model.mesh_vert[first : first + model.mesh_vertnum[mesh]])
     rows = np.unique(np.round(hull.equations, 9), axis=0)

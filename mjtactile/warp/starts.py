@@ -20,11 +20,12 @@ from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import object_roots, planar_pose
 from mjtactile.sim.rig import object_in_task, place, start_of, strength_in_task
 from mjtactile.sim.scenes.disturbances import ROTATION_MAX
-from mjtactile.sim.scenes.objects import PREFIX, load_object
+from mjtactile.sim.scenes.objects import PREFIX
 from mjtactile.warp.arrays import floats, ints
 from mjtactile.warp.as_built_membranes import match_membranes
 from mjtactile.warp.device.disturbances import COLUMNS, KINDS, VALUES
 from mjtactile.warp.device.restart import Starts
+from mjtactile.warp.object_mix import MixedObject, objects_of, poses_of
 
 # parameters of a variation that have an effect here; those of the camera are in the error model
 SUPPORTED = {
@@ -43,11 +44,13 @@ _SEEN = ("fx_percent", "center_px", "k1_offset", "k1", "camera_shift_mm", "camer
 class SampledStarts:
     """Device arrays of the initial states of `seeds`, with the seeds (rows,).
 
-    `events` (rows, n, COLUMNS) are the disturbances of `mjtactile.warp.device.disturbances`.
+    `kinds` (rows,) are the numbers of the objects. `events` (rows, n, COLUMNS) are the disturbances
+    of `mjtactile.warp.device.disturbances`.
     """
 
     starts: Any
     seeds: Array
+    kinds: Array
     events: Any
 
 
@@ -64,54 +67,61 @@ def ignored_parameters(randomization: str) -> list[str]:
     return found
 
 
-def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: int) -> SampledStarts:
+def sample_starts(
+    scenario: Scenario, rig: Rig, mix: Sequence[MixedObject], seeds: Sequence[int], worlds: int
+) -> SampledStarts:
     """Sample the initial states of `seeds` of a scenario, built once as `rig`.
+
+    Seed s has the object s modulo the number of objects in `mix`. Meshes keep their size in a batch
+    of several objects.
 
     Raises InputError for a size that an object's meshes cannot take, or a delay that exceeds the
     camera period.
     """
     world = rig.scene
     model, data = world.model, world.data
-    grasped = load_object(scenario.object)
+    kinds = np.array(seeds) % len(mix)
+    objects = [mix[k].grasped for k in kinds]
     fingers = [finger.name for finger in rig.fingers]
     variation = load_variation(scenario.randomization)
     markers = rig.fingers[0].design.markers.count
     task = load_task(scenario.task)
     tasks = [task.sample(seed, len(fingers)) for seed in seeds]
     design = rig.fingers[0].design
+    sampled = [variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds]
+    if len(mix) > 1:
+        keep = [bool(mix[k].model.nmesh) for k in kinds]
+        sampled = [
+            replace(one, object=replace(one.object, size=0.0)) if is_mesh else one
+            for one, is_mesh in zip(sampled, keep, strict=True)
+        ]
     sampled = [
         replace(one, object=object_in_task(one.object, in_task, grasped, design))
-        for one, in_task in zip(
-            (variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds),
-            tasks,
-            strict=True,
-        )
+        for one, in_task, grasped in zip(sampled, tasks, objects, strict=True)
     ]
-    _check(sampled, model, rig.period)
-    objects = [
+    _check(sampled, mix, rig.period)
+    changed = [
         strength_in_task(grasped.changed(one.object), task, in_task, len(fingers))
-        for one, in_task in zip(sampled, tasks, strict=True)
+        for one, in_task, grasped in zip(sampled, tasks, objects, strict=True)
     ]
-    poses = [place(one, start_of(seed)[0]) for one, seed in zip(objects, seeds, strict=True)]
-    now = place(world.object, start_of(scenario.seed)[0])
+    poses = [place(one, start_of(seed)[0]) for one, seed in zip(changed, seeds, strict=True)]
     roots = object_roots(model)
     free = [body for body in roots if model.body_jntnum[body]]
     fixed = [body for body in roots if not model.body_jntnum[body]]
     scale = np.array([1 + one.object.size for one in sampled])
     starts = Starts()
     starts.free_bodies, starts.fixed_bodies = ints(free), ints(fixed)
-    address = [int(model.jnt_qposadr[model.body_jntadr[body]]) for body in free]
-    starts.address = ints(address)
+    starts.address = ints([model.jnt_qposadr[model.body_jntadr[body]] for body in free])
+    starts.dof = ints([model.body_dofadr[body] for body in free])
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] in roots]
     starts.geoms = ints(geoms)
-    current = {
-        **{body: data.qpos[at : at + 7] for body, at in zip(free, address, strict=True)},
-        **{body: np.r_[model.body_pos[body], model.body_quat[body]] for body in fixed},
-    }
+    starts.objects = objects_of(model, mix, geoms, free)
+    starts.kind = ints(kinds)
     for name, bodies in (("free", free), ("fixed", fixed)):
         table = np.zeros((len(seeds), max(len(bodies), 1), 7))
-        for k, body in enumerate(bodies):
-            table[:, k] = _moved(current[body], now, poses, scale, world)
+        local = _local(world, mix, bodies, start_of(scenario.seed)[0])
+        for b in range(len(bodies)):
+            table[:, b] = _moved(local[kinds, b], poses, scale, world)
         setattr(starts, name, floats(table))
     starts.qpos, starts.ctrl = floats(data.qpos), floats(data.ctrl)
     starts.opening, starts.force = float(world.opening), float(rig.limits.force)
@@ -125,9 +135,10 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
     starts.modulus, starts.volume = (floats(one.reshape(stiffness.shape)) for one in found)
-    starts.break_force = floats(np.minimum([one.break_force for one in objects], 1e6))
+    starts.break_force = floats(np.minimum([one.break_force for one in changed], 1e6))
     main = model.body(f"{PREFIX}object").id
-    middle = scale * model.body_ipos[main, 2]  # the object stands upright, or has its middle there
+    own = starts.objects.ipos.numpy()[kinds, free.index(main), 2] if main in free else 0.0
+    middle = scale * own  # the object stands upright, or has its middle there
     heights = starts.free.numpy()[:, free.index(main), 2] + middle if main in free else middle
     starts.rest_height = floats(heights)
     speed = world.rig.gripper.speed
@@ -137,7 +148,7 @@ def sample_starts(scenario: Scenario, rig: Rig, seeds: Sequence[int], worlds: in
     )  # fmt: skip
     starts.episode = wp.zeros(worlds, dtype=int)
     starts.row = wp.zeros(worlds, dtype=int)
-    return SampledStarts(starts, np.asarray(seeds), floats(_events(tasks)))
+    return SampledStarts(starts, np.asarray(seeds), kinds, floats(_events(tasks)))
 
 
 def _events(tasks: Sequence[SampledTask]) -> Array:
@@ -155,11 +166,12 @@ def _events(tasks: Sequence[SampledTask]) -> Array:
     return table
 
 
-def _check(sampled: Sequence[SampledWorld], model: mujoco.MjModel, period: float) -> None:
+def _check(sampled: Sequence[SampledWorld], mix: Sequence[MixedObject], period: float) -> None:
     longest = max(one.rig.delay + one.rig.jitter for one in sampled)
     if longest > period:
         text = f"delays of up to {1e3 * longest:.0f} ms exceed the period of {1e3 * period:.0f} ms"
         raise InputError(text, source="Grasp-v0", field="randomization")
+    model = mix[0].model
     roots = object_roots(model)
     kinds = {
         int(model.geom_type[g])
@@ -171,27 +183,46 @@ def _check(sampled: Sequence[SampledWorld], model: mujoco.MjModel, period: float
         raise InputError(text, source="Grasp-v0", field="randomization")
 
 
-def _moved(
-    pose: Array,
-    now: tuple[float, float, float],
-    requested: Sequence[tuple[float, float, float]],
-    scale: Array,
-    world: Any,
+def _local(
+    world: Any, mix: Sequence[MixedObject], bodies: Sequence[int], start: tuple[float, float, float]
 ) -> Array:
-    """Return a body's poses (n, 7) after the object moves from `now` to the `requested` poses."""
+    """Return the poses (K, bodies, 7) of an object's bodies on the table, in its file's axes."""
+    model, data = world.model, world.data
+    names = [model.body(body).name.removeprefix(PREFIX) for body in bodies]
+    if len(mix) > 1:
+        poses = poses_of(mix, names)
+        poses[:, :, 2] += world.rig.table_height
+        return poses
     yaw = world.start.yaw
     centre = np.array([*world.start.centre[:2], 0.0])
-    R_old, p_old = planar_pose(now, yaw, centre)
+    R, p = planar_pose(place(world.object, start), yaw, centre)
+    back = np.zeros(4)
+    mujoco.mju_mat2Quat(back, R.T.ravel())
+    poses = np.zeros((1, len(bodies), 7))
+    for b, body in enumerate(bodies):
+        joint = int(model.body_jntadr[body])
+        at = data.qpos[model.jnt_qposadr[joint] :] if joint >= 0 else model.body_pos[body]
+        turn = at[3:7] if joint >= 0 else model.body_quat[body]
+        poses[0, b, :3] = R.T @ (at[:3] - p)
+        mujoco.mju_mulQuat(poses[0, b, 3:], back, turn)
+    return poses
+
+
+def _moved(
+    local: Array, requested: Sequence[tuple[float, float, float]], scale: Array, world: Any
+) -> Array:
+    """Return a body's poses (n, 7) in the world from its `local` poses (n, 7)."""
+    yaw = world.start.yaw
+    centre = np.array([*world.start.centre[:2], 0.0])
     table = world.rig.table_height
     moved = np.zeros((len(requested), 7))
     for k, one in enumerate(requested):
-        R_new, p_new = planar_pose(one, yaw, centre)
-        local = R_old.T @ (pose[:3] - p_old)
-        local = scale[k] * (local - [0, 0, table]) + [0, 0, table]
+        R, p = planar_pose(one, yaw, centre)
+        at = scale[k] * (local[k, :3] - [0, 0, table]) + [0, 0, table]
         quaternion, result = np.zeros(4), np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, (R_new @ R_old.T).ravel())
-        mujoco.mju_mulQuat(result, quaternion, pose[3:])
-        moved[k] = [*(R_new @ local + p_new), *result]
+        mujoco.mju_mat2Quat(quaternion, R.ravel())
+        mujoco.mju_mulQuat(result, quaternion, np.ascontiguousarray(local[k, 3:]))
+        moved[k] = [*(R @ at + p), *result]
     return moved
 
 

@@ -44,6 +44,10 @@ TESTED = {
         "docs/how-to/studio.md",
         0,
     ): "studio/test_user_scene.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
+    (
+        "docs/how-to/integrations.md",
+        0,
+    ): "../integrations/test_mjlab.py::test_a_gripper_of_mjlab_closes_on_an_egg_by_touch",
     ("docs/how-to/many_worlds.md", 0): "../many_worlds/test_example.py::test_eggs_are_lifted",
     (
         "docs/how-to/many_worlds.md",

@@ -57,16 +57,17 @@ def _shaken(
 def _fill(starts: Starts, scene: Scene, world: int, row: int, mass: float, fraction: float) -> None:
     """Change mass and inertia of the object towards a total of `mass` kg."""
     s = starts.scale[row]
+    k = starts.kind[row]
     first = starts.mass[row] * s * s * s
     total = float(0.0)
     for b in range(starts.free_bodies.shape[0]):
-        total += first * scene.mass[starts.free_bodies[b]]
+        total += first * starts.objects.mass[k, b]
     ratio = 1.0 + (mass / total - 1.0) * fraction
     for b in range(starts.free_bodies.shape[0]):
         body = starts.free_bodies[b]
-        scene.body_mass[world, body] = ratio * first * scene.mass[body]
-        scene.body_subtreemass[world, body] = ratio * first * scene.mass[body]
-        scene.body_inertia[world, body] = ratio * first * s * s * scene.inertia[body]
+        scene.body_mass[world, body] = ratio * first * starts.objects.mass[k, b]
+        scene.body_subtreemass[world, body] = ratio * first * starts.objects.mass[k, b]
+        scene.body_inertia[world, body] = ratio * first * s * s * starts.objects.inertia[k, b]
 
 
 @wp.kernel

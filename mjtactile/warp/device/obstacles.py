@@ -18,6 +18,7 @@ SUPPORTED = (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, CONVEX)
 MISS = wp.constant(1.0e6)  # height where there is no obstacle, m
 _ON = wp.constant(1.0e5)  # heights below this are on an obstacle, m
 _FLANK = wp.constant(2.0)  # slope beyond which a box or a cylinder counts as ended
+_STEEPEST = wp.constant(4.0)  # maximum ratio of distances along z and along the normal
 _LEVEL = wp.constant(1.0e-7)  # component of a normal along a line below which they are parallel
 
 
@@ -58,7 +59,7 @@ def _result(geom: Geom, t: float, n: wp.vec3, out: float, steepest: float) -> wp
         sy = -world[1] / world[2]
         square = sx * sx + sy * sy
         if square <= steepest * steepest:
-            found = wp.vec3(t - out * wp.sqrt(1.0 + square), sx, sy)
+            found = wp.vec3(t - out * wp.min(wp.sqrt(1.0 + square), _STEEPEST), sx, sy)
     return found
 
 

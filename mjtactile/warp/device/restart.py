@@ -13,17 +13,46 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
+class Objects:
+    """Objects of a batch, K of them, with the geoms and free bodies of `Starts`.
+
+    Geoms (K, geoms): `size`, `pos`, `quat` and `rbound` of MuJoCo, bounding box `box` (K, geoms, 2)
+    and `mesh`, its number or -1. Bodies (K, bodies): `mass`, `inertia`, `ipos`, `iquat`, inverse
+    weight `lightness`, and `diagonal` (K, bodies, 6) of the mass matrix. `rise` (K,) m is added to
+    the height of the gripper.
+    """
+
+    size: wp.array2d(dtype=wp.vec3)
+    pos: wp.array2d(dtype=wp.vec3)
+    quat: wp.array2d(dtype=wp.quat)
+    rbound: wp.array2d(dtype=float)
+    box: wp.array3d(dtype=wp.vec3)
+    mesh: wp.array2d(dtype=int)
+    mass: wp.array2d(dtype=float)
+    inertia: wp.array2d(dtype=wp.vec3)
+    ipos: wp.array2d(dtype=wp.vec3)
+    iquat: wp.array2d(dtype=wp.quat)
+    lightness: wp.array2d(dtype=wp.vec2)
+    diagonal: wp.array3d(dtype=float)
+    rise: wp.array(dtype=float)
+
+
+@wp.struct
 class Starts:
     """Initial states; entry e of world w is row (w + e * worlds) % rows of the others.
 
     `qpos` (nq,) and `ctrl` (nu,) are common. `free` (rows, bodies, 7) and `fixed` (rows, bodies, 7)
-    are poses of the object's bodies, those with a free joint at `address` in qpos. Relative to the
-    model are `scale`, the object's size, `mass`, `friction` (rows, 1 + fingers) of its geoms and of
-    each membrane, and `modulus` (rows, fingers) of the membranes. `volume` (rows, fingers) are
-    their rest volumes, m^3. `break_force` is in N. `rig` (rows, 5): delay, jitter, play, speed,
-    force noise. `episode` (worlds,) counts; `row`
-    (worlds,) is the present one.
+    are poses of the object's bodies, those with a free joint at `address` in qpos and `dof` in
+    qvel. `kind` is the number of the object in `objects`. Relative to it are `scale`, its size,
+    `mass`, `friction` (rows, 1 + fingers) of its geoms and of each membrane, and `modulus` (rows,
+    fingers) of the membranes. `volume` (rows, fingers) are their rest volumes, m^3. `break_force`
+    is in N. `rig` (rows, 5): delay, jitter, play, speed, force noise. `episode` (worlds,) counts;
+    `row` (worlds,) is the present one.
     """
+
+    objects: Objects
+    kind: wp.array(dtype=int)
+    dof: wp.array(dtype=int)
 
     qpos: wp.array(dtype=float)
     ctrl: wp.array(dtype=float)
@@ -49,28 +78,33 @@ class Starts:
 
 @wp.struct
 class Scene:
-    """Fields of MuJoCo Warp's model that differ between worlds, and the compiled values."""
+    """Fields of MuJoCo Warp's model that differ between worlds, and compiled values.
+
+    `friction` (geoms,), `membrane_friction` and `height`, m, of the body `gripper` are the compiled
+    ones. `diagonal` (worlds, nv) is that of the mass matrix.
+    """
 
     body_pos: wp.array2d(dtype=wp.vec3)
     body_quat: wp.array2d(dtype=wp.quat)
     body_ipos: wp.array2d(dtype=wp.vec3)
+    body_iquat: wp.array2d(dtype=wp.quat)
     body_mass: wp.array2d(dtype=float)
     body_subtreemass: wp.array2d(dtype=float)
     body_inertia: wp.array2d(dtype=wp.vec3)
+    body_invweight0: wp.array2d(dtype=wp.vec2)
     geom_size: wp.array2d(dtype=wp.vec3)
     geom_pos: wp.array2d(dtype=wp.vec3)
-    geom_rbound: wp.array2d(dtype=float)
-    geom_friction: wp.array2d(dtype=wp.vec3)
     geom_quat: wp.array2d(dtype=wp.quat)
+    geom_rbound: wp.array2d(dtype=float)
+    geom_aabb: wp.array3d(dtype=wp.vec3)
+    geom_dataid: wp.array2d(dtype=int)
+    geom_friction: wp.array2d(dtype=wp.vec3)
+    diagonal: wp.array2d(dtype=float)
     body_of: wp.array(dtype=int)
-    ipos: wp.array(dtype=wp.vec3)
-    mass: wp.array(dtype=float)
-    inertia: wp.array(dtype=wp.vec3)
-    size: wp.array(dtype=wp.vec3)
-    pos: wp.array(dtype=wp.vec3)
-    rbound: wp.array(dtype=float)
     friction: wp.array(dtype=wp.vec3)
     membrane_friction: float
+    gripper: int
+    height: float
 
 
 @wp.struct
@@ -106,8 +140,7 @@ def _write_fixed(starts: Starts, scene: Scene, poses: Poses, w: int) -> None:
             geom = starts.geoms[g]
             if scene.body_of[geom] == body:
                 poses.geom_xpos[w, geom] = p + R @ scene.geom_pos[w, geom]
-                own = scene.geom_quat[w % scene.geom_quat.shape[0], geom]
-                poses.geom_xmat[w, geom] = R @ _matrix(own)
+                poses.geom_xmat[w, geom] = R @ _matrix(scene.geom_quat[w, geom])
 
 
 @wp.func
@@ -132,22 +165,38 @@ def _place(starts: Starts, scene: Scene, qpos: wp.array2d(dtype=float), w: int, 
 
 @wp.func
 def _change(starts: Starts, scene: Scene, w: int, row: int) -> None:
-    """Give the object its size, mass and friction."""
+    """Give the world its object, with size, mass and friction, and the gripper its height."""
     s = starts.scale[row]
+    k = starts.kind[row]
     by = starts.mass[row] * s * s * s
     for b in range(starts.free_bodies.shape[0]):
         body = starts.free_bodies[b]
-        scene.body_mass[w, body] = by * scene.mass[body]
-        scene.body_subtreemass[w, body] = by * scene.mass[body]
-        scene.body_inertia[w, body] = by * s * s * scene.inertia[body]
-        scene.body_ipos[w, body] = s * scene.ipos[body]
+        mass = by * starts.objects.mass[k, b]
+        scene.body_mass[w, body] = mass
+        scene.body_subtreemass[w, body] = mass
+        scene.body_inertia[w, body] = by * s * s * starts.objects.inertia[k, b]
+        scene.body_ipos[w, body] = s * starts.objects.ipos[k, b]
+        scene.body_iquat[w, body] = starts.objects.iquat[k, b]
+        light = starts.objects.lightness[k, b]
+        scene.body_invweight0[w, body] = wp.vec2(light[0] / by, light[1] / (by * s * s))
+        for c in range(3):
+            dof = starts.dof[b] + c
+            scene.diagonal[w, dof] = by * starts.objects.diagonal[k, b, c]
+            scene.diagonal[w, dof + 3] = by * s * s * starts.objects.diagonal[k, b, c + 3]
     for g in range(starts.geoms.shape[0]):
         geom = starts.geoms[g]
-        scene.geom_size[w, geom] = s * scene.size[geom]
-        scene.geom_pos[w, geom] = s * scene.pos[geom]
-        scene.geom_rbound[w, geom] = s * scene.rbound[geom]
+        scene.geom_size[w, geom] = s * starts.objects.size[k, g]
+        scene.geom_pos[w, geom] = s * starts.objects.pos[k, g]
+        scene.geom_quat[w, geom] = starts.objects.quat[k, g]
+        scene.geom_rbound[w, geom] = s * starts.objects.rbound[k, g]
+        scene.geom_dataid[w, geom] = starts.objects.mesh[k, g]
+        for c in range(2):
+            scene.geom_aabb[w, geom, c] = s * starts.objects.box[k, g, c]
         own = scene.friction[geom]
         scene.geom_friction[w, geom] = wp.vec3(starts.friction[row, 0] * own[0], own[1], own[2])
+    p = scene.body_pos[w, scene.gripper]
+    p[2] = scene.height + starts.objects.rise[k]
+    scene.body_pos[w, scene.gripper] = p
 
 
 @wp.func

@@ -8,7 +8,7 @@ from mjtactile.warp.device.contact import Patch, StickingTable, add_up, remember
 from mjtactile.warp.device.elasticity import MembraneGrid
 from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
-from mjtactile.warp.device.obstacles import Geom
+from mjtactile.warp.device.obstacles import CONVEX, Geom
 from mjtactile.warp.device.relaxation import synchronize
 
 wp.set_module_options({"enable_backward": False})
@@ -19,15 +19,17 @@ class Places:
     """Fingers of a scene and the geoms that each may touch.
 
     `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
-    model, -1 if absent, `kinds`, `first` and `count` their kinds and planes, `slots` the numbers of
-    their bodies among `bodies` (fingers, slots). `radius` m is that of a membrane.
+    model, -1 if absent, `kinds` their kinds, `slots` the numbers of their bodies among `bodies`
+    (fingers, slots). `mesh` (1 or worlds, geoms of the model) is the mesh of a geom, `first` and
+    `count` (meshes,) its planes. `radius` m is that of a membrane.
     """
 
     frames: wp.array(dtype=int)
     geoms: wp.array2d(dtype=int)
     kinds: wp.array2d(dtype=int)
-    first: wp.array2d(dtype=int)
-    count: wp.array2d(dtype=int)
+    mesh: wp.array2d(dtype=int)
+    first: wp.array(dtype=int)
+    count: wp.array(dtype=int)
     slots: wp.array2d(dtype=int)
     bodies: wp.array2d(dtype=int)
     rbound: wp.array2d(dtype=float)
@@ -127,8 +129,13 @@ def _place(
             geom.size = size[world % size.shape[0], g]
             geom.p = at
             geom.R = wp.transpose(R) @ geom_xmat[world, g]
-            geom.first = places.first[finger, k]
-            geom.count = places.count[finger, k]
+            mesh = places.mesh[world % places.mesh.shape[0], g]
+            if geom.kind == CONVEX:
+                if mesh < 0:
+                    geom.kind = -1
+                else:
+                    geom.first = places.first[mesh]
+                    geom.count = places.count[mesh]
     geoms[f, k] = geom
 
 
@@ -231,6 +238,11 @@ def reset_worlds(
             fields.volume[f] = rest_volume[f]
             fields.status[f] = 0
             fields.lost[f] = 0
+            for c in range(6):
+                states.wrench[f, c] = 0.0
+            states.area[f] = 0.0
+            states.slid[f] = 0.0
+            states.slides[f] = 0
             gas.sealed[f] = 1
             heat.warmth[f] = 1.0
             heat.volume[f] = gas.flat + rest_volume[f]
