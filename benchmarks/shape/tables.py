@@ -199,6 +199,7 @@ def table(result: dict[str, Any]) -> str:
         *(
             (f"chi-square of the wrench, {name}", f"{now:.2f}", "", f"{before:.2f}")
             for name, (now, before) in s["chi2"].items()
+            if not name.endswith(("pressed", "dragged"))
         ),
         ("processor time, ms: first image of a load", _number(s["first_ms"]), "", ""),
         ("… force increased by half: all possible kinds fitted", _number(s["update_ms"]), "", ""),

@@ -95,10 +95,6 @@ def _areas(rows: Sequence[Row]) -> dict[str, Any]:
         f"{_LIGHT:g} to {_STRONG:g} N": [row for row in seen if _LIGHT <= _force(row) < _STRONG],
         f"from {_STRONG:g} N on": [row for row in seen if _force(row) >= _STRONG],
     }
-    groups |= {
-        shape: [row for row in seen if row["shape"] == shape]
-        for shape in sorted({row["shape"] for row in seen})
-    }
     return {
         name: _shares(np.array([row["area"] / row["area_true"] for row in group]))
         for name, group in groups.items()
