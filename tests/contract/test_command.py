@@ -114,8 +114,8 @@ def test_more_force_is_never_a_softer_grip(name, request):
     rig = make(name, request)
     try:
         efforts = []
-        for limit in (1.0, 0.5, 0.0, 2.0):
-            go(rig, Command(0.0, limit), 2.0)
+        for limit, time in ((1.0, 2.0), (0.5, 1.0), (0.0, 1.0), (2.0, 1.0)):
+            go(rig, Command(0.0, limit), time)
             efforts.append(rig.gripper.state().effort)
     finally:
         rig.close()

@@ -14,6 +14,7 @@ from mjtactile.core import scaled_clock
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
 from mjtactile.devices.camera import opencv
+from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
@@ -25,7 +26,8 @@ from mjtactile.runtime.grasp_scoring import GraspScore
 from mjtactile.runtime.session import Session
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rig import build_sim_rig
-from tests.patient import DESIGN, RATE, SIMULATED, SLOWER, patient_rig_file
+from tests.emulated import at_pace
+from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
 
 FIRMER = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.py"
 
@@ -105,17 +107,25 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert opening > 0.04
 
 
-@pytest.mark.slow(40)
-@pytest.mark.xdist_group("its air")
+@pytest.fixture
+def half_speed():
+    """An emulator with all images, whose cycles raise the pressure in time, at half the speed."""
+    with at_pace(2 * scaled_clock.slow()):
+        process = EmulatorProcess(load_rig_file("emulated"), DESIGN, object_name="egg", seed=0)
+        yield process
+        process.close()
+
+
+@pytest.mark.slow(60)
 @pytest.mark.clock
-def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_path, monkeypatch):
+def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_path, monkeypatch):
     """The controller raises the pressure from 0.6 to 2 kPa while the egg hangs between the fingers.
 
     Images keep their true capture times. `patient_rig_file` would assume half a second of delay
     that does not exist. Pressure reading and image would then belong to different times, and the
     force error would reach 0.1 N while the pressure changes.
     """
-    monkeypatch.setattr(opencv, "_STALE_PERIODS", 9.0)  # this computer is slow, the camera is not
+    monkeypatch.setattr(opencv, "_STALE_PERIODS", 18.0)  # this computer is slow, the camera is not
     heights = []
     truths = []
     estimated = []
@@ -125,15 +135,15 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
             super().add(cycle, **rest)
             if cycle.sent.phase == "hold":
                 before = scaled_clock.monotonic()
-                true = emulator.truth()
+                true = half_speed.truth()
                 moment = (before + scaled_clock.monotonic()) / 2
                 heights.append(true["object_height"])
                 truths.append([moment, true["contact_1"], true["contact_2"]])
                 estimated.append([[touch.time, touch.force_normal] for touch in cycle.touch])
 
-    cameras = [replace(camera, rate=RATE) for camera in load_rig_file("emulated").cameras]
-    rig_file = replace(patient_rig_file(), cameras=tuple(cameras))
-    rig = build_emulated_rig(rig_file, SLOWER, object_name="egg", seed=0, emulator=emulator)
+    cameras = load_rig_file("emulated").cameras
+    rig_file = replace(patient_rig_file(), cameras=cameras)
+    rig = build_emulated_rig(rig_file, DESIGN, object_name="egg", seed=0, emulator=half_speed)
     try:
         session = Session(rig)
         gentle = Gentle("done", FIRMER)
@@ -157,7 +167,6 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_pa
 
 
 @pytest.mark.slow(60)
-@pytest.mark.xdist_group("a task")
 @pytest.mark.clock
 def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     """The task file of the simulation also runs on the emulated rig.
