@@ -57,6 +57,7 @@ def test_press_estimates_what_the_load_cell_reads(capsys):
     assert "shape" not in result["flags"]
 
 
+@pytest.mark.slow  # test_press_estimates_what_the_load_cell_reads is another `press`
 def test_press_simulates_a_mesh_that_has_the_shape_it_reports(capsys):
     press = ("press", "--indenter", "sphere:5.3")
     fine = run_json(capsys, *press)

@@ -59,9 +59,13 @@ class Hangs(Feels):
         return super().perceive(image, now)
 
 
-@pytest.fixture(params=[1, 2])
+ONE_OR_TWO = pytest.mark.parametrize("pool", [1, 2], indirect=True)
+
+
+@pytest.fixture
 def pool(request):
-    made = PerceptionPool(request.param)
+    """Two processes, or as many as a test states."""
+    made = PerceptionPool(getattr(request, "param", 2))
     yield made
     made.close()
 
@@ -74,6 +78,7 @@ def children():
     ]
 
 
+@ONE_OR_TWO
 def test_what_is_estimated_arrives_complete_and_read_only_and_so_do_the_states(pool):
     pipelines = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
@@ -88,6 +93,7 @@ def test_what_is_estimated_arrives_complete_and_read_only_and_so_do_the_states(p
     assert [pipeline.state for pipeline in pipelines] == [2, 2]
 
 
+@ONE_OR_TWO
 def test_an_error_arrives_as_itself_and_the_next_image_is_checked(pool):
     with pool.at_work([Feels(), Raises()], NAMES) as both:
         with pytest.raises(ValueError, match="what it says"):

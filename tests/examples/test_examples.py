@@ -117,6 +117,7 @@ def test_a_newcomers_script_is_short(name, maximum):
     assert len(code_lines(name)) <= maximum
 
 
+@pytest.mark.slow  # test_touch_in_my_scene attaches a sensor, too
 def test_two_sensors_on_an_arm():
     example = run("two_sensors_on_an_arm", "gymnasium_robotics")
     weight = 9.81 * example.model.body_mass[example.model.body("object0").id]
@@ -150,6 +151,7 @@ def test_firmer_in_the_air(tmp_path):
     assert np.abs(error).max() < 0.03
 
 
+@pytest.mark.slow  # test_replay_a_recording opens a session, too
 def test_grasp_from_python(capsys, monkeypatch, tmp_path):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.3))
     quick = mjtactile.load_controller(tmp_path / "quick.py")
@@ -190,6 +192,7 @@ def test_read_a_log_with_pandas(monkeypatch, tmp_path):
     ]
 
 
+@pytest.mark.slow  # tests/contract/test_rigs.py replays a calibrated rig
 def test_calibrate_and_use_a_finger(capsys):
     example = run("calibrate_and_use_a_finger")
     left, right = np.nanmax(np.abs(example.forces - example.true[: len(example.forces)]), axis=0)
