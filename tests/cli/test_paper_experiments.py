@@ -7,7 +7,7 @@ import pytest
 from mjtactile.cli import main
 
 
-@pytest.mark.slow
+@pytest.mark.slow(6)
 def test_quick_figures_and_table(capsys, tmp_path):
     assert (
         main(["experiments", "--only", "fig5b,fig6", "--quick", "--out", str(tmp_path), "--json"])

@@ -74,7 +74,7 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
     return gentle
 
 
-@pytest.mark.slow
+@pytest.mark.slow(7)
 @pytest.mark.parametrize("name", SIMULATED)
 def test_gentle_lifts_an_egg(name, tmp_path):
     rig = near_rig(name, seed=1)

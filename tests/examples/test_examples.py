@@ -117,7 +117,7 @@ def test_a_newcomers_script_is_short(name, maximum):
     assert len(code_lines(name)) <= maximum
 
 
-@pytest.mark.slow  # test_touch_in_my_scene attaches a sensor, too
+@pytest.mark.slow(5)  # test_touch_in_my_scene attaches a sensor, too
 def test_two_sensors_on_an_arm():
     example = run("two_sensors_on_an_arm", "gymnasium_robotics")
     weight = 9.81 * example.model.body_mass[example.model.body("object0").id]
@@ -131,7 +131,7 @@ def test_two_sensors_on_an_arm():
         np.testing.assert_allclose(finger.touch.traction.wrench[:3], force, atol=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_firmer_in_the_air(tmp_path):
     """The pressure goes from 0.6 to 2 kPa while an egg is held, and the force stays right."""
     scenario = mjtactile.Scenario(
@@ -151,7 +151,7 @@ def test_firmer_in_the_air(tmp_path):
     assert np.abs(error).max() < 0.03
 
 
-@pytest.mark.slow  # test_replay_a_recording opens a session, too
+@pytest.mark.slow(6)  # test_replay_a_recording opens a session, too
 def test_grasp_from_python(capsys, monkeypatch, tmp_path):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.3))
     quick = mjtactile.load_controller(tmp_path / "quick.py")

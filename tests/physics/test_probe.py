@@ -40,7 +40,7 @@ def probe(capsys, *args):
     return code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(17)
 def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, brisk):
     words = ["--object", "sponge", "--sensor", sensor, "--controller", brisk(APPROACH_SPEED=0.03)]
     code, found = probe(capsys, *words, "--out", tmp_path / "live")
@@ -61,7 +61,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
 
-@pytest.mark.slow(10)
+@pytest.mark.slow(15)
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
 def test_class(capsys, name, kind, sensor, brisk):
     """The shipped controller classifies the block; clay needs more travel, since it yields so

@@ -250,7 +250,7 @@ def test_the_largest_force_is_known_to_some_percent(monkeypatch, paper16):
     assert math.isnan(score_module.largest_force(paper16))
 
 
-@pytest.mark.slow(10)
+@pytest.mark.slow(5)
 def test_the_predicted_range_is_checked_by_indentations_that_reach_it():
     design = load_sensor("dense")
     good = prediction_check.check_range(design, 2.0)
@@ -304,7 +304,7 @@ def test_a_requirement_becomes_sensor_files(tmp_path, capsys, fewer_loads):
         assert 1e-3 * made.chamber.supply_gauge == pytest.approx(best["supply_pressure_kPa"])
 
 
-@pytest.mark.slow(10)
+@pytest.mark.slow(4)
 def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads):
     # nine places, and one of the changes that are all scored alike
     monkeypatch.setattr(predict_file, "_SPACING", 20e-3)
