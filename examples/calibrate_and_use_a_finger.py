@@ -31,7 +31,7 @@ class Squeeze:
 
     def step(self, observation):
         command = observation.command
-        opening = command.opening - 0.05 * observation.period
+        opening = command.opening - 0.03 * observation.period
         return replace(
             command, opening=opening, force_limit=3.0, phase="done" if opening < 0.02 else "close"
         )
