@@ -21,6 +21,7 @@ from mjtactile.fit.membrane_fit import Simulated, is_fast
 from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less
+_START = 10  # readings that determine the start of a run
 SHIFT_SD = 5.0  # standard deviation of a constant pressure error of a run, Pa
 # minimum number of neighboring pressures with the same error, by the volume's errors; more if the
 # residuals are correlated over a longer time
@@ -99,11 +100,12 @@ def sealed_runs(
 def predict(design: SensorDesign, run: Sealed) -> Array:
     """Return the gauge pressures, Pa, of the sealed gas over a run.
 
-    The gas starts with the run's first pressure and first volume, at wall temperature.
+    The gas starts with the median of the run's first pressures and volumes, at wall temperature.
     """
     gas = ChamberGas(design.chamber)
     flat = design.chamber_volume_flat
-    gas.seal(flat + float(run.volume[0]), float(np.median(run.pressure[:10])))
+    first = slice(_START)
+    gas.seal(flat + float(np.median(run.volume[first])), float(np.median(run.pressure[first])))
     pressures = [gas.gauge_pressure]
     before = float(run.time[0])
     for time, volume in zip(run.time[1:].tolist(), run.volume[1:].tolist(), strict=True):

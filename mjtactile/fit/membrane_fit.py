@@ -45,6 +45,8 @@ _FORCE_TOLERANCE = 0.003
 _LARGEST_STEP = 4e-3  # limit of the time step, s
 # speed of the simulated moves, m/s; a slower move changes the marker positions by less than 2 um
 _SPEED = 0.01
+_PRESSURES = 4  # pressures of a move, equally spaced between those of the holds
+_DEEPER = 1e-4  # change of the depth from which on the pressure changes during a move, m
 Notify = Callable[[str], None]
 
 
@@ -135,7 +137,8 @@ def simulate(
     mark."""
     stage = evidence.stage
     world = stage_world(design, evidence, mesh)
-    world.inflate(_pressure(design, evidence, evidence.rest), seal=False)
+    pressure = _pressure(design, evidence, evidence.rest)
+    world.inflate(pressure, seal=False)
     found = [_read_state(world)]
     known = {id(hold.move): hold for hold in evidence.holds}
     moves = (None, *(stage.moves if stage else ()))
@@ -143,11 +146,12 @@ def simulate(
     for move in moves[: last + 1]:
         hold = known.get(id(move))
         if hold is not None:
-            world.sensors[0].open_valve(_pressure(design, evidence, hold))
+            pressure = _pressure(design, evidence, hold)
         if move is None:
+            world.sensors[0].open_valve(pressure)
             world.settle()
         else:
-            _move(world, move, offset)
+            _move(world, move, offset, pressure)
         if hold is not None:
             found.append(_read_state(world))
     return tuple(found)
@@ -176,13 +180,27 @@ def finer_mesh(mesh: tuple[int, int]) -> tuple[tuple[int, int], float]:
     return (finer[0], finer[1]), 1 / (1 - _FINER**-2)
 
 
-def _move(world: PressWorld, move: Move, offset: float) -> None:
+def _move(world: PressWorld, move: Move, offset: float, pressure: float) -> None:
+    """Simulate a move to a hold at a gauge `pressure`, Pa.
+
+    The pressure of a closed chamber rises while the contact grows. A contact that sticks keeps the
+    membrane's state of that time, so that the pressure changes with the depth here, too.
+    """
+    sensor = world.sensors[0]
+    before = sensor.gauge_pressure
+    depth = move.depth + offset
+    touched = max(world.depth, 0.0)
+    if move.touches and not move.shear and depth - touched > _DEEPER:
+        for part in np.linspace(0.0, 1.0, _PRESSURES + 1)[1:-1].tolist():
+            sensor.open_valve(before + part * (pressure - before))
+            world.drive(touched + part * (depth - touched), move.shear, _SPEED)
+    sensor.open_valve(pressure)
     if not move.touches:
         world.press(LIFTED, 0.0, _SPEED)
     elif move.is_weight:
         _press_with(world, move)
     else:
-        world.press(move.depth + offset, move.shear, _SPEED)
+        world.press(depth, move.shear, _SPEED)
 
 
 def _press_with(world: PressWorld, move: Move) -> None:

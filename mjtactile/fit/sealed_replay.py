@@ -255,12 +255,14 @@ def _holds(evidence: Evidence) -> list[Array]:
 
 
 def can_replay(evidence: Evidence) -> bool:
-    """Return True for a recording with contact at known depths and without shear.
+    """Return True for a recording on a stage: no contact, or known depths without shear.
 
-    Shear contains little information on the gas and takes long to simulate.
+    The simulated volume has no noise: that of the markers at the start of a recording would shift
+    all its pressures. Shear contains little information on the gas and takes long to simulate.
     """
-    moves = evidence.stage.moves if evidence.stage else ()
-    return touches(evidence) and not any(move.is_weight or move.shear for move in moves)
+    if evidence.stage is None:
+        return False
+    return not any(move.is_weight or move.shear for move in evidence.stage.moves)
 
 
 def touches(evidence: Evidence) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.fit.gas import SHARED, Sealed, _correlated_count, fit_gas
+from mjtactile.fit.gas import SHARED, Sealed, _correlated_count, fit_gas, predict
 
 DENSE = load_sensor("dense")
 AMBIENT = DENSE.chamber.ambient
@@ -151,3 +151,15 @@ def test_a_common_error_of_two_runs_does_not_average_out():
     separate = fit_gas(DENSE, runs, known=fixed, modes=[[change, none], [none, change]])
     assert np.sqrt(common.cov[0, 0]) / flat == pytest.approx(0.02, rel=0.2)
     assert np.sqrt(separate.cov[0, 0] / common.cov[0, 0]) == pytest.approx(0.71, rel=0.1)
+
+
+def test_a_wrong_first_volume_shifts_no_pressure():
+    """A gas at rest stays at its pressure, although the first of its volumes is 5 uL too large.
+
+    With that volume as the start, all others would be compressed: 20 Pa.
+    """
+    time = np.arange(60) / 30
+    volume = np.full(60, 1.4e-6)
+    volume[0] += 5e-9
+    pressures = predict(DENSE, Sealed("run", time, np.full(60, 1000.0), volume))
+    assert np.abs(pressures[1:] - 1000.0).max() < 1.0

@@ -97,11 +97,14 @@ def test_effects_of_correlated_errors(monkeypatch):
 
 
 def test_recordings_that_are_replayed():
-    """Contact at known depths without shear; the other recordings are predicted or left out."""
+    """No contact, or contact at known depths without shear; others are predicted or left out."""
     drag = Stage("sphere:8", (0.0, 0.0), (Move(0.0, 2e-3), Move(1.0, 2e-3, shear=1e-3)))
     weight = Stage("sphere:8", (0.0, 0.0), (Move(0.0, force=0.5),))
     still = Stage("sphere:8", (0.0, 0.0), (Move(0.0),))
     assert [can_replay(evidence_of(s)) for s in (TAP, drag, weight, still, None)] == [
         True,
-        *[False] * 4,
+        False,
+        False,
+        True,
+        False,
     ]
