@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Recorder, Scenario, resolve_scenario, rig_names
+from mjtactile import DeviceError, InputError, Recorder, Scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
 from mjtactile.commands.option_rules import Rule
@@ -292,6 +292,21 @@ class _Watching(Observer):
             self._progress.message(describe(self._left.pop(0)))
 
 
+class _Monitored(Observers):
+    """Observers of the cycles of `Monitor`; not of a retreat after it."""
+
+    is_over: bool = False
+
+    def on_images(self) -> None:
+        if not self.is_over:
+            super().on_images()
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        if not self.is_over:
+            super().add(cycle, view, **truth)
+        self.is_over = cycle.sent.phase == "done" or self.is_over
+
+
 def _record(
     session: Session, recorder: Recorder, seconds: float, progress: Progress, stage: Stage | None
 ) -> dict[str, Any]:
@@ -302,11 +317,13 @@ def _record(
     recorder.start(session)
     session.take_references(recorder)
     seconds = min(seconds, session.rig.length)
-    session.run(
-        Monitor(seconds),
-        time_limit=seconds + 60,
-        observer=Observers([recorder, watching, progress]),
-    )
+    monitored = _Monitored([recorder, watching, progress])
+    try:
+        session.run(Monitor(seconds), time_limit=seconds + 60, observer=monitored)
+    except DeviceError:
+        # a recording cannot lower a gripper that was raised at the end of the requested part
+        if not (monitored.is_over and session.rig.recorded):
+            raise
     forces = watching.forces
     times = watching.times
     known = np.array(forces)[np.isfinite(forces).all(axis=1)] if forces else np.zeros((0, 1))
