@@ -22,7 +22,7 @@ from mjtactile import (
 )
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import effects, scenario
-from mjtactile.commands.option_rules import Rule
+from mjtactile.commands.option_rules import Rule, replays
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
@@ -121,6 +121,11 @@ RULES = (
         ("--video",),
         lambda given: given.frames > 0 and "-images" not in _effects(given),
         "without camera images: --frames none or --effects=-images",
+    ),
+    Rule(
+        ("--object",),
+        lambda given: not replays(given),
+        "with --rig replay: the object is the recorded one",
     ),
 )
 

@@ -19,6 +19,7 @@ REFUSED = [
     (("studio", "--native", "--no-browser"), "--no-browser"),
     (("studio", "--native", "--no-wait"), "--no-wait"),
     (("studio", "--rig", "replay:run", "--controller", "gentle"), "--controller"),
+    (("grasp", "--rig", "replay:run", "--object", "vial"), "--object"),
     (("studio", "--rig", "replay:run", "--effects=-images"), "--effects"),
     (("probe", "--source", "run", "--object", "egg"), "--object"),
     (("probe", "--source", "run", "--seed", 3), "--seed"),
