@@ -103,9 +103,13 @@ def test_a_part_of_a_recording_with_the_gripper_raised(folder, tmp_path, capsys)
     """The part is complete: a recording cannot lower the gripper, and the rest was not asked."""
     raised = tmp_path / "raised"
     shutil.copytree(folder, raised)
-    lines = [json.loads(line) for line in (raised / "recording" / "log.jsonl").read_text().splitlines()]
+    lines = [
+        json.loads(line) for line in (raised / "recording" / "log.jsonl").read_text().splitlines()
+    ]
     written = [line | {"lift_height": 0.02} if "lift_height" in line else line for line in lines]
-    (raised / "recording" / "log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in written))
+    (raised / "recording" / "log.jsonl").write_text(
+        "".join(json.dumps(line) + "\n" for line in written)
+    )
     out = tmp_path / "part"
     code, result = record(capsys, "--rig", f"replay:{raised}", "--seconds", "0.2", "--out", out)
     assert code == 0 and result["cycles"] == pytest.approx(0.2 * 30, abs=1)
