@@ -172,6 +172,7 @@ class Supervisor:
             f"{1e9 * bulge:.0f} mm^3 without contact"
             for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
             if t.surface is not None
+            and math.isfinite(t.force_normal)  # an unknown force may be a contact
             and not t.touching
             and bulge is not None
             and bulge > 0

@@ -126,6 +126,21 @@ def test_a_leak_is_found_by_shape_without_a_sensor(supervisor):
     assert "has sunk" in supervisor.reason
 
 
+def test_a_membrane_under_an_unknown_force_does_not_leak(supervisor):
+    """A wide face flattens the bulge: `round30`, a cube of 50 mm. The reason is that of the status."""
+
+    def seen(force, volume):
+        surface = SimpleNamespace(volume=volume)
+        return Touch(0.0, 0.0, force, 0.01, False, surface=surface, status="on the frame")  # type: ignore[arg-type]
+
+    supervisor.decide(0.0, LAST, LAST, (seen(0.0, 7e-7), OK), (SEALED, SEALED))
+    for step in range(20):
+        touch = (seen(math.nan, 3e-7), OK)
+        supervisor.decide(0.1 + step * PERIOD, LAST, LAST, touch, (SEALED, SEALED))
+    assert supervisor.state == "safe"
+    assert "no force for 0.5 s: on the frame" in supervisor.reason
+
+
 def test_the_jaws_open_only_when_the_gripper_is_down_as_far_as_the_gripper_states(supervisor):
     """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
     supervisor.make_safe("a fault", 0.0)
