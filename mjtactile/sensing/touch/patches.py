@@ -11,6 +11,7 @@ highest pressure that has this area. The arithmetic is in mjtactile/kernels/patc
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -29,12 +30,19 @@ from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 _AREA_ABOVE = 1.8
 _AREA_LOAD = 2.6e-3  # force over gauge pressure from which the area is the lower end, m^2
 _AREA_POWER = 0.34
+# The same of a flat contact, relative: the standard deviation of its estimated force
+_FLAT = (0.9, 1.1)
+_ANY_DISC = 1e3  # m^2; the smaller estimate dominates, so that the area follows from the force
 
 
 def find_patches(
     estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
 ) -> tuple[Contact, ...]:
-    """Return the contact patches, the strongest first; empty without contact."""
+    """Return the contact patches, the strongest first; empty without contact. Under a plane, the
+    membrane carries no pressure by its tension: area is force over gauge pressure."""
+    is_flat = shape.gain.mean is not None
+    if is_flat:
+        s = replace(s, area_disc=_ANY_DISC, area_power=0.0, area_pressure=0.0)
     nx = len(estimator.x)
     ny = len(estimator.y)
     pressing = np.zeros((nx, ny))
@@ -58,7 +66,10 @@ def find_patches(
         grids = (nx, ny, REFINE, *fine.shape, fine, position, owner, k)
         load = (shape.traction, estimator.node_area, sunk, shape.gauge_pressure, blur)
         if kernel("measure_patch")(*grids, *load, as_numbers(s), inside, mask, sums):
-            patches.append(_patch(inside, mask.view(bool), sums, position, shape.gauge_pressure))
+            found = _patch(inside, mask.view(bool), sums, position, shape.gauge_pressure)
+            if is_flat:
+                found = replace(found, area_interval=found.area * np.array(_FLAT))
+            patches.append(found)
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 

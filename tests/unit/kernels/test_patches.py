@@ -2,6 +2,8 @@
 places, with shear."""
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.touch.patches import find_patches
 from tests.numpy_pipeline import patches as numpy_patches
+
+NO_PLANE: Any = SimpleNamespace(mean=None)  # the part of a linearization that patches read
 
 
 def pressed(estimator, rest, rng, count):
@@ -30,7 +34,7 @@ def pressed(estimator, rest, rng, count):
         traction,
         rng.uniform(-100.0, 900.0),
         1.0,
-        None,
+        NO_PLANE,
         1,
         np.zeros((2, estimator.design.markers.count)),
         0.0,
@@ -83,5 +87,5 @@ def test_nothing_presses():
         pass
 
     rest.c = c
-    shape = Shape(c, pull, 600.0, 1.0, None, 1, np.zeros((2, 81)), 0.0, np.zeros(0))
+    shape = Shape(c, pull, 600.0, 1.0, NO_PLANE, 1, np.zeros((2, 81)), 0.0, np.zeros(0))
     assert find_patches(estimator, shape, rest) == ()
