@@ -235,6 +235,9 @@ def run_grasp(
         weak = None if width is None else actuator_limit(rig, width)
         if weak is not None:
             watching.message(f"{scenario.rig}: {weak}")
+        oblique = None if rig.scene is None else rig.scene.oblique_faces()
+        if oblique is not None:
+            watching.message(oblique)
         session.take_references(watching)
         estimate = _estimate(rig) if error_estimate else None
         log = _Log(watching, score, estimate, rig.goal.place_height)

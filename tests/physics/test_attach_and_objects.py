@@ -202,3 +202,25 @@ def test_membrane_pushed_against_the_glass_is_an_error():
         for height in np.linspace(0.02, -0.02, 400):
             world.data.mocap_pos[0, 2] = height
             world.step()
+
+
+BOX = """<mujoco><custom><numeric name="break_force_N" data="9"/><text name="material" data="solid"/>
+ {custom}</custom><worldbody><body name="object" pos="0 0 0.025"><freejoint/>
+ <geom type="box" size="0.025 0.025 0.025" mass="0.03"/></body></worldbody></mujoco>"""
+LIMITED = '<numeric name="rotation_deg" data="30"/>'
+
+
+# A cube has faces every 90 degrees: 100 degrees are 10 from the next one.
+@pytest.mark.parametrize(
+    ("custom", "degrees", "stated"),
+    [("", 100.0, "10 degrees"), ("", 92.0, None), (LIMITED, 30.0, None)],
+)
+def test_the_rotation_of_a_box_by_the_seed_is_stated(tmp_path, custom, degrees, stated):
+    path = tmp_path / "cube.xml"
+    path.write_text(BOX.format(custom=custom))
+    pose = (0.0, 0.0, np.radians(degrees))
+    note = GraspWorld("paper16", path, mesh=(7, 7), object_pose=pose).oblique_faces()
+    assert (note is None) == (stated is None)
+    if stated is not None:
+        assert stated in note
+        assert "rotation_deg" in note

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
@@ -25,6 +26,8 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 _STRAINED = 0.2
 """Compression from which rubber is stiffer than linear elements by 27 % and more."""
+
+_OBLIQUE = 5.0  # degrees; membranes follow smaller angles
 
 
 class GraspWorld(GripperWorld):
@@ -100,6 +103,24 @@ class GraspWorld(GripperWorld):
         """Second object of the task; None without one."""
         self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)
+
+    def oblique_faces(self) -> str | None:
+        """Return a note if the seed rotates the faces of all boxes relative to the fingers."""
+        body = self.model.body(PREFIX + "object")
+        geoms = range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0]))
+        kinds = {int(self.model.geom_type[geom]) for geom in geoms}
+        if kinds != {int(mujoco.mjtGeom.mjGEOM_BOX)} or self.object.turn < math.pi:
+            return None
+        closing = self.data.xmat[self.sensors[0].body_id].reshape(3, 3)[:, 2]
+        axes = self.data.geom_xmat[list(geoms)].reshape(-1, 3, 3)
+        cosines = np.abs(np.einsum("gik,i->gk", axes, closing))
+        angle = math.degrees(math.acos(min(float(cosines.max()), 1.0)))
+        if angle < _OBLIQUE:
+            return None
+        return (
+            f"{self.object.name}: the seed rotates its faces by {angle:.0f} degrees relative to the "
+            "fingers, which then hold its edges; the numeric rotation_deg in its file limits this"
+        )
 
     def _strain_flags(self) -> Reasons:
         """Return a flag if the strain exceeds the range of the object's linear elements."""
