@@ -118,8 +118,8 @@ class GraspWorld(GripperWorld):
         if angle < _OBLIQUE:
             return None
         return (
-            f"{self.object.name}: the seed rotates its faces by {angle:.0f} degrees relative to the "
-            "fingers, which then hold its edges; the numeric rotation_deg in its file limits this"
+            f"{self.object.name}: the seed rotates its faces by {angle:.0f} degrees relative to "
+            "the fingers, which then hold its edges; rotation_deg in its file limits this"
         )
 
     def _strain_flags(self) -> Reasons:
