@@ -231,13 +231,8 @@ def run_grasp(
         score = _score(scenario, rig, watching)
         # before the gripper moves: files cannot be read on a computer that fails meanwhile
         criterion = load_task(scenario.task).success.text
-        width = None if rig.scene is None else rig.scene.object.width
-        weak = None if width is None else actuator_limit(rig, width)
-        if weak is not None:
-            watching.message(f"{scenario.rig}: {weak}")
-        oblique = None if rig.scene is None else rig.scene.oblique_faces()
-        if oblique is not None:
-            watching.message(oblique)
+        for note in _notes(scenario, rig):
+            watching.message(note)
         session.take_references(watching)
         estimate = _estimate(rig) if error_estimate else None
         log = _Log(watching, score, estimate, rig.goal.place_height)
@@ -273,6 +268,18 @@ def run_grasp(
     if log.estimate is None:
         return result
     return replace(result, force_error_estimate=log.estimate.force_error())
+
+
+def _notes(scenario: Scenario, rig: Rig) -> list[str]:
+    """Return notes on a simulated scene that limits the grasp: weak actuators, a rotated box."""
+    scene = rig.scene
+    if scene is None:
+        return []
+    width = scene.object.width
+    weak = None if width is None else actuator_limit(rig, width)
+    notes = [] if weak is None else [f"{scenario.rig}: {weak}"]
+    oblique = scene.oblique_faces()
+    return notes if oblique is None else [*notes, oblique]
 
 
 def _time_limit(scenario: Scenario) -> float:
