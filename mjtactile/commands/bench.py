@@ -38,7 +38,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
         "errors of a pipeline, for --effects=-mesh,-pipeline",
     ),
     "learning": ("learning.run", "steps per second, outcomes and memory of each fidelity level"),
-    "gpu": ("gpu", "grasps in MuJoCo Warp: agreement with the CPU; speed on a GPU"),
+    "gpu": ("gpu.run", "grasps in MuJoCo Warp: agreement with the CPU; speed on a GPU"),
     "policy": ("learning.policy", "a policy trained in ten minutes, at two fidelity levels"),
     "effects": ("effects", "cost of each effect, and the error without it"),
     "quasistatic": ("quasistatic", "quasi-static membrane against an independent solver: error"),
