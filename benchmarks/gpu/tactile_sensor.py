@@ -1,7 +1,8 @@
 """MuJoCo's own `<tactile>` sensor in MuJoCo Warp, on the gripper of `examples/many_worlds.py`.
 
-Both grippers close on the same egg. `<tactile>` reports depth of penetration and sliding speeds at
-the vertices of a mesh, as many as a membrane has nodes. It has no forces.
+Both grippers close on the same egg. `<tactile>` reports a dimensionless pressure, a function of the
+depth of penetration alone, and sliding speeds at the vertices of a mesh, as many as a membrane has
+nodes. It has no forces.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ def speeds(worlds: int, device: str, steps: int) -> dict[str, Any]:
         tactile = _steps_per_second(other, steps)
     force = -touch.wrench.numpy()[:, :, 2]
     nodes = _GRID[0] * _GRID[1]
-    depth = other[2].sensordata.numpy()[:, :nodes]  # of the first sensor, before its speeds
+    pressure = other[2].sensordata.numpy()[:, :nodes]  # of the first sensor, before its speeds
     return {
         "worlds": worlds,
         "membranes_steps_per_s": membranes,
         "membranes_force_N": float(force.mean()),
         "tactile_steps_per_s": tactile,
-        "tactile_max_depth_mm": float(1e3 * depth.max()),
+        "tactile_max_pressure": float(pressure.max()),
     }
 
 

@@ -1,0 +1,51 @@
+"""Benchmark of many worlds: its tables, and the scene with MuJoCo's `<tactile>` sensor."""
+
+import pytest
+
+pytest.importorskip("mujoco_warp")
+
+from benchmarks.gpu.run import table
+from benchmarks.gpu.tactile_sensor import speeds
+
+PAIR = {
+    "object": "random",
+    "pairs": 50,
+    "same_outcome": 0.98,
+    "held_cpu": 48,
+    "held": 49,
+    "force_difference_median_N": 0.004,
+    "force_difference_p95_N": None,
+}
+
+
+def test_without_a_gpu_the_table_states_that_speed_was_not_measured():
+    row = {**PAIR, "force_difference_p95_N": 0.05}
+    text = table({"device": "CPU", "is_gpu": False, "pairs": [row], "skipped": []})
+    assert "| random | 50 | 48 / 49 | 98 | 4.0 / 50.0 |" in text
+    assert text.endswith("speed was not measured.\n")
+
+
+def test_parts_without_time_are_named():
+    speed = {"worlds": 4096, "control_steps_per_s": 1e5, "memory_GB": 2.0, "held_N": 0.6}
+    text = table(
+        {
+            "device": "some GPU",
+            "is_gpu": True,
+            "pairs": [{**PAIR, "force_difference_median_N": None}],
+            "speed": [speed],
+            "skipped": ["failures"],
+        }
+    )
+    assert "| 4096 | 100,000 | 2.00 | 0.600 |" in text
+    assert text.endswith("Not measured, no time left: failures.\n")
+
+
+@pytest.mark.slow(60)
+def test_the_tactile_sensor_of_mujoco_reports_a_pressure_on_the_same_gripper():
+    """Servos of 1 N/mm press pads and membranes on the egg.
+
+    MuJoCo computes depth / (50 mm - depth), which is 0.02 at 1 mm.
+    """
+    found = speeds(1, "cpu", 150)
+    assert found["tactile_max_pressure"] == pytest.approx(0.02, abs=0.005)
+    assert 0.3 < found["membranes_force_N"] < 2.0
