@@ -96,3 +96,17 @@ def _without(observation):
     opening = command.opening - (0.04 if max(estimated) < 0.1 else 0.005) * observation.period
     phase = "done" if held > 5 else "close"
     return replace(command, opening=opening, force_limit=4.0, memory={"held": held}, phase=phase)
+
+
+@pytest.mark.slow(25)
+def test_an_egg_is_smooth_on_the_default_mesh():
+    """Vertices 3 mm apart: light contacts look flat, and curvatures change with depth. Curvatures
+    of the egg are 1/16 and 16/20^2 per mm."""
+    scenario = Scenario(seed=1, effects="-images", contact_shapes=True)
+    result = run_grasp(scenario, [], workers=0)
+    assert result.outcome == "held"
+    for contact in result.contacts:
+        assert contact is not None
+        assert contact["kind"] == "smooth" and contact["status"] == "ok"
+        # a load of 0.6 N on 1 kPa; as a face of the same markers, half of it
+        assert 100 < contact["area_mm2"] < 150

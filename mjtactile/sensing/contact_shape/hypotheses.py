@@ -176,9 +176,9 @@ def weigh(
     both = zip(found, roughly, strict=True)
     likely = [(one, rough) for one, rough in both if rough.log > minimum]
     kept = [
-        (one.exactly(forward, data, noise) if rough.log > maximum - _CLOSE else one).with_noise(
-            noise
-        )
+        one.exactly(forward, data, noise).with_noise(noise)
+        if rough.log > maximum - _CLOSE
+        else rough
         for one, rough in likely
     ]
     kept.sort(key=lambda one: -one.log)
