@@ -18,6 +18,8 @@ from mjtactile.types import (
 
 POLICY = Path(os.environ.get("MJTACTILE_POLICY", Path(__file__).with_name("policy.npz")))
 load = cache(load_policy)  # one file is read once
+if "MJTACTILE_POLICY" in os.environ:
+    load(POLICY)  # a broken file is refused before the rig is opened
 
 
 def step(observation: Observation) -> Command:

@@ -6,6 +6,7 @@ import importlib.util
 import numpy as np
 import pytest
 
+from mjtactile import ControllerError
 from mjtactile.core import resources
 from mjtactile.core.policy import command_from_action, policy_observation
 from mjtactile.runtime.controller import load_controller
@@ -30,6 +31,12 @@ def test_a_network_of_two_layers(tmp_path, monkeypatch):
     assert controller(monkeypatch, tmp_path / "p.npz").step(observation) == command_from_action(
         observation, action
     )
+
+
+def test_a_broken_file_is_refused_when_the_controller_is_loaded(tmp_path, monkeypatch):
+    """It is refused before the rig is opened, not at the first step."""
+    with pytest.raises(ControllerError, match=r"none.npz: no such file"):
+        controller(monkeypatch, tmp_path / "none.npz")
 
 
 @pytest.mark.skipif(
