@@ -153,7 +153,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 def _factors(half: float, twice: float, usual: float) -> str:
     """At half / at twice; nothing where neither changes."""
-    shares = (half / usual, twice / usual)
-    if all(abs(fraction - 1) < _ALIKE for fraction in shares):
+    fractions = (half / usual, twice / usual)
+    if all(abs(fraction - 1) < _ALIKE for fraction in fractions):
         return ""
-    return f"{shares[0]:.2f}/{shares[1]:.2f}"
+    return f"{fractions[0]:.2f}/{fractions[1]:.2f}"

@@ -150,8 +150,8 @@ def _fraction_table(result: Mapping[str, Any]) -> str:
         if "milliseconds" not in s:
             continue
         parts = [s["milliseconds"][part] for part in _PARTS]
-        shares = [f"{100 * part / sum(parts):.0f} %" for part in parts]
-        lines.append(f"| {name} | {' | '.join(shares)} |")
+        fractions = [f"{100 * part / sum(parts):.0f} %" for part in parts]
+        lines.append(f"| {name} | {' | '.join(fractions)} |")
     return "\n".join(lines)
 
 

@@ -51,15 +51,15 @@ def fit(seen, done):
     zero."""
     # constant inputs carry no information
     scale = np.where(seen.std(axis=0) > 1e-9, seen.std(axis=0), np.inf)
-    middle = seen.mean(axis=0)
-    x = (seen - middle) / scale
+    mean = seen.mean(axis=0)
+    x = (seen - mean) / scale
     w = (
         np.linalg.solve(
             x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ (done - done.mean(axis=0))
         ).T
         / scale
     )
-    return w, done.mean(axis=0) - w @ middle
+    return w, done.mean(axis=0) - w @ mean
 
 
 def main(path="policy.npz", grasps="16", first="1000"):

@@ -162,10 +162,10 @@ def _row(
     parts = []
     for k, room in enumerate(floor.rooms):
         corner = x + k * (each + gap)
-        middle = corner + each / 2
+        center = corner + each / 2
         parts.append(_box(corner, y, each, height, _colour(room)))
-        parts.append(_text(middle, y + 22, room, size=15, weight="bold", anchor="middle"))
-        parts.append(_text(middle, y + 40, ROOMS.get(room, ""), size=11.5, anchor="middle"))
+        parts.append(_text(center, y + 22, room, size=15, weight="bold", anchor="middle"))
+        parts.append(_text(center, y + 40, ROOMS.get(room, ""), size=11.5, anchor="middle"))
         if room in tagged:
             parts.append(
                 _text(corner + each - 6, y + 12, "mujoco", size=9.5, anchor="end", fill="#356")

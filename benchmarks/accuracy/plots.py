@@ -62,9 +62,9 @@ def _scale(
     does not look like a slope."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    middle = (limits[0] * limits[1]) ** 0.5
+    center = (limits[0] * limits[1]) ** 0.5
     half = max((limits[1] / limits[0]) ** 0.5, 2.0)
-    set_limits(middle / half, middle * half)
+    set_limits(center / half, center * half)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -19,10 +19,10 @@ def render(grasp: Grasp, path: Path) -> None:
     figure = new_figure(path.name, (1.7 * _COLUMNS, 1.95 * rows))
     if figure is None:
         return
-    middle = len(grasp.images) // 2
+    center = len(grasp.images) // 2
     for number, (name, table, _) in enumerate(TABLES):
         camera = FaultyImage(Kind(name, table, ALWAYS, 5).faults, 5)
-        shown = [camera(image) for image in grasp.images[middle - 2 : middle + 1]][-1]
+        shown = [camera(image) for image in grasp.images[center - 2 : center + 1]][-1]
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         axes.imshow(shown.pixels[_PART], cmap="gray", vmin=0, vmax=255)
         axes.set_title(label(name), fontsize=6)

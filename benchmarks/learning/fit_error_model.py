@@ -116,13 +116,13 @@ def fit(rows: Rows) -> SensingErrorModel:
     mean, sd, between, spread = _by_grasps(left, near, estimated)
     z = (left - near @ mean) / (near @ sd) / between[:, None]
     far = np.asarray((np.abs(z) > _OUTLIER).any(axis=1))
-    deviation, middle = _alone(left, estimated)
+    deviation, average = _alone(left, estimated)
     # var(b - (a + c) / 2) of white noise is 3/2 of its own
-    noise = _median_at(np.abs(deviation.mean(axis=0)), near[middle]) / _MEDIAN / math.sqrt(1.5)
+    noise = _median_at(np.abs(deviation.mean(axis=0)), near[average]) / _MEDIAN / math.sqrt(1.5)
     fresh = np.minimum(noise, sd)
     # a step that stays is none
     jumps = np.where(deviation[0] * deviation[1] > 0, np.abs(deviation).min(axis=0), 0.0)
-    jumps = jumps / (near[middle] @ fresh)
+    jumps = jumps / (near[average] @ fresh)
     out = np.asarray((jumps > _OUTLIER).any(axis=1))
     reported = np.sqrt(np.diagonal(estimated["cov"], axis1=1, axis2=2))
     ratio = estimated["cov"] / (reported[:, :, None] * reported[:, None])
@@ -144,7 +144,7 @@ def fit(rows: Rows) -> SensingErrorModel:
         shear_gain=shear_gain,
         between=spread,
         slow_time=_memory(z, estimated),
-        outliers=_mean_at(out[:, None].astype(float), near[middle])[:, 0],
+        outliers=_mean_at(out[:, None].astype(float), near[average])[:, 0],
         outlier_size=np.maximum(np.sqrt(np.mean(jumps[out] ** 2, axis=0)), 1.0)
         if out.any()
         else np.ones(6),

@@ -148,9 +148,9 @@ def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
 
 def _ellipses(rims: Array) -> Ellipses:
     """Least-squares ellipses through points (N, K, 2)."""
-    middle = rims.mean(axis=1, keepdims=True)
-    size = np.abs(rims - middle).max()
-    x, y = np.moveaxis((rims - middle) / size, 2, 0)
+    midpoint = rims.mean(axis=1, keepdims=True)
+    size = np.abs(rims - midpoint).max()
+    x, y = np.moveaxis((rims - midpoint) / size, 2, 0)
     A = np.stack([x * x, 2 * x * y, y * y, x, y], axis=2)
     a, b, c, d, e = np.linalg.solve(A.transpose(0, 2, 1) @ A, A.sum(axis=1)[..., None])[..., 0].T
     M = np.stack([np.stack([a, b], axis=1), np.stack([b, c], axis=1)], axis=1)
@@ -159,7 +159,7 @@ def _ellipses(rims: Array) -> Ellipses:
         M / (1 + np.einsum("ni,nij,nj->n", center, M, center))[:, None, None]
     )
     return Ellipses(
-        center * size + middle[:, 0],
+        center * size + midpoint[:, 0],
         size / np.sqrt(values),
         np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]),
         np.tile(1e-3 * np.eye(5), (len(rims), 1, 1)),

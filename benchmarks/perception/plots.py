@@ -105,11 +105,11 @@ def _speed(axes: Any, result: Mapping[str, Any]) -> None:
     ):
         axes.plot(counts, [r[key] for r in result["speed"]], style, label=label)
     pipeline = np.array(result["surface"]["pipeline_ms"])
-    low, middle, high = np.percentile(pipeline, [1, 50, 99])
+    low, median, high = np.percentile(pipeline, [1, 50, 99])
     axes.errorbar(
         [result["surface"]["markers"]],
-        [middle],
-        [[middle - low], [high - middle]],
+        [median],
+        [[median - low], [high - median]],
         fmt="D",
         capsize=4,
         label="image to surface: median, 1-99 %",

@@ -181,10 +181,10 @@ def _left_out(values: Array, slips: NDArray[np.bool_]) -> int:
     right = 0
     for one in range(len(values)):
         others = np.arange(len(values)) != one
-        shares = [np.mean((values[others] > t) == slips[others]) for t in values[others]]
-        if not shares:
+        fractions = [np.mean((values[others] > t) == slips[others]) for t in values[others]]
+        if not fractions:
             return 0
-        threshold = values[others][int(np.argmax(shares))]
+        threshold = values[others][int(np.argmax(fractions))]
         right += int((values[one] > threshold) == slips[one])
     return right
 

@@ -240,14 +240,14 @@ def _slid(case: Case, step: float, sign: float) -> float:
     """Return the mean over the last third of a slide, well after its start."""
     plan = case.plan
     world = _dragged(case, step)
-    shares = []
+    fractions = []
     mu = case.design.membrane.friction
     way = np.array([sign, 0.0, 0.0])
-    world.after_each_step(lambda: shares.append(ground_truth.friction_along(world, 0, mu, way)))
+    world.after_each_step(lambda: fractions.append(ground_truth.friction_along(world, 0, mu, way)))
     world.drive(
         1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"]
     )
-    return float(np.mean(shares[2 * len(shares) // 3 :]))
+    return float(np.mean(fractions[2 * len(fractions) // 3 :]))
 
 
 def _spin(case: Case) -> list[Number]:

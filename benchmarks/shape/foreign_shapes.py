@@ -149,9 +149,9 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
         known = [row for row in own if row["kind"] != "unknown"]
         errors = [abs(row["area_mm2"] / row["area_true_mm2"] - 1) for row in known]
         area = f"{100 * np.median(errors):.0f} %" if errors and name in _WITH_AREA else ""
-        share = f"{100 * len(known) / max(len(own), 1):.0f} %"
-        shares = ", ".join(_within(known, key) for key in _COMPARED if _values(known, key))
-        lines.append(f"| {name or 'all'} | {len(own)} | {share} | {shares} | {area} |")
+        fraction = f"{100 * len(known) / max(len(own), 1):.0f} %"
+        fractions = ", ".join(_within(known, key) for key in _COMPARED if _values(known, key))
+        lines.append(f"| {name or 'all'} | {len(own)} | {fraction} | {fractions} | {area} |")
     return lines
 
 
@@ -165,8 +165,8 @@ def _values(listed: list[dict[str, Any]], key: str) -> list[float]:
 
 def _within(listed: list[dict[str, Any]], key: str) -> str:
     values = _values(listed, key)
-    share = np.mean([value < 2 for value in values])
-    return f"{_COMPARED[key]} {100 * share:.0f} % ({len(values)})"
+    fraction = np.mean([value < 2 for value in values])
+    return f"{_COMPARED[key]} {100 * fraction:.0f} % ({len(values)})"
 
 
 # -- families

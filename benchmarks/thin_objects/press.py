@@ -85,8 +85,8 @@ class Pressed:
     @property
     def stated(self) -> float:
         """Relative force error stated in the flags."""
-        shares = [int(s) / 100 for text in self.flags.values() for s in _STATED.findall(text)]
-        return max(shares, default=0.0)
+        fractions = [int(s) / 100 for text in self.flags.values() for s in _STATED.findall(text)]
+        return max(fractions, default=0.0)
 
 
 def press(

@@ -149,13 +149,13 @@ def _line(rows: list[dict[str, Any]], name: str) -> str:
     if not known:
         return f"| {name} | | | | | | {stopped} | |"
     ratios = np.array([np.array(row["forces"]) / row["quasistatic"] for row in known])
-    low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
+    low, median, high = np.quantile(ratios, [0.05, 0.5, 0.95])
     worst = ratios.flat[np.abs(ratios - 1).argmax()]
     spread = (ratios.max(axis=1) - ratios.min(axis=1)) / ratios.mean(axis=1)
     stated = np.array([row["stated"] for row in known])[:, None]
     beyond = int((np.abs(ratios - 1) > stated).sum())
     membrane = np.mean([row["quasistatic"] for row in known])
     return (
-        f"| {name} | {membrane:.3f} | {middle:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
+        f"| {name} | {membrane:.3f} | {median:.2f} | {low:.2f} to {high:.2f} | {worst:.2f} | "
         f"{100 * spread.max():.0f} % | {stopped} | {beyond} of {ratios.size} |"
     )

@@ -77,12 +77,12 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
     Importing scipy's solver takes a quarter of a second.
     """
-    while low < (middle := (low + high) / 2) < high:
-        if function(middle) > 0:
-            low = middle
+    while low < (midpoint := (low + high) / 2) < high:
+        if function(midpoint) > 0:
+            low = midpoint
         else:
-            high = middle
-    return middle
+            high = midpoint
+    return midpoint
 
 
 @cache

@@ -133,8 +133,8 @@ class _RitzMembrane:
         at = np.zeros((1, 2))
         if frame.outline is not None:
             at = frame.outline.disc(at)
-        middle = (_bubble(at, disc)[0] * _products(at, orders)[0])[:, 0]
-        return cls(design.membrane, weights, np.array(values), np.array(slopes), middle)
+        at_center = (_bubble(at, disc)[0] * _products(at, orders)[0])[:, 0]
+        return cls(design.membrane, weights, np.array(values), np.array(slopes), at_center)
 
     @property
     def count(self) -> int:

@@ -201,9 +201,9 @@ class Task:
         path = self._path(lambda name, span: _at(span, _fraction(seed, name)))
         attempt = 0
         while True:
-            shares = [_fraction(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
-            mass = None if spans.mass is None else _logarithmic(spans.mass, shares[0])
-            friction = None if spans.friction is None else _at(spans.friction, shares[1])
+            fractions = [_fraction(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
+            mass = None if spans.mass is None else _logarithmic(spans.mass, fractions[0])
+            friction = None if spans.friction is None else _at(spans.friction, fractions[1])
             sampled = SampledTask(mass, friction, breaking, events, {}, liquid, path)
             attempt += 1
             if mass is None or friction is None or attempt > _ATTEMPTS:

@@ -228,9 +228,9 @@ def _seen(design: SensorDesign) -> Array:
     axis."""
     camera = design.camera
     depth = camera.distance - design.apparent_glass_thickness
-    middle = np.array([camera.width, camera.height]) / 2
+    center = np.array([camera.width, camera.height]) / 2
     principal = np.array([camera.cx, camera.cy]) + 0.5
-    centered = 1 - np.abs(principal - middle) / middle
+    centered = 1 - np.abs(principal - center) / center
     return camera.half_view * centered * depth
 
 

@@ -133,14 +133,14 @@ def _longest_lens(stand: VirtualBench) -> float:
     low = 1.0
     high = _LONGEST
     for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        sampler = EllipseSampler(scaled_lens(stand.design, middle))
+        midpoint = (low + high) / 2
+        sampler = EllipseSampler(scaled_lens(stand.design, midpoint))
         seen = [
             sampler.sample(*stand.poses(x), errors=False).ellipses
             for x in (flat, stand.membrane.rest.x)
         ]
         is_complete = all(one is not None and len(one) == stand.circles for one in seen)
-        low, high = (middle, high) if is_complete else (low, middle)
+        low, high = (midpoint, high) if is_complete else (low, midpoint)
     return low
 
 

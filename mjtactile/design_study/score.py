@@ -121,11 +121,11 @@ def largest_force(stand: VirtualBench) -> float:
         return math.nan
     lost = _MAX_FORCE
     for _ in range(_HALVINGS):
-        middle = math.sqrt(held * lost)
-        if _within_tolerance(stand, middle):
-            held = middle
+        midpoint = math.sqrt(held * lost)
+        if _within_tolerance(stand, midpoint):
+            held = midpoint
         else:
-            lost = middle
+            lost = midpoint
     return held
 
 

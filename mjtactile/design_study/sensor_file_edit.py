@@ -130,5 +130,5 @@ def with_picture(design: SensorDesign, width: int, height: int) -> SensorDesign:
     """Change the image size, at the same lens and field of view along x."""
     camera = design.camera
     scaled = scaled_pixels(design, width / camera.width).camera
-    middle = height / camera.height * (camera.cy + 0.5) - 0.5
-    return replace(design, camera=replace(scaled, width=width, height=height, cy=middle))
+    center = height / camera.height * (camera.cy + 0.5) - 0.5
+    return replace(design, camera=replace(scaled, width=width, height=height, cy=center))

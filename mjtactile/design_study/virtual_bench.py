@@ -140,15 +140,15 @@ class VirtualBench:
                 return None
         above = None
         for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            found = self._solve(body(middle), state if above is None else above)
+            midpoint = (low + high) / 2
+            found = self._solve(body(midpoint), state if above is None else above)
             if found is None:
                 break
             if found.force_normal < force:
-                high = middle
+                high = midpoint
                 above = found
             else:
-                low = middle
+                low = midpoint
                 state = found
         off = abs(state.force_normal - force)
         return IndentedMembrane(state, low) if off < _OFF * force else None

@@ -62,15 +62,15 @@ class Contour:
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
         """Return start (2,), end (2,) and center (2,; None if straight), counter-clockwise."""
-        middle = np.array([self.x, self.y])
+        center = np.array([self.x, self.y])
         if self.is_circle:
-            east = middle + (self.r, 0.0)
-            west = middle - (self.r, 0.0)
-            return [(east, west, middle), (west, east, middle)]
+            east = center + (self.r, 0.0)
+            west = center - (self.r, 0.0)
+            return [(east, west, center), (west, east, center)]
         edges: list[tuple[Array, Array, Array | None]] = []
         signs = [(1, -1), (1, 1), (-1, 1), (-1, -1)]  # corners, from below right
         radii = self.r * np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
-        centres = [middle + (sx * (self.hx - self.r), sy * (self.hy - self.r)) for sx, sy in signs]
+        centres = [center + (sx * (self.hx - self.r), sy * (self.hy - self.r)) for sx, sy in signs]
         for k, centre in enumerate(centres):
             end = centre + radii[k + 1]
             if self.r:
@@ -115,10 +115,10 @@ class Traced(Contour):
             at = np.concatenate([at[~on_side], [(end, min(y)), (end, max(y))]])
         at = at[ConvexHull(at).vertices]  # counter-clockwise
         low, high = at.min(axis=0), at.max(axis=0)
-        middle = (low + high) / 2
+        midpoint = (low + high) / 2
         half = (high - low) / 2
         points = tuple((float(x), float(y)) for x, y in at)
-        return cls(*map(float, half), x=float(middle[0]), y=float(middle[1]), points=points)
+        return cls(*map(float, half), x=float(midpoint[0]), y=float(midpoint[1]), points=points)
 
     @property
     def area(self) -> float:

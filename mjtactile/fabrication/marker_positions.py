@@ -250,9 +250,9 @@ def _pressure_limit(design: SensorDesign) -> float:
     low = 1.0
     high = design.chamber.supply_gauge
     for _ in range(40):
-        middle = (low + high) / 2
-        if _is_unstable(design, middle):
-            high = middle
+        midpoint = (low + high) / 2
+        if _is_unstable(design, midpoint):
+            high = midpoint
         else:
-            low = middle
+            low = midpoint
     return low

@@ -30,7 +30,7 @@ def law_numbers(membrane: Membrane) -> tuple[tuple[float, ...], Array]:
     The parameters are 1.0 if it is neo-Hookean (else 0.0), modulus times thickness, N/m (mu h, or E
     h / (1 - nu^2)), Poisson's ratio, and center and scale of the polynomial's argument.
     """
-    middle, per_unit, powers = _polynomial(membrane)
+    center, per_unit, powers = _polynomial(membrane)
     neo_hookean = membrane.law is not Law.STVK
     if neo_hookean:
         modulus = shear_modulus(membrane.young, membrane.poisson)
@@ -40,7 +40,7 @@ def law_numbers(membrane: Membrane) -> tuple[tuple[float, ...], Array]:
         float(neo_hookean),
         modulus * membrane.thickness,
         membrane.poisson,
-        middle,
+        center,
         per_unit,
     ), powers
 
@@ -70,9 +70,9 @@ def _polynomial(membrane: Membrane) -> tuple[float, float, Array]:
     nu = max(membrane.poisson, _MIN_POISSON)
     half = nu / (1 - 2 * nu)  # lambda / 2 mu
     ends = membrane.pre_stretch**-2 * np.array([_MAX_STRETCH**-2, _MIN_STRETCH**-2])
-    middle, half_range = float(ends.mean()), float(np.diff(ends)[0] / 2)
+    center, half_range = float(ends.mean()), float(np.diff(ends)[0] / 2)
     t = np.cos(np.linspace(0, np.pi, 400))
-    log_det = -2 * np.log(middle + half_range * t)
+    log_det = -2 * np.log(center + half_range * t)
     x = -nu / (1 - nu) * log_det  # ln c, first order; c is the square of the thickness's stretch
     for _ in range(_NEWTON):
         c = np.exp(x)
@@ -80,4 +80,4 @@ def _polynomial(membrane: Membrane) -> tuple[float, float, Array]:
     q = np.exp(x - log_det)
     chebyshev = np.polynomial.chebyshev.Chebyshev.fit(t, q, DEGREE, w=q**-0.5)
     powers = chebyshev.convert(kind=np.polynomial.Polynomial).coef
-    return middle, 1 / half_range, fixed(powers)
+    return center, 1 / half_range, fixed(powers)

@@ -68,12 +68,12 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
     """
     if all(_is_face(one) for one in obstacles):
         thin = min((one.numbers[18] for one in obstacles), default=np.inf) < spacing / 2
-        shares = _FACES[:-1] if thin else _FACES
+        fractions = _FACES[:-1] if thin else _FACES
     elif any(one.numbers[0] in _EDGED or one.numbers[0] == _CONE for one in obstacles):
-        shares = ()
+        fractions = ()
     else:
-        shares = _ROUND
-    return next((fraction for minimum, fraction in shares if width >= minimum), float("inf"))
+        fractions = _ROUND
+    return next((fraction for minimum, fraction in fractions if width >= minimum), float("inf"))
 
 
 def _is_face(body: Obstacle) -> bool:

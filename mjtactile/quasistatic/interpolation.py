@@ -63,12 +63,12 @@ def _extrapolation(membrane: QuasistaticMembrane) -> tuple[Array, Array]:
     candidates = np.flatnonzero(~free & (outline.distance(nodes) > -_BEYOND * spacing.max()))
     by_free = np.zeros((len(candidates), len(nodes)))
     for row, node in enumerate(candidates):
-        middle = rim[np.square((rim - nodes[node]) / spacing).sum(axis=1).argmin()] / spacing
-        near = inner[np.square(nodes[inner] / spacing - middle).sum(axis=1) < _ABOUT**2]
-        held = fitted[np.square(fitted - middle).sum(axis=1) < _ABOUT**2]
-        off = np.concatenate([nodes[near] / spacing, held]) - middle
+        center = rim[np.square((rim - nodes[node]) / spacing).sum(axis=1).argmin()] / spacing
+        near = inner[np.square(nodes[inner] / spacing - center).sum(axis=1) < _ABOUT**2]
+        held = fitted[np.square(fitted - center).sum(axis=1) < _ABOUT**2]
+        off = np.concatenate([nodes[near] / spacing, held]) - center
         fit = np.linalg.pinv(_powers(off))[:, : len(near)]
-        by_free[row, near] = (_powers(nodes[node][None] / spacing - middle) @ fit)[0]
+        by_free[row, near] = (_powers(nodes[node][None] / spacing - center) @ fit)[0]
     return candidates, by_free
 
 

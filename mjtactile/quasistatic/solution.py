@@ -243,5 +243,5 @@ def _between(x: Array, y: Array, fields: Array, at: Array) -> Array | None:
         return None
     m, n = int(i), int(j)
     u, v = i - m, j - n
-    shares = np.outer((1 - u, u), (1 - v, v))
-    return (fields[:, m : m + 2, n : n + 2] * shares).sum(axis=(1, 2))
+    weights = np.outer((1 - u, u), (1 - v, v))
+    return (fields[:, m : m + 2, n : n + 2] * weights).sum(axis=(1, 2))

@@ -77,8 +77,8 @@ def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Arra
     from scipy.linalg import cho_solve_banded  # takes a while to import
 
     total = float(force.sum())
-    middle = force @ places / total
-    off = places - middle
+    center = force @ places / total
+    off = places - center
     rows = (3 * inner[:, None] + np.arange(3)).ravel()
     ones = np.zeros((factor.shape[1], len(rows)))
     ones[rows, np.arange(len(rows))] = 1.0
@@ -88,4 +88,4 @@ def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Arra
     rigid[0::3, 2], rigid[1::3, 2] = -off[:, 1], off[:, 0]
     stiffness = rigid.T @ np.linalg.solve(compliance, rigid)
     radius = float(force @ np.hypot(off[:, 0], off[:, 1]) / total)
-    return StuckPatch(middle, (stiffness + stiffness.T) / 2, total, radius)
+    return StuckPatch(center, (stiffness + stiffness.T) / 2, total, radius)

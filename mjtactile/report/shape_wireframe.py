@@ -67,8 +67,8 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
     near = (np.abs(corners_O).min(axis=1)[:, :2] < _RADIUS).all(axis=1)
     pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
     found = np.concatenate(pieces)
-    middle = found.mean(axis=1)
-    here = (np.hypot(middle[:, 0], middle[:, 1]) < _RADIUS) & (found[:, :, 2] > -_BELOW).all(axis=1)
+    center = found.mean(axis=1)
+    here = (np.hypot(center[:, 0], center[:, 1]) < _RADIUS) & (found[:, :, 2] > -_BELOW).all(axis=1)
     return found[here & (found[:, :, 2] < _ABOVE).all(axis=1)] + shape.p_SO
 
 

@@ -44,7 +44,7 @@ def render_scene(
     axes: Any, view: SceneCamera, touch: Sequence[Touch], colours: Sequence[str]
 ) -> None:
     """Render the sensors' surroundings, with an arrow of each finger's estimated force."""
-    middle, half, axes_PW = _framing(view)
+    center, half, axes_PW = _framing(view)
     image = render_view(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
     for estimated, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
@@ -54,7 +54,7 @@ def render_scene(
             and np.isfinite(estimated.traction.wrench[:3]).all()
         ):
             push_W = R_WS @ -estimated.traction.wrench[:3]  # on the object
-            tip = (axes_PW @ (p_WS - middle) / half)[:2]
+            tip = (axes_PW @ (p_WS - center) / half)[:2]
             along = _PER_NEWTON * (axes_PW @ push_W)[:2]
             _arrow(axes, tip - along, tip, colour, f"{np.linalg.norm(push_W):.2f} N")
     bar = 1e-3 * max((mm for mm in (5, 10, 20, 50, 100, 200) if 1e-3 * mm < 0.6 * half), default=5)
@@ -72,20 +72,20 @@ def render_scene(
 
 def render_view(view: SceneCamera, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
     """Render the scene, (*size, 3) from 0 to 1; `samples` per pixel side smooth edges."""
-    middle, half, axes_PW = _framing(view)
+    center, half, axes_PW = _framing(view)
     corners, rgba = view.triangles()
     rows, columns = size
     image = rasterise(
-        (corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples)
+        (corners - center) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples)
     )
     return image.reshape(rows, samples, columns, samples, 3).mean(axis=(1, 3))
 
 
 def _framing(view: SceneCamera) -> tuple[Array, float, Array]:
     """Return the image center (3,) in W, m, half of the image width, m, and the image axes."""
-    middle = view.p_WS.mean(axis=0)
-    half = max(_HALF_WIDTH_MIN, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
-    return middle, half, image_axes(view.p_WS)
+    center = view.p_WS.mean(axis=0)
+    half = max(_HALF_WIDTH_MIN, _AROUND * float(np.linalg.norm(view.p_WS - center, axis=1).max()))
+    return center, half, image_axes(view.p_WS)
 
 
 def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:

@@ -128,7 +128,7 @@ class TaskScorer:
         force = carried * (self.world.model.opt.gravity - self._acceleration())
         force = force + data.xfrc_applied[self._bodies, :3].sum(axis=0)
         patches = [self._patch(number) for number in range(len(self.world.sensors))]
-        middles = [middle for middle, radius in patches if radius > 0]
+        middles = [center for center, radius in patches if radius > 0]
         radii = [radius for _, radius in patches if radius > 0]
         if not middles:
             return 0.0
@@ -195,14 +195,14 @@ class TaskScorer:
         The center (3,), m, is in frame W. The radius, m, is the force-weighted mean distance from
         it. It is the ratio of the friction limits in torque and force. It is 0 without contact.
         """
-        middle, radius = ground_truth.patch(self.world, number)
+        center, radius = ground_truth.patch(self.world, number)
         if radius <= 0:
-            return middle, 0.0
+            return center, 0.0
         data = self.world.data
         body = self.world.sensors[number].body_id
         R_WS = data.xmat[body].reshape(3, 3)
         # a vertex represents an area: at least half of the mesh spacing
-        return data.xpos[body] + R_WS @ middle, max(radius, 5e-4)
+        return data.xpos[body] + R_WS @ center, max(radius, 5e-4)
 
     def _axis(self) -> Array | None:
         """Return the unit vector from one finger to the other; None for more than two fingers.

@@ -371,9 +371,9 @@ def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, floa
     outward = np.column_stack([along[:, 1], -along[:, 0]])
     # to where the outline is farthest out, so that no wall reaches into the opening
     farthest = np.maximum((touching * outward).sum(1), (ends * outward).sum(1))
-    middle = (ends + np.roll(ends, -1, axis=0)) / 2
-    out = farthest - (middle * outward).sum(1) + rim / 2
-    places = middle + outward * out[:, None]
+    midpoint = (ends + np.roll(ends, -1, axis=0)) / 2
+    out = farthest - (midpoint * outward).sum(1) + rim / 2
+    places = midpoint + outward * out[:, None]
     # neighbours overlap at their outer corners' gap
     half = lengths / 2 + rim * np.pi / _WALLS
     angles = np.arctan2(along[:, 1], along[:, 0])

@@ -69,8 +69,10 @@ class SimCamera:
         """Have the image of the membrane now ready for `read`."""
         sensor = self._sensor
         if self._sampler is not None:
-            middle = 0.5 * _EXPOSURE if self._moving else 0.0
-            poses = sensor.marker_poses_before(middle) if middle else sensor.marker_poses()
+            mid_exposure = 0.5 * _EXPOSURE if self._moving else 0.0
+            poses = (
+                sensor.marker_poses_before(mid_exposure) if mid_exposure else sensor.marker_poses()
+            )
             self._rendered = self._sampler.sample(*poses, sensor.time)
         else:
             renderer = self._renderer

@@ -59,8 +59,8 @@ def patch(world: World, sensor: int) -> tuple[Array, float]:
     if press.sum() <= 0:
         return np.zeros(3), 0.0
     fraction = press / press.sum()
-    middle = fraction @ points
-    return middle, float(fraction @ np.linalg.norm(points - middle, axis=1))
+    center = fraction @ points
+    return center, float(fraction @ np.linalg.norm(points - center, axis=1))
 
 
 def contact_force(world: World, sensor: int) -> Array:
@@ -304,12 +304,12 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
     q_WO = world.data.xquat[body].copy()
     if solid is None:
         return p_WO, q_WO
-    middle, R = solid.pose(world.data)
+    center, R = solid.pose(world.data)
     turn = np.zeros(4)
     q_now = np.zeros(4)
     mujoco.mju_mat2Quat(turn, R.ravel())
     mujoco.mju_mulQuat(q_now, turn, q_WO)
-    return middle + R @ (p_WO - solid.rest_center), q_now
+    return center + R @ (p_WO - solid.rest_center), q_now
 
 
 def gripper_position(world: GripperWorld) -> Array:

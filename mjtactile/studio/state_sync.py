@@ -54,11 +54,11 @@ def displayed_model(model: mujoco.MjModel, fingers: Sequence[FingerSnapshot]) ->
     """
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
-    middle = np.mean(
+    center = np.mean(
         [estimated.pose.p_WS for estimated in fingers if estimated.pose is not None], axis=0
     )
     # initial look-at point of the camera
-    shown.stat.center = middle - [0.0, 0.0, _BELOW * _AROUND]
+    shown.stat.center = center - [0.0, 0.0, _BELOW * _AROUND]
     shown.stat.extent = _AROUND
     closes = next(
         (estimated.pose.R_WS[:, 2] for estimated in fingers if estimated.pose is not None), None

@@ -125,14 +125,14 @@ def render(
             cv2.polylines(rgb, [pixels(patch.outline)], True, _WHITE, 1, cv2.LINE_AA, shift=4)
     centre = centre_of_pressure(estimated.touch)
     if centre is not None and estimated.touch.traction is not None:
-        middle = pixels(centre)
-        drag = np.round(middle + 16 * _PER_NEWTON * estimated.touch.traction.wrench[:2]).astype(
+        center = pixels(centre)
+        drag = np.round(center + 16 * _PER_NEWTON * estimated.touch.traction.wrench[:2]).astype(
             np.int32
         )
-        cv2.circle(rgb, tuple(map(int, middle)), 16 * 3, _RED, -1, cv2.LINE_AA, shift=4)
-        if math.hypot(*(drag - middle)) > 16 * 4:
+        cv2.circle(rgb, tuple(map(int, center)), 16 * 3, _RED, -1, cv2.LINE_AA, shift=4)
+        if math.hypot(*(drag - center)) > 16 * 4:
             cv2.arrowedLine(
-                rgb, tuple(map(int, middle)), tuple(map(int, drag)), _RED, 2, cv2.LINE_AA, 4, 0.25
+                rgb, tuple(map(int, center)), tuple(map(int, drag)), _RED, 2, cv2.LINE_AA, 4, 0.25
             )
     return rgb
 

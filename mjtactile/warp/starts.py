@@ -138,8 +138,8 @@ def sample_starts(
     starts.break_force = floats(np.minimum([one.break_force for one in changed], 1e6))
     main = model.body(f"{PREFIX}object").id
     own = starts.objects.ipos.numpy()[kinds, free.index(main), 2] if main in free else 0.0
-    middle = scale * own  # the object stands upright, or has its middle there
-    heights = starts.free.numpy()[:, free.index(main), 2] + middle if main in free else middle
+    center = scale * own  # the object stands upright, or has its center there
+    heights = starts.free.numpy()[:, free.index(main), 2] + center if main in free else center
     starts.rest_height = floats(heights)
     speed = world.rig.gripper.speed
     starts.rig = floats(

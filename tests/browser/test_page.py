@@ -59,10 +59,10 @@ def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
 
         # closer, about the pointer
         page.mouse("mouseWheel", x + width / 2, y + height / 2, deltaX=0, deltaY=-600)
-        middle, span = page.run("[(view.from + view.to) / 2, view.to - view.from]")
+        center, span = page.run("[(view.from + view.to) / 2, view.to - view.from]")
         # of times that are written to 0.1 ms
         assert span == pytest.approx(np.exp(-0.9) * 59 / 30, rel=1e-4)
-        assert middle == pytest.approx(59 / 60, abs=0.05)
+        assert center == pytest.approx(59 / 60, abs=0.05)
 
         before = pixels(page, "canvas.membrane")
         x, y, width, height = place(page, "canvas.membrane")

@@ -268,11 +268,11 @@ def _through_glass(
     """
     x, y = xy
     shift = optics.glass_displacement(camera, x * x + y * y)
-    middle = shift.mean(axis=0)
+    mean = shift.mean(axis=0)
     away = (n * p).sum(axis=2)
     nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
     # point on a ray that starts at `shift`, seen from `middle`: x (Z - shift)/(Z - middle)
-    scale = 1 + (middle - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
+    scale = 1 + (mean - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
     seen = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
     both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
     both_p = both_p.reshape(2, 2, -1, 3)
@@ -280,7 +280,7 @@ def _through_glass(
     # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
     match = (both_n * n).sum(axis=3).argmax(axis=0), np.array([[0], [1]]), np.arange(len(r))
     p = both_p[match]
-    p[..., 2] += middle
+    p[..., 2] += mean
     return p, both_n[match]
 
 

@@ -157,7 +157,7 @@ def test_actuator_contact_and_torque_agree():
         drive += world.drive_force / 50
     # slow creep of the sheet
     np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())
-    middle = ground_truth.contact_forces(world, 0)[1].mean(axis=0)
-    lever = np.abs(torque - np.cross(middle, force))[:2] / abs(force[2])
+    center = ground_truth.contact_forces(world, 0)[1].mean(axis=0)
+    lever = np.abs(torque - np.cross(center, force))[:2] / abs(force[2])
     # lever in m: the force acts within half a vertex spacing of the contact's center
     assert lever.max() < 1.5e-3

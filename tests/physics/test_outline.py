@@ -138,17 +138,17 @@ def disc_height(design, pressure, elements=60):
     def residual(unknown):
         r = np.r_[0, unknown[: n - 1], a]
         z = np.r_[unknown[n - 1 :], 0]
-        middle = (r[1:] + r[:-1]) / 2
+        midpoint = (r[1:] + r[:-1]) / 2
         dr, dz = np.diff(r) / h, np.diff(z) / h
-        S1, S2, _ = law.stress(pre2 * (dr**2 + dz**2), pre2 * (middle / mid) ** 2, 0 * mid)
-        along, up, around = S1 * dr * mid, S1 * dz * mid, S2 * middle / mid * h / 2
+        S1, S2, _ = law.stress(pre2 * (dr**2 + dz**2), pre2 * (midpoint / mid) ** 2, 0 * mid)
+        along, up, around = S1 * dr * mid, S1 * dz * mid, S2 * midpoint / mid * h / 2
         height, wide = (z[1:] + z[:-1]) / 2, np.diff(r)
         pushed = pressure * height * wide / 2
         out, lift = np.zeros(n + 1), np.zeros(n + 1)
-        out[1:] += along + around - pushed - pressure * height * middle
-        out[:-1] += -along + around - pushed + pressure * height * middle
-        lift[1:] += up - pressure * middle * wide / 2
-        lift[:-1] -= up + pressure * middle * wide / 2
+        out[1:] += along + around - pushed - pressure * height * midpoint
+        out[:-1] += -along + around - pushed + pressure * height * midpoint
+        lift[1:] += up - pressure * midpoint * wide / 2
+        lift[:-1] -= up + pressure * midpoint * wide / 2
         return np.r_[out[1:n], lift[:n]]
 
     start = np.r_[R[1:n], 1.5e-3 * (1 - (R[:n] / a) ** 2)]
@@ -257,8 +257,8 @@ def test_a_load_on_the_membrane_is_estimated_where_it_is(design):
     # on the regular grid sum and torque stay
     np.testing.assert_allclose(estimated.force.sum(axis=(0, 1)), estimated.wrench[:3], atol=1e-12)
     x, y = np.meshgrid(estimated.x, estimated.y)
-    middle = np.array([(x * estimated.force[..., 2]).sum(), (y * estimated.force[..., 2]).sum()])
-    np.testing.assert_allclose(middle / estimated.wrench[2], place, atol=0.5e-3)
+    center = np.array([(x * estimated.force[..., 2]).sum(), (y * estimated.force[..., 2]).sum()])
+    np.testing.assert_allclose(center / estimated.wrench[2], place, atol=0.5e-3)
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
@@ -305,13 +305,13 @@ def test_the_housing_stands_around_the_outline(name):
     rim = rim + 0.5 * frame.rim * rim / np.linalg.norm(rim, axis=1, keepdims=True)
     covered = np.zeros(len(rim), bool)
     for g, R in zip(walls, turn, strict=True):
-        half, middle = model.geom(g).size[:2], model.geom(g).pos[:2]
-        corners = middle + (half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R.T
+        half, center = model.geom(g).size[:2], model.geom(g).pos[:2]
+        corners = center + (half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R.T
         edges = np.concatenate(
             [np.linspace(a, b, 20) for a, b in zip(corners, np.roll(corners, 1, 0), strict=True)]
         )
         inside.append(frame.inside(edges).max())
-        covered |= (np.abs((rim - middle) @ R) <= half).all(axis=1)
+        covered |= (np.abs((rim - center) @ R) <= half).all(axis=1)
     assert max(inside) < 1e-5  # none reaches into the opening; chords of 1/720 of the outline
     assert covered.all()
 

@@ -52,5 +52,5 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     force = -spring_grid_force(surface, rest, design.membrane.pretension)[..., 2]
     in_x = np.abs(surface.x) < 0.0067
     in_y = np.abs(surface.y) < 0.0067
-    middle = in_x[None, :] & in_y[:, None]
-    assert force[middle].sum() > 0.5 * force[force > 0].sum()
+    central = in_x[None, :] & in_y[:, None]
+    assert force[central].sum() > 0.5 * force[force > 0].sum()

@@ -416,10 +416,10 @@ def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_ope
     assert start[2] - world.object.grasp_height == pytest.approx(down, abs=1e-5)
     world.place_gripper(0.032, 0.0)
     mujoco.mj_forward(world.model, world.data)
-    middle = world.data.xpos[tips].mean(axis=0)
+    center = world.data.xpos[tips].mean(axis=0)
     egg = ground_truth.object_position(world)
-    assert middle[2] == pytest.approx(world.object.grasp_height, abs=1e-5)
-    np.testing.assert_allclose(middle[:2], egg[:2], atol=1e-6)
+    assert center[2] == pytest.approx(world.object.grasp_height, abs=1e-5)
+    np.testing.assert_allclose(center[:2], egg[:2], atol=1e-6)
 
 
 # -- forces that the actuators can give ------------------------------------------------------

@@ -108,17 +108,17 @@ def test_shear_off_centre_is_that_of_a_membrane_that_sticks():
 @pytest.mark.parametrize(("timestep", "speed"), [(2e-3, 20e-3), (4e-3, -20e-3), (8e-3, 5e-3)])
 def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     world = pressed(timestep=timestep)
-    shares = []
+    fractions = []
     forces = []
 
     def record():
-        shares.append(used_friction_ratio(world))
+        fractions.append(used_friction_ratio(world))
         forces.append(ground_truth.contact_force(world, 0)[0])
 
     world.after_each_step(record)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
-    late = slice(2 * len(shares) // 3, None)
-    np.testing.assert_allclose(shares[late], 1.0, atol=0.01)  # the project's bound is 3 %
+    late = slice(2 * len(fractions) // 3, None)
+    np.testing.assert_allclose(fractions[late], 1.0, atol=0.01)  # the project's bound is 3 %
     assert np.sign(np.mean(forces[late])) == np.sign(speed)
 
 

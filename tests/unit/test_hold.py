@@ -147,12 +147,12 @@ def test_what_slips_follows_the_grip(slips):
         normal = 0.8 * (1 + wobble) + rng.normal(0, 0.001, 12)
         shear = 0.4 * (1 + slips * wobble + 0.3 * time) + rng.normal(0, 0.001, 12)
         found.append(grasp_estimation.evaluate_slip_test(normal, shear))
-    shares = np.array([one.fraction for one in found])
+    fractions = np.array([one.fraction for one in found])
     # the load's own growth, 11 % in that time, is in the mean that the shear is compared with
-    assert shares.mean() == pytest.approx(slips, rel=0.08, abs=0.02)
+    assert fractions.mean() == pytest.approx(slips, rel=0.08, abs=0.02)
     # 0.001 N of 0.4 and 0.8 N, over 5 % / sqrt 2 of twelve: 0.023
-    assert shares.std() == pytest.approx(np.mean([one.sd for one in found]), rel=0.2)
-    assert shares.std() < 0.035
+    assert fractions.std() == pytest.approx(np.mean([one.sd for one in found]), rel=0.2)
+    assert fractions.std() < 0.035
 
 
 def test_a_grip_that_does_not_change_determines_nothing():

@@ -59,15 +59,15 @@ def combine(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         shape = (-1, *[1] * (stack("mean").ndim - 1))
         weight = np.where(np.isfinite(mean), count.reshape(shape), 0.0)
         total = np.maximum(weight.sum(axis=0), 1.0)
-        middle = (np.nan_to_num(mean) * weight).sum(axis=0) / total
+        average = (np.nan_to_num(mean) * weight).sum(axis=0) / total
         spread = np.sqrt(
-            (weight * (np.nan_to_num(std) ** 2 + (np.nan_to_num(mean) - middle) ** 2)).sum(axis=0)
+            (weight * (np.nan_to_num(std) ** 2 + (np.nan_to_num(mean) - average) ** 2)).sum(axis=0)
             / total
         )
         found = {
             "min": np.fmin.reduce(stack("min")),
             "max": np.fmax.reduce(stack("max")),
-            "mean": middle,
+            "mean": average,
             "std": spread,
         }
         found |= {

@@ -88,8 +88,8 @@ class AmortizedStart:
 
 
 def _softmax(y: Array) -> Array:
-    share = np.exp(y - y.max())
-    return share / share.sum()
+    fraction = np.exp(y - y.max())
+    return fraction / fraction.sum()
 
 
 # -- training
@@ -131,9 +131,9 @@ def trained(
         goal[:, _CENTER] -= shifts[number[0]][at]
         back = _HUBER * np.tanh((y - goal) / _HUBER) * w
         for part in (_GROUP, _KIND):
-            share = np.exp(y[:, part] - y[:, part].max(axis=1, keepdims=True))
-            share /= share.sum(axis=1, keepdims=True)
-            back[:, part] = (share - targets32[at][:, part]) * w[:, part]
+            fraction = np.exp(y[:, part] - y[:, part].max(axis=1, keepdims=True))
+            fraction /= fraction.sum(axis=1, keepdims=True)
+            back[:, part] = (fraction - targets32[at][:, part]) * w[:, part]
         # Gaussian log likelihood of the logarithmic area
         log_sd = np.clip(mean[area + 1] + y[:, area + 1], *_LOG_SD)
         off = spread_area * (y[:, area] - goal[:, area])
@@ -187,8 +187,8 @@ def _matrix_log(a: float, b: float, angle: float) -> list[float]:
 
 def _values(m: Array) -> tuple[float, float, float]:
     """Return the larger and the smaller eigenvalue, and the direction of the larger."""
-    middle, off = (m[0] + m[2]) / 2, math.hypot((m[0] - m[2]) / 2, m[1])
-    return middle + off, middle - off, 0.5 * math.atan2(2 * m[1], m[0] - m[2])
+    mean, off = (m[0] + m[2]) / 2, math.hypot((m[0] - m[2]) / 2, m[1])
+    return mean + off, mean - off, 0.5 * math.atan2(2 * m[1], m[0] - m[2])
 
 
 def _bent(k: float) -> float:

@@ -33,8 +33,8 @@ def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[fl
     carried = shares(forward, found)
     thetas = family.split(found.theta)
     return [
-        state_area(forward, found.state, part, theta, hint, s, share)
-        for part, theta, hint, share in zip(
+        state_area(forward, found.state, part, theta, hint, s, fraction)
+        for part, theta, hint, fraction in zip(
             family.parts, thetas, found.hint.parts, carried, strict=True
         )
     ]
@@ -145,6 +145,6 @@ def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float
     low = float((area - 4 * sd).min())
     high = float((area + 4 * sd).max())
     grid = np.linspace(max(0.0, low), high, 128)
-    share = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
-    ends = np.interp(_INTERVAL, share, grid)
+    fraction = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
+    ends = np.interp(_INTERVAL, fraction, grid)
     return float(ends[0]), float(ends[1])

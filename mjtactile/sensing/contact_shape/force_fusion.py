@@ -108,8 +108,8 @@ def _model(
     """Return the covariance (3, 3) of membrane and friction model errors: force and its
     position."""
     force = abs(float(load[0]))
-    share = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
-    variance = s.force_sd**2 + (share * force) ** 2 + (s.frame_fraction * below) ** 2
+    fraction = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
+    variance = s.force_sd**2 + (fraction * force) ** 2 + (s.frame_fraction * below) ** 2
     places = load[1:] / max(force, 1e-9)  # position of the pressure center
     turn = np.concatenate([[-1.0], places])
     cov = variance * np.outer(turn, turn)

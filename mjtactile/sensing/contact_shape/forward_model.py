@@ -101,10 +101,10 @@ class ForwardModel:
         frame = self.membrane.design.frame
         sides = (frame.length, frame.width)
         more = 0.0
-        for axis, share in enumerate(s.friction_aside):
+        for axis, fraction in enumerate(s.friction_aside):
             place = self.nodes[axis] + state.displacements[axis]
             off = float((force * place).sum()) / total / (sides[axis] / 2)
-            more += share * off**2
+            more += fraction * off**2
         return s.friction + more
 
     def answers(

@@ -125,15 +125,15 @@ class PressHistory:
     def probabilities(self) -> Array:
         """(n,) of the candidates."""
         logs = np.array([one.log for one in self.candidates])
-        share = np.exp(logs - logs.max())
-        return share / share.sum()
+        fraction = np.exp(logs - logs.max())
+        return fraction / fraction.sum()
 
     def kinds(self, names: tuple[str, ...]) -> dict[str, float]:
         """Probabilities of the kinds `names`."""
         sums = dict.fromkeys(names, 0.0)
         for probability, fit in self.bodies():
-            for kind, share in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
-                sums[kind] += probability * share
+            for kind, fraction in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
+                sums[kind] += probability * fraction
         return sums
 
     def adds_evidence(self, force: float) -> bool:
@@ -216,7 +216,7 @@ def _best(candidates: list[Candidate], noise: float) -> Candidate:
     weights = []
     for one in candidates:
         kinds = kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise))
-        own = {kind: share * math.exp(one.log - maximum) for kind, share in kinds.items()}
+        own = {kind: fraction * math.exp(one.log - maximum) for kind, fraction in kinds.items()}
         weights.append(own)
         for kind, weight in own.items():
             sums[kind] = sums.get(kind, 0.0) + weight

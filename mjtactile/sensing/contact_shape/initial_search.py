@@ -74,8 +74,8 @@ class Suggestions:
         """Return the names of the likeliest shape models, at most `count`."""
         probabilities = self.proposal.probabilities[: len(FAMILIES)]
         order = np.argsort(-probabilities, kind="stable")
-        share = np.cumsum(probabilities[order]) / probabilities.sum()
-        enough = int(np.searchsorted(share, _ENOUGH)) + 1
+        fraction = np.cumsum(probabilities[order]) / probabilities.sum()
+        enough = int(np.searchsorted(fraction, _ENOUGH)) + 1
         return [GROUPS[index] for index in order[: min(count, enough)]]
 
     def likely(self, logs: Mapping[str, float]) -> dict[str, float]:
@@ -203,7 +203,7 @@ def _starts(
     x, y = 1e3 * (region.center - hint.place)
     radius = 1e3 * math.sqrt(region.area / math.pi)
     if family.name == "disc":
-        return tuple(np.array([x, y, 0, 0, 0, share * radius]) for share in _WIDE)
+        return tuple(np.array([x, y, 0, 0, 0, fraction * radius]) for fraction in _WIDE)
     if family.name == "block":
         half = math.sqrt(math.pi) / 2 * radius
         turned = hint.angle + math.pi / 4
@@ -230,10 +230,10 @@ class _ContactRegion:
         if state is None or not (state.force > 0).any():
             return None
         force, x, y = _contact_nodes(forward, state)
-        share = force / force.sum()
-        center = np.array([share @ x, share @ y])
+        fraction = force / force.sum()
+        center = np.array([fraction @ x, fraction @ y])
         off = np.array([x - center[0], y - center[1]])
-        spread, axes = np.linalg.eigh((off * share) @ off.T)
+        spread, axes = np.linalg.eigh((off * fraction) @ off.T)
         wide = np.sqrt(3 * np.maximum(spread[::-1], forward.spacing**2 / 3))
         return cls(center, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
 

@@ -63,8 +63,8 @@ def follow(
         new = _refit_best(forward, press, hint, data)
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):
-        share = s.log_again if press.adds_evidence(data.force) or new is not None else 0.0
-        new = _evaluate_candidates(forward, press, hint, data, s, share, suggest, grown)
+        fraction = s.log_again if press.adds_evidence(data.force) or new is not None else 0.0
+        new = _evaluate_candidates(forward, press, hint, data, s, fraction, suggest, grown)
     if new is None:
         return _search_all(forward, hint, data, s, None, suggest)
     worse = _is_worse(new, press, s)

@@ -109,10 +109,10 @@ def _sampled(field: Array, center: Array) -> Array:
     steps = np.stack(np.meshgrid(off, off, indexing="ij"), axis=-1).reshape(-1, 2)
     at = np.clip(center[:, None] + steps, 0, np.array(field.shape[1:]) - 1.001)
     low = at.astype(int)
-    share = (at - low).astype(np.float32)
+    weight = (at - low).astype(np.float32)
     n = np.arange(len(field))[:, None]
     a, b = low[..., 0], low[..., 1]
-    u, v = share[..., 0], share[..., 1]
+    u, v = weight[..., 0], weight[..., 1]
     back = field[n, a, b] * (1 - v) + field[n, a, b + 1] * v
     front = field[n, a + 1, b] * (1 - v) + field[n, a + 1, b + 1] * v
     return back * (1 - u) + front * u

@@ -82,10 +82,10 @@ def place_of(theta: Array, hint: InitialGuess) -> Array:
 def principal(theta: Array) -> tuple[float, float, float]:
     """Curvatures (1/m), the larger first, and the direction (rad from x) of the smaller."""
     kxx, kxy, kyy = theta[3:6]
-    middle = (kxx + kyy) / 2
+    mean = (kxx + kyy) / 2
     half = math.hypot((kxx - kyy) / 2, kxy)
     direction = 0.5 * math.atan2(2 * kxy, kxx - kyy) + math.pi / 2
-    return middle + half, middle - half, direction % math.pi
+    return mean + half, mean - half, direction % math.pi
 
 
 def _above(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
@@ -126,9 +126,9 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     place = place_of(theta, hint)
     ways = _directions_in_ellipse if hint.round else _distance_to_edge
     back, forth = ways(hint.frame, place, R[:, 0])
-    middle = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
+    center = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
-    return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), middle.tolist(), turned),)
+    return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), center.tolist(), turned),)
 
 
 def _soft(off: Array, rounding: float) -> Array:

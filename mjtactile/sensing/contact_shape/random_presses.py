@@ -160,9 +160,9 @@ def _contact_height(forward: ForwardModel, shape: _Shape) -> float:
 def _pressure_center(forward: ForwardModel, state: MembraneSolution) -> Array:
     """Return the pressure center (2,) of a membrane solution, mm."""
     force = state.contact_forces
-    share = force / force.sum()
+    fraction = force / force.sum()
     places = (nodes + moved for nodes, moved in zip(forward.nodes, state.x[:2], strict=True))
-    return 1e3 * np.array([float((share * place).sum()) for place in places])
+    return 1e3 * np.array([float((fraction * place).sum()) for place in places])
 
 
 def _area(

@@ -126,8 +126,8 @@ def _own_wrong(fit: Fit, coarse: float) -> Array:
     vertices with its square."""
     bent = np.array([name.startswith("k") for name in fit.family.names])
     by_node = _BY_NODE * np.where(bent, coarse**2, coarse)
-    share = np.hypot(fit.family.share, by_node / touching(fit))
-    return np.diag((share * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
+    fraction = np.hypot(fit.family.share, by_node / touching(fit))
+    return np.diag((fraction * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
 
 
 def touching(fit: Fit) -> float:

@@ -195,11 +195,11 @@ def several(names: Sequence[str]) -> ShapeModel:
         return tuple(np.concatenate([one[k % len(one)] for one in own]) for k in range(many))
 
     numbers = tuple(name for part in parts for name in part.names)
-    mean, sd, steps, loose, share, low, high = (
+    mean, sd, steps, loose, fraction, low, high = (
         np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
     )
     family = ShapeModel(
-        "+".join(names), numbers, mean, sd, steps, loose, share, low, high, build, starts, parts
+        "+".join(names), numbers, mean, sd, steps, loose, fraction, low, high, build, starts, parts
     )
     return family
 
@@ -224,8 +224,8 @@ def _family(
     loose = np.array(
         [_LOOSE.get(number, _STIFF * spread) for number, spread in zip(names, sd, strict=True)]
     )
-    share = np.array([_SHARE.get(number.split("_")[0], 0.0) for number in names])
-    return ShapeModel(name, names, mean, sd, steps, loose, share, low, high, build, starts)
+    fraction = np.array([_SHARE.get(number.split("_")[0], 0.0) for number in names])
+    return ShapeModel(name, names, mean, sd, steps, loose, fraction, low, high, build, starts)
 
 
 _AT = (("x", 0, 3, -8, 8), ("y", 0, 3, -8, 8), ("z", 0, 1, -4, 3))  # mm

@@ -228,8 +228,8 @@ class CameraDriftEstimator:
             )
             found[:, :, k] = (aside - nothing) / _STEP
             found[:, :, 3 + k] = (turned - nothing) / _STEP
-        middle = [self.camera.cx, self.camera.cy, 0.0]
-        found[:, :, _ZOOM] = s.drift_zoom * (nothing - middle)
+        center = [self.camera.cx, self.camera.cy, 0.0]
+        found[:, :, _ZOOM] = s.drift_zoom * (nothing - center)
         found[:, 2, _SIZE] = size
         found[:, 0, MODES] = found[:, 1, MODES + 1] = self._own.center_sd
         return found

@@ -135,10 +135,10 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
     columns = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], axis=-1)
     found, *_ = np.linalg.lstsq(columns[seen], bent[seen], rcond=None)
     smooth = columns @ found
-    middle = float(np.median(smooth[seen]))
-    if middle <= 0:
+    median = float(np.median(smooth[seen]))
+    if median <= 0:
         raise InputError("bulges inward at rest: z must point outward", field="membrane")
-    return pressure / np.clip(smooth, 0.3 * middle, 3.0 * middle)
+    return pressure / np.clip(smooth, 0.3 * median, 3.0 * median)
 
 
 def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:

@@ -63,8 +63,8 @@ class ModelErrorVariance:
         frame = design.frame
         self._sharp_max = settings.sharp_max
         s = settings
-        shares = [s.sparse, s.lateral, s.sharp, s.caught, s.outside, s.burst]
-        self._shares = np.array(shares, float)[:, AXES]
+        fractions = [s.sparse, s.lateral, s.sharp, s.caught, s.outside, s.burst]
+        self._shares = np.array(fractions, float)[:, AXES]
         self._change = np.array(s.change)[AXES]
         self._lag = s.lag
         self._unseen = s.unseen

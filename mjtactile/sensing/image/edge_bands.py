@@ -62,8 +62,8 @@ def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
     C = q * q + s * s
     under = (B * dy) ** 2 - A * (C * dy * dy - 1)
     half = np.sqrt(np.maximum(under, 0)) / A
-    middle = u0 - B * dy / A
-    return np.where(under > 0, middle - half, _FAR), np.where(under > 0, middle + half, -_FAR)
+    center = u0 - B * dy / A
+    return np.where(under > 0, center - half, _FAR), np.where(under > 0, center + half, -_FAR)
 
 
 class Pixels:

@@ -158,8 +158,8 @@ def covered_area(touch: Touch) -> float:
         return contact.area
     rows, columns = np.nonzero(contact.mask)
     half = np.array([grid[0][1] - grid[0][0], grid[1][1] - grid[1][0]]) / 2
-    middle = np.column_stack([grid[0][columns], grid[1][rows]])
+    midpoint = np.column_stack([grid[0][columns], grid[1][rows]])
     corners = np.concatenate(
-        [middle + half * sign for sign in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
+        [midpoint + half * sign for sign in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
     )
     return max(contact.area, float(ConvexHull(corners).volume))

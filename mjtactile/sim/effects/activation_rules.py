@@ -43,8 +43,8 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
     low = 0.0
     high = 1.5707
     for _ in range(52):
-        middle = (low + high) / 2
-        low, high = (low, middle) if unbalanced(middle) > 0 else (middle, high)
+        midpoint = (low + high) / 2
+        low, high = (low, midpoint) if unbalanced(midpoint) > 0 else (midpoint, high)
     return high
 
 
@@ -56,9 +56,9 @@ def half_extents(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> tuple[float
     mujoco.mj_kinematics(model, data)
     turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
     box = model.geom_aabb[geoms]
-    middle = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", turn, box[:, :3])
+    center = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", turn, box[:, :3])
     extent = np.einsum("nij,nj->ni", np.abs(turn), box[:, 3:])
-    half = ((middle + extent).max(axis=0) - (middle - extent).min(axis=0)) / 2
+    half = ((center + extent).max(axis=0) - (center - extent).min(axis=0)) / 2
     return float(half[1]), float(half[2])
 
 

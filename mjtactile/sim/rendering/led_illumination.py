@@ -49,9 +49,11 @@ class Light:
         self._distance = design.camera.distance
         x = design.frame.length / 2
         y = design.frame.width / 2
-        middle, corner = self._irradiance(self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2))
-        self._middle = middle
-        self._loss = 1 - corner / middle
+        at_center, corner = self._irradiance(
+            self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2)
+        )
+        self._middle = at_center
+        self._loss = 1 - corner / at_center
         # of the blocks
         self._bubbles = self._bubble(self._xy)
         self._asides = self._aside(self._xy)

@@ -270,8 +270,8 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
 def _below(x: Array) -> Array:
     """Return the normal distribution below each `x`; importing scipy's `ndtr` takes 0.2 s."""
     root = math.sqrt(0.5)
-    shares = [0.5 * math.erfc(-root * value) for value in x.ravel().tolist()]
-    return np.reshape(shares, x.shape)
+    fractions = [0.5 * math.erfc(-root * value) for value in x.ravel().tolist()]
+    return np.reshape(fractions, x.shape)
 
 
 def _opening(design: SensorDesign) -> Array:

@@ -112,8 +112,8 @@ class EllipseSampler:
         along = np.cross(n, across)
         offset = _COS[:, None] * across[:, None] + _SIN[:, None] * along[:, None]
         uv = optics.project(self.camera, p[:, None] + self._radius[:, None, None] * offset)
-        middle = uv.mean(axis=1)
-        x, y = np.moveaxis(uv - middle[:, None], 2, 0)
+        center = uv.mean(axis=1)
+        x, y = np.moveaxis(uv - center[:, None], 2, 0)
         dy = y @ _DERIVATIVE.T
         area = (x * dy).sum(axis=1)
         area[area == 0] = np.nan  # a marker that is missing
@@ -127,7 +127,7 @@ class EllipseSampler:
         yy = 4 * yy
         root = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0))
         scale = 1 / np.sqrt(np.maximum(xx + yy + 2 * root, 1e-12))
-        return middle + np.column_stack([cx, cy]), np.column_stack(
+        return center + np.column_stack([cx, cy]), np.column_stack(
             [xx + root, xy, yy + root]
         ) * scale[:, None]
 

@@ -293,9 +293,9 @@ def _corners(
     """Return the lower and upper corner (3,), m, of the contact geometry of these MuJoCo bodies."""
     geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & ((model.geom_contype & 1) > 0))
     axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
-    middle = data.geom_xpos[geoms] + (axes * model.geom_aabb[geoms, None, :3]).sum(axis=2)
+    center = data.geom_xpos[geoms] + (axes * model.geom_aabb[geoms, None, :3]).sum(axis=2)
     half = (np.abs(axes) * model.geom_aabb[geoms, None, 3:]).sum(axis=2)
-    points = np.concatenate([middle - half, middle + half, data.flexvert_xpos])
+    points = np.concatenate([center - half, center + half, data.flexvert_xpos])
     return points.min(axis=0), points.max(axis=0)
 
 

@@ -237,15 +237,15 @@ class ContactPoints:
         """Return the geoms that may be close to one of the `vertices` (k, 3) m in S, by one
         ball."""
         data = self._data
-        middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
         size = float(self._sizes[0])
         places = self._in_sensor(data.geom_xpos[self._geoms])
-        distance = np.linalg.norm(places - middle, axis=1) - self._model.geom_rbound[self._geoms]
+        distance = np.linalg.norm(places - center, axis=1) - self._model.geom_rbound[self._geoms]
         found = self._geoms[distance < radius + size].tolist()
         if not found:
             return found
-        p_W = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ middle
+        p_W = data.xpos[self._body] + data.xmat[self._body].reshape(3, 3) @ center
         extent = radius + 2 * size  # as `_is_far` has it
         return [
             geom
@@ -255,8 +255,8 @@ class ContactPoints:
 
     def _close_to(self, geom: int, vertices: Array) -> NDArray[np.int64]:
         """Return the indices of the `vertices` (k, 3) m in S that a geom may be near."""
-        middle = self._in_sensor(self._data.geom_xpos[geom])
-        distances = np.linalg.norm(vertices - middle, axis=1)
+        center = self._in_sensor(self._data.geom_xpos[geom])
+        distances = np.linalg.norm(vertices - center, axis=1)
         close = np.flatnonzero(distances - self._model.geom_rbound[geom] < self._sizes)
         if len(close) and self._is_far(geom, vertices[close]):
             return close[:0]

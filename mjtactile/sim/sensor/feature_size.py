@@ -250,8 +250,8 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Array:
     first = int(model.mesh_faceadr[mesh])
     faces = model.mesh_face[first : first + model.mesh_facenum[mesh]]
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]]), axis=1), axis=0)
-    shares = np.linspace(0.125, 0.875, 7)[:, None, None]
-    between = (1 - shares) * corners[edges[:, 0]] + shares * corners[edges[:, 1]]
+    fractions = np.linspace(0.125, 0.875, 7)[:, None, None]
+    between = (1 - fractions) * corners[edges[:, 0]] + fractions * corners[edges[:, 1]]
     points = np.concatenate([corners, between.reshape(-1, 3)])
     points = points[:: max(1, len(points) // _MAX_POINTS)]
     away = np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)

@@ -71,12 +71,12 @@ class MembraneMesh:
     def spacing(self) -> float:
         """Radius of the disc that fits between the vertices, m: a median in the central half."""
         corners = self.p_SV[self.triangles]
-        middle = (
+        center = (
             np.abs(corners.mean(axis=1)[:, :2] / np.abs(self.p_SV[:, :2]).max(axis=0)).max(axis=1)
             < 0.5
         )
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-        return float(np.median(edges[middle].max(axis=1)) / 2)  # of a right triangle
+        return float(np.median(edges[center].max(axis=1)) / 2)  # of a right triangle
 
 
 def make_mesh(

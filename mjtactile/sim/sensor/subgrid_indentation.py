@@ -44,11 +44,11 @@ def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
     low = np.zeros(np.broadcast(load, slope).shape)
     high = np.full(np.broadcast(load, slope).shape, MAX_RADIUS)
     for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        steep = slope + curvature * middle / 2
-        small = middle * steep / np.sqrt(1 + steep * steep) < load
-        low = np.where(small, middle, low)
-        high = np.where(small, high, middle)
+        midpoint = (low + high) / 2
+        steep = slope + curvature * midpoint / 2
+        small = midpoint * steep / np.sqrt(1 + steep * steep) < load
+        low = np.where(small, midpoint, low)
+        high = np.where(small, high, midpoint)
     return high
 
 

@@ -70,9 +70,9 @@ class ThinObjectMargin:
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)
         p_WS = data.xpos[self._body]
-        middle = (data.geom_xpos[geom] - p_WS) @ R_WS
+        center = (data.geom_xpos[geom] - p_WS) @ R_WS
         extent = self._model.geom_rbound[geom] + _NEAR
-        if np.linalg.norm(p_SV - middle, axis=1).min() > extent:
+        if np.linalg.norm(p_SV - center, axis=1).min() > extent:
             return 0.0
         p_WV = p_WS + p_SV @ R_WS.T
         away = feature_size.box_distances(self._model, data, geom, p_WV)

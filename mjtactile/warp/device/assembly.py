@@ -63,13 +63,13 @@ def _edge_spring(
             low = float(0.0)
             high = float(1.0)
             for _half in range(_HALVINGS):
-                middle = 0.5 * (low + high)
-                x = a + middle * (b - a)
+                midpoint = 0.5 * (low + high)
+                x = a + midpoint * (b - a)
                 at = _lowest(membrane, geoms, pool, f, x[0], x[1])
                 if is_on(at[0]):
-                    low = middle
+                    low = midpoint
                 else:
-                    high = middle
+                    high = midpoint
             fraction = wp.min(low, _NEAREST_EDGE)
             spring = wp.max(link, 0.0) * fraction / (1.0 - fraction)
     return spring

@@ -148,9 +148,9 @@ def add_up(
                     shift_y += q * (fields.u[f, 1, k] - before[f, 1, k])
     total = _sum(q_sum)
     over = 1.0 / wp.max(total, 1.0e-9)
-    middle = wp.vec3(_sum(sx) * over, _sum(sy) * over, _sum(sz) * over)
+    center = wp.vec3(_sum(sx) * over, _sum(sy) * over, _sum(sz) * over)
     patch.normal = total
-    patch.middle = middle
+    patch.middle = center
     patch.force = wp.vec3(_sum(fx), _sum(fy), -total)
     patch.torque = wp.vec3(_sum(tx), _sum(ty), _sum(tz))
     patch.area = _sum(count) * membrane.dx * membrane.dy
@@ -163,7 +163,7 @@ def add_up(
             if slot_of[finger, owner] == slot:
                 i = k // membrane.ny
                 x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
-                sum_of_distances += q * wp.length(wp.vec2(x[0] - middle[0], x[1] - middle[1]))
+                sum_of_distances += q * wp.length(wp.vec2(x[0] - center[0], x[1] - center[1]))
     patch.radius = _sum(sum_of_distances) * over
     patch.shift = wp.vec2(_sum(shift_x) * over_kept, _sum(shift_y) * over_kept)
     return patch

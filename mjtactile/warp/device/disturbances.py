@@ -133,5 +133,5 @@ def disturb_worlds(
         total += scene.body_mass[world, starts.free_bodies[b]]
     for b in range(starts.free_bodies.shape[0]):
         body = starts.free_bodies[b]
-        share = scene.body_mass[world, body] / total * force
-        xfrc[world, body] = wp.spatial_vector(share, wp.vec3(0.0, 0.0, 0.0))
+        part = scene.body_mass[world, body] / total * force
+        xfrc[world, body] = wp.spatial_vector(part, wp.vec3(0.0, 0.0, 0.0))

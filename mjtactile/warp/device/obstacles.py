@@ -90,11 +90,11 @@ def _capsule(geom: Geom, from_: wp.vec3, along: wp.vec3, half_thickness: float) 
     n = wp.vec3(from_[0] + t * along[0], from_[1] + t * along[1], 0.0)
     if t > _ON:
         for end in range(2):
-            middle = wp.vec3(0.0, 0.0, half * (2.0 * float(end) - 1.0))
-            at = _ball(from_, along, middle, radius)
+            center = wp.vec3(0.0, 0.0, half * (2.0 * float(end) - 1.0))
+            at = _ball(from_, along, center, radius)
             if at < t:
                 t = at
-                n = from_ + at * along - middle
+                n = from_ + at * along - center
     return _result(geom, t, n, 0.0, MISS)
 
 

@@ -64,7 +64,7 @@ def image(rotation, shift, seed, noise=2.0):
 def poses(count, tilt=0.5, spread=1.0):
     """Board poses all over the view, tilted by up to `tilt` rad."""
     rng = np.random.default_rng(4)
-    middle = np.array([BOARD.columns, BOARD.rows]) * BOARD.square / 2
+    center = np.array([BOARD.columns, BOARD.rows]) * BOARD.square / 2
     for i in range(count):
         rotation = np.array([*rng.uniform(-tilt, tilt, 2), rng.uniform(-0.3, 0.3)])
         depth = rng.uniform(0.045, 0.065)
@@ -73,7 +73,7 @@ def poses(count, tilt=0.5, spread=1.0):
             * np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13])
             * rng.uniform(0.3, 1)
         )
-        corner = cv2.Rodrigues(rotation)[0] @ np.array([*middle, 0])
+        corner = cv2.Rodrigues(rotation)[0] @ np.array([*center, 0])
         yield rotation, np.array([*(aim * depth), depth]) - corner
 
 

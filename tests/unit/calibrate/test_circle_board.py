@@ -30,9 +30,9 @@ def board(rotation, shift, rows=9, columns=12):
     """Circles (N) of a board at a pose, by their place on the grid."""
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
     places = [(i, j) for j in range(rows) for i in range(columns)]
-    middle = np.array([columns - 1, rows - 1, 0]) / 2
+    center = np.array([columns - 1, rows - 1, 0]) / 2
     return places, [
-        marker_scenes.Circle(R @ (PITCH * ((*place, 0) - middle)) + shift, R[:, 2], RADIUS)
+        marker_scenes.Circle(R @ (PITCH * ((*place, 0) - center)) + shift, R[:, 2], RADIUS)
         for place in places
     ]
 

@@ -27,8 +27,8 @@ ROUNDED = replace(ROUND.frame, shape="rounded", width=20e-3, corner_radius=4e-3)
 def by_splines(design, pressure, spans):
     rubber = SplineMembrane(design, spans)
     c = rubber.equilibrium(Gas(pressure))
-    middle = rubber.own(np.zeros((1, 2))) if design.frame.outline else np.zeros((1, 2))
-    return float((rubber.basis(middle) @ c[2])[0])
+    center = rubber.own(np.zeros((1, 2))) if design.frame.outline else np.zeros((1, 2))
+    return float((rubber.basis(center) @ c[2])[0])
 
 
 def test_a_flat_circle_is_henckys():

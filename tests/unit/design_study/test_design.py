@@ -315,9 +315,9 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads)
     assert {"design.json", "design.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
     # the frame's corners are drawn 533 px apart of 640
     assert result["image"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
-    middle = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
+    center = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
     rim = max(result["face"], key=lambda one: abs(one["x_mm"]) + abs(one["y_mm"]))
-    assert middle["force_sd_mN"] < rim["force_sd_mN"]
+    assert center["force_sd_mN"] < rim["force_sd_mN"]
 
 
 def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):

@@ -83,10 +83,10 @@ def test_the_printed_pattern_stretched_is_the_design(markers, radius):
             [np.cos(turn), np.sin(turn)]
         )
         mounted = edge @ (1.05 * np.eye(2))  # the sheet is stretched alike both ways
-        middle = mounted.mean(axis=1)
-        away = np.linalg.norm(mounted - middle[:, None], axis=2)
+        center = mounted.mean(axis=1)
+        away = np.linalg.norm(mounted - center[:, None], axis=2)
         # the file has 5 decimals
-        np.testing.assert_allclose(middle, 1e3 * DENSE.markers.p_SM[:, :2], atol=2e-5)
+        np.testing.assert_allclose(center, 1e3 * DENSE.markers.p_SM[:, :2], atol=2e-5)
         # round; discs were not to be stretched
         np.testing.assert_allclose(away, radius * 1e3 * DENSE.markers.radius, atol=2e-5)
         # the centre of gravity stays in the middle
@@ -384,8 +384,8 @@ def test_the_simulated_states_bulge_and_are_pressed():
     assert inflated.height == pytest.approx(
         analytical_solutions.bulge_height(DENSE, 1000.0), rel=0.02
     )
-    middle = pressed.p_SM[40, 2]
-    assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(
+    center = pressed.p_SM[40, 2]
+    assert center == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(
         inflated.height - 0.004, abs=1e-4
     )
 

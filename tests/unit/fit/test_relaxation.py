@@ -27,8 +27,8 @@ def test_fractions_and_their_sd_of_a_gauge_with_noise():
     found = []
     for _ in range(200):
         off = rng.normal(0, 0.1, images)[:, None] * shape
-        shares, cov = _solve(shown, np.einsum("nkj,k->nj", shown, true) + 1.0 + off)
-        found.append([*shares, np.sqrt(np.diag(cov))[1]])
+        fractions, cov = _solve(shown, np.einsum("nkj,k->nj", shown, true) + 1.0 + off)
+        found.append([*fractions, np.sqrt(np.diag(cov))[1]])
     found = np.array(found)
     mean = found[:, :2].mean(axis=0)
     # 200 fits: the mean is known to 7 % of an sd

@@ -21,11 +21,11 @@ def pressed(estimator, rest, rng, count):
     """Create a shape under `count` loads, some at the frame or as small as a node; weights are left
     out."""
     traction = rng.normal(0, 30.0, (3, len(estimator.nodes)))
-    for middle in rng.uniform(-0.5, 0.5, (count, 2)) * [
+    for center in rng.uniform(-0.5, 0.5, (count, 2)) * [
         estimator.design.frame.length,
         estimator.design.frame.width,
     ]:
-        off = np.linalg.norm(estimator.nodes - middle, axis=1)
+        off = np.linalg.norm(estimator.nodes - center, axis=1)
         press = rng.uniform(1e3, 8e3) * np.exp(-((off / rng.uniform(1e-3, 4e-3)) ** 2))
         traction += np.outer([*rng.uniform(-0.3, 0.3, 2), -1.0], press)
     c = rest + rng.normal(0, 5e-5, rest.shape)

@@ -25,10 +25,10 @@ def dented(design, rng):
     """Markers (positions, covariances, normals) on a dent somewhere, some of them wrong or
     unknown."""
     p = design.markers.p_SM.copy()
-    middle = rng.uniform(-6e-3, 6e-3, 2)
+    center = rng.uniform(-6e-3, 6e-3, 2)
     deep = rng.uniform(-1e-3, 3e-3)
-    dent = deep * np.exp(-((p[:, :2] - middle) ** 2).sum(axis=1) / 8e-3**2)
-    slopes = 2 * dent[:, None] * (p[:, :2] - middle) / 8e-3**2
+    dent = deep * np.exp(-((p[:, :2] - center) ** 2).sum(axis=1) / 8e-3**2)
+    slopes = 2 * dent[:, None] * (p[:, :2] - center) / 8e-3**2
     p[:, 2] -= dent
     n = np.column_stack([slopes, -np.ones(len(p))]) + rng.normal(0, 0.01, p.shape)
     n = n / np.linalg.norm(n, axis=1)[:, None]

@@ -199,8 +199,8 @@ def test_a_face_has_its_force_wherever_its_edges_fall(coarse, half, depth, force
     forces = []
     areas = []
     for at in [(0, 0), (0.5e-3, 0.3e-3), (1e-3, -0.7e-3), (1.3e-3, 0.2e-3)]:
-        middle = 2.8699e-3 - depth + HALF_THICKNESS + 0.01
-        state = coarse.solve(coarse.obstacle("box", (half, half, 0.01), p_SO=(*at, middle)))
+        center = 2.8699e-3 - depth + HALF_THICKNESS + 0.01
+        state = coarse.solve(coarse.obstacle("box", (half, half, 0.01), p_SO=(*at, center)))
         forces.append(state.force_normal)
         areas.append(state.area)
     np.testing.assert_allclose(forces, force, rtol=0.05)  # on nodes 2 mm apart

@@ -73,9 +73,9 @@ def lowest_inside(inside, turn, places):
     high = np.where(hits.any(axis=1) & (first > 0), steps[first], np.nan)
     low = high - 1e-4
     for _ in range(27):
-        middle = (low + high) / 2
-        is_in = inside((np.column_stack([places, middle]) - PLACE) @ turn)
-        low, high = np.where(is_in, low, middle), np.where(is_in, middle, high)
+        midpoint = (low + high) / 2
+        is_in = inside((np.column_stack([places, midpoint]) - PLACE) @ turn)
+        low, high = np.where(is_in, low, midpoint), np.where(is_in, midpoint, high)
     return high
 
 

@@ -23,9 +23,9 @@ def test_the_arcs_of_a_ball_lie_on_it():
     ball = shape(curvatures=(125.0, 125.0), radius=8e-3, family="ball")
     border, *arcs = lines_of(ball)
     assert border[0] == pytest.approx(border[-1])
-    middle = ball.p_SO + (0, 0, 8e-3)
+    center = ball.p_SO + (0, 0, 8e-3)
     for arc in arcs:
-        assert np.linalg.norm(arc - middle, axis=1) == pytest.approx(np.full(len(arc), 8e-3))
+        assert np.linalg.norm(arc - center, axis=1) == pytest.approx(np.full(len(arc), 8e-3))
     assert describe_shape(ball) == "ball, radius 8.0 mm"
 
 

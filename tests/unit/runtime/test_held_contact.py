@@ -20,8 +20,8 @@ class Fitted(StatefulPipeline):
 
     def shape(self, touches):
         self.asked.append([touch.force_normal for touch in touches])
-        shares = dict.fromkeys(SHAPES, 0.0) | {"flat": 0.8, "edge": 0.2}
-        return ContactShape("flat", shares, area=4e-5, area_interval=(3e-5, 6e-5))
+        fractions = dict.fromkeys(SHAPES, 0.0) | {"flat": 0.8, "edge": 0.2}
+        return ContactShape("flat", fractions, area=4e-5, area_interval=(3e-5, 6e-5))
 
 
 def cycle(phase, *forces, shape=None):

@@ -385,10 +385,10 @@ def test_rubber_that_turns_and_goes_is_distinguished():
     weight /= weight.sum()
     before = rng.normal(size=(30, 3)) * 5e-3
     angle, step = 0.02, np.array([3e-4, -2e-4, 0.0])
-    middle = weight @ before
+    center = weight @ before
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    after = (before - middle) @ R.T + middle + step
+    after = (before - center) @ R.T + center + step
     rubber = rubber_step((weight, weight), (before, after))
     assert rubber.step == pytest.approx(step[:2], abs=1e-9)
     assert rubber.twist == pytest.approx(angle, rel=1e-3)  # 2 tan(angle / 2)

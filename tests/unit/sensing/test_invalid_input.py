@@ -114,11 +114,11 @@ def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
     )
     markers, _ = sensing_pipeline.detect_markers(state, images.rest[0])
     seen = project(sensing_pipeline.camera, markers.p_SM - design.camera.p_SC)
-    middle = seen[len(seen) // 2]
+    center = seen[len(seen) // 2]
     radius = larger * sensing_pipeline.camera.fx * design.markers.radius / design.camera.distance
     for image in images.pressed:
         clean, state = sensing_pipeline.step(state, image, image.time)
-        touch, spotted = sensing_pipeline.step(spotted, enlarged(image, middle, radius), image.time)
+        touch, spotted = sensing_pipeline.step(spotted, enlarged(image, center, radius), image.time)
         assert touch.status == "ok"
         assert touch.markers is not None
         assert len(touch.markers) >= design.markers.count - 1

@@ -232,8 +232,8 @@ def test_slopes_and_curvatures_of_the_spline():
     expected = geometry.normal_from_slope(shape(x, y, 1, 0), shape(x, y, 0, 1))
     # spline's slope error, h^3 z''''
     np.testing.assert_allclose(spline.normals(x, y), expected, atol=2e-3)
-    middle = (len(spline.fitter.y) // 2, len(spline.fitter.x) // 2)
-    across, down = (spline.grid(*order)[middle] for order in ((2, 0), (0, 2)))
+    center = (len(spline.fitter.y) // 2, len(spline.fitter.x) // 2)
+    across, down = (spline.grid(*order)[center] for order in ((2, 0), (0, 2)))
     assert across == pytest.approx(-3e-3 * (np.pi / L) ** 2, rel=0.02)
     assert down == pytest.approx(-3e-3 * (np.pi / W) ** 2, rel=0.02)
 

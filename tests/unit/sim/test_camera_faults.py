@@ -109,11 +109,11 @@ def test_a_zoom_and_a_shift_move_the_circles_as_they_state(images):
 
     Circles are located to 0.02 px; the resampling adds as much.
     """
-    middle = np.array([319.5, 239.5])
+    center = np.array([319.5, 239.5])
     before = detect(images[1]).center_px
     camera = FaultyImage(faults(scale_percent=1, image_shift_px=[3, 2]))
     after = detect(camera(images[1])).center_px
-    requested = middle + 1.01 * (before - middle) + [3, 2]
+    requested = center + 1.01 * (before - center) + [3, 2]
     nearest = np.linalg.norm(after[:, None] - requested, axis=2).min(axis=0)
     assert len(after) == len(before) and nearest.max() < 0.1
 
@@ -139,8 +139,8 @@ def test_noise_reduction_and_rolling_shutter_mix_the_last_two_images(images):
     assert np.abs(half - (first + second) / 2).max() <= 0.5
     rolled = shown(images, rolling_shutter_ms=1e3 / 30)  # the first row is a picture old
     assert np.abs(rolled[0] - first[0]).max() <= 0.5
-    middle = len(rolled) // 2
-    assert np.abs(rolled[middle] - (first + second)[middle] / 2).max() <= 0.5
+    center = len(rolled) // 2
+    assert np.abs(rolled[center] - (first + second)[center] / 2).max() <= 0.5
     ends = shown(images, torn_percent=100)
     assert np.array_equal(ends[0], second[0]) and np.array_equal(ends[-1], first[-1])
 

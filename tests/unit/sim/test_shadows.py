@@ -229,14 +229,14 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     row = field[239:241, 330:600].mean(axis=0)
     lit = np.interp(border - 1.5e-3, x, row)
     dark = np.interp(border + 1.5e-3, x, row)
-    middle = np.interp(-(lit + dark) / 2, -row, x)
+    center = np.interp(-(lit + dark) / 2, -row, x)
     assert lit - dark > 0.2
     # in full shadow only light scattered by the walls remains: the part without falloff
     assert row[x > border + 2.5e-3][0] == pytest.approx(
         1 - design.leds.vignetting / light._loss, abs=1e-3
     )
     # 2 px; the light's own fall over the penumbra shifts the middle
-    assert middle == pytest.approx(border, abs=0.15e-3)
+    assert center == pytest.approx(border, abs=0.15e-3)
 
 
 def test_camera_rays_meet_the_membrane_where_it_is():

@@ -47,11 +47,11 @@ def shape_of(ellipses):
 def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
     bare = replace(DESIGN.camera, distortion=(0.0,) * 5)
     design = replace(DESIGN, camera=bare, glass=replace(DESIGN.glass, refractive_index=1.0))
-    middle = DESIGN.markers.count // 2
+    midpoint = DESIGN.markers.count // 2
     center, shape = EllipseSampler(design)._true(*FLAT)
-    np.testing.assert_allclose(center[middle], [319.5, 239.5], atol=1e-9)
+    np.testing.assert_allclose(center[midpoint], [319.5, 239.5], atol=1e-9)
     # px
-    np.testing.assert_allclose(shape[middle], [600 * 1.0 / 45, 0.0, 600 * 1.0 / 45], atol=1e-9)
+    np.testing.assert_allclose(shape[midpoint], [600 * 1.0 / 45, 0.0, 600 * 1.0 / 45], atol=1e-9)
 
 
 def test_exact_ellipses_lead_back_to_the_circles():

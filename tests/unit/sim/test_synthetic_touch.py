@@ -94,8 +94,8 @@ def test_the_kernel_samples_as_the_formula_does():
 def test_between_loads_errors_are_linear_and_beyond_the_last_as_there():
     errors = load_errors(DENSE)
     low, high = errors.loads[2:4]
-    middle = errors.at((low + high) / 2)
-    np.testing.assert_allclose(middle.sd, (errors.sd[2] + errors.sd[3]) / 2, rtol=1e-12)
+    midpoint = errors.at((low + high) / 2)
+    np.testing.assert_allclose(midpoint.sd, (errors.sd[2] + errors.sd[3]) / 2, rtol=1e-12)
     np.testing.assert_array_equal(errors.at(99.0).sd, errors.sd[-1])
     assert parse_error_model(errors.table()).table() == errors.table()
 

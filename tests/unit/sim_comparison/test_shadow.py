@@ -153,8 +153,8 @@ def test_creep_is_given_to_the_simulated_membrane():
     """
     design = true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 1))
     assert design.relaxation is not None
-    shares = [fraction for fraction, _ in design.relaxation.terms]
-    assert shares == [0.1] * len(shares)
+    fractions = [fraction for fraction, _ in design.relaxation.terms]
+    assert fractions == [0.1] * len(fractions)
     assert (
         true_design(load_sensor("dense"), _as_built_sensor({"creep": (0.0, 0.1)}, 0)).relaxation
         is None

@@ -164,8 +164,8 @@ def test_the_membrane_in_the_scene_is_the_estimated_surface():
     a, b, c = corners.swapaxes(0, 1)
     area = np.cross(b - a, c - a)[:, 2] / 2  # seen along z
     assert area.sum() == pytest.approx((s.x[-1] - s.x[0]) * (s.y[-1] - s.y[0])) and (area > 0).all()
-    middle = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
-    assert rgb[middle, 1] == rgb[:, 1].max()  # green grows along viridis
+    center = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
+    assert rgb[center, 1] == rgb[:, 1].max()  # green grows along viridis
     pressed, _ = surface_colormap.surface_geom(
         estimated, surface_colormap.field_of(estimated, "indentation"), 0.0012, minimum=0.04
     )

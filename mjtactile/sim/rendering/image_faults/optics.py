@@ -66,11 +66,11 @@ def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     from scipy.ndimage import affine_transform  # takes a while to import
 
     height, width = pixels.shape
-    middle = np.array([(height - 1) / 2, (width - 1) / 2])
+    center = np.array([(height - 1) / 2, (width - 1) / 2])
     cos = math.cos(t.rotation) / (1 + t.zoom)
     sin = math.sin(t.rotation) / (1 + t.zoom)
     back = np.array([[cos, sin], [-sin, cos]])  # rows, columns
-    start = middle - back @ (middle + np.array(t.shift)[::-1])
+    start = center - back @ (center + np.array(t.shift)[::-1])
     change = np.column_stack([back, start])
     return _floats(affine_transform(pixels, change, order=3, mode="mirror"))
 
