@@ -175,10 +175,10 @@ def _bodies(quasistatic: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, 
         "cube 8 mm, tilted",
         [quasistatic.obstacle("box", (4e-3, 4e-3, 4e-3), (x, y, 6.2e-3), tilt)],
     )
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     yield (
         "blade, turned by 17 degrees",
-        [quasistatic.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102), turn)],
+        [quasistatic.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102), rotation)],
     )
     two = [quasistatic.obstacle("sphere", (4e-3,), (x + off, y, 5.5e-3)) for off in (-5e-3, 5e-3)]
     yield "two balls", two

@@ -98,7 +98,7 @@ def _bodies(
     """Bodies over one place, turned by one angle, as far below the bulge as each other."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     x, y = rng.uniform(-_ASIDE, _ASIDE, 2)
     depth = rng.uniform(*_DEPTHS)
     radius, thin = _log_uniform(rng, _BALLS), _log_uniform(rng, _ROUND)
@@ -107,11 +107,14 @@ def _bodies(
     low = quasistatic.rest.heights[nearest] + quasistatic.design.membrane.thickness / 2 - depth
     long = 6e-3
     yield "balls of 3-30 mm", quasistatic.obstacle("sphere", (radius,), (x, y, low + radius))
-    rod = quasistatic.obstacle("capsule", (thin, long), (x, y, low + thin), turn @ _LYING)
+    rod = quasistatic.obstacle("capsule", (thin, long), (x, y, low + thin), rotation @ _LYING)
     yield "rods and wires of 1.4-10 mm, lying", rod
     yield "pins of 1.4-10 mm", quasistatic.obstacle("cylinder", (thin, 0.01), (x, y, low + 0.01))
-    yield "boxes of 2-12 mm", quasistatic.obstacle("box", (*sides, 0.01), (x, y, low + 0.01), turn)
-    blade = quasistatic.obstacle("box", (half, long, 0.01), (x, y, low + 0.01), turn)
+    yield (
+        "boxes of 2-12 mm",
+        quasistatic.obstacle("box", (*sides, 0.01), (x, y, low + 0.01), rotation),
+    )
+    blade = quasistatic.obstacle("box", (half, long, 0.01), (x, y, low + 0.01), rotation)
     yield "blades of 0.4-2 x 12 mm", blade
     tip = _log_uniform(rng, _TIPS)  # as small balls are
     pin = quasistatic.obstacle("capsule", (tip, 0.01), (x, y, low + 0.01 + tip))

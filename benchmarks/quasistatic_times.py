@@ -24,8 +24,8 @@ _STEPS = 10  # of a burst, each 0.05 mm deeper
 def _bowl(numbers: Array) -> Obstacle:
     """A quadric of six numbers: place, two curvatures, and a turn about z."""
     c, s = np.cos(numbers[5]), np.sin(numbers[5])
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    return QuasistaticMembrane.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], turn)
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    return QuasistaticMembrane.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], rotation)
 
 
 def _deeper(membrane: QuasistaticMembrane) -> list[Obstacle]:

@@ -108,18 +108,18 @@ def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> 
     gauge = design.chamber.supply_gauge
     world.inflate(gauge, seal=True)
     rest = [view.image() for _ in range(REFERENCE_IMAGES)]
-    ways = [(depth, 0.0) for depth in DEPTHS]
-    ways += [(DEPTHS[-1], SHEAR * part / 3) for part in (1, 2, 3)]
-    ways += [(DEPTHS[0], SHEAR), (-2e-3, SHEAR), (-2e-3, SHEAR)]
+    positions = [(depth, 0.0) for depth in DEPTHS]
+    positions += [(DEPTHS[-1], SHEAR * part / 3) for part in (1, 2, 3)]
+    positions += [(DEPTHS[0], SHEAR), (-2e-3, SHEAR), (-2e-3, SHEAR)]
     images = []
-    for number, (depth, shear) in enumerate(ways):
+    for number, (depth, shear) in enumerate(positions):
         world.drive(depth, shear)
         pixels = view.image().pixels
         images.append(Image(pixels, number * INTERVAL))
     p, n = world.marker_poses(0)
     for number in range(STILL_IMAGES):  # nothing touches while the gas cools
         sunk = p * [1.0, 1.0, 1.0 - DRIFT * number]
-        time = (len(ways) - 1) * INTERVAL + (number + 1) * STILL_INTERVAL
+        time = (len(positions) - 1) * INTERVAL + (number + 1) * STILL_INTERVAL
         images.append(view.renderer.render(sunk, n, time))
     return RecordedPress(design, flat, rest, gauge, images)
 

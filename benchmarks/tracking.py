@@ -167,7 +167,7 @@ def _dent(
     """Place (2,) m, depth m and width m of a dent at a time; of a tap one that is there within one
     image or two."""
     start = rng.uniform(-10e-3, 10e-3, 2)
-    way = rng.uniform(-6e-3, 6e-3, 2)
+    displacement = rng.uniform(-6e-3, 6e-3, 2)
     depth = rng.uniform(-3e-3, 1e-3)
     width = rng.uniform(5e-3, 12e-3)
     period = rng.uniform(0.5, 2.0)
@@ -178,7 +178,11 @@ def _dent(
             fraction = float(np.clip(1 - np.abs(time - taps).min() * rate / 2.5, 0, 1))
         else:
             fraction = 0.5 - 0.5 * np.cos(2 * np.pi * time / period)
-        return start + way * np.sin(2 * np.pi * time / (3 * period)), fraction * depth, width
+        return (
+            start + displacement * np.sin(2 * np.pi * time / (3 * period)),
+            fraction * depth,
+            width,
+        )
 
     return at
 
@@ -235,8 +239,8 @@ def _occlusion(
             rng.uniform(20, 90, 2),
             rng.uniform(20, 190),
         )
-    place, way, size, level = state["occlusion"]
-    at = place + way * (k % 30 - 10)
+    place, displacement, size, level = state["occlusion"]
+    at = place + displacement * (k % 30 - 10)
     grey = grey.copy()
     cv2.ellipse(
         grey,
@@ -263,9 +267,9 @@ def _glare(
             rng.uniform(4, 25, 4),
             rng.uniform(40, 200, 4),
         )
-    places, ways, sizes, levels = state["glare"]
+    places, displacements, sizes, levels = state["glare"]
     v, u = np.mgrid[: grey.shape[0], : grey.shape[1]].astype(np.float32)
-    for place, size, level in zip(places + k * ways, sizes, levels, strict=True):
+    for place, size, level in zip(places + k * displacements, sizes, levels, strict=True):
         grey = grey + level * np.exp(
             -((u - place[0]) ** 2 + (v - place[1]) ** 2) / (2 * size**2)
         ).astype(np.float32)

@@ -90,13 +90,13 @@ def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
     flat, rest, pressed = _poses(design, scene)
     renderer = Renderer(design, seed=1)
     sampler = EllipseSampler(design, seed=1)
-    ways: dict[str, Callable[[Pose], Image]] = {
+    methods: dict[str, Callable[[Pose], Image]] = {
         "images": lambda pose: renderer.render(*pose),
         "none": lambda pose: sampler.sample(*pose),
     }
     return {
-        way: _errors(design, take_image, (flat, rest, pressed), count)
-        for way, take_image in ways.items()
+        method: _errors(design, take_image, (flat, rest, pressed), count)
+        for method, take_image in methods.items()
     }
 
 
@@ -162,7 +162,7 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
     s."""
     for k in range(count):
         pair: dict[str, Any] = {"seed": k, "object": OBJECTS[k % len(OBJECTS)]}
-        for way, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
+        for method, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
             start = time.process_time()
             line = run_episode(
                 Episode(
@@ -172,11 +172,11 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
                     ),
                 )
             )
-            pair[way] = {
+            pair[method] = {
                 key: line[key]
                 for key in ("outcome", "hold_force_N", "hold_force_true_N", "peak_force_true_N")
             }
-            pair[way]["core_s"] = time.process_time() - start
+            pair[method]["core_s"] = time.process_time() - start
         notify(
             f"grasps: {k + 1} of {count}: {pair['object']}, {pair['images']['outcome']}, "
             f"{pair['none']['outcome']}"
@@ -187,7 +187,8 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
 def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sums of the pairs. Forces of those that were held both ways."""
     held = {
-        way: sum(pair[way]["outcome"] == "held" for pair in pairs) for way in ("images", "none")
+        direction: sum(pair[direction]["outcome"] == "held" for pair in pairs)
+        for direction in ("images", "none")
     }
     both = [
         pair for pair in pairs if pair["images"]["outcome"] == pair["none"]["outcome"] == "held"
@@ -200,7 +201,9 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
         "pairs": len(pairs),
         "same_outcome": sum(p["images"]["outcome"] == p["none"]["outcome"] for p in pairs),
         "held": held,
-        "held_interval": {way: list(wilson(held[way], len(pairs))) for way in held},
+        "held_interval": {
+            direction: list(wilson(held[direction], len(pairs))) for direction in held
+        },
         "force_mN": 1e3 * mean,
         "force_interval_mN": 1e3
         * 1.96
@@ -210,10 +213,10 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
         else math.nan,
         "force_sd_mN": 1e3 * float(differences.std()) if len(differences) else math.nan,
         "an_hour": {
-            way: 3600 * len(pairs) / sum(pair[way]["core_s"] for pair in pairs)
+            direction: 3600 * len(pairs) / sum(pair[direction]["core_s"] for pair in pairs)
             if pairs
             else math.nan
-            for way in ("images", "none")
+            for direction in ("images", "none")
         },
         "rows": pairs,
     }

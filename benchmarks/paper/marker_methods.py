@@ -178,9 +178,9 @@ def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
     layout = np.stack([x, y, np.zeros(16)], axis=1)
     errors: dict[str, list[Array]] = {}
     for _ in range(images):
-        turn = cv2.Rodrigues(np.deg2rad(rng.uniform(-30, 30, 3)))[0]
-        truth = layout @ turn.T + [0.0, 0.0, rng.uniform(0.04, 0.055)]
-        circles = [marker_scenes.Circle(p, turn @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
+        rotation = cv2.Rodrigues(np.deg2rad(rng.uniform(-30, 30, 3)))[0]
+        truth = layout @ rotation.T + [0.0, 0.0, rng.uniform(0.04, 0.055)]
+        circles = [marker_scenes.Circle(p, rotation @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
         ellipses = detect(
             marker_scenes.image(CAMERA, circles, seed=int(rng.integers(2**31))), CAMERA
         )
@@ -210,8 +210,8 @@ def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
 def _solve_board(layout: Array, uv: Array) -> tuple[Array, Array]:
     """`cv2.solvePnP`: the board's points (N, 3) in the camera frame, and its rotation."""
     _, rotation, shift = cv2.solvePnP(layout, uv, CAMERA.K, np.zeros(5))
-    turn = cv2.Rodrigues(rotation)[0]
-    return layout @ turn.T + shift.T, turn
+    angle = cv2.Rodrigues(rotation)[0]
+    return layout @ angle.T + shift.T, angle
 
 
 def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
@@ -236,9 +236,9 @@ def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
         shared = 0
         for _ in range(images):
             # the pitch is 4 radii: 16 px at 600 px of focal length are 37.5 pitches away
-            turn = cv2.Rodrigues(np.deg2rad(rng.uniform(-25, 25, 3) * [1, 1, 0.2]))[0]
-            truth = 0.006 * (np.stack([x, y, height], axis=1) @ turn.T + [0.0, 0.0, 37.5])
-            circles = [marker_scenes.Circle(p, turn @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
+            rotation = cv2.Rodrigues(np.deg2rad(rng.uniform(-25, 25, 3) * [1, 1, 0.2]))[0]
+            truth = 0.006 * (np.stack([x, y, height], axis=1) @ rotation.T + [0.0, 0.0, 37.5])
+            circles = [marker_scenes.Circle(p, rotation @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
             image = cheap_camera(
                 marker_scenes.coverage(CAMERA, circles, 0.6), int(rng.integers(2**31))
             )

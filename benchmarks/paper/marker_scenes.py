@@ -83,9 +83,9 @@ def _fill(polygon: Array, size: NDArray) -> Array:
     top = int(polygon[:, 1].argmin())
     bottom = int(polygon[:, 1].argmax())
     rolled = np.roll(polygon, -top, axis=0)
-    turn = (bottom - top) % len(polygon)
-    one = rolled[: turn + 1]
-    other = np.concatenate([rolled[turn:], rolled[:1]])[::-1]
+    count = (bottom - top) % len(polygon)
+    one = rolled[: count + 1]
+    other = np.concatenate([rolled[count:], rolled[:1]])[::-1]
     lines = (np.arange(height * _LINES) + 0.5) / _LINES
     x = np.sort(
         [np.interp(lines, pipeline[:, 1], pipeline[:, 0]) for pipeline in (one, other)], axis=0
@@ -163,10 +163,10 @@ def random_circles(
                 + rng.uniform(-1, 1, 2) * np.minimum(free, 15)
             )
             tilt = np.deg2rad(rng.uniform(*tilt_deg))
-            turn = rng.uniform(0, 2 * np.pi)
+            angle = rng.uniform(0, 2 * np.pi)
             ray = optics.unproject(camera, uv)
             normal = np.array(
-                [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)]
+                [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), -np.cos(tilt)]
             )
             circles.append(Circle(ray / ray[2] * z, normal, radius))
     return circles

@@ -158,12 +158,12 @@ def _signs(found: list[TrackedCircles]) -> tuple[float, float]:
     start = dict(zip(first.ids.tolist(), first.ellipses.center_px, strict=True))
     moved = []
     for tracked in found:
-        ways = [
+        displacements = [
             place - start[one]
             for one, place in zip(tracked.ids.tolist(), tracked.ellipses.center_px, strict=True)
             if one >= 0 and one in start
         ]
-        moved.append(np.median(ways, axis=0) if ways else moved[-1])
+        moved.append(np.median(displacements, axis=0) if displacements else moved[-1])
     motion = np.array(moved)
     size = np.linalg.norm(motion, axis=1)
     late = motion[len(motion) // 3 :]

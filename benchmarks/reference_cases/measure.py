@@ -242,8 +242,10 @@ def _slid(case: Case, step: float, sign: float) -> float:
     world = _dragged(case, step)
     fractions = []
     mu = case.design.membrane.friction
-    way = np.array([sign, 0.0, 0.0])
-    world.after_each_step(lambda: fractions.append(ground_truth.friction_along(world, 0, mu, way)))
+    direction = np.array([sign, 0.0, 0.0])
+    world.after_each_step(
+        lambda: fractions.append(ground_truth.friction_along(world, 0, mu, direction))
+    )
     world.drive(
         1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"]
     )

@@ -84,25 +84,25 @@ class SlipCase:
 def plot_case(seed: int) -> SlipCase:
     """Slips and holds alternate, and so do the ways to load; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 12])
-    ways = SLIPS if seed % 2 == 0 else HOLDS
-    name = list(ways)[seed // 2 % len(ways)]
-    way = ways[name]
+    motions = SLIPS if seed % 2 == 0 else HOLDS
+    name = list(motions)[seed // 2 % len(motions)]
+    motion = motions[name]
     body = BODIES[rng.integers(len(BODIES))]
     mu = float(rng.uniform(*FRICTION))
     other = mu
-    if way.load == "one":  # the left one slips or both hold
+    if motion.load == "one":  # the left one slips or both hold
         other = min(FRICTION[1], mu * rng.uniform(1.5, 2.5))
         mu = other / rng.uniform(1.5, 2.5)
-    if way.load == "roll":
+    if motion.load == "roll":
         body = ("ball", "lying cylinder")[rng.integers(2)]
     friction = (max(mu, FRICTION[0]), max(other, FRICTION[0]))
     size = rng.uniform(7e-3, 16e-3)
-    mass = rng.uniform(0.08, 0.2) if way.load == "shake" else rng.uniform(0.005, 0.06)
+    mass = rng.uniform(0.08, 0.2) if motion.load == "shake" else rng.uniform(0.005, 0.06)
     return SlipCase(
         seed,
         name,
-        way is SLIPS.get(name),
-        way,
+        motion is SLIPS.get(name),
+        motion,
         body,
         float(size),
         float(mass),
@@ -110,8 +110,8 @@ def plot_case(seed: int) -> SlipCase:
         grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MAX / max(friction))),
         offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
         angle=float(rng.uniform(0, 2 * np.pi)),
-        fraction=float(rng.uniform(*way.fraction)),
-        rise=float(rng.uniform(*way.rise)),
+        fraction=float(rng.uniform(*motion.fraction)),
+        rise=float(rng.uniform(*motion.rise)),
         speed=float(np.exp(rng.uniform(*np.log(SPEED)))),
         frequency=float(rng.uniform(4, 8)),
     )

@@ -144,12 +144,12 @@ class SlipWorld(World):
     def load(self, seconds: float) -> Iterator[None]:
         """Apply the load of the case for `seconds`."""
         case = self.case
-        way = self.case.way
+        motion = self.case.way
         normal = np.array([self.press(k) for k in range(2)])
         limit = float(np.dot(case.friction, normal))
         drag = (
             _ANCHOR
-            if way.load in ("drag", "one")
+            if motion.load in ("drag", "one")
             else max(case.fraction - 1, 0.2) * limit / case.speed
         )
         self.model.dof_damping[self._dofs[:3]] = drag
@@ -167,25 +167,25 @@ class SlipWorld(World):
 
     def _apply(self, t: float, limit: float, seconds: float) -> None:
         case = self.case
-        way = self.case.way
+        motion = self.case.way
         part = t / case.rise
-        grown = case.fraction * (part if not way.stays else min(part, 1.0))
-        if way.load == "pull":
+        grown = case.fraction * (part if not motion.stays else min(part, 1.0))
+        if motion.load == "pull":
             self._pull(grown * limit)
-        elif way.load == "torque":
+        elif motion.load == "torque":
             self.data.xfrc_applied[self._body, 3] = grown * limit * _TURNING
-        elif way.load == "grip":
+        elif motion.load == "grip":
             self._pull(case.fraction * limit * min(t / 0.2, 1.0))
             opened = (4e-3 if case.slips else 0.4e-3) * min(max(t - 0.4, 0.0) / case.rise, 1.0)
             self._squeeze(self._travel - opened)
-        elif way.load == "shake":
+        elif motion.load == "shake":
             omega = 2 * np.pi * case.frequency
             amplitude = min(case.fraction * limit / (case.mass * omega**2), 0.02)
             self._move(*[amplitude * min(part, 1.0) * np.sin(omega * t)] * 2)
-        elif way.load in ("drag", "one", "roll"):
+        elif motion.load in ("drag", "one", "roll"):
             moved = min(1e-3 * case.rise * t, 1e-3 * case.fraction)
-            self._move(moved, {"drag": moved, "one": 0.0, "roll": -moved}[way.load])
-        elif way.load == "squeeze":
+            self._move(moved, {"drag": moved, "one": 0.0, "roll": -moved}[motion.load])
+        elif motion.load == "squeeze":
             self._squeeze(
                 self._travel + 1e-3 * case.fraction * np.sin(2 * np.pi * t / (4 * case.rise))
             )
@@ -235,14 +235,14 @@ def _add_body(body: mujoco.MjsBody, case: SlipCase) -> float:
     """Add the body's geoms; returns its half width along x, m."""
     kinds = mujoco.mjtGeom
     size = case.size
-    turn = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
+    rotation = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
     if case.body.startswith("soft"):
         return _add_soft(body, case)
     kind, sizes, quat = {
         "ball": (kinds.mjGEOM_SPHERE, [size, 0, 0], [1, 0, 0, 0]),
         "box": (kinds.mjGEOM_BOX, [size, 0.7 * size, 0.8 * size], [1, 0, 0, 0]),
         "cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], [1, 0, 0, 0]),
-        "lying cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], turn),
+        "lying cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], rotation),
     }[case.body]
     body.add_geom(type=kind, size=sizes, quat=quat, mass=case.mass)
     return size

@@ -68,8 +68,8 @@ def _ellipsoid(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
     c = float(rng.uniform(8e-3, 20e-3))
     a, b = np.sqrt(c / rng.uniform(20.0, SHARP, 2))  # of curvatures that are neither edge nor tip
     angle = float(rng.uniform(0, np.pi))
-    turn = f'euler="0 0 {np.degrees(angle)}"'
-    geoms = f'<geom type="ellipsoid" size="{a} {b} {c}" {turn}/>'
+    rotation = f'euler="0 0 {np.degrees(angle)}"'
+    geoms = f'<geom type="ellipsoid" size="{a} {b} {c}" {rotation}/>'
     bent = (c / a**2, c / b**2)
     direction = angle if bent[0] < bent[1] else angle + np.pi / 2
     curvatures = (max(bent), min(bent))
@@ -79,8 +79,8 @@ def _ellipsoid(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
 def _lying(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     radius = _log_uniform(rng, 3e-3, 20e-3)
     angle = float(rng.uniform(0, np.pi))
-    way = 0.03 * np.array([np.cos(angle), np.sin(angle)])
-    ends = f"{-way[0]} {-way[1]} 0 {way[0]} {way[1]} 0"
+    corner = 0.03 * np.array([np.cos(angle), np.sin(angle)])
+    ends = f"{-corner[0]} {-corner[1]} 0 {corner[0]} {corner[1]} 0"
     geoms = f'<geom type="cylinder" size="{radius}" fromto="{ends}"/>'
     family = "smooth" if 1 / radius < SHARP else "edge"
     return Case(
@@ -97,12 +97,12 @@ def _standing(rng: np.random.Generator, name: str, at: tuple[float, float]) -> C
 
 def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     radius, rim = float(rng.uniform(3e-3, 7e-3)), float(rng.uniform(0.3e-3, 1e-3))
-    turn = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
     profile = [
         (radius - rim + rim * np.sin(t), -rim * np.cos(t)) for t in np.linspace(0, np.pi / 2, 7)
     ]
     profile.append((radius, 0.02))
-    points = [(r * np.cos(t), r * np.sin(t), z) for r, z in profile for t in turn]
+    points = [(r * np.cos(t), r * np.sin(t), z) for r, z in profile for t in angle]
     return Case(
         "flat",
         name,
@@ -118,8 +118,8 @@ def _block(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case
     half = rng.uniform(2.5e-3, 6e-3, 2)
     angle = float(rng.uniform(0, np.pi))
     tilt = rng.uniform(-3, 3, 2)
-    turn = f'euler="{tilt[0]} {tilt[1]} {np.degrees(angle)}"'
-    geoms = f'<geom type="box" size="{half[0]} {half[1]} 0.01" {turn}/>'
+    rotation = f'euler="{tilt[0]} {tilt[1]} {np.degrees(angle)}"'
+    geoms = f'<geom type="box" size="{half[0]} {half[1]} 0.01" {rotation}/>'
     return Case("flat", name, geoms, at, extra={"tilt_deg": float(np.hypot(*tilt))})
 
 
@@ -142,9 +142,9 @@ def _wedge(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case
 def _corner(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     half_angle = np.radians(rng.uniform(40, 65))
     sides = int(rng.integers(3, 6))
-    turn = float(rng.uniform(0, 2 * np.pi)) + np.arange(sides) * 2 * np.pi / sides
+    angle = float(rng.uniform(0, 2 * np.pi)) + np.arange(sides) * 2 * np.pi / sides
     rho = 0.01 * np.tan(half_angle)
-    ring = np.column_stack([rho * np.cos(turn), rho * np.sin(turn), np.full(sides, 0.01)])
+    ring = np.column_stack([rho * np.cos(angle), rho * np.sin(angle), np.full(sides, 0.01)])
     return Case(
         "point",
         name,
@@ -159,10 +159,10 @@ def _two_balls(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
     radius = rng.uniform(3e-3, 6e-3, 2)
     angle = float(rng.uniform(0, np.pi))
     half = rng.uniform(5e-3, 8e-3)
-    way = half * np.array([np.cos(angle), 0.7 * np.sin(angle)])
+    corner = half * np.array([np.cos(angle), 0.7 * np.sin(angle)])
     low = -radius - rng.uniform(-1.5e-4, 1.5e-4) * np.array([1, -1])
     geoms = "".join(
-        f'<geom type="sphere" size="{r}" pos="{s * way[0]} {s * way[1]} {-z}"/>'
+        f'<geom type="sphere" size="{r}" pos="{s * corner[0]} {s * corner[1]} {-z}"/>'
         for s, r, z in zip((-1, 1), radius, low, strict=True)
     )
     return Case("multiple", name, geoms, (at[0] / 4, at[1] / 4), direction=angle)

@@ -181,5 +181,5 @@ def _edge(case: Case, shape: ContactShape) -> dict[str, float]:
         return {"edge_off_mm": np.nan, "edge_turn_deg": np.nan}
     across = np.array([-np.sin(case.direction), np.cos(case.direction)])
     off = abs(float((shape.p_SO[:2] - case.at) @ across))
-    turn = (shape.direction - case.direction + np.pi / 2) % np.pi - np.pi / 2
-    return {"edge_off_mm": 1e3 * off, "edge_turn_deg": abs(float(np.degrees(turn)))}
+    angle = (shape.direction - case.direction + np.pi / 2) % np.pi - np.pi / 2
+    return {"edge_off_mm": 1e3 * off, "edge_turn_deg": abs(float(np.degrees(angle)))}

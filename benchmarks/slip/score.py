@@ -80,12 +80,12 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
     latency = detected.time - last.onset
     if latency < -IN_TIME and detected.used < LEFT:
         return Outcome("early", latency, detected.slid, speed)
-    way = detected.slid < SLIP
-    soon = latency <= IN_TIME + _ROUNDING
+    in_distance = detected.slid < SLIP
+    in_time = latency <= IN_TIME + _ROUNDING
     name = {
         (True, True): "in time",
         (True, False): "before 0.5 mm",
         (False, True): "within 100 ms",
         (False, False): "late",
     }
-    return Outcome(name[way, soon], latency, detected.slid, speed)
+    return Outcome(name[in_distance, in_time], latency, detected.slid, speed)

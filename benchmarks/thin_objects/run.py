@@ -41,8 +41,8 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
         rng = np.random.default_rng(_SEED)
         for _ in range(places):
             at = rng.uniform(-_AROUND, _AROUND, 2)
-            turn = float(rng.uniform(0, np.pi))
-            rows.append({"body": name, **_compared(membranes, body, at, turn)})
+            angle = float(rng.uniform(0, np.pi))
+            rows.append({"body": name, **_compared(membranes, body, at, angle)})
     return {"places": places, "speeds": list(SPEEDS), "rows": rows}
 
 

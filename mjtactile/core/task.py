@@ -271,6 +271,6 @@ def _way(disturbance: Disturbance, seed: int, name: str) -> tuple[float, float, 
 def _direction(seed: int, name: str) -> tuple[float, float, float]:
     """A unit vector, any as likely as another."""
     rng = np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())])
-    way = rng.standard_normal(3)
-    x, y, z = (float(value) for value in way / np.linalg.norm(way))
+    direction = rng.standard_normal(3)
+    x, y, z = (float(value) for value in direction / np.linalg.norm(direction))
     return x, y, z

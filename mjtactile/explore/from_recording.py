@@ -157,8 +157,8 @@ def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:
     for move in moves:
         later = times >= move.time
         start = depth if math.isfinite(depth) else move.depth - _LIFTED
-        way = max(abs(move.depth - start), abs(move.shear - shear), 1e-9)
-        fraction = np.clip((times[later] - move.time) * move.speed / way, 0.0, 1.0)
+        distance = max(abs(move.depth - start), abs(move.shear - shear), 1e-9)
+        fraction = np.clip((times[later] - move.time) * move.speed / distance, 0.0, 1.0)
         depths[later] = start + fraction * (move.depth - start)
         shears[later] = shear + fraction * (move.shear - shear)
         depth = move.depth

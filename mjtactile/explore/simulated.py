@@ -130,10 +130,10 @@ def explore_in_gripper(
         if stopped():
             outcome = "interrupted"
             break
-        turn, height = next_grip(mesh, grips, has_contact=bool(patches))
-        grips.append((turn, height))
+        angle, height = next_grip(mesh, grips, has_contact=bool(patches))
+        grips.append((angle, height))
         number += 1
-        new = _grip(scenario, turn, height, goal.force, number, flags)
+        new = _grip(scenario, angle, height, goal.force, number, flags)
         for patch in new:
             keep(patch)
         patches += new
@@ -141,7 +141,7 @@ def explore_in_gripper(
         sd = 1e3 * mesh_of(hypotheses[0], _PLAN_EDGE).error()
         kinds = ", ".join(patch.kind for patch in new) or "no contact"
         notify(
-            f"grip {number}: rotated {math.degrees(turn):.0f} deg, {1e3 * height:.0f} mm up: "
+            f"grip {number}: rotated {math.degrees(angle):.0f} deg, {1e3 * height:.0f} mm up: "
             f"{kinds}; surface sd {sd:.2f} mm"
         )
     found = explored(patches, outcome if patches else "no contact", number, flags)
@@ -158,15 +158,15 @@ def next_grip(
     if not has_contact:
         return TURNS[len(grips) % len(TURNS)], HEIGHTS[0]
     worth = {}
-    for turn, height in itertools.product(TURNS, HEIGHTS):
-        if (turn, height) in grips:
+    for angle, height in itertools.product(TURNS, HEIGHTS):
+        if (angle, height) in grips:
             continue
-        axis = np.array([math.cos(turn), -math.sin(turn), 0.0])
+        axis = np.array([math.cos(angle), -math.sin(angle), 0.0])
         off = mesh.vertices - (0.0, 0.0, height)
         along = off @ axis
         lateral = np.linalg.norm(off - along[:, None] * axis, axis=1)
         near = (lateral < _FINGER) & (np.abs(mesh.normals @ axis) > _FACES)
-        worth[turn, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
+        worth[angle, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
     return max(worth, key=lambda grip: worth[grip]) if worth else grips[0]
 
 

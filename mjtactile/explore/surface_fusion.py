@@ -295,7 +295,7 @@ def _starts(patches: Sequence[Patch]) -> list[Array]:
     center, radius = _fit_sphere(centers, normals)
     sizes = np.full(3, np.log(radius))
     turns = Rotation.from_matrix(np.stack(_rotations(normals))).as_rotvec()
-    return [np.concatenate([center, turn, sizes]) for turn in turns]
+    return [np.concatenate([center, rotation, sizes]) for rotation in turns]
 
 
 def _fit_sphere(centers: Array, normals: Array) -> tuple[Array, float]:

@@ -101,9 +101,9 @@ def marker_edges(design: SensorDesign, state: MembraneState) -> Array:
     across = np.cross(state.n_S, axis)
     across /= np.linalg.norm(across, axis=1)[:, None]
     along = np.cross(state.n_S, across)
-    turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)[:, None]
+    angle = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)[:, None]
     edge = state.p_SM[:, None] + design.markers.radius * (
-        np.cos(turn) * across[:, None] + np.sin(turn) * along[:, None]
+        np.cos(angle) * across[:, None] + np.sin(angle) * along[:, None]
     )
     return optics.project(camera, edge - design.camera.p_SC)
 
@@ -212,9 +212,9 @@ def led_mirrors(design: SensorDesign) -> Array:
     """Return the images of the LEDs in the near face of the glass, a mirror, (count, 2) px."""
     count = design.leds.count
     radius = design.leds.ring_radius
-    turn = 2 * np.pi * (np.arange(count) + 0.5) / count
+    angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     depth = np.full(count, 2 * design.glass.distance)
-    virtual = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), depth])
+    virtual = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), depth])
     bare = replace(optics.Camera.from_design(design.camera), glass_thickness=0.0)
     return optics.project(bare, virtual)
 

@@ -175,7 +175,7 @@ def led_places(layout: Layout) -> list[tuple[float, float]]:
     radius = 1e3 * layout.design.leds.ring_radius
     count = layout.design.leds.count
     turns = [2 * math.pi * (k + 0.5) / count for k in range(count)]
-    return [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]
+    return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in turns]
 
 
 def _discs(low: float, high: float, radius: float, centres: list[tuple[float, float]]) -> Layer:

@@ -76,10 +76,10 @@ class GripStiffnessEstimator:
         if self.opening < 0:
             return GripStiffnessEstimator(opening, force)
         nominal = _way(force) - _way(self.force)
-        way = self.opening - opening
-        if min(nominal, 2 * way) < _WAY_MIN:
+        compression = self.opening - opening
+        if min(nominal, 2 * compression) < _WAY_MIN:
             return self
-        found = min(max(nominal / way, _RANGE[0]), _RANGE[1])
+        found = min(max(nominal / compression, _RANGE[0]), _RANGE[1])
         fraction = min(1.0, period / _SETTLING)
         return GripStiffnessEstimator(
             self.opening, self.force, self.hardness + fraction * (found - self.hardness)

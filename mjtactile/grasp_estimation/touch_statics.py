@@ -127,7 +127,10 @@ def estimate_weight(
         unknown = np.full(len(touch), np.nan)
         return Weight(math.nan, math.nan, unknown, unknown)
     along = change / np.maximum(load, 1e-9)[:, None]
-    noise = sum(float(way @ _covariance(one) @ way) for one, way in zip(touch, along, strict=True))
+    noise = sum(
+        float(direction @ _covariance(one) @ direction)
+        for one, direction in zip(touch, along, strict=True)
+    )
     moments = 1 + bool(np.any(before))
     sd = math.sqrt(moments * noise + (GAIN_SD * total) ** 2)
     return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
@@ -251,11 +254,11 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
         which hold them by normal forces.
     """
     change = shear(touch)
-    way = _per_finger(down, touch, "down")
-    along = float((change * way).sum())
+    direction = _per_finger(down, touch, "down")
+    along = float((change * direction).sum())
     if len(touch) != 2:
         return np.array([along, 0.0, 0.0])
-    side = change[:, 1] * way[:, 0] - change[:, 0] * way[:, 1]
+    side = change[:, 1] * direction[:, 0] - change[:, 0] * direction[:, 1]
     press = [one.force_normal for one in touch]
     # opposite fingers see mirrored sideways directions, so the difference adds the two shears
     return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])

@@ -35,9 +35,9 @@ def lines_of(shape: ContactShape) -> list[Array]:
         border = np.concatenate([shape.outline, shape.outline[:1]])
         lines.append(np.column_stack([border, np.full(len(border), shape.p_SO[2])]))
     curvatures = np.nan_to_num(shape.curvatures)[::-1]
-    for curvature, turn in zip(curvatures, directions_of(shape), strict=True):
-        way, rise = _arc(curvature)
-        along = np.column_stack([math.cos(turn) * way, math.sin(turn) * way, rise])
+    for curvature, angle in zip(curvatures, directions_of(shape), strict=True):
+        offsets, rise = _arc(curvature)
+        along = np.column_stack([math.cos(angle) * offsets, math.sin(angle) * offsets, rise])
         lines.append(shape.p_SO + along)
     return lines
 
@@ -51,12 +51,12 @@ def directions_of(shape: ContactShape) -> tuple[float, float]:
 def _arc(curvature: float) -> tuple[Array, Array]:
     """Return displacements along an arc and its heights above its lowest point, m."""
     if abs(curvature) < _FLAT:
-        way = np.linspace(-_RADIUS, _RADIUS, _POINTS)
-        return way, np.zeros(_POINTS)
+        offsets = np.linspace(-_RADIUS, _RADIUS, _POINTS)
+        return offsets, np.zeros(_POINTS)
     radius = 1 / curvature
     maximum = min(_ARC, _RADIUS / abs(radius)) if abs(radius) > _RADIUS else _ARC
-    turn = np.linspace(-maximum, maximum, _POINTS)
-    return radius * np.sin(turn), radius * (1 - np.cos(turn))
+    angle = np.linspace(-maximum, maximum, _POINTS)
+    return radius * np.sin(angle), radius * (1 - np.cos(angle))
 
 
 def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
@@ -65,7 +65,7 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
         return np.zeros((0, 2, 3))
     corners_O = (view.object_triangles() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
     near = (np.abs(corners_O).min(axis=1)[:, :2] < _RADIUS).all(axis=1)
-    pieces = [_cut(corners_O[near], turn) for turn in directions_of(shape)]
+    pieces = [_cut(corners_O[near], angle) for angle in directions_of(shape)]
     found = np.concatenate(pieces)
     center = found.mean(axis=1)
     here = (np.hypot(center[:, 0], center[:, 1]) < _RADIUS) & (found[:, :, 2] > -_BELOW).all(axis=1)

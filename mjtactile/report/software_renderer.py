@@ -125,8 +125,8 @@ def image_axes(p_WS: Array) -> Array:
     others.
     """
     across = p_WS[-1] - p_WS[0] if len(p_WS) == 2 else p_WS.mean(axis=0) - p_WS[-1]
-    turn = _TURN if len(p_WS) == 2 else np.pi / 2
-    yaw = (np.arctan2(across[1], across[0]) if np.hypot(*across[:2]) > 1e-6 else 0.0) + turn
+    angle = _TURN if len(p_WS) == 2 else np.pi / 2
+    yaw = (np.arctan2(across[1], across[0]) if np.hypot(*across[:2]) > 1e-6 else 0.0) + angle
     right = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     front = np.array([np.sin(yaw), -np.cos(yaw), 0.0])  # horizontal, towards the viewer
     towards = np.cos(_ELEVATION) * front + np.sin(_ELEVATION) * np.array([0.0, 0.0, 1.0])

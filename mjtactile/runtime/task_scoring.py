@@ -243,8 +243,8 @@ class TaskScorer:
     def _standing(self) -> tuple[float, float]:
         """Return the tilt of the object's z axis, rad, and its center height above the target,
         m."""
-        _, turn = ground_truth.object_pose(self.world, self.world.solid)
-        upright = 1 - 2 * float(turn[1] ** 2 + turn[2] ** 2)  # z of the turned z axis
+        _, rotation = ground_truth.object_pose(self.world, self.world.solid)
+        upright = 1 - 2 * float(rotation[1] ** 2 + rotation[2] ** 2)  # z of the turned z axis
         places = np.flatnonzero(self._places)
         moved = float(self.world.model.body_pos[places[-1], 2])
         height = float(ground_truth.object_position(self.world, self._bodies)[2]) - moved

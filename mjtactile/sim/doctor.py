@@ -200,18 +200,18 @@ def _motions(world: GripperWorld) -> Iterator[Finding]:
 def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) -> Iterator[Finding]:
     opened, response_open = reached[high]
     closed, response_closed = reached[low]
-    way = f"from {_mm(response_open)} to {_mm(response_closed)} mm"
+    travel = f"from {_mm(response_open)} to {_mm(response_closed)} mm"
     if response_open - response_closed < -_MOVES:
         yield _bad(
             "jaws",
-            f"move in the wrong direction: on a command to close, the fingertips move {way}",
+            f"move in the wrong direction: on a command to close, the fingertips move {travel}",
             "reverse the sign of mm_per_rad or mm_per_mm, or the order of the table",
         )
         return
     if response_open - response_closed < _MOVES:
         yield _bad(
             "jaws",
-            f"do not move: on a command to close, the fingertips move {way}",
+            f"do not move: on a command to close, the fingertips move {travel}",
             "check that it is the right actuator, that its force suffices and that nothing jams",
         )
         return
@@ -220,7 +220,7 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         yield _warn(
             "jaws",
             f"do not follow the transmission: it gives {_mm(opened)} to {_mm(closed)} mm, the "
-            f"sites move {way}",
+            f"sites move {travel}",
             "correct transmission, mm_per_rad or mm_per_mm, or jaw_offset_mm",
         )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:
@@ -232,7 +232,7 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
     else:
         yield _ok(
             "jaws",
-            f"open and close, {way}; transmission and sites agree within {1e3 * wrong:.2f} mm",
+            f"open and close, {travel}; transmission and sites agree within {1e3 * wrong:.2f} mm",
         )
 
 

@@ -179,11 +179,11 @@ def object_roots(model: mujoco.MjModel) -> list[int]:
 
 def planar_pose(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
     """Return rotation (3, 3) and position (3,), m, in W, of the object file's world at `pose`."""
-    x, y, turn = pose
+    x, y, angle = pose
     cos = math.cos(yaw)
     sin = math.sin(yaw)
-    c = math.cos(yaw + turn)
-    s = math.sin(yaw + turn)
+    c = math.cos(yaw + angle)
+    s = math.sin(yaw + angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), centre + [
         cos * x - sin * y,
         sin * x + cos * y,

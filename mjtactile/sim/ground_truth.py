@@ -142,13 +142,17 @@ def sliding(world: World, sensor: int) -> tuple[float, float]:
     arm = data.contact.pos[rows] - fraction @ data.contact.pos[rows]
     around = np.cross(data.xmat[device.body_id].reshape(3, 3)[:, 2], arm)
     mean = fraction @ v_W
-    turn = float(fraction @ (around * v_W).sum(axis=1)) / max(
+    angular_velocity = float(fraction @ (around * v_W).sum(axis=1)) / max(
         float(fraction @ (around**2).sum(axis=1)), 1e-12
     )
-    along = np.einsum("nk,nkj->nj", np.einsum("nj,nkj->nk", mean + turn * around, planes), planes)
+    along = np.einsum(
+        "nk,nkj->nj", np.einsum("nj,nkj->nk", mean + angular_velocity * around, planes), planes
+    )
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     used = -float((along * f_W).sum()) / max(float(data.contact.friction[rows, 0] @ normal), 1e-9)
-    return used, float(np.sqrt(mean @ mean + turn**2 * (fraction @ (arm**2).sum(axis=1))))
+    return used, float(
+        np.sqrt(mean @ mean + angular_velocity**2 * (fraction @ (arm**2).sum(axis=1)))
+    )
 
 
 def contact_wrench(world: World, sensor: int) -> Array:
@@ -229,12 +233,14 @@ def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Arra
     heights = np.full(x.shape, np.inf)
     for place in np.ndindex(*x.shape):
         start = p_WS + R_WS @ (x[place], y[place], below)
-        ways = [_ray(model, data, int(geom), start, up) for geom in geoms]
-        ways += [
+        distances = [_ray(model, data, int(geom), start, up) for geom in geoms]
+        distances += [
             mujoco.mj_rayFlex(model, data, 0, False, False, True, False, int(flex), start, up)
             for flex in flexes
         ]
-        heights[place] = below + min((way for way in ways if way >= 0), default=np.inf)
+        heights[place] = below + min(
+            (distance for distance in distances if distance >= 0), default=np.inf
+        )
     return heights
 
 
@@ -305,10 +311,10 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
     if solid is None:
         return p_WO, q_WO
     center, R = solid.pose(world.data)
-    turn = np.zeros(4)
+    quat = np.zeros(4)
     q_now = np.zeros(4)
-    mujoco.mju_mat2Quat(turn, R.ravel())
-    mujoco.mju_mulQuat(q_now, turn, q_WO)
+    mujoco.mju_mat2Quat(quat, R.ravel())
+    mujoco.mju_mulQuat(q_now, quat, q_WO)
     return center + R @ (p_WO - solid.rest_center), q_now
 
 

@@ -96,13 +96,13 @@ def _met(model: mujoco.MjModel, data: mujoco.MjData, radius: float, seed: int) -
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(_RAYS):
-        way = rng.normal(size=3)
-        way /= np.linalg.norm(way)
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
         aside = rng.normal(size=3)
-        aside -= (aside @ way) * way
+        aside -= (aside @ direction) * direction
         aside /= np.linalg.norm(aside)
-        start = radius * np.sqrt(rng.random()) * aside - 2 * _FAR * way
-        distance = _ray(model, data, start, way)
+        start = radius * np.sqrt(rng.random()) * aside - 2 * _FAR * direction
+        distance = _ray(model, data, start, direction)
         if distance >= 0:
-            found.append(start + distance * way)
+            found.append(start + distance * direction)
     return np.array(found)

@@ -129,8 +129,10 @@ class Panel(plugin.ViewerPlugin):
         placed = []
         for estimated in fingers:
             if estimated.body is not None and estimated.body < len(data.xpos):
-                turn = data.xmat[estimated.body].reshape(3, 3).copy()
-                estimated = replace(estimated, pose=Pose(data.xpos[estimated.body].copy(), turn))
+                rotation = data.xmat[estimated.body].reshape(3, 3).copy()
+                estimated = replace(
+                    estimated, pose=Pose(data.xpos[estimated.body].copy(), rotation)
+                )
             placed.append(estimated)
         return tuple(placed)
 

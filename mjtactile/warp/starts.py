@@ -202,9 +202,9 @@ def _local(
     for b, body in enumerate(bodies):
         joint = int(model.body_jntadr[body])
         at = data.qpos[model.jnt_qposadr[joint] :] if joint >= 0 else model.body_pos[body]
-        turn = at[3:7] if joint >= 0 else model.body_quat[body]
+        rotation = at[3:7] if joint >= 0 else model.body_quat[body]
         poses[0, b, :3] = R.T @ (at[:3] - p)
-        mujoco.mju_mulQuat(poses[0, b, 3:], back, turn)
+        mujoco.mju_mulQuat(poses[0, b, 3:], back, rotation)
     return poses
 
 

@@ -105,8 +105,8 @@ def pose_covariances(
     G = _derivative(camera, ellipses, xy, affine[:, 0], p_CM, n, parts=5)
     cov = G @ ellipses.cov @ G.transpose(0, 2, 1)
     # (n_x, n_y) move at fixed n_z; the component along n is not a rotation
-    turn = (np.eye(3) - n[:, :, None] * n[:, None])[:, :, :2]
-    return cov[:, :3, :3], turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)
+    projector = (np.eye(3) - n[:, :, None] * n[:, None])[:, :, :2]
+    return cov[:, :3, :3], projector @ cov[:, 3:, 3:] @ projector.transpose(0, 2, 1)
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
@@ -162,9 +162,9 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
     l1 = mean + spread + l3
     sine = np.sqrt(2 * spread / (mean + spread))
     cosine = np.sqrt((mean - spread) / (mean + spread))
-    turn = 0.5 * np.arctan2(uw, half)
-    cu = np.cos(turn)
-    cw = np.sin(turn)
+    phi = 0.5 * np.arctan2(uw, half)
+    cu = np.cos(phi)
+    cw = np.sin(phi)
     j = -(cu * x + cw * y) / (1 + z)
     v1 = np.array([cu + j * x, cw + j * y, -(cu * x + cw * y)]).T
     v3 = np.array([x, y, z]).T

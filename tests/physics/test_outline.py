@@ -297,14 +297,14 @@ def test_the_housing_stands_around_the_outline(name):
     model = spec.compile()
     walls = [g for g in range(model.ngeom) if "housing" in model.geom(g).name][:-1]
     axes = [model.geom(g).quat for g in walls]
-    turn = [
+    rotation = [
         np.array([[w * w - z * z, -2 * w * z], [2 * w * z, w * w - z * z]]) for w, *_, z in axes
     ]
     inside = []
     rim = frame.outline.points(500)
     rim = rim + 0.5 * frame.rim * rim / np.linalg.norm(rim, axis=1, keepdims=True)
     covered = np.zeros(len(rim), bool)
-    for g, R in zip(walls, turn, strict=True):
+    for g, R in zip(walls, rotation, strict=True):
         half, center = model.geom(g).size[:2], model.geom(g).pos[:2]
         corners = center + (half * [(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R.T
         edges = np.concatenate(

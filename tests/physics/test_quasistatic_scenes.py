@@ -138,8 +138,8 @@ def test_balls_that_are_pushed_apart_are_no_slip_of_both(apart):
     world = scene("".join(pair))
     world.step(500)
     joints = [world.model.joint(name).qposadr[0] for name in "ab"]
-    for way in np.concatenate([np.full(100, -4e-5), np.full(100, 4e-5)]):  # m
-        world.data.qpos[joints] += way, -way if apart else way
+    for displacement in np.concatenate([np.full(100, -4e-5), np.full(100, 4e-5)]):  # m
+        world.data.qpos[joints] += displacement, -displacement if apart else displacement
         world.data.qvel[:] = 0
         world.step()
     assert world.sensors[0].slid == pytest.approx(0.0 if apart else 4e-3, abs=7e-4)

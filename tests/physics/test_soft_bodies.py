@@ -75,8 +75,8 @@ def test_a_rigid_motion_is_a_pose_and_no_strain():
     shift = np.array([0.01, -0.02, 0.03])
     R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     data.flexvert_xpos[:] = rest @ R.T + shift
-    center, turn = solid.pose(data)
-    assert turn == pytest.approx(R, abs=1e-9)
+    center, rotation = solid.pose(data)
+    assert rotation == pytest.approx(R, abs=1e-9)
     assert center == pytest.approx(R @ solid.rest_center + shift, abs=1e-12)
     assert solid.strain(data).energy == pytest.approx(0.0, abs=1e-15)
 

@@ -70,14 +70,14 @@ def test_a_push_changes_momentum_by_its_impulse():
 
 
 def test_a_shaken_gripper_is_gravity_that_shakes_and_is_itself_again_afterwards():
-    way = (0.6, 0.0, 0.8)
-    world = world_with(event("shake", 0.1, 1.0, way, acceleration=4.0, rate=2.0, tilt=0.0))
+    direction = (0.6, 0.0, 0.8)
+    world = world_with(event("shake", 0.1, 1.0, direction, acceleration=4.0, rate=2.0, tilt=0.0))
     seen = []
     for _ in range(round(1.3 / world.timestep)):
         world.step()
         seen.append(world.model.opt.gravity.copy())
     off = np.array(seen) - [0, 0, -9.81]
-    np.testing.assert_allclose(np.cross(off, way), 0, atol=1e-12)  # along its direction
+    np.testing.assert_allclose(np.cross(off, direction), 0, atol=1e-12)  # along its direction
     assert 3.6 < np.linalg.norm(off, axis=1).max() <= 4.0
     np.testing.assert_array_equal(world.model.opt.gravity, [0, 0, -9.81])
 

@@ -40,8 +40,8 @@ def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, accelera
     before = np.array([[0.02, -0.05], [-0.01, 0.04]])
     loads = weight * np.array([2 / 3, 1 / 3])
     now = [
-        touch(x + load * way[0], y + load * way[1], 1.0)
-        for (x, y), load, way in zip(before, loads, turned, strict=True)
+        touch(x + load * direction[0], y + load * direction[1], 1.0)
+        for (x, y), load, direction in zip(before, loads, turned, strict=True)
     ]
     found = grasp_estimation.estimate_weight(now, before, acceleration=acceleration)
     assert found.mass == pytest.approx(mass, rel=1e-9)
@@ -177,15 +177,15 @@ def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
     spring = grasp_estimation.GripStiffnessEstimator()
     ball = lambda force: math.log1p(260 * force / 110) / 260  # noqa: E731
     for force in np.linspace(0.1, 0.9, 60):
-        way = (ball(force) - ball(0.1)) / hardness
+        displacement = (ball(force) - ball(0.1)) / hardness
         spring = grasp_estimation.GripStiffnessEstimator(**asdict(spring)).after(
-            0.03 - way, force, 1 / 30
+            0.03 - displacement, force, 1 / 30
         )
     assert spring.stiffness(0.9) == pytest.approx(hardness * (110 + 260 * 0.9), rel=0.02)
     # the same curve between two forces; its slope at the first one is only half of the last one's
     assert spring.way(0.3, 0.9) == pytest.approx((ball(0.9) - ball(0.3)) / hardness, rel=0.02)
     assert spring.way(0.9, 0.3) == -spring.way(0.3, 0.9)
-    loose = spring.after(0.03 - way - 1e-4, 0.9, 1 / 30)
+    loose = spring.after(0.03 - displacement - 1e-4, 0.9, 1 / 30)
     assert loose.hardness == pytest.approx(hardness, rel=0.03)
     # a travel as short as the backlash gives no measurement
     assert (

@@ -75,12 +75,12 @@ class JawServo:
         self.revolution_offset_ticks = 0
         margin = 0.02 * (high - low) + 0.001
         fits = []
-        for turn in (-1, 0, 1):
-            self.revolution_offset_ticks = turn * _REVOLUTION_TICKS
+        for rotation in (-1, 0, 1):
+            self.revolution_offset_ticks = rotation * _REVOLUTION_TICKS
             if low - margin <= self.part(ticks) <= high + margin and self.law.is_reachable(
                 self._angle(ticks)
             ):
-                fits.append(turn)
+                fits.append(rotation)
         self.revolution_offset_ticks = 0
         if len(fits) != 1:
             raise ValueError("no" if not fits else "more than one")

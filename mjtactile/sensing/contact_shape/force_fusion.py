@@ -111,8 +111,8 @@ def _model(
     fraction = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
     variance = s.force_sd**2 + (fraction * force) ** 2 + (s.frame_fraction * below) ** 2
     places = load[1:] / max(force, 1e-9)  # position of the pressure center
-    turn = np.concatenate([[-1.0], places])
-    cov = variance * np.outer(turn, turn)
+    jacobian = np.concatenate([[-1.0], places])
+    cov = variance * np.outer(jacobian, jacobian)
     aside = misfit * (place * force) ** 2 + s.torque_sd**2
     cov[1:, 1:] += aside * np.eye(2)
     return cov

@@ -124,8 +124,8 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     radius = 1 / max(theta[3], _FLAT)
     R = about(2, theta[4]) @ about(1, theta[5])
     place = place_of(theta, hint)
-    ways = _directions_in_ellipse if hint.round else _distance_to_edge
-    back, forth = ways(hint.frame, place, R[:, 0])
+    to_edges = _directions_in_ellipse if hint.round else _distance_to_edge
+    back, forth = to_edges(hint.frame, place, R[:, 0])
     center = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
     return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), center.tolist(), turned),)
@@ -199,32 +199,32 @@ def disc_starts(hint: InitialGuess) -> tuple[Array, ...]:
 
 def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
     return tuple(
-        np.array([0, 0, 0, 0, 0, hint.angle + turn, half, half])
+        np.array([0, 0, 0, 0, 0, hint.angle + angle, half, half])
         for half in (4.0,)
-        for turn in (0.0, math.pi / 4)
+        for angle in (0.0, math.pi / 4)
     )
 
 
 def _distance_to_edge(frame: Array, place: Array, along: Array) -> tuple[float, float]:
     """Return the backward and forward distances, m, along a line through `place` to a rectangle
     with half-extents `frame` (2,)."""
-    ways = []
+    distances = []
     for sign in (-1.0, 1.0):
         far = [
-            (side - at if sign * way > 0 else side + at) / abs(way)
-            for side, at, way in zip(frame, place, along, strict=False)
-            if abs(way) > 1e-9
+            (side - at if sign * direction > 0 else side + at) / abs(direction)
+            for side, at, direction in zip(frame, place, along, strict=False)
+            if abs(direction) > 1e-9
         ]
-        ways.append(max(min(far), 1e-3))
-    return ways[0], ways[1]
+        distances.append(max(min(far), 1e-3))
+    return distances[0], distances[1]
 
 
 def _directions_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, float]:
     """The same before an ellipse of half axes `half` (2,)."""
     at = place[:2] / half
-    way = along[:2] / half
-    a = float(way @ way)
-    b = float(at @ way)
+    step = along[:2] / half
+    a = float(step @ step)
+    b = float(at @ step)
     root = math.sqrt(max(b**2 + a * (1 - float(at @ at)), 0.0))
     return max((root + b) / a, 1e-3), max((root - b) / a, 1e-3)
 
@@ -234,7 +234,7 @@ def lying_starts(curvatures: tuple[float, ...]) -> Callable[[InitialGuess], tupl
 
     def starts(hint: InitialGuess) -> tuple[Array, ...]:
         return tuple(
-            np.array([0, 0, 0, k, hint.angle + turn, 0]) for k in curvatures for turn in turns
+            np.array([0, 0, 0, k, hint.angle + angle, 0]) for k in curvatures for angle in turns
         )
 
     return starts

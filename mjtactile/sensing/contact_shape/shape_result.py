@@ -90,7 +90,7 @@ def _body(
     s: ContactShapeSettings,
 ) -> ContactShape:
     measures = _MEASURES[family.name](theta, cov, s)
-    R, turn = _axes(family, theta, measures.get("direction", 0.0))
+    R, rotation = _axes(family, theta, measures.get("direction", 0.0))
     return ContactShape(
         kind,
         probabilities,
@@ -98,7 +98,7 @@ def _body(
         area_interval=total.interval,
         p_SO=place_of(theta, hint),
         R_SO=R,
-        pose_cov=_pose_cov(cov, turn),
+        pose_cov=_pose_cov(cov, rotation),
         outline=outline,
         force_normal=total.force,
         family=family.name,

@@ -83,8 +83,8 @@ class CameraDriftEstimator:
         size = own.glass_size if fiducials.surface == "pane" else own.floor
         self._floor = np.array([own.floor, own.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
-        turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-        ring = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)])
+        angle = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+        ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)])
         self._ring = fiducials.radius * ring
         self._unmoved = self._outlines(np.eye(3), np.zeros(3))
         self._modes = self._responses()
@@ -186,8 +186,8 @@ class CameraDriftEstimator:
         """Return rotation (3, 3) and shift (3,), m, of the scene in the camera, without image
         rotation."""
         s = self._s
-        turn = s.displaced_rotation * np.array([mean[3], mean[4], 0.0])
-        return geometry.rotation_from_vector(turn), s.displaced_shift * mean[:3]
+        rotation = s.displaced_rotation * np.array([mean[3], mean[4], 0.0])
+        return geometry.rotation_from_vector(rotation), s.displaced_shift * mean[:3]
 
     def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
@@ -258,8 +258,8 @@ class CameraDriftEstimator:
         camera = design.camera
         # shift of the image center, at the membrane's distance
         place = s.displaced_shift * mean[:2] / camera.distance
-        turn = s.displaced_rotation * mean[3:6]
-        shift = (place + [turn[1], -turn[0]]) * [camera.fx, camera.fy]
+        rotation = s.displaced_rotation * mean[3:6]
+        shift = (place + [rotation[1], -rotation[0]]) * [camera.fx, camera.fy]
         shift += self._own.center_sd * mean[MODES:]
         nearer = -s.displaced_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
@@ -267,7 +267,7 @@ class CameraDriftEstimator:
         more = _middle(blur)
         return CameraDrift(
             shift=(float(shift[0]), float(shift[1])),
-            turn=float(turn[2]),
+            turn=float(rotation[2]),
             scale=s.drift_zoom * float(mean[_ZOOM]) + nearer,
             radius_change_px=s.drift_size * float(mean[_SIZE]),
             light=tone.light,

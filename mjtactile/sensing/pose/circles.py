@@ -63,8 +63,8 @@ def pose_covariances(
     kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.numbers, cov)
     normals = _tilted(n_C, p_CM)
     # (n_x, n_y) move at fixed n_z; the component along n is not a rotation
-    turn = (np.eye(3) - normals[:, :, None] * normals[:, None])[:, :, :2]
-    return cov[:, :3, :3], turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)
+    projector = (np.eye(3) - normals[:, :, None] * normals[:, None])[:, :, :2]
+    return cov[:, :3, :3], projector @ cov[:, 3:, 3:] @ projector.transpose(0, 2, 1)
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:

@@ -188,8 +188,8 @@ def _surface_normals(
     )
     length = np.linalg.norm(plane, axis=1)
     n = -plane / length[:, None]
-    turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
-    cov = turn @ inverse @ turn * variance[:, None, None]
+    projector = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
+    cov = projector @ inverse @ projector * variance[:, None, None]
     return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.max_surface_sd**2)
 
 

@@ -119,8 +119,8 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
 def _press_speed(opening: Array, speed: Array) -> float:
     """Return the median closing speed of the jaws during most of the loading, m/s. The first one or
     two images may still have the approach speed, which is ten times as high."""
-    way = opening[0] - opening
-    in_transit = way < _CLOSING_FRACTION * way.max()
+    compression = opening[0] - opening
+    in_transit = compression < _CLOSING_FRACTION * compression.max()
     return float(np.median(speed[in_transit])) if in_transit.any() else 0.0
 
 

@@ -100,18 +100,18 @@ def classify(
     uneven, is_finite_value = shear_nonuniformity(estimator, shape, shear)
     now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
-    velocity, way = _motion(now.samples, s)
+    velocity, displacement = _motion(now.samples, s)
     asked = s.evidence if uneven < s.sticks else s.evidence_uneven
     is_even = is_finite_value and uneven < s.even
     # the center sticks, in whatever direction the contact moves
     rolls = is_finite_value and uneven > s.rolls
-    goes = not rolls and way > s.min_displacement and evidence(now, normal, s) > asked
+    goes = not rolls and displacement > s.min_displacement and evidence(now, normal, s) > asked
     slips = load > s.min_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
         slips = True
         load = used_around
     if slips and now.distance == 0:
-        slid = max(now.distance, way)
+        slid = max(now.distance, displacement)
     else:
         slid = now.distance + slips * _latest_direction(now.samples)
     friction = load if slips else max(now.friction, load)
@@ -131,8 +131,8 @@ def shear_nonuniformity(
     inside = press > _PRESSED * press.max()
     weight = (press * estimator.node_area)[inside]
     weight = weight / weight.sum()
-    way = shear[:2] / max(float(np.linalg.norm(shear[:2])), 1e-12)
-    ratio = (way @ shape.traction[:2, inside]) / press[inside]
+    direction = shear[:2] / max(float(np.linalg.norm(shear[:2])), 1e-12)
+    ratio = (direction @ shape.traction[:2, inside]) / press[inside]
     mean = float(weight @ ratio)
     spread = float(np.sqrt(weight @ (ratio - mean) ** 2))
     return spread / max(abs(mean), 1e-9), float(weight @ weight) * _NODES < 1
@@ -166,9 +166,9 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     radius = max(float(np.sqrt(weight @ (arm**2).sum(axis=1))), _POINT)
     torque = float(weight @ (arm[:, 0] * ratio[:, 1] - arm[:, 1] * ratio[:, 0])) / radius
     around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
-    way = force + torque / _ROTATION_LIMIT * around
-    speed = np.linalg.norm(way, axis=1)
-    along = (ratio * way).sum(axis=1) / np.maximum(speed, 1e-9)
+    velocity = force + torque / _ROTATION_LIMIT * around
+    speed = np.linalg.norm(velocity, axis=1)
+    along = (ratio * velocity).sum(axis=1) / np.maximum(speed, 1e-9)
     fraction = weight * speed / max(float(weight @ speed), 1e-12)
     mean = float(fraction @ along)
     goes_straight = abs(torque) < _ROTATION_FRACTION * float(np.linalg.norm(force))
@@ -190,7 +190,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     samples = history.samples
     time = np.array([sample.time for sample in samples])
     along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
-    way = np.array([sample.p for sample in samples]) @ along[:2]
+    displacement = np.array([sample.p for sample in samples]) @ along[:2]
     dragged = np.array([sample.dragged for sample in samples]) @ along
     ratio = np.array([sample.ratio for sample in samples]) @ along
     size, length = _extent(history, along)
@@ -203,7 +203,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
             continue
         a = int(np.searchsorted(time, time[b] - s.baseline))
         # since then, beyond the mean of a while before
-        went = way[b:] - way[a:b].mean()
+        went = displacement[b:] - displacement[a:b].mean()
         was_dragged = dragged[b:] - dragged[a:b].mean()
         leant = ratio[b:] - ratio[a:b].mean()
         left = went - s.follows * np.abs(was_dragged) - lean * np.abs(leant)
@@ -241,10 +241,10 @@ def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, floa
     """Compute the velocity (2,), m/s, of the center of pressure over the material. Also return its
     path along the shear, m. Both are over the last `s.recent` s."""
     first = next(old for old in samples if samples[-1].time - old.time <= s.recent)
-    way = samples[-1].p - first.p
+    displacement = samples[-1].p - first.p
     elapsed = samples[-1].time - first.time
     along = samples[-1].ratio[:2] / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
-    return (way / elapsed if elapsed > 0 else np.zeros(2)), float(way @ along)
+    return (displacement / elapsed if elapsed > 0 else np.zeros(2)), float(displacement @ along)
 
 
 def _latest_direction(samples: Sequence[SlipSample]) -> float:

@@ -54,10 +54,10 @@ def half_extents(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> tuple[float
         return math.inf, math.inf
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    rotation = data.geom_xmat[geoms].reshape(-1, 3, 3)
     box = model.geom_aabb[geoms]
-    center = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", turn, box[:, :3])
-    extent = np.einsum("nij,nj->ni", np.abs(turn), box[:, 3:])
+    center = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", rotation, box[:, :3])
+    extent = np.einsum("nij,nj->ni", np.abs(rotation), box[:, 3:])
     half = ((center + extent).max(axis=0) - (center - extent).min(axis=0)) / 2
     return float(half[1]), float(half[2])
 

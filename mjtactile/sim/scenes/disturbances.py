@@ -203,10 +203,10 @@ def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float)
     length = float(np.linalg.norm(axis))
     if tilt == 0 or length < 1e-6:
         return moved
-    turn = np.zeros(4)
-    mujoco.mju_axisAngle2Quat(turn, axis / length, tilt)
+    quat = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(quat, axis / length, tilt)
     turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, moved, turn)
+    mujoco.mju_rotVecQuat(turned, moved, quat)
     return turned
 
 

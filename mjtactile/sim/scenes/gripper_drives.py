@@ -153,13 +153,13 @@ class MocapLift(GripperHeight):
     def _place_on_path(self, height: float, displacement: Array) -> None:
         """Move and tilt the mocap body about the center of the fingertips."""
         start = self._path_start
-        turn = path_turn(start, displacement[3])
+        rotation = path_turn(start, displacement[3])
         tips = start.centre + [0.0, 0.0, start.raised]
         offset = displacement[:3] @ path_axes(start) + [0.0, 0.0, height]
         rotated = np.zeros(3)
-        mujoco.mju_rotVecQuat(rotated, self._from - tips, turn)
+        mujoco.mju_rotVecQuat(rotated, self._from - tips, rotation)
         self._data.mocap_pos[self._mocap] = tips + rotated + offset
-        mujoco.mju_mulQuat(self._data.mocap_quat[self._mocap], turn, self._turned)
+        mujoco.mju_mulQuat(self._data.mocap_quat[self._mocap], rotation, self._turned)
 
     def place(self, height: float, data: mujoco.MjData) -> None:
         data.mocap_pos[self._mocap, 2] = self._from[2] + height

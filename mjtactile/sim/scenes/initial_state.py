@@ -292,9 +292,9 @@ def _plan_path(
 
     def displaced(height: float, displacement: Array) -> Array:
         offset = displacement[:3] @ _axes(yaw) + [0.0, 0.0, raised + height]
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, _turn(yaw, displacement[3]))
-        goal, rest = solve_pose(centre + offset, turn.reshape(3, 3) @ R_WH)
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, _turn(yaw, displacement[3]))
+        goal, rest = solve_pose(centre + offset, rotation.reshape(3, 3) @ R_WH)
         if rest > _TOLERANCE:
             raise refusal(centre + offset, rest, "a waypoint of the task", "lift.kind")
         return goal
@@ -327,9 +327,9 @@ def _axes(yaw: float) -> Array:
 
 
 def _turn(yaw: float, tilt: float) -> Array:
-    turn = np.zeros(4)
-    mujoco.mju_axisAngle2Quat(turn, _axes(yaw)[0], tilt)
-    return turn
+    rotation = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(rotation, _axes(yaw)[0], tilt)
+    return rotation
 
 
 def arm_actuators(model: mujoco.MjModel, gripper: int, rig: SimRigFile) -> tuple[str, ...]:

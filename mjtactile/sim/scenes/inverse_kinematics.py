@@ -65,8 +65,8 @@ def gripper_pose_at(
         p_now = data.xpos[body] + R_now @ point_H
         mujoco.mj_jac(model, data, jacobian[:3], jacobian[3:], p_now, body)
         jacobian[:, others] = 0.0
-        turn = 0.5 * np.cross(R_now.T, R_WH.T).sum(axis=0)
-        return np.concatenate([p_W - p_now, turn]), jacobian.copy()
+        rotation = 0.5 * np.cross(R_now.T, R_WH.T).sum(axis=0)
+        return np.concatenate([p_W - p_now, rotation]), jacobian.copy()
 
     return condition
 

@@ -53,10 +53,11 @@ def load_solid(path: Path) -> Solid:
             source=path,
             field="mesh",
         ) from error
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.mesh_quat[0])  # MuJoCo keeps a mesh in the frame of its inertia
+    rotation = np.zeros(9)
+    # MuJoCo keeps a mesh in the frame of its inertia
+    mujoco.mju_quat2Mat(rotation, model.mesh_quat[0])
     vertices, same = np.unique(
-        np.round(model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0], 9),
+        np.round(model.mesh_vert @ rotation.reshape(3, 3).T + model.mesh_pos[0], 9),
         axis=0,
         return_inverse=True,
     )  # STL repeats each corner for each triangle

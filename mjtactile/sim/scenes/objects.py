@@ -115,7 +115,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     )
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
-    turn = min(math.radians(_numeric(spec, path, "rotation_deg", default=180.0)), math.pi)
+    angle = min(math.radians(_numeric(spec, path, "rotation_deg", default=180.0)), math.pi)
     mass, width = _check_compiled(spec, path)
     return ObjectModel(
         path.stem,
@@ -124,7 +124,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
         _material(spec, path),
         height,
         mass,
-        turn,
+        angle,
         flex_material,
         text=text,
         width=width,

@@ -306,10 +306,10 @@ def _build_fruit(t: RandomObject) -> Built:
         ),
     ]
     for k in range(_SEGMENTS):
-        turn = 2 * math.pi * k / _SEGMENTS
+        angle = 2 * math.pi * k / _SEGMENTS
+        x, y = off * math.cos(angle), off * math.sin(angle)
         lines += [
-            f'<body name="flesh{k}" pos="{off * math.cos(turn):.6g} {off * math.sin(turn):.6g} 0" '
-            f'euler="0 0 {math.degrees(turn):g}">',
+            f'<body name="flesh{k}" pos="{x:.6g} {y:.6g} 0" euler="0 0 {math.degrees(angle):g}">',
             f'  <joint name="flesh{k}" type="slide" axis="1 0 0" '
             f'stiffness="{stiffness:.6g}" damping="{damping:.4g}"/>',
             "  "

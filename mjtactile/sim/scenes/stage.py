@@ -55,12 +55,12 @@ class StageDrive:
 
     def _follow(self, move: Move, seconds: float) -> None:
         depth = LIFTED if math.isnan(move.depth) else move.depth + self._offset
-        way = np.array([depth - self._depth, move.shear - self._shear])
-        longest = float(np.abs(way).max())
+        displacement = np.array([depth - self._depth, move.shear - self._shear])
+        longest = float(np.abs(displacement).max())
         if longest > 0 and seconds > 0:
             part = min(1.0, move.speed * seconds / longest)
-            self._depth = self._depth + part * way[0]
-            self._shear = self._shear + part * way[1]
+            self._depth = self._depth + part * displacement[0]
+            self._shear = self._shear + part * displacement[1]
             self._world.drive(self._depth, self._shear, move.speed)
 
 

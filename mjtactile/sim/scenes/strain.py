@@ -82,8 +82,8 @@ class SoftSolid:
         U, _, Vt = np.linalg.svd(
             (now - middle).T @ (self._weights[:, None] * (self._rest - before))
         )
-        turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-        return middle, U @ turn @ Vt
+        signs = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+        return middle, U @ signs @ Vt
 
     @property
     def rest_center(self) -> Array:

@@ -354,9 +354,9 @@ class ContactPoints:
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)
         R_WG = data.geom_xmat[geom].reshape(3, 3)
-        turn = R_WS.T @ R_WG  # rows are vectors
+        rotation = R_WS.T @ R_WG  # rows are vectors
         shift = (data.xpos[self._body] - data.geom_xpos[geom]) @ R_WG
-        return Cells(vertices @ turn + shift, axes @ turn, sizes)
+        return Cells(vertices @ rotation + shift, axes @ rotation, sizes)
 
     def _normals(self, p_SV: Array) -> Array:
         """Return the outward unit normals (k, 3) of the membrane at the vertices."""

@@ -370,6 +370,6 @@ class SceneMonitor:
         """Return the velocities (n, 3) m/s of the origins of MuJoCo bodies, frame W."""
         data = self._data
         root = self._model.body_rootid[bodies]
-        turn = data.cvel[bodies, :3]
+        angular_velocity = data.cvel[bodies, :3]
         arm = data.xpos[bodies] - data.subtree_com[root]
-        return data.cvel[bodies, 3:] + geometry.cross(turn, arm)
+        return data.cvel[bodies, 3:] + geometry.cross(angular_velocity, arm)

@@ -87,9 +87,9 @@ class ThinObjectMargin:
     def _velocity(self, body: int, point: Array) -> Array:
         """Return the velocity (3,) m/s, frame W, of the point (3,) m of a MuJoCo body."""
         data = self._data
-        turn = data.cvel[body, :3]
+        angular_velocity = data.cvel[body, :3]
         arm = point - data.subtree_com[self._model.body_rootid[body]]
-        return data.cvel[body, 3:] + geometry.cross(turn, arm)
+        return data.cvel[body, 3:] + geometry.cross(angular_velocity, arm)
 
 
 def refuse_thin(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> None:

@@ -129,14 +129,14 @@ def evaluate(
 ) -> wp.vec2:
     """Evaluate forces, links and obstacles at all nodes; return volume and minimum turn."""
     volume = float(0.0)
-    turn = float(1.0e3)
+    min_area_ratio = float(1.0e3)
     count = membrane.nx * membrane.ny
     for k in range(lane, count, threads):
         i = k // membrane.ny
         j = k - i * membrane.ny
         load = node_load(membrane, fields.u, f, i, j, scale)
         volume += load.volume
-        turn = wp.min(turn, load.turn)
+        min_area_ratio = wp.min(min_area_ratio, load.min_area_ratio)
         fields.rz[f, k] = load.elastic[2]
         fields.swell[f, k] = load.swell[2]
         fields.link_x[f, k] = load.link_x
@@ -148,7 +148,7 @@ def evaluate(
         fields.slope_y[f, k] = seen[2]
         fields.owner[f, k] = int(seen[3])
     total = wp.tile_extract(wp.tile_sum(wp.tile(volume)), 0)
-    lowest = wp.tile_extract(wp.tile_min(wp.tile(turn)), 0)
+    lowest = wp.tile_extract(wp.tile_min(wp.tile(min_area_ratio)), 0)
     synchronize()
     return wp.vec2(total, lowest)
 

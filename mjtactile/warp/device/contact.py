@@ -131,7 +131,7 @@ def add_up(
                 i = k // membrane.ny
                 x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
                 push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
-                turn = wp.cross(x, push)
+                torque_k = wp.cross(x, push)
                 q_sum += q
                 count += 1.0
                 fx += push[0]
@@ -139,9 +139,9 @@ def add_up(
                 sx += q * x[0]
                 sy += q * x[1]
                 sz += q * x[2]
-                tx += turn[0]
-                ty += turn[1]
-                tz += turn[2]
+                tx += torque_k[0]
+                ty += torque_k[1]
+                tz += torque_k[2]
                 if before[f, 2, k] > 0.0:
                     kept += q
                     shift_x += q * (fields.u[f, 0, k] - before[f, 0, k])
@@ -212,12 +212,14 @@ def stick(
         strain = wp.vec3(0.0, 0.0, 0.0)
         slid = float(0.0)
         if last.touches != 0:
-            turn = R @ wp.transpose(last.R)
-            was = wp.transpose(turn) @ (last.middle - p)
+            rotation = R @ wp.transpose(last.R)
+            was = wp.transpose(rotation) @ (last.middle - p)
             step = last.middle - was - last.p
             found.moved = p - last.p
             found.turned = 0.5 * wp.vec3(
-                turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+                rotation[2, 1] - rotation[1, 2],
+                rotation[0, 2] - rotation[2, 0],
+                rotation[1, 0] - rotation[0, 1],
             )
             strain = last.strain + wp.vec3(
                 step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2]

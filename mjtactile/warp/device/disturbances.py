@@ -48,8 +48,8 @@ def _shaken(
     axis = wp.cross(wp.vec3(0.0, 0.0, 1.0), way)
     length = wp.length(axis)
     if length > 1.0e-6:
-        turn = wp.quat_from_axis_angle(axis / length, tilt * swell)
-        moved = wp.quat_rotate(turn, moved)
+        rotation = wp.quat_from_axis_angle(axis / length, tilt * swell)
+        moved = wp.quat_rotate(rotation, moved)
     return moved
 
 
@@ -118,15 +118,21 @@ def disturb_worlds(
             kind = int(events[row, e, 0])
             passed = since - events[row, e, 1]
             x = wp.clamp(passed / events[row, e, 2], 0.0, 1.0)
-            way = wp.vec3(events[row, e, 6], events[row, e, 7], events[row, e, 8])
+            direction = wp.vec3(events[row, e, 6], events[row, e, 7], events[row, e, 8])
             if x > 0.0 and kind == FILL:
                 _fill(starts, scene, world, row, events[row, e, 3], x)
             if x > 0.0 and x < 1.0 and kind == SHAKE:
                 turned = _shaken(
-                    turned, way, events[row, e, 3], events[row, e, 4], events[row, e, 5], passed, x
+                    turned,
+                    direction,
+                    events[row, e, 3],
+                    events[row, e, 4],
+                    events[row, e, 5],
+                    passed,
+                    x,
                 )
             if x > 0.0 and x < 1.0 and kind == PUSH:
-                force += events[row, e, 3] / events[row, e, 2] * way
+                force += events[row, e, 3] / events[row, e, 2] * direction
     world_gravity[world] = turned
     total = float(0.0)
     for b in range(starts.free_bodies.shape[0]):

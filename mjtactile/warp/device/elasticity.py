@@ -45,7 +45,8 @@ class NodeLoad:
     """Load of one node.
 
     `elastic` N; `swell` m^2, the derivative of the volume by its position; `link_x` and `link_y`
-    N/m, stiffness towards +x and +y; `volume` m^3; `turn`, minimum ratio of projected area.
+    N/m, stiffness towards +x and +y; `volume` m^3; `min_area_ratio`, minimum over the corners of
+    projected to undeformed area.
     """
 
     elastic: wp.vec3
@@ -53,7 +54,7 @@ class NodeLoad:
     link_x: float
     link_y: float
     volume: float
-    turn: float
+    min_area_ratio: float
 
 
 @wp.func
@@ -106,7 +107,7 @@ def node_load(
     link_x = float(0.0)
     link_y = float(0.0)
     volume = float(0.0)
-    turn = float(1.0e3)
+    area_ratio = float(1.0e3)
     a = node_at(membrane, u, f, i, j)
     for e in range(4):
         si = 1 - 2 * (e // 2)
@@ -131,24 +132,28 @@ def node_load(
             force += (g2 * sd[1] + h1 * sd[2]) * sy
             t_a = g1[0] * g2[1] - g1[1] * g2[0]
             volume += w * a[2] * t_a
-            turn = wp.min(turn, t_a)
+            area_ratio = wp.min(area_ratio, t_a)
             swell += w * wp.vec3(
                 a[2] * (g1[1] * sy - g2[1] * sx) - b[2] * h2[1] * sx + d[2] * h1[1] * sy,
                 a[2] * (g2[0] * sx - g1[0] * sy) + b[2] * h2[0] * sx - d[2] * h1[0] * sy,
                 t_a,
             )
-            fair = _MIN_TENSION * 0.5 * wp.max(s[0] + s[1], 0.0)
+            min_link = _MIN_TENSION * 0.5 * wp.max(s[0] + s[1], 0.0)
             flat = 1.0 / (1.0 + g1[2] * g1[2] + g2[2] * g2[2])
             if si > 0:
                 flat_b = 1.0 / (1.0 + g1[2] * g1[2] + h2[2] * h2[2])
-                link_x += (wp.max(s[0], fair) * flat + wp.max(sb[0], fair) * flat_b) * sx * sx
+                link_x += (
+                    (wp.max(s[0], min_link) * flat + wp.max(sb[0], min_link) * flat_b) * sx * sx
+                )
             if sj > 0:
                 flat_d = 1.0 / (1.0 + h1[2] * h1[2] + g2[2] * g2[2])
-                link_y += (wp.max(s[1], fair) * flat + wp.max(sd[1], fair) * flat_d) * sy * sy
+                link_y += (
+                    (wp.max(s[1], min_link) * flat + wp.max(sd[1], min_link) * flat_d) * sy * sy
+                )
     load.elastic = force
     load.swell = swell
     load.link_x = link_x
     load.link_y = link_y
     load.volume = volume
-    load.turn = turn
+    load.min_area_ratio = area_ratio
     return load

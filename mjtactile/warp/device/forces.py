@@ -74,15 +74,15 @@ def _apply(
                 for c in range(3):
                     out[world, dof + c] = out[world, dof + c] + force[c]
                 dof += 3
-            turn = wp.cross(at - origin, force) + torque
+            torque_k = wp.cross(at - origin, force) + torque
             if kind == _FREE or kind == _BALL:
-                local = wp.transpose(xmat[world, body]) @ turn
+                local = wp.transpose(xmat[world, body]) @ torque_k
                 for c in range(3):
                     out[world, dof + c] = out[world, dof + c] + local[c]
             elif kind == _SLIDE:
                 out[world, dof] = out[world, dof] + wp.dot(xaxis[world, j], force)
             else:
-                out[world, dof] = out[world, dof] + wp.dot(xaxis[world, j], turn)
+                out[world, dof] = out[world, dof] + wp.dot(xaxis[world, j], torque_k)
         body = joints.parent[body]
 
 

@@ -136,8 +136,8 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     # within a cycle it closes by the compression of two membranes from one force to the other
     spring = GripStiffnessEstimator(**kept["spring"])
     assert more > 0.2 * grip
-    way = min(spring.way(grip, grip + more), 0.006)
-    assert one.opening == pytest.approx(command.opening - way, abs=1.2e-4)
+    compression = min(spring.way(grip, grip + more), 0.006)
+    assert one.opening == pytest.approx(command.opening - compression, abs=1.2e-4)
     both = run(command, report("slipping", "slipping"), 3, goal)
     # an object that moves along one finger may roll
     assert both.memory["target"] > 1.1 * alone.memory["target"] > 1.5 * grip

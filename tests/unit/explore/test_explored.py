@@ -31,7 +31,7 @@ def patch(way, compliance=math.nan):
 @pytest.fixture(scope="module")
 def ball():
     soft = [patch([0, 0, 1], 2e-3), patch([0, 0, -1], 0.0)]
-    rest = [patch(way) for way in ([1, 0, 0], [0, 1, 0], [-1, -1, 0])]
+    rest = [patch(direction) for direction in ([1, 0, 0], [0, 1, 0], [-1, -1, 0])]
     return explored([*soft, *rest], "touches", 5, {})
 
 
@@ -84,8 +84,8 @@ def test_the_page_asks_for_nothing(ball, tmp_path):
 
 def test_a_line_that_was_cut_off_costs_that_touch_alone(tmp_path):
     store = PatchStore(tmp_path / "touched.jsonl")
-    for way in ([0, 0, 1], [1, 0, 0]):
-        store.write(patch(way))
+    for direction in ([0, 0, 1], [1, 0, 0]):
+        store.write(patch(direction))
     before = store.path.read_text()
     store.path.write_text(before + before[:200])
     again = store.read()

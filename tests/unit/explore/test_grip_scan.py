@@ -92,13 +92,13 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
     # four grips, three of them shifted by up to 1 mm; a grip's two patches have the shift in common
     rng = np.random.default_rng(4)
     shifts = [np.zeros(3), *rng.normal(0, 7e-4, (3, 3))]
-    ways = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0])
-    grips = list(zip(ways, shifts, strict=True))
+    directions = ([1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0])
+    grips = list(zip(directions, shifts, strict=True))
 
     def patches(loose):
         return [
-            ball_patch(sign * np.array(way), shift, number + 1, loose)
-            for number, (way, shift) in enumerate(grips)
+            ball_patch(sign * np.array(direction), shift, number + 1, loose)
+            for number, (direction, shift) in enumerate(grips)
             for sign in (1, -1)
         ]
 
@@ -116,6 +116,6 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
 def test_the_next_grip_is_where_uncertainty_is_largest():
     # both ends of x are well known, those of y are unknown: rotated by 90 deg
     mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
-    turn, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], has_contact=True)
-    assert turn != TURNS[0] and height in HEIGHTS
+    angle, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], has_contact=True)
+    assert angle != TURNS[0] and height in HEIGHTS
     assert next_grip(mesh, [], has_contact=False) == (TURNS[0], HEIGHTS[0])

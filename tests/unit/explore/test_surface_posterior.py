@@ -62,7 +62,9 @@ def test_the_slope_within_a_distance_is_that_of_its_level():
     step = 1e-5
     for axis in range(3):
         off = step * np.eye(3)[axis]
-        more, less = (superquadric._level(numbers[None], at + way)[0][0] for way in (off, -off))
+        more, less = (
+            superquadric._level(numbers[None], at + direction)[0][0] for direction in (off, -off)
+        )
         differences = (more - less) / (2 * step)
         # 1e-5 mm steps leave 1e-9; where a point is at a kink (its end's plane) they differ
         assert np.median(np.abs(differences - slope[:, axis])) < 1e-8
@@ -87,7 +89,7 @@ WAYS = np.array(
 @pytest.fixture(scope="module")
 def believed():
     rng = np.random.default_rng(1)
-    patches = [ellipsoid_patch(way, rng) for way in WAYS]
+    patches = [ellipsoid_patch(direction, rng) for direction in WAYS]
     return patches, fuse(patches)
 
 
@@ -127,8 +129,8 @@ def box_patch(way, noise=2e-5, half=HALF):
 
 
 def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
-    ways = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
-    surfaces = fuse([box_patch(way) for way in ways])
+    directions = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+    surfaces = fuse([box_patch(direction) for direction in directions])
     assert surfaces[0].family.name == "box"
     mesh = mesh_of(surfaces[0], 1.5e-3)
     _, axes = principal_sizes(mesh)
@@ -252,9 +254,9 @@ def test_a_stray_point_moves_nothing(explored):
         Patch(points, patches[1].free, patches[1].normal, "smooth", 0.3),
         *patches[2:],
     ]
-    ways = np.random.default_rng(5).normal(size=(100, 3))
-    off, _ = distances(fuse(bent)[0], ways)
-    clean, _ = distances(surface, ways)
+    directions = np.random.default_rng(5).normal(size=(100, 3))
+    off, _ = distances(fuse(bent)[0], directions)
+    clean, _ = distances(surface, directions)
     # 0.7 mm in one of 102 points: without it, the others give the same result to some hundredths of
     # a mm
     assert np.sqrt(np.mean((off - clean) ** 2)) < 6e-5

@@ -60,21 +60,21 @@ def test_what_was_predicted_widens_nothing(model):
 
 def ball_patch(way, radius_mm):
     """Return nine points on a ball about the origin, with the stated error of a good touch."""
-    turn = Rotation.align_vectors(way[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    rotation = Rotation.align_vectors(way[None], np.array([[0.0, 0.0, 1.0]]))[0]
     u, v = (2e-3 * grid.ravel() for grid in np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1]))
     radius = 1e-3 * radius_mm
     local = np.column_stack([u, v, np.sqrt(radius**2 - u**2 - v**2)])
-    return Patch(turn.apply(local), np.zeros((0, 3)), way, "smooth", 0.3)
+    return Patch(rotation.apply(local), np.zeros((0, 3)), way, "smooth", 0.3)
 
 
 @pytest.mark.slow
 def test_touches_that_disagree_make_every_place_less_sure():
     """A ball touched in six places; then every other touch found 0.3 mm less: of no family."""
-    ways = np.random.default_rng(2).normal(size=(6, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    agreed = fuse([ball_patch(way, 12.0) for way in ways])[0]
+    directions = np.random.default_rng(2).normal(size=(6, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    agreed = fuse([ball_patch(direction, 12.0) for direction in directions])[0]
     assert agreed.excess == pytest.approx(1.0)
-    uneven = [ball_patch(way, 12.0 - 0.3 * (k % 2)) for k, way in enumerate(ways)]
+    uneven = [ball_patch(direction, 12.0 - 0.3 * (k % 2)) for k, direction in enumerate(directions)]
     disagreed = fuse(uneven)[0]
     assert disagreed.excess > 2
     # 1.8 by its square root, and 0.04 mm that touches share; without it 1.2, by the numbers alone

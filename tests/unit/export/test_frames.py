@@ -130,12 +130,12 @@ def test_in_the_gripper_the_sensors_face_each_other(pair, tmp_path):
 def test_a_scene_and_its_recorded_mounting_give_the_same_tree(fingers):
     """Sensors around an object, turned about z and raised: their world poses through the tree are
     those of the scene, exactly with it and by the opening alone."""
-    turn = cv2.Rodrigues(np.array([0, 0, 0.7]))[0]
+    rotation = cv2.Rodrigues(np.array([0, 0, 0.7]))[0]
     assumed = Mounting.assumed(fingers)
 
     def scene(opening, height):
-        p = assumed.sensors(opening) @ turn.T + [0.3, -0.2, 0.5 + height]
-        return SimpleNamespace(R_WS=turn @ assumed.R_GS, p_WS=p)
+        p = assumed.sensors(opening) @ rotation.T + [0.3, -0.2, 0.5 + height]
+        return SimpleNamespace(R_WS=rotation @ assumed.R_GS, p_WS=p)
 
     def row(opening, height):
         return {"opening": opening, "lift_height": height}

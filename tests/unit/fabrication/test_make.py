@@ -78,9 +78,9 @@ def test_the_printed_pattern_stretched_is_the_design(markers, radius):
     layout = Layout.of(DENSE, Hardware(markers=markers), "dense")
     for page in print_templates.marker_pages(layout)[:2]:  # transfer print and stencil
         centres, radii = circles(drawing_pages.write_svg(page))
-        turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         edge = centres[:, None] + radii[:, None, None] * np.column_stack(
-            [np.cos(turn), np.sin(turn)]
+            [np.cos(angle), np.sin(angle)]
         )
         mounted = edge @ (1.05 * np.eye(2))  # the sheet is stretched alike both ways
         center = mounted.mean(axis=1)
@@ -154,9 +154,9 @@ def test_the_outlines_of_a_dxf_are_closed_and_have_their_area(name):
             pieces.append(np.array([[e[10], e[20]], [e[11], e[21]]], float))
         elif kind == "ARC":
             first, last = (math.radians(float(e[c])) for c in (50, 51))
-            turn = np.linspace(first, last + 2 * math.pi * (last < first), 200)[:, None]
+            angle = np.linspace(first, last + 2 * math.pi * (last < first), 200)[:, None]
             center = np.array([e[10], e[20]], float)
-            pieces.append(center + float(e[40]) * np.hstack([np.cos(turn), np.sin(turn)]))
+            pieces.append(center + float(e[40]) * np.hstack([np.cos(angle), np.sin(angle)]))
         elif kind == "POLYLINE":
             assert e[70] == "1"
             corners.append([])
@@ -243,10 +243,10 @@ def test_a_marker_smears_as_much_as_stated():
     plan = camera_check.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
     eye = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     nearest = np.array([0.0, 0.0, DENSE.camera.distance - 0.004])
-    way = optics.project(eye, nearest + [25e-3 * plan.exposure, 0, 0]) - optics.project(
+    displacement = optics.project(eye, nearest + [25e-3 * plan.exposure, 0, 0]) - optics.project(
         eye, nearest
     )
-    assert way[0] == pytest.approx(
+    assert displacement[0] == pytest.approx(
         purchased_parts.SMEAR, rel=1e-3
     )  # on the axis, through glass and lens
     assert camera_check.plan_camera(
@@ -448,9 +448,9 @@ def test_the_mount_tolerance_keeps_a_fifth_of_the_tension():
 def test_elastic_markers_grow_with_the_membrane():
     """Elastic markers grow by the membrane's uniform stretch; rotation and translation do not
     count."""
-    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    rotation = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
     stretched = MembraneState(
-        "x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0
+        "x", 1.03 * DENSE.markers.p_SM @ rotation.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0
     )
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
 

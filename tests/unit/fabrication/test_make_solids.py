@@ -106,8 +106,8 @@ def check_shell(part, genus):
     assert set(used.values()) == {1} and {e for e, _ in used} == set(ends)
     assert all((edge, not forward) in used for edge, forward in used)
     for loop in loops.values():
-        way = [ends[e] if forward else ends[e][::-1] for e, forward in loop]
-        assert all(one[1] == other[0] for one, other in pairwise([*way, way[0]]))
+        boundary = [ends[e] if forward else ends[e][::-1] for e, forward in loop]
+        assert all(one[1] == other[0] for one, other in pairwise([*boundary, boundary[0]]))
     euler = len(points) - len(ends) + len(faces) - (sum(map(len, faces)) - len(faces))
     assert euler == 2 - 2 * genus, part.name  # Euler and Poincare
     assert np.ptp(np.array(list(points.values()))[:, 2]) == pytest.approx(part.size[2])

@@ -98,8 +98,8 @@ KINDS_WITH_A_LOWEST_PLACE = {
 
 @pytest.mark.parametrize("kind", KINDS_WITH_A_LOWEST_PLACE)
 def test_a_body_s_lowest_place_is_where_its_heights_are_smallest(solver, kind):
-    turn = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
-    body = solver.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), turn)
+    rotation = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
+    body = solver.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), rotation)
     low = lowest_point(body)
     side = np.linspace(-0.3e-3, 0.3e-3, 61)
     around = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)

@@ -226,8 +226,8 @@ def test_a_turned_blade_touches_every_line_that_it_crosses(fine):
 
     It crosses the last line half a spacing from its end, 0.3 spacings from a node.
     """
-    turn = 0.3
-    c, s = np.cos(turn), np.sin(turn)
+    angle = 0.3
+    c, s = np.cos(angle), np.sin(angle)
     at = (9.683e-04, -2.605e-04)
     blade = fine.obstacle(
         "box", (2e-4, 6e-3, 0.01), (*at, 0.0102), np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

@@ -87,14 +87,14 @@ def test_heights_are_where_a_line_from_below_comes_into_the_body(quasistatic, ki
     The reference uses only the inside test. Half the membrane's thickness is measured across the
     surface's slope.
     """
-    sizes, data, inside, turn = INSIDE[kind]
+    sizes, data, inside, rotation = INSIDE[kind]
     places = np.random.default_rng(1).uniform(-4e-3, 4e-3, (60, 2))
     found = quasistatic.obstacle_heights(
-        quasistatic.obstacle(kind, sizes, PLACE, turn, data=data), places
+        quasistatic.obstacle(kind, sizes, PLACE, rotation, data=data), places
     )
     step = 1e-7  # step in m; slopes come from differences of heights that are exact to 1e-12
-    ahead = [lowest_inside(inside, turn, places + step * axis) for axis in np.eye(2)]
-    height = lowest_inside(inside, turn, places)
+    ahead = [lowest_inside(inside, rotation, places + step * axis) for axis in np.eye(2)]
+    height = lowest_inside(inside, rotation, places)
     slope = np.hypot(*(one - height for one in ahead)) / step
     flat = (slope < 0.9) & np.isfinite(found)  # steeper rims count as ended
     assert flat.sum() > 10
@@ -118,9 +118,9 @@ def test_a_disc_that_is_all_rim_is_a_ball(quasistatic):
 def test_a_tilted_plane_bears_along_its_normal(quasistatic):
     """Without friction all of the force is across the plane; so is each node's."""
     c, s = np.cos(0.06), np.sin(0.06)  # 0.9 mm at the frame
-    turn = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-    state = quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, 1.8e-3), R_SO=turn))
-    normal = turn[:, 2]
+    rotation = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+    state = quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, 1.8e-3), R_SO=rotation))
+    normal = rotation[:, 2]
     assert state.converged and state.force_normal > 0.05
     np.testing.assert_allclose(
         state.wrench[:2] / state.wrench[2], normal[:2] / normal[2], atol=1e-6
@@ -129,13 +129,13 @@ def test_a_tilted_plane_bears_along_its_normal(quasistatic):
 
 def test_a_bowl_turned_about_its_axis_is_the_same_where_it_is_round(quasistatic):
     c, s = np.cos(0.7), np.sin(0.7)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     at = (1e-3, 0.5e-3, 1.5e-3)
     sizes = (90.0, 90.0, 0.012)
     straight = force(quasistatic, quasistatic.obstacle("quadric", sizes, at))
-    assert force(quasistatic, quasistatic.obstacle("quadric", sizes, at, turn)) == pytest.approx(
-        straight, 1e-4
-    )
+    assert force(
+        quasistatic, quasistatic.obstacle("quadric", sizes, at, rotation)
+    ) == pytest.approx(straight, 1e-4)
 
 
 def test_triangles_and_hull_are_the_box_that_they_bound(quasistatic):
@@ -219,11 +219,13 @@ def test_cones_and_wedges_press_the_deeper_the_harder(quasistatic):
 @pytest.mark.parametrize("tilt", [0.1, 0.3, 0.7])
 def test_a_tilted_box_is_met_at_its_edge(quasistatic, tilt):
     """Its flank is steeper than the sheet can follow; its edge is where both end."""
-    turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
-    mirrored = turn.T
+    rotation = np.array(
+        [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+    )
+    mirrored = rotation.T
     forces = [
         force(quasistatic, quasistatic.obstacle("box", (4e-3, 4e-3, 4e-3), (0, y, 6.2e-3), R))
-        for y, R in ((0.5e-3, turn), (-0.5e-3, mirrored))
+        for y, R in ((0.5e-3, rotation), (-0.5e-3, mirrored))
     ]
     assert forces[0] == pytest.approx(forces[1], rel=1e-3)
 

@@ -125,10 +125,10 @@ def test_by_its_pose_is_by_a_shape_that_moves():
     place, tilt = np.array([2e-3, 1e-3, 8.2e-3]), Rotation.from_euler("xyz", [0.3, 0.1, 0.5])
 
     def posed(numbers):
-        turn = Rotation.from_rotvec(numbers[3:])
-        at = numbers[:3] + turn.apply(place)
-        block = membrane.obstacle("box", (5e-3, 4e-3, 6e-3), at, (turn * tilt).as_matrix())
-        ball = membrane.obstacle("sphere", (3e-3,), numbers[:3] + turn.apply([-8e-3, 0, 4e-3]))
+        rotation = Rotation.from_rotvec(numbers[3:])
+        at = numbers[:3] + rotation.apply(place)
+        block = membrane.obstacle("box", (5e-3, 4e-3, 6e-3), at, (rotation * tilt).as_matrix())
+        ball = membrane.obstacle("sphere", (3e-3,), numbers[:3] + rotation.apply([-8e-3, 0, 4e-3]))
         return [block, ball]
 
     state = membrane.solve(posed(np.zeros(6)))

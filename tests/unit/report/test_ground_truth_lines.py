@@ -34,9 +34,9 @@ class Scene:
     def object_triangles(self):
         number = np.arange(4000)
         z = 1 - (2 * number + 1) / 4000  # a spiral, evenly all over
-        turn = number * np.pi * (3 - np.sqrt(5))
+        angle = number * np.pi * (3 - np.sqrt(5))
         wide = np.sqrt(1 - z**2)
-        points = np.column_stack([wide * np.cos(turn), wide * np.sin(turn), z])
+        points = np.column_stack([wide * np.cos(angle), wide * np.sin(angle), z])
         faces = ConvexHull(points).simplices
         ball = RADIUS * points + self.place + [0, 0, RADIUS]
         table = np.array([[[-1.0, -1, 0.05], [1, -1, 0.05], [0, 1, 0.05]]])
@@ -64,8 +64,8 @@ def test_a_true_ball_lies_on_the_lines_of_one_that_is_estimated_rightly():
     assert off.max() < RADIUS + 1e-9 and off.min() > RADIUS - 1e-5
     assert len(pieces) > 100  # and the table is left out
     # each piece is in one of the two planes of the estimated arcs
-    for turn in (0.5, 0.5 + np.pi / 2):
-        across = np.array([-np.sin(turn), np.cos(turn)])
+    for angle in (0.5, 0.5 + np.pi / 2):
+        across = np.array([-np.sin(angle), np.cos(angle)])
         in_plane = (np.abs((pieces - PLACE)[:, :, :2] @ across) < 1e-9).all(axis=1)
         assert in_plane.sum() > 50
     assert not len(true_lines(ContactShape("unknown", {}), scene(), 0))

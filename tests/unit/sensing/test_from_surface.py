@@ -83,17 +83,17 @@ def test_shift_turn_and_pressure(membrane):
     own = estimate_force_from_surface(
         given[0], 1020.0, corners, RestSurface(given[1], 1000.0), smoothing=SMOOTHING
     )
-    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    rotation = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     shift = np.array([12e-3, -7e-3, 60e-3])
-    moved = [one @ turn.T + shift for one in given]
-    outline = corners @ turn[:2, :2].T + shift[:2]
+    moved = [one @ rotation.T + shift for one in given]
+    outline = corners @ rotation[:2, :2].T + shift[:2]
     found = estimate_force_from_surface(
         moved[0], 2040.0, outline, RestSurface(moved[1], 2000.0), smoothing=SMOOTHING
     )
     # the rotated grid lies differently on the points, and cells at the rim of the contact are added
     # or lost
-    assert found.force == pytest.approx(2 * turn @ own.force, rel=0.04, abs=2e-3)
-    assert found.place == pytest.approx(turn[:2, :2] @ own.place + shift[:2], abs=3e-4)
+    assert found.force == pytest.approx(2 * rotation @ own.force, rel=0.04, abs=2e-3)
+    assert found.place == pytest.approx(rotation[:2, :2] @ own.place + shift[:2], abs=3e-4)
 
 
 @pytest.mark.parametrize(

@@ -52,9 +52,9 @@ def test_flat_membrane_seen_by_a_displaced_camera(sensor, fraction):
         rng = np.random.default_rng(seed)
         p, ids = seen(layout, rng)
         offset = rng.choice([-1, 1], 2) * fraction * np.array([markers.pitch_x, markers.pitch_y])
-        turn = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
+        rotation = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
         np.testing.assert_array_equal(
-            marker_matching.match(p @ turn.T + [*offset, 0], layout, layout), ids
+            marker_matching.match(p @ rotation.T + [*offset, 0], layout, layout), ids
         )
 
 

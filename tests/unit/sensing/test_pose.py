@@ -26,9 +26,9 @@ def random_poses(rng, count, tilt_deg=(0, 60)):
         [rng.uniform(-0.35, 0.35, count) * z, rng.uniform(-0.3, 0.3, count) * z, z], axis=1
     )
     tilt = np.deg2rad(rng.uniform(*tilt_deg, count))
-    turn = rng.uniform(0, 2 * np.pi, count)
+    angle = rng.uniform(0, 2 * np.pi, count)
     return p, np.stack(
-        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)], axis=1
+        [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), -np.cos(tilt)], axis=1
     )
 
 

@@ -59,9 +59,9 @@ def marginal(J, own, place):
     The image has slopes J and parameters `own`. The position has a prior at `place`, the curvature
     none.
     """
-    believed = np.diag([4.0, 4.0, 4.0, 0.0])
-    precision = J.T @ J + believed
-    mean = np.linalg.solve(precision, J.T @ J @ own + believed @ np.array([*place, 0.0]))
+    prior = np.diag([4.0, 4.0, 4.0, 0.0])
+    precision = J.T @ J + prior
+    mean = np.linalg.solve(precision, J.T @ J @ own + prior @ np.array([*place, 0.0]))
     return mean[3], np.linalg.inv(precision)[3, 3]
 
 

@@ -194,8 +194,8 @@ def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), abo
     y = y - about
     far = np.hypot(x, y)
     drag = friction * (press.max() * far / radius * (press > 0) if sticks else press)
-    ways = np.array([-y, x]) / np.maximum(far, 1e-9)
-    return np.vstack([drag * ways, -press])
+    directions = np.array([-y, x]) / np.maximum(far, 1e-9)
+    return np.vstack([drag * directions, -press])
 
 
 def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
@@ -243,9 +243,9 @@ def test_what_turns_beside_its_middle_slips_too(sensor):
 
 
 def test_a_slip_that_ends_is_over(sensor):
-    way = 4e-3 * ramp(12, 24, 12)
+    displacement = 4e-3 * ramp(12, 24, 12)
     slides = np.r_[np.full(12, STICKS), np.full(24, PARTLY), np.full(12, STICKS)]
-    reported = verdicts(sensor, np.full(48, 0.4 * NORMAL), way - 2e-3, sticks=slides)
+    reported = verdicts(sensor, np.full(48, 0.4 * NORMAL), displacement - 2e-3, sticks=slides)
     assert states(reported)[30] == "slipping" and states(reported)[-1] != "slipping"
 
 

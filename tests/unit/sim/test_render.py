@@ -39,9 +39,9 @@ def tilted_scene(design, seed=3):
     p = design.markers.p_SM
     p = p + rng.uniform([-1e-3, -1e-3, -6e-3], [1e-3, 1e-3, 2e-3], p.shape)
     tilt = np.deg2rad(rng.uniform(0, 45, len(p)))
-    turn = rng.uniform(0, 2 * np.pi, len(p))
+    angle = rng.uniform(0, 2 * np.pi, len(p))
     return p, np.column_stack(
-        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)]
+        [np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), -np.cos(tilt)]
     )
 
 

@@ -18,11 +18,13 @@ def surface(kind: str) -> TrueSurface:
     )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    ways = np.random.default_rng(4).normal(size=(100, 3))
+    directions = np.random.default_rng(4).normal(size=(100, 3))
     norm = (
-        np.linalg.norm(ways / HALF, axis=1) if kind == "ellipsoid" else np.abs(ways / HALF).max(1)
+        np.linalg.norm(directions / HALF, axis=1)
+        if kind == "ellipsoid"
+        else np.abs(directions / HALF).max(1)
     )
-    return TrueSurface(ways / norm[:, None], model, data)
+    return TrueSurface(directions / norm[:, None], model, data)
 
 
 AXES = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
