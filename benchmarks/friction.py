@@ -17,7 +17,7 @@ import numpy as np
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.grasp_estimation import FrictionFilter
-from mjtactile.grasp_estimation.friction_filter import ALL, CONFIRMED, GRID, NONE, SOME
+from mjtactile.grasp_estimation.friction_filter import ALL, GRID, MOVES, NONE, SOME
 from mjtactile.recording.files import write_json
 from mjtactile.recording.observer import Observer
 from mjtactile.report.figures import new_figure
@@ -34,7 +34,7 @@ EPISODES = {SYNTHETIC: 12, MESH: 4}
 QUICK = {SYNTHETIC: 1, MESH: 0}
 SEED = 61_000
 EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)
-_NAMES = {SOME: "some fingers", ALL: "all fingers", CONFIRMED: "all, distance grows"}
+_NAMES = {SOME: "some fingers", ALL: "all fingers", MOVES: "distance grows"}
 _AIR = 0.004  # minimum height of the gripper, m
 _CHANGE = 0.15  # minimum relative change of the grip for an answer
 _STICKS, _SLIDES = 0.8, 0.9  # utilization over mu
@@ -137,7 +137,7 @@ def frequencies(grasps: Sequence[Sequence[Row]]) -> dict[str, Any]:
             continue
         ratio = np.array([row["used"] / row["friction"] for row in rows])
         sign = np.array([row["sign"] for row in rows])
-        confirmed = ratio[sign == CONFIRMED]
+        confirmed = ratio[sign == MOVES]
         if len(confirmed) > 1:
             ratio = ratio / float(np.clip(np.median(confirmed), 0.7, 1.3))
         used += ratio.tolist()

@@ -40,7 +40,7 @@ SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
 RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
 # friction is known if its 5 % quantile is this fraction of the median; maximum time of the test, s
 KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
-SLIP_LOAD = 1.5  # load factor after a slip: friction may fall further, and the motion must stop
+LOOSENING = 0.3  # relative decrease of the grip while friction is tested, 1/s
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
@@ -117,10 +117,9 @@ def grip_as_needed(observation: Observation, command: Command) -> Command:
     inertia = load.worst * goal.acceleration / GRAVITY
     worst, minimum = hypot(load.worst, goal.push / len(touch), inertia), MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
-        worst, minimum = load.maximum, MIN_TEST_FORCE
-    elif slip_time < SLIP_WAIT:
-        worst *= SLIP_LOAD
-    grip = friction.grip(worst, memory["risk"])
+        worst = load.maximum
+        minimum = max(MIN_TEST_FORCE, memory["target"] * (1 - LOOSENING * observation.period))
+    grip = friction.grip(worst * (1 + friction.inertia), memory["risk"])
     target = max(minimum, min(grip, MAX_FORCE, frames.maximum))
     estimators = {"load": vars(load), "friction": vars(friction), "frames": vars(frames)}
     return phases.remember(

@@ -1,10 +1,11 @@
 """Recursive Bayesian estimate of the friction coefficient of a grip, which may change.
 
-The state is the coefficient mu on a grid, and if it is steady or changing (a surface gets wet).
-Prediction: mu diffuses, slowly or fast; the mode changes at constant rates. Update with each image:
-the signs of slip, the utilization shear over normal force, which cannot exceed mu, and the answer
-of the shear to a change of the grip. The only tuning is a risk: `grip` is the minimum force at
-which the predicted probability of slip is below it. Equations: docs/theory/friction.md.
+The state is the coefficient mu on a grid, and if it is steady or falls (a surface gets wet).
+Prediction: a steady mu diffuses, a falling one approaches a low value; the mode changes at constant
+rates. Update with each image: the utilization of a finger, shear over normal force, is mu while it
+slides and a lower bound otherwise; the answer of the shear to a change of the grip. The only tuning
+is a risk: `grip` is the minimum force at which the predicted probability of slip is below it.
+Equations: docs/theory/friction.md.
 """
 
 from __future__ import annotations
@@ -12,40 +13,40 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, Touch
-from mjtactile.grasp_estimation.touch_statics import shear
+from mjtactile.grasp_estimation.touch_statics import GRAVITY, shear
 
-GRID = np.linspace(0.10, 1.30, 49)
+GRID = np.geomspace(0.10, 1.30, 49)
 """Values of the friction coefficient."""
-_SPACING = float(GRID[1] - GRID[0])
-# diffusion of mu, 1/sqrt(s), steady and changing; rates of the mode, 1/s, to changing and back
-_DRIFT = (0.02, 0.25)
-_RATES = (0.02, 1.0)
+_SPACING = math.log(GRID[1] / GRID[0])
+_DRIFT = 0.03  # diffusion of a steady ln(mu), 1/sqrt(s)
+_FALL, _FLOOR = 4.0, 0.2  # rate, 1/s, at which a falling mu approaches a low value
+_RATES = (0.02, 10.0)  # rates of the mode, 1/s, to falling and back
 _PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
-# probability in one image, by the utilization over mu, that some fingers report slip, that all do,
-# and that all do with a growing distance (`mjtactile bench friction`)
-_RATIO = (0.4, 0.55, 0.65, 0.75, 0.85, 0.95, 1.05)
-_SIGNS = (
-    (0.002, 0.006, 0.013, 0.015, 0.045, 0.110, 0.130),
-    (0.0002, 0.001, 0.003, 0.004, 0.008, 0.080, 0.100),
-    (0.00001, 0.0001, 0.0007, 0.0035, 0.024, 0.110, 0.370),
-)
+# signs of slip (`mjtactile bench friction`): probability of a report at full utilization; error of
+# the utilization of the sliding fingers as a measurement of mu, relative; odds of a false report
+_REPORTED = 0.6
+_SLIP_SD = (0.15, 0.10, 0.10)
+_FALSE = (0.05, 0.02, 0.001)
 # minimum growth of the distance from image to image, m: constant part, and times the relative
 # increase of the grip, which drags the surface of a soft object along
-_GROWTH = (5e-5, 1e-3)
+_GROWTH = (1e-5, 1e-3)
+# a slip at less than this fraction of the utilization held within this time, s: odds that friction
+# has not changed
+_SAME, _HELD_TIME, _UNCHANGED = 1.1, 2.0, 0.01
 _USED_SD = (0.025, 0.006)  # sd of the utilization: constant part, and times 1 N over the force
 _WRONG = 0.01  # probability of an image in which that model does not hold
 # fraction of an image that is independent of the previous one: in a steady hold its errors last
 _INDEPENDENT = 0.5
-# of a sign in its first image and in further ones: a report lasts for five images, and one finger
-# slips at its own utilization; no report is more evidence while the grip is loosened on purpose
-_WEIGHTS = ((0.03, 0.03), (0.6, 0.0), (1.0, 0.05), (1.0, 1.0))
+# of a sign in its first image and in further ones: a report lasts for five images; none is more
+# evidence while the grip is loosened on purpose
+_WEIGHTS = ((0.03, 0.03), (0.6, 0.0), (1.0, 0.05), (1.0, 0.5))
 _TEST_WEIGHT = 0.5
 # change of the shear over that of the grip, sticking and sliding; sd of it, and per change
 _ANSWERS = (0.15, 0.65)
@@ -55,17 +56,18 @@ _ANSWER_MIN = 0.05  # minimum relative change of the grip
 _REPORT_TIME = 0.15  # duration of a slip report after the slip, s
 _FORCE_MIN = 0.05  # minimum mean normal force for an update, N
 _LAG = 0.15  # prediction time, s: an image, the servo and its play
+_STOP = 1e-3  # distance within which a grip stops a sliding object, m
 _LOAD_SD = 0.06  # relative sd of load over grip: errors of the forces and of their control
 
 
-NONE, SOME, ALL, CONFIRMED = range(4)
-"""Signs of slip: no finger, some fingers, all fingers report it; its distance grows on all."""
+NONE, SOME, ALL, MOVES = range(4)
+"""Signs of slip: no finger, some fingers, all fingers report it; the distance of one grows."""
 
 
 class Signs(NamedTuple):
     """Evidence of one image: mean `press` and `drag`, N, utilizations of the last `_REPORT_TIME`,
     slip distances, m, sign of slip, ages of the reports, s, and relative changes of grip and shear
-    (NaN: unknown). `grows`: the distance of a finger that reports slip grows."""
+    (NaN: unknown). `slid`: utilization of the fingers that slide; `speed`: of the slip, m/s."""
 
     press: float
     drag: float
@@ -75,7 +77,8 @@ class Signs(NamedTuple):
     ages: list[float]
     harder: float
     more: float
-    grows: bool = False
+    slid: float = math.nan
+    speed: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,14 +88,15 @@ class FrictionFilter:
     A controller stores it as plain values (`vars`) and restores it (`FrictionFilter(**kept)`).
 
     Attributes:
-        weights: (2 n) Probability of each value of `GRID`, steady and changing; empty: the prior.
+        weights: (2 n) Probability of each value of `GRID` steady and falling; empty: the prior.
         press, drag: Recent mean normal force and mean shear per finger, N; 0: unknown.
         recent: Utilizations, shear over normal force, of the last `_REPORT_TIME`: slip is reported
             late.
         distances: Slip distance of each finger, m.
-        slip: Sign of slip in the last image.
+        slip, strongest: Sign of slip in the last image; strongest sign of the present report.
         ages: Time since each finger's last slip report, s.
-        grows: The distance of a finger that reports slip grew in the last image.
+        held: Recent largest utilization without slip.
+        speed, acceleration: Largest speed, m/s, and acceleration, m/s^2, of the slip distances.
     """
 
     weights: Sequence[float] = ()
@@ -101,8 +105,11 @@ class FrictionFilter:
     recent: Sequence[float] = ()
     distances: Sequence[float] = ()
     slip: int = NONE
+    strongest: int = NONE
     ages: Sequence[float] = ()
-    grows: bool = False
+    held: float = 0.0
+    speed: float = 0.0
+    acceleration: float = 0.0
 
     @validated(period=above(0))
     def after(
@@ -122,8 +129,16 @@ class FrictionFilter:
         signs = self.signs(touch, period)
         if signs is None:
             return replace(self, weights=predicted.tolist())
-        weights = predicted * np.tile(_likelihood(signs, self.slip, is_test), 2)
+        was_held = signs.drag < _SAME * self.held * signs.press and not is_test
+        likelihood = [
+            _likelihood(signs, self.strongest, is_test, possible_slip)
+            for possible_slip in (_UNCHANGED if was_held else 1.0, 1.0)
+        ]
+        weights = predicted * np.concatenate(likelihood)
         follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
+        held = self.held * math.exp(-period / _HELD_TIME)
+        if signs.slip == NONE and self.press:
+            held = max(held, self.drag / self.press)
         return FrictionFilter(
             (weights / weights.sum()).tolist(),
             self.press + follow * (signs.press - self.press),
@@ -131,14 +146,18 @@ class FrictionFilter:
             signs.recent,
             signs.distances,
             signs.slip,
+            max(signs.slip, self.strongest) if signs.slip else NONE,
             signs.ages,
-            signs.grows,
+            held,
+            signs.speed,
+            max(signs.speed - self.speed, 0.0) / period,
         )
 
     def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
         """Return the evidence of an image; None without a known grip force."""
         press = float(np.mean([one.force_normal for one in touch]))
-        drag = float(np.linalg.norm(shear(touch), axis=1).mean())
+        shears = np.linalg.norm(shear(touch), axis=1)
+        drag = float(shears.mean())
         if not (math.isfinite(drag) and press > _FORCE_MIN):
             return None
         count = max(1, round(_REPORT_TIME / period))
@@ -158,17 +177,32 @@ class FrictionFilter:
         else:
             changes = math.nan, math.nan
         min_growth = _GROWTH[0] + _GROWTH[1] * np.fmax(changes[0], 0.0)
-        pairs = zip(distances, self.distances, strict=False)
-        growing = [new - old > min_growth for new, old in pairs]
-        if slip == ALL and growing and all(growing):
-            slip = CONFIRMED
-        pairs = zip(states, growing, strict=False)
-        grows = any(state == "slipping" and is_growing for state, is_growing in pairs)
-        return Signs(press, drag, recent, distances, slip, ages, *changes, grows)
+        pairs = zip(distances, self.distances or distances, strict=True)
+        grows = np.array([new - old > min_growth for new, old in pairs])
+        slides = np.array([state == "slipping" for state in states])
+        own = shears / np.maximum([one.force_normal for one in touch], _FORCE_MIN)
+        slid, speed = max(recent), 0.0
+        if slip == SOME:
+            slid = float(own[slides].mean())
+        if (moves := slides & grows).any():
+            slip, slid = MOVES, float(own[moves].mean())
+            speed = float(np.subtract(distances, self.distances)[moves].max()) / period
+        return Signs(press, drag, recent, distances, slip, ages, *changes, slid, speed)
+
+    @property
+    def grows(self) -> bool:
+        """The distance of a finger that reports slip grew in the last image."""
+        return self.slip == MOVES
 
     def density(self) -> Array:
         """Return the probability (n,) of each value of `GRID`."""
         return self._posterior().reshape(2, -1).sum(axis=0)
+
+    @property
+    def inertia(self) -> float:
+        """Force over weight that stops the sliding object within `_STOP` once a command acts."""
+        speed = self.speed + _LAG * self.acceleration
+        return speed**2 / (2 * GRAVITY * _STOP)
 
     @validated(probability=within(0, 1))
     def quantile(self, probability: float) -> float:
@@ -201,7 +235,7 @@ def _normal_cdf(value: Array) -> Array:
 
 @cache
 def _prior() -> Array:
-    """Return the steady prior, (2 n)."""
+    """Return the prior, (2 n): a fall is as likely as after a long time."""
     fraction = _RATES[0] / (_RATES[0] + _RATES[1])
     return np.concatenate([(1 - fraction) * _common(), fraction * _common()])
 
@@ -210,34 +244,36 @@ def _prior() -> Array:
 def _common() -> Array:
     """Return the probability (n,) of each value of `GRID` for any pair of surfaces."""
     mean, sd = _PRIOR
-    weights = np.exp(-0.5 * ((GRID - mean) / sd) ** 2)
+    weights = GRID * np.exp(-0.5 * ((GRID - mean) / sd) ** 2)  # intervals grow with mu
     return weights / weights.sum()
 
 
-@cache
+@lru_cache(maxsize=16)
 def _transition(period: float) -> Array:
     """Return the probabilities (2 n, 2 n) of the next state (row) given the present one."""
-    offset = GRID[:, None] - GRID[None, :]
-    blocks = []
-    for drift in _DRIFT:
-        kernel = _kernel(offset, drift * math.sqrt(period)) * _common()[:, None]
-        blocks.append(kernel / kernel.sum(axis=0))
-    to_changing, to_steady = (1 - math.exp(-rate * period) for rate in _RATES)
-    return np.block(
-        [
-            [(1 - to_changing) * blocks[0], to_steady * blocks[0]],
-            [to_changing * blocks[1], (1 - to_steady) * blocks[1]],
-        ]
-    )
+    steady = _diffusion(_DRIFT * math.sqrt(period)) * _common()[:, None]
+    steady /= steady.sum(axis=0)
+    falling = _fall(_FALL * period)
+    both = sum(_RATES)
+    start, end = (rate / both * (1 - math.exp(-both * period)) for rate in _RATES)
+    return np.block([[(1 - start) * steady, end * falling], [start * steady, (1 - end) * falling]])
 
 
-def _kernel(offset: Array, sd: float) -> Array:
-    """Return a kernel of this standard deviation on the grid."""
+def _diffusion(sd: float) -> Array:
+    """Return a kernel of this standard deviation, relative, on the grid."""
+    steps = np.abs(np.subtract.outer(np.arange(len(GRID)), np.arange(len(GRID))))
     if sd > _SPACING:
-        return np.exp(-0.5 * (offset / sd) ** 2)
+        return np.exp(-0.5 * (steps * _SPACING / sd) ** 2)
     near = 0.5 * (sd / _SPACING) ** 2  # a random walk to the neighbours
-    steps = np.abs(np.round(offset / _SPACING))
     return np.where(steps == 0, 1 - 2 * near, np.where(steps == 1, near, 0.0))
+
+
+def _fall(fraction: float) -> Array:
+    """Return the kernel of an exponential approach to `_FLOOR`, by linear interpolation."""
+    lower = np.where(GRID > _FLOOR, _FLOOR + (GRID - _FLOOR) * math.exp(-fraction), GRID)
+    place = np.interp(lower, GRID, np.arange(len(GRID)))
+    rows = np.arange(len(GRID))[:, None]
+    return np.maximum(1.0 - np.abs(rows - place), 0.0)
 
 
 @validated()
@@ -248,21 +284,25 @@ def slip_sign(touch: Sequence[Touch]) -> int:
     return NONE if not any(slips) else ALL if all(slips) else SOME
 
 
-def _likelihood(signs: Signs, before: int = NONE, is_test: bool = False) -> Array:
-    """Return the likelihood (n,) of the evidence of one image after a sign of slip `before` (Eq. R2
-    to R5)."""
+def _likelihood(
+    signs: Signs, before: int = NONE, is_test: bool = False, possible_slip: float = 1.0
+) -> Array:
+    """Return the likelihood (n,) of the evidence of one image (Eq. R2 to R5), after signs up to
+    `before` in the same report, with the odds that a slip is possible in the mode."""
     sd = _USED_SD[0] + _USED_SD[1] / signs.press
+    used = max(signs.recent)
     beyond = (signs.recent[-1] - GRID) / sd
     possible = _WRONG + (1 - _WRONG) * _normal_cdf(2.0 - beyond)
-    used = max(signs.recent)
-    answer = _answer(signs.harder, signs.more, _normal_cdf((used - GRID) / sd))
-    chances = [np.interp(used / GRID, _RATIO, chance) for chance in _SIGNS]
-    sign = 1 - sum(chances) if signs.slip == NONE else chances[signs.slip - 1]
+    answer = _answer(signs.harder, signs.more, _normal_cdf(beyond))
+    if signs.slip == NONE:
+        sign = 1 - _REPORTED * _normal_cdf((used / GRID - 1) / _SLIP_SD[-1])
+    else:  # it slides: the utilization is mu
+        place = signs.slip - 1
+        off = (signs.slid / GRID - 1) / _SLIP_SD[place]
+        sign = _FALSE[place] + possible_slip * np.exp(-0.5 * off**2)
     weight = _WEIGHTS[signs.slip][before >= signs.slip]
     if is_test and signs.slip == NONE:
         weight = _TEST_WEIGHT
-    elif signs.grows:
-        weight = 1.0  # it moves now: a new event
     return (possible * answer) ** _INDEPENDENT * sign**weight
 
 

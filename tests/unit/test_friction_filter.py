@@ -108,6 +108,63 @@ def test_a_confirmed_slip_counts_whatever_was_held_before():
     assert weak.grip(0.3, RISK) < second.grip(0.3, RISK)
 
 
+def test_a_sliding_finger_measures_friction_whatever_the_other_one_does():
+    """One finger slides at 0.4 of its own normal force; the other carries more and sticks."""
+    held = updated(FrictionFilter(), touches(0.3, 0.5), 30)
+    for k in range(4):
+        slides = touches(0.2, 0.5, "slipping", 1e-3 * k)[:1]
+        held = updated(held, slides + touches(0.19, 0.5)[:1])
+    assert held.quantile(0.5) == pytest.approx(0.4, abs=0.04)
+
+
+def test_a_slip_at_a_utilization_that_was_held_is_a_fall():
+    """Friction of a steady contact is the utilization at which it slips first; slip where it held
+    means that friction has changed, and the fall may continue."""
+    grips = []
+    for before in (0.12, 0.2):  # shear, N: the load grows until slip, or it was there before
+        friction = updated(FrictionFilter(), touches(before, 0.4), 60)
+        friction = updated(friction, touches(0.2, 0.4, "slipping", 0.0))
+        friction = updated(friction, touches(0.2, 0.4, "slipping", 2e-4))
+        grips.append(friction.grip(0.2, RISK))
+    assert grips[1] > 1.15 * grips[0]
+
+
+def test_a_report_that_outlasts_its_slip_measures_nothing_more():
+    """The grip has become firmer, and the object stands still; the report lasts for some images."""
+    friction = updated(FrictionFilter(), touches(0.2, 0.4), 30)
+    for k in range(3):
+        friction = updated(friction, touches(0.2, 0.5, "slipping", 1e-3 * k))
+    after = updated(friction, touches(0.2, 0.9, "slipping", 2e-3), 3)
+    assert after.quantile(0.5) > 0.3  # the utilization is 0.22
+    assert after.utilization(RISK) < 1.15 * friction.utilization(RISK)
+
+
+def test_a_fall_has_an_end():
+    """After a slip the grip allows for a fall that continues; without another slip it does not grow
+    for ever: less than twice the load over the measured coefficient."""
+    friction = updated(FrictionFilter(), touches(0.2, 0.4), 60)
+    for k in range(3):
+        friction = updated(friction, touches(0.2, 0.5, "slipping", 1e-3 * k))
+    grips = []
+    for _ in range(120):
+        grips.append(friction.grip(0.2, RISK))
+        friction = updated(friction, touches(0.2, grips[-1]))
+    assert grips[0] > 1.15 * 0.5 and max(grips) < 2 * 0.5
+
+
+def test_the_force_that_stops_an_object_grows_with_its_speed():
+    """v^2 / (2 g s): slow creep needs none; the predicted speed includes the acceleration."""
+    creeps, slides = (updated(FrictionFilter(), touches(0.2, 0.5), 5) for _ in range(2))
+    for k in range(1, 4):
+        creeps = updated(creeps, touches(0.2, 0.5, "slipping", 1e-4 * k))
+        slides = updated(slides, touches(0.2, 0.5, "slipping", 1e-3 * k))
+    assert creeps.inertia < 0.01
+    assert slides.speed == pytest.approx(0.03) and slides.acceleration == pytest.approx(0.0)
+    assert slides.inertia == pytest.approx(0.03**2 / (2 * 9.81 * 1e-3))
+    faster = updated(slides, touches(0.2, 0.5, "slipping", 5e-3))
+    assert faster.acceleration == pytest.approx(0.03 / PERIOD) and faster.inertia > 1.0
+
+
 def test_a_shear_that_falls_with_the_grip_is_a_slip():
     """The grip is loosened by a third. A shear that follows it is friction; one that stays is a
     load, which shows a larger coefficient."""
@@ -120,7 +177,7 @@ def test_a_shear_that_falls_with_the_grip_is_a_slip():
     assert loads.quantile(0.01) > 0.55
 
 
-@pytest.mark.parametrize(("seconds", "slid"), [(1.0, 15e-3), (3.0, 2e-3)])
+@pytest.mark.parametrize(("seconds", "slid"), [(1.0, 10e-3), (3.0, 2e-3)])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_grip_survives_a_surface_that_gets_wet(seconds, slid, seed):
     """mu falls from 0.8 to 0.35: the grip follows before the object has slid far, and the posterior
@@ -130,7 +187,7 @@ def test_a_grip_survives_a_surface_that_gets_wet(seconds, slid, seed):
     found, forces, distance = grip_of(ramp, 0.2, seed, start + seconds + 4.0)
     assert forces[-1] * 0.35 > 0.2 and distance < slid
     assert found[-1].quantile(0.01) < 0.36 < found[-1].quantile(0.99)
-    assert forces[-1] < 1.2 and max(forces) <= 2.2
+    assert max(forces) < 1.2
 
 
 def test_a_constant_friction_keeps_a_light_grip():

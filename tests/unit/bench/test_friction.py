@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.friction import EDGES, frequencies, table
-from mjtactile.grasp_estimation.friction_filter import CONFIRMED, NONE, SOME
+from mjtactile.grasp_estimation.friction_filter import MOVES, NONE, SOME
 
 
 def row(used, sign, friction=0.5, harder=0.0, more=0.0):
@@ -14,7 +14,7 @@ def row(used, sign, friction=0.5, harder=0.0, more=0.0):
 
 
 def test_signs_are_counted_by_the_utilization_over_the_coefficient():
-    rows = [row(0.55, NONE)] * 3 + [row(0.55, SOME)] + [row(0.95, CONFIRMED)] + [row(0.95, NONE)]
+    rows = [row(0.55, NONE)] * 3 + [row(0.55, SOME)] + [row(0.95, MOVES)] + [row(0.95, NONE)]
     found = frequencies([rows, []])
     place = {upper: k for k, upper in enumerate(EDGES[1:])}
     assert found["images"][place[0.6]] == 4 and found["images"][place[1.0]] == 2

@@ -97,9 +97,8 @@ def test_the_grip_goes_with_the_load_and_comes_back_slowly():
     less = run(more, lambda k, c: (finger(0.2, normal=1.0),) * 2, 6, goal)
     assert less.memory["target"] > 1.5 * before  # half of a shake is light
     less = run(less, lambda k, c: (finger(0.2, normal=1.0),) * 2, 120, goal)
-    assert less.memory["target"] == pytest.approx(
-        before, rel=0.35
-    )  # friction that is not in use is forgotten
+    # friction that is not in use may have fallen
+    assert before < less.memory["target"] < 2 * before
 
 
 def test_an_object_that_leans_in_the_grip_is_no_load():
@@ -112,7 +111,10 @@ def test_an_object_that_leans_in_the_grip_is_no_load():
         inner = 0.5 * now.memory["target"]
         return finger(0.2 + inner, normal=1.0), finger(0.2 - inner, normal=1.0)
 
-    assert run(command, lean, 60, goal).memory["target"] == pytest.approx(before, rel=0.1)
+    # at a third of the utilization friction may have fallen in two seconds, to half at most
+    for seconds, most in ((0.3, 1.1), (2.0, 1.6)):
+        target = run(command, lean, round(30 * seconds), goal).memory["target"]
+        assert 0.9 * before < target < most * before
 
 
 def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
@@ -139,8 +141,8 @@ def test_a_slip_that_all_fingers_report_tightens_the_grip_at_once():
     compression = min(spring.way(grip, grip + more), 0.006)
     assert one.opening == pytest.approx(command.opening - compression, abs=1.2e-4)
     both = run(command, report("slipping", "slipping"), 3, goal)
-    # an object that moves along one finger may roll
-    assert both.memory["target"] > 1.1 * alone.memory["target"] > 1.5 * grip
+    # a finger that slides measures the friction, whatever the other one does
+    assert both.memory["target"] >= alone.memory["target"] > 1.5 * grip
 
 
 def test_it_releases_where_a_person_pulls_and_not_at_a_bump():
