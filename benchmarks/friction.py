@@ -1,9 +1,9 @@
 """`mjtactile bench friction`: likelihoods of the signs that the friction filter uses.
 
 Grasps with known friction are run; each image gives the sign of slip, the utilization over the true
-coefficient, and the answer of the shear to a change of the grip. The table has the frequencies that
-`mjtactile/grasp_estimation/friction_filter.py` contains. The figure shows the posterior while an
-object gets wet.
+coefficient, and the answer of the shear to a change of the grip. They are the source of the
+constants in `mjtactile/grasp_estimation/friction_filter.py`. The figure shows the posterior while
+an object gets wet.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class _Signs(Observer):
         if signs is not None:
             friction = float(np.mean([sensor.friction for sensor in self._scene.sensors]))
             row = {"time": cycle.time, "friction": friction, "press": signs.press}
-            row |= {"used": max(signs.recent), "sign": signs.slip}
+            row |= {"used": max(signs.recent), "sign": signs.slip, "slid": signs.slid}
             self.rows.append(row | {"harder": signs.harder, "more": signs.more})
         self._filter = self._filter.after(cycle.touch, period)
         self.filters.append(self._filter)
@@ -131,12 +131,14 @@ def frequencies(grasps: Sequence[Sequence[Row]]) -> dict[str, Any]:
     """
     used: list[float] = []
     signs: list[float] = []
+    slid: list[float] = []
     answers: dict[str, list[float]] = {"sticking": [], "sliding": []}
     for rows in grasps:
         if not rows:
             continue
         ratio = np.array([row["used"] / row["friction"] for row in rows])
         sign = np.array([row["sign"] for row in rows])
+        slid += [row["slid"] / row["friction"] for row in rows if row["sign"] == MOVES]
         confirmed = ratio[sign == MOVES]
         if len(confirmed) > 1:
             ratio = ratio / float(np.clip(np.median(confirmed), 0.7, 1.3))
@@ -156,6 +158,7 @@ def frequencies(grasps: Sequence[Sequence[Row]]) -> dict[str, Any]:
     return {
         "images": [int((place == k).sum()) for k in range(len(EDGES))],
         "signs": np.reshape(bins, (len(EDGES), len(_NAMES))).tolist(),
+        "slid": _quartiles(slid),
         "answers": {name: _quartiles(values) for name, values in answers.items()},
     }
 
@@ -176,6 +179,12 @@ def table(result: Mapping[str, Any]) -> str:
             cells = " | ".join("" if np.isnan(chance) else f"{chance:.4f}" for chance in row)
             lines.append(f"| {upper} | {count} | {cells} |")
         lines.append(f"\nGrasps: {found['grasps']}, seeds from {SEED}.")
+        if found["slid"] is not None:
+            low, median, high = found["slid"]
+            lines.append(
+                f"\nUtilization of moving fingers over $\\mu$: {median:.2f} "
+                f"(quartiles {low:.2f} to {high:.2f})."
+            )
         for name, quartiles in found["answers"].items():
             if quartiles is not None:
                 low, median, high = quartiles

@@ -9,7 +9,7 @@ from mjtactile.grasp_estimation.friction_filter import MOVES, NONE, SOME
 
 def row(used, sign, friction=0.5, harder=0.0, more=0.0):
     """One image at a utilization `used` over the coefficient."""
-    found = {"used": used * friction, "friction": friction, "sign": sign}
+    found = {"used": used * friction, "friction": friction, "sign": sign, "slid": used * friction}
     return found | {"harder": harder, "more": more}
 
 
@@ -29,6 +29,12 @@ def test_answers_need_ten_changes_of_the_grip():
     assert few == {"sticking": None, "sliding": None}
     many = frequencies([[row(0.5, NONE, harder=0.2, more=0.02)] * 10])["answers"]
     assert many["sticking"] == pytest.approx([0.1] * 3) and many["sliding"] is None
+
+
+def test_the_utilization_of_moving_fingers_is_a_measurement_of_friction():
+    rows = [row(0.9, MOVES)] * 6 + [row(1.0, MOVES)] * 6 + [row(0.5, NONE)] * 9
+    assert frequencies([rows])["slid"] == pytest.approx([0.9, 0.95, 1.0])
+    assert frequencies([rows[:5]])["slid"] is None
 
 
 def test_the_table_states_the_number_of_grasps():
