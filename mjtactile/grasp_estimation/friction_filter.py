@@ -33,7 +33,7 @@ _PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
 # the utilization of the sliding fingers as a measurement of mu, relative; odds of a false report
 _REPORTED = 0.6
 _SLIP_SD = (0.15, 0.10, 0.10)
-_FALSE = (0.05, 0.02, 0.001)
+_FALSE = (0.1, 0.1, 0.001)
 # minimum growth of the distance from image to image, m: constant part, and times the relative
 # increase of the grip, which drags the surface of a soft object along
 _GROWTH = (1e-5, 1e-3)
@@ -46,7 +46,7 @@ _WRONG = 0.01  # probability of an image in which that model does not hold
 _INDEPENDENT = 0.5
 # of a sign in its first image and in further ones: a report lasts for five images; none is more
 # evidence while the grip is loosened on purpose
-_WEIGHTS = ((0.03, 0.03), (0.6, 0.0), (1.0, 0.05), (1.0, 0.5))
+_WEIGHTS = ((0.03, 0.03), (0.6, 0.0), (0.6, 0.0), (1.0, 0.5))
 _TEST_WEIGHT = 0.5
 # change of the shear over that of the grip, sticking and sliding; sd of it, and per change
 _ANSWERS = (0.15, 0.65)
@@ -129,15 +129,15 @@ class FrictionFilter:
         signs = self.signs(touch, period)
         if signs is None:
             return replace(self, weights=predicted.tolist())
-        was_held = signs.drag < _SAME * self.held * signs.press and not is_test
+        was_held = signs.drag < _SAME * self.held * signs.press
         likelihood = [
             _likelihood(signs, self.strongest, is_test, possible_slip)
             for possible_slip in (_UNCHANGED if was_held else 1.0, 1.0)
         ]
         weights = predicted * np.concatenate(likelihood)
         follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
-        held = self.held * math.exp(-period / _HELD_TIME)
-        if signs.slip == NONE and self.press:
+        held = 0.0 if is_test else self.held * math.exp(-period / _HELD_TIME)
+        if signs.slip == NONE and self.press and not is_test:
             held = max(held, self.drag / self.press)
         return FrictionFilter(
             (weights / weights.sum()).tolist(),
