@@ -72,6 +72,12 @@ ENTRIES = (
     ),
     Entry("benchmarks/wide-faces", "plates within 3 %: {}", "with", "plates within"),
     Entry(
+        "benchmarks/cube-grasps",
+        "holds with an error above 3 % / without a flag: {}",
+        "error above / of them without",
+        "count",
+    ),
+    Entry(
         "benchmarks/outline",
         "worst error: {} mN",
         "round30 | 21",

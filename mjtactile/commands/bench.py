@@ -46,6 +46,7 @@ BENCHMARKS: dict[str, tuple[str, str]] = {
     "shape": ("shape.run", "contact shape from images: area, kind, radius and edge direction"),
     "sliding-faces": ("sliding_faces", "steadiness of the force of a face that slides"),
     "wide-faces": ("wide_faces", "plates wider than the frame: force error by pressure sensor"),
+    "cube-grasps": ("cube_grasps", "cubes held in the gripper: force error by sensor"),
     "sensors": ("sensors", "marker layouts on one membrane: accuracy and cost of more markers"),
     "outline": ("outline", "round and elliptic sensors: bulge against theory, force error"),
     "explore": ("explore", "whole objects touched twelve times: error of the estimated surface"),
