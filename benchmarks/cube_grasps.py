@@ -199,8 +199,8 @@ def table(result: Mapping[str, Any]) -> str:
         name += "" if mesh == "default" else ", finer mesh"
         cells = " | ".join(_cell(row) for row in own)
         flags = ", ".join(f"`{flag}`" for flag in own[0]["flags"]) or "—"
-        reason = own[0]["reason"].split(": ")[-1]
-        lines.append(f"| `{sensor}` | {name} | {cells} | {flags} | {reason or '—'} |")
+        end = "stopped" if own[0]["reason"] else "—"
+        lines.append(f"| `{sensor}` | {name} | {cells} | {flags} | {end} |")
     off = [row for row in rows if abs(row.get("error") or 0.0) > ALLOWED]
     counts = {
         "all": rows,
