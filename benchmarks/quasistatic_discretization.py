@@ -15,23 +15,23 @@ from mjtactile import InputError, MembraneSolution, Obstacle, QuasistaticMembran
 from mjtactile.core.types import Array
 
 FINEST = {"round": (81, 61), "edged": (121, 91), "tips": (121, 91)}
-"""Grids of references. Round bodies come to rest on the finer one by small jumps only, which takes
-seconds; they are within 0.5 % on the other. Tips want both."""
-SEED = 777  # unseen before the table of reported errors was made
+"""Grids of references. Round obstacles need seconds of small steps on the finer grid; the coarser
+one is within 0.5 %. Tips need the finer grid and small steps."""
+SEED = 777  # not used to tune the table of reported errors
 PLACES, PLACES_QUICK = 40, 2
 _ASIDE = 5e-3  # maximum distance from the center along x and y, m
 _DEPTHS = (0.5e-3, 2e-3)  # depths below the bulge, m
 _BALLS, _ROUND = (1.5e-3, 15e-3), (0.7e-3, 5e-3)  # radii of balls, and of rods and pins, m
 _TIPS = (0.2e-3, 1.5e-3)  # radii of tips, m
-_JUMPS = np.linspace(2e-3, 0.0, 9)  # heights above the final position of a tip, m
-_LYING = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+_STEPS = np.linspace(2e-3, 0.0, 9)  # heights above the final position of a tip, m
+_ALONG_Y = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 _AS_TIPS = ("balls and round pins of 0.4-3 mm", "cones of 90 degrees")
 
 
 def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]:
-    """Return a row for each obstacle on each grid and on a sufficiently fine one.
+    """Return a row for each obstacle on each grid and on the grid of `refined_for`.
 
     A row holds the force relative to the finest grid, less one, the reported error, and the grid.
     Values are NaN where no equilibrium exists.
@@ -41,17 +41,17 @@ def run(grids: tuple[tuple[int, int], ...], quick: bool) -> list[dict[str, Any]]
     rng = np.random.default_rng(SEED)
     rows = []
     for _ in range(PLACES_QUICK if quick else PLACES):
-        for name, body in _bodies(finest["round"], rng):
+        for name, body in _obstacles(finest["round"], rng):
             kind = "round" if body.kind in ("sphere", "capsule") else "edged"
             kind = "tips" if name in _AS_TIPS else kind
-            reference = (_slowly if kind == "tips" else _solve)(finest[kind], body)
+            reference = (_solve_in_steps if kind == "tips" else _solve)(finest[kind], body)
             if reference is None:
                 continue
-            tried = [("own", quasistatic) for quasistatic in membranes]
+            solvers = [("own", quasistatic) for quasistatic in membranes]
             enough = membranes[0].refined_for(body)
-            if enough.grid != FINEST[kind]:  # else it would be held against itself
-                tried.append(("refined_for", enough))
-            for how, quasistatic in tried:
+            if enough.grid != FINEST[kind]:  # else it would be compared with itself
+                solvers.append(("refined_for", enough))
+            for how, quasistatic in solvers:
                 state = _solve(quasistatic, body)
                 row = {"body": name, "how": how, "grid": list(quasistatic.grid)}
                 rows.append({**row, **_compared(state, reference)})
@@ -73,10 +73,10 @@ def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> di
     }
 
 
-def _slowly(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
+def _solve_in_steps(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     """Solve like `_solve`, in small steps of the obstacle position."""
     place, state = body.numbers[13:16], None
-    for above in _JUMPS:
+    for above in _STEPS:
         try:
             state = quasistatic.solve(body.at(place + np.array([0.0, 0.0, above])), state)
         except InputError:
@@ -92,10 +92,10 @@ def _solve(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution
     return state if state.converged else None
 
 
-def _bodies(
+def _obstacles(
     quasistatic: QuasistaticMembrane, rng: np.random.Generator
 ) -> Iterator[tuple[str, Obstacle]]:
-    """Bodies over one place, turned by one angle, as far below the bulge as each other."""
+    """Yield obstacles at one random position, rotated by one angle, equally far below the bulge."""
     angle = rng.uniform(0, np.pi)
     c, s = np.cos(angle), np.sin(angle)
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
@@ -107,7 +107,7 @@ def _bodies(
     low = quasistatic.rest.heights[nearest] + quasistatic.design.membrane.thickness / 2 - depth
     long = 6e-3
     yield "balls of 3-30 mm", quasistatic.obstacle("sphere", (radius,), (x, y, low + radius))
-    rod = quasistatic.obstacle("capsule", (thin, long), (x, y, low + thin), rotation @ _LYING)
+    rod = quasistatic.obstacle("capsule", (thin, long), (x, y, low + thin), rotation @ _ALONG_Y)
     yield "rods and wires of 1.4-10 mm, lying", rod
     yield "pins of 1.4-10 mm", quasistatic.obstacle("cylinder", (thin, 0.01), (x, y, low + 0.01))
     yield (
@@ -127,7 +127,7 @@ def _log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
 
 
 def table(rows: list[dict[str, Any]]) -> list[str]:
-    """Lines of a table in Markdown."""
+    """Return the lines of a table in Markdown."""
     grids = list(dict.fromkeys(tuple(r["grid"]) for r in rows if r["how"] == "own"))
     names = " | ".join("{} x {}".format(*grid) for grid in grids)
     lines = [

@@ -99,7 +99,11 @@ def sequence_row(seed: int) -> dict[str, Any]:
         missed = theirs & ~mine
         both = mine & theirs
         row["images"] += 1
-        row["searched"] += int(before is None or tracks is None or tracks.left != before.left - 1)
+        row["searched"] += int(
+            before is None
+            or tracks is None
+            or tracks.images_before_search != before.images_before_search - 1
+        )
         row["markers"] += int(theirs.sum())
         row["wrong"] += int(wrong.sum())
         row["missed"] += int(missed.sum())

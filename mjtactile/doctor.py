@@ -52,7 +52,7 @@ def fiducial_findings(subject: str, design: SensorDesign, image: Image) -> Itera
             "edges, and that the sensor file belongs to this sensor",
         )
         return
-    (right, down), scale = known.stand(state.fiducials)
+    (right, down), scale = known.shift_and_scale(state.fiducials)
     level = "ok" if seen == known.count else "warn"
     yield Finding(
         level,

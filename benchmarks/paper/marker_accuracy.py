@@ -1,8 +1,8 @@
 """Pose errors of single circles relative to the Cramer-Rao bound, and a check of their covariance.
 
-Images come from `marker_scenes`, which shares no code with the detector. "centre error" takes the
-nearer of the two solutions of the circle's pose. One image cannot distinguish them; the surface
-can. "as returned" takes the preferred solution.
+Images come from `marker_scenes`, which shares no code with the detector. The pose of a circle has
+two solutions. "centre error" is that of the solution nearer to the ground truth; the pipeline
+selects it with the membrane surface. "as returned" is that of the preferred solution of one image.
 """
 
 from __future__ import annotations
@@ -30,8 +30,10 @@ BRIGHT = 180.0
 
 
 def paper_like(images: int, seed: int = 0) -> tuple[dict[str, float], dict[str, Array]]:
-    """The paper's Fig. 6: `images` x 16 circles in random poses. Summary, and the errors it is made
-    of."""
+    """Evaluate `images` x 16 circles in random poses, as in Fig. 6 of the paper.
+
+    Return the summary and the values of each circle.
+    """
     rng = np.random.default_rng(seed)
     rows: dict[str, list[Array]] = {
         name: [] for name in ("error", "preferred", "first", "sure", "chi2", "sd_z", "bound_z")
@@ -126,11 +128,10 @@ def cramer_rao(
     noise_dn: float = NOISE,
     contrast: float = BRIGHT - DARK,
 ) -> Array:
-    """Lowest possible covariance (5, 5) of centre (m) and tilt about two axes (rad), levels and
-    blur known.
+    """Return the Cramer-Rao bound, a covariance (5, 5) of centre (m) and tilt about two axes (rad).
 
-    From the Fisher information of the rendered image, by central differences of the renderer
-    itself.
+    Grey levels and blur are known. The Fisher information follows from central differences of the
+    rendered image.
     """
     n = circle.n_C / np.linalg.norm(circle.n_C)
     first = np.cross(n, [0.0, 1.0, 0.0])

@@ -1,10 +1,10 @@
-"""Detections of the chain in one finger's case, compared with the true slip.
+"""Score of slip detection in one finger's case, relative to the true slip.
 
-A *slip* is a finger over which the object slides by 0.5 mm in total while the whole contact slides.
-The whole contact slides if 95 % of the available friction resists the motion; it ends below 85 %.
-The slip begins at `onset`, when that first occurs. It is detected in time if the first "slipping"
-comes before 0.5 mm and within 100 ms, by the times of the images. It is early if it comes more than
-100 ms before onset while a fifth of the friction is left.
+In a *slip*, the object slides over the finger by 0.5 mm in total while the whole contact slides.
+The whole contact slides from 95 % of the available friction until less than 85 % is used. The slip
+starts at `onset`, the first time of this. It is detected in time if the first "slipping" comes
+before 0.5 mm and within 100 ms of onset, by the times of the images. A detection is early if it
+comes more than 100 ms before onset while at most 80 % of the friction is used.
 
 A *hold* never slides and never uses more than 85 % of the friction. "slipping" is a false alarm
 there. Cases between (creep at the limit, slides of less than 0.5 mm) are counted, not scored.
@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# slip distance, m; time limit, s; fractions of friction; sliding distance that counts as none, m
+# slip distance, m; time limit, s; fractions of friction; maximum sliding distance in a hold, m
 SLIP = 0.5e-3
 IN_TIME = 0.1
-LEFT = 0.8
-NEAR = 0.85
-STILL = 5e-5
+MAX_USED_EARLY = 0.8
+MAX_USED_HOLD = 0.85
+MAX_SLID_HOLD = 5e-5
 OUTCOMES = (
     "in time",
     "before 0.5 mm",
@@ -40,8 +40,8 @@ _ROUNDING = 1e-6  # rounding tolerance of the time limit, s
 class Frame:
     """One image of one finger.
 
-    `state` is the chain's result (of SLIP_STATES). True values: fraction of friction `used`,
-    sliding distance `slid`, m, and its `onset`, s (NaN: not yet).
+    `state` is the estimate of the pipeline, one of SLIP_STATES. Ground truth: fraction of friction
+    `used`, sliding distance `slid`, m, and `onset` of the slip, s (NaN: not yet).
     """
 
     time: float
@@ -55,8 +55,8 @@ class Frame:
 class Outcome:
     """Outcome of one finger's case.
 
-    `name` is one of OUTCOMES. Detected slips have a `latency`, s (negative: before it), and the
-    sliding distance `slid`, m, by then. `speed`, m/s, is that over the first 0.5 mm.
+    `name` is one of OUTCOMES. `latency`, s, of a detected slip is relative to onset. `slid`, m, is
+    the sliding distance at detection. `speed`, m/s, is the mean over the first 0.5 mm.
     """
 
     name: str
@@ -70,7 +70,7 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
     detected = next((frame for frame in frames if frame.state == "slipping"), None)
     last = frames[-1]
     if last.slid < SLIP:
-        if last.slid > STILL or max(frame.used for frame in frames) > NEAR:
+        if last.slid > MAX_SLID_HOLD or max(frame.used for frame in frames) > MAX_USED_HOLD:
             return Outcome("between")
         return Outcome("quiet" if detected is None else "false")
     beyond = next(frame for frame in frames if frame.slid >= SLIP)
@@ -78,7 +78,7 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
     if detected is None:
         return Outcome("missed", speed=speed)
     latency = detected.time - last.onset
-    if latency < -IN_TIME and detected.used < LEFT:
+    if latency < -IN_TIME and detected.used < MAX_USED_EARLY:
         return Outcome("early", latency, detected.slid, speed)
     in_distance = detected.slid < SLIP
     in_time = latency <= IN_TIME + _ROUNDING

@@ -1,6 +1,7 @@
 """Sensors of a recording, from the texts that it contains.
 
-A file of the same name may be gone, or may have other values by now: it is compared, never used.
+The present file of the same name may be missing or changed. It is only compared; a recording
+without the text of its sensor uses it.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ def recorded_sensors(
 ) -> dict[str, SensorDesign]:
     """Read the sensor of each finger from the recording.
 
-    A warning names a sensor file that has changed since. A recording without the text of its sensor
-    uses the file of the recorded name, with a warning.
+    A warning names each sensor file that has changed since the recording. A recording without the
+    text of its sensor uses the file of the recorded name, with a warning.
 
     Args:
         recording: The recording.
@@ -52,8 +53,8 @@ def require_recorded(
 ) -> None:
     """Raise InputError if a finger was recorded with another sensor than `asked`.
 
-    `sensor` is the recorded one. Equal to it is also that of the file, which may differ by options
-    such as a pressure.
+    `sensor` is the recorded one. The sensor of the recorded file is accepted too: `sensor` can
+    differ from it by options such as a pressure.
     """
     requested = load_sensor(asked)
     known = [sensor]

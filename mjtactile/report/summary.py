@@ -1,6 +1,6 @@
 """Reports of a run, written in parallel.
 
-`summary.png` uses matplotlib in the calling thread, `summary.html` a second thread.
+The calling thread writes `summary.png` with matplotlib; a second thread writes `summary.html`.
 """
 
 from __future__ import annotations
@@ -98,7 +98,10 @@ def session_of(recording: Recording) -> Session | None:
 
 
 def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:
-    """Estimate each finger's contact shape in all cycles, some tenths of a second each."""
+    """Estimate each finger's contact shape in all cycles.
+
+    An estimate takes some tenths of a second per touch.
+    """
     session = session_of(recording)
     if session is None:
         return list(strip)

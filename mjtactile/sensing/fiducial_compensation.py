@@ -1,6 +1,8 @@
-"""Fiducials in the sensing pipeline: they are identified by their fixed positions and separated
-from markers. Markers are corrected to their positions as observed by the camera at the rest
-reference."""
+"""Fiducials in the sensing pipeline.
+
+They are identified by their fixed positions and separated from markers. Marker positions are
+corrected for the camera drift since the rest reference.
+"""
 
 from __future__ import annotations
 
@@ -22,41 +24,42 @@ from mjtactile.sensing.settings import Settings
 
 
 class FiducialCompensation:
-    """Compensation of one sensor's camera drift by its fiducials. Stateless."""
+    """Compensation of one sensor's camera drift by its fiducials, without own state."""
 
     def __init__(self, design: SensorDesign, camera: Camera, settings: Settings):
         fiducials = design.fiducials
         assert fiducials is not None
         self.count = fiducials.count
         self.min_visible = settings.fiducials.min_visible
-        self._middle = np.array([camera.cx, camera.cy])
-        self._circles = FiducialFinder(design, camera, fiducials)
+        self._principal_point = np.array([camera.cx, camera.cy])
+        self._finder = FiducialFinder(design, camera, fiducials)
         self._camera = CameraDriftEstimator(
             design, camera, fiducials, settings.inverse, settings.fiducials
         )
 
-    def stand(self, seen: FiducialDetections) -> tuple[Array, float]:
+    def shift_and_scale(self, seen: FiducialDetections) -> tuple[Array, float]:
         """Estimate the image shift (2,), px, to the right and down relative to the sensor file, and
         the scale factor, from at least two detected fiducials."""
-        places = self._circles.places_px[seen.ids]
-        away = places - self._middle
-        # motion = shift + more * away, by least squares
-        rows = np.zeros((*places.shape, 3))
+        expected = self._finder.places_px[seen.ids]
+        offset = expected - self._principal_point
+        # displacement = shift + magnification * offset, by least squares
+        rows = np.zeros((*expected.shape, 3))
         rows[:, :, :2] = np.eye(2)
-        rows[:, :, 2] = away
-        moved = seen.center_px - places
-        right, down, more = np.linalg.lstsq(rows.reshape(-1, 3), moved.ravel())[0]
-        return np.array([right, down]), 1 + float(more)
+        rows[:, :, 2] = offset
+        displacement = seen.center_px - expected
+        solution = np.linalg.lstsq(rows.reshape(-1, 3), displacement.ravel())[0]
+        right, down, magnification = solution
+        return np.array([right, down]), 1 + float(magnification)
 
     def compensate(
         self, state: PipelineState, ellipses: Ellipses
     ) -> tuple[Ellipses, PipelineState]:
         """Separate fiducials from markers, and estimate the camera drift from them. With a rest
-        reference, the markers' ellipses are transformed back to its image. If too few fiducials are
-        detected, the camera drift is assumed near its last estimate."""
+        reference, the markers' ellipses are transformed to the image of that reference. If too few
+        fiducials are detected, the camera drift is assumed near its last estimate."""
         reference = state.reference
         before = None if reference is None else reference.fiducials
-        markers, seen = self._circles.split(ellipses, before)
+        markers, seen = self._finder.split(ellipses, before)
         camera = None if before is None else self._camera.find(seen, before)
         if camera is None and before is not None and state.camera is not None:
             camera = replace(state.camera, root=np.eye(OBSERVED_MODES), change=None)
@@ -79,8 +82,11 @@ class FiducialCompensation:
 
 
 class FiducialFinder:
-    """Fiducial finder of one sensor. Each fiducial is the good circle nearest to its last position.
-    The limit is half the distance to the next fiducial, or to the nearest marker."""
+    """Fiducial finder of one sensor.
+
+    Each fiducial is the valid circle nearest to its last position. The maximum distance is half the
+    minimum distance between a fiducial and another fiducial or marker.
+    """
 
     def __init__(self, design: SensorDesign, camera: Camera, fiducials: Fiducials):
         self.count = fiducials.count
@@ -112,7 +118,7 @@ class FiducialFinder:
         ids = np.flatnonzero(good.any(axis=1))
         nearest = np.where(good, distance, np.inf)[ids].argmin(axis=1)
         rest = np.flatnonzero(~within.any(axis=0))
-        return rest, _seen(ids, ellipses, nearest)
+        return rest, _detections(ids, ellipses, nearest)
 
 
 def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
@@ -134,15 +140,15 @@ def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
     return FiducialDetections(ids, center, radius, cov / fraction, inside, outside, blur)
 
 
-def _seen(ids: Array, ellipses: Ellipses, at: Array) -> FiducialDetections:
+def _detections(ids: Array, ellipses: Ellipses, at: Array) -> FiducialDetections:
     a, b = ellipses.semi_axes_px[at].T
     radius = np.sqrt(a * b)
-    of_shape = np.zeros((len(a), 3, 5))
-    of_shape[:, 0, 0] = 1
-    of_shape[:, 1, 1] = 1
-    of_shape[:, 2, 2] = b / (2 * radius)
-    of_shape[:, 2, 3] = a / (2 * radius)
-    cov = of_shape @ ellipses.cov[at] @ of_shape.transpose(0, 2, 1)
+    jacobian = np.zeros((len(a), 3, 5))
+    jacobian[:, 0, 0] = 1
+    jacobian[:, 1, 1] = 1
+    jacobian[:, 2, 2] = b / (2 * radius)
+    jacobian[:, 2, 3] = a / (2 * radius)
+    cov = jacobian @ ellipses.cov[at] @ jacobian.transpose(0, 2, 1)
     unknown = np.full(len(ids), np.nan)
     outside = unknown if ellipses.outside is None else ellipses.outside[at]
     inside = unknown if ellipses.darkness is None else outside * np.exp(ellipses.darkness[at])

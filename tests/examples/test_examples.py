@@ -265,7 +265,7 @@ def test_train_a_policy_finds_what_a_teacher_did():
     seen = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0]
     w = rng.standard_normal((3, 6))
     found, offsets = example.fit(seen, seen @ w.T + [0.1, 0.2, 0.3])
-    # the ridge draws by its 1e-4
+    # the ridge parameter of 1e-4 reduces the weights
     np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)
     np.testing.assert_allclose(offsets, [0.1, 0.2, 0.3], atol=2e-3)
     assert not found[:, 5].any()
@@ -277,11 +277,11 @@ def test_a_trained_policy_loads(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
     w = rng.standard_normal((3, 30))
 
-    def watch(_):
+    def record_grasp(_):
         seen = rng.standard_normal((400, 30))
         return seen, seen @ w.T
 
-    monkeypatch.setitem(example.main.__globals__, "watch", watch)
+    monkeypatch.setitem(example.main.__globals__, "record_grasp", record_grasp)
     example.main(str(tmp_path / "policy.npz"), "2")
     policy = mjtactile.load_policy(tmp_path / "policy.npz")
     x = rng.standard_normal(30)

@@ -1,5 +1,5 @@
-"""A plate wider than the frame moves nearly all markers alike, as a changed camera does. Its force
-must not be taken for a camera drift or for gas."""
+"""A plate wider than the frame moves nearly all markers alike, as a camera drift does. Its force
+must not be attributed to camera drift or gas."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ MESH = {"round30": (25, 25)}  # others: 25 x 21; its plate force is within 1 % o
 
 
 def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True):
-    """Ground truth force, N, and touch of a box of edge `size` m pressed in steps."""
+    """Yield true force, N, and touch of a box with edges of `size` m, pressed in steps."""
     design = load_sensor(sensor)
     mesh = MESH.get(sensor, (25, 21))
     world = PressWorld(design, Indenter("box", size), at=at, tilt=tilt, mesh=mesh)
@@ -59,7 +59,7 @@ def test_a_sudden_plate_is_no_camera_change():
 # Without a pressure sensor and without images before the load, a plane and a changed zoom explained
 # the markers: the force was 31 % too low with a standard deviation of 7 %.
 @pytest.mark.slow
-def test_a_plate_in_the_first_image_leaves_the_zoom_as_it_was():
+def test_a_plate_in_the_first_image_does_not_change_the_estimated_zoom():
     for force, touch in presses("round30", (1e-3, 1.5e-3, 2.0e-3), gauge=False):
         assert touch.status == "ok"
         assert touch.force_normal == pytest.approx(force, rel=0.05)
@@ -151,8 +151,9 @@ def test_images_before_the_load_show_the_camera():
     assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
 
 
+# A plate deeper than the frame rests on the frame: no marker shows the fraction of the load on the
+# membrane.
 @pytest.mark.slow
-# Below the frame the plate rests on it, so that no marker shows how much the membrane carries.
 def test_a_plate_on_the_frame_is_not_ok():
     depths = (0.5e-3, 1.25e-3, 1.75e-3, 2.25e-3)
     *_, (force, touch) = presses("round30", depths)

@@ -1,6 +1,6 @@
-"""Start of a fit without a search (docs/theory/contact_shape.md, Eq. F27).
+"""Initial values of a contact-shape fit from a network (docs/theory/contact_shape.md, Eq. F27).
 
-A network estimates class, parameters and area of a shape. Its input is one image.
+The network estimates class, parameters and area of a shape from the marker heights of one image.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mjtactile.sensing.contact_shape.random_presses import GROUPS, Presses
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 _WIDTHS = (96, 64)
-_BEND = 20.0  # curvature from which its logarithm counts, 1/m
+_CURVATURE_OFFSET = 20.0  # offset of a curvature before its logarithm, 1/m
 _SQUARE = 0.12  # logarithmic ratio of half sides below which a face is square
 _ASIDE = 6.0  # maximum distance of the lowest point from the pressure center, mm
 _LOG_SD = (-3.0, 1.0)  # range of the logarithmic sd of the logarithmic area
@@ -35,16 +35,23 @@ _CURVES = slice(_POINT.stop, _POINT.stop + 3)
 _DISC = slice(_CURVES.stop, _CURVES.stop + 3)  # position next to the pressure center, size
 _BLOCK = slice(_DISC.stop, _DISC.stop + 7)
 _OUTPUTS = _BLOCK.stop
-_NUMBERS = {"smooth": _CURVES, "ball": _CURVES, "cylinder": _CURVES, "disc": _DISC, "block": _BLOCK}
+_PARAMETERS = {
+    "smooth": _CURVES,
+    "ball": _CURVES,
+    "cylinder": _CURVES,
+    "disc": _DISC,
+    "block": _BLOCK,
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """Estimate of one image.
 
-    `probabilities` (len(GROUPS),) are those of the classes. `kinds` (len(SHAPES),) are those of the
-    kinds. `area` is the median of the area, m^2. `log_sd` is the standard deviation of its
-    logarithm. `force`, N, is the normal force. `outputs` are those of the network.
+    `probabilities` (len(GROUPS),) belong to the shape models, `kinds` (len(SHAPES),) to the
+    reported kinds of shape. `area` is the median of the area, m^2, and `log_sd` the standard
+    deviation of its logarithm. `force`, N, is the normal force. `outputs` are the scaled outputs of
+    the network.
     """
 
     probabilities: Array
@@ -57,7 +64,7 @@ class Proposal:
     def theta(self, name: str) -> Array:
         """Return the parameters of the shape model `name`, relative to `press_guess`."""
         y = self.outputs
-        return _DECODED[name](y[_CENTER], y[_POINT], y[_NUMBERS[name]])
+        return _DECODED[name](y[_CENTER], y[_POINT], y[_PARAMETERS[name]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +174,7 @@ def _targets(presses: Presses) -> tuple[Array, Array]:
     w[:, _FORCE] = 1
     y[:, _CENTER] = presses.center
     w[:, _CENTER] = 1
-    for name, part in _NUMBERS.items():
+    for name, part in _PARAMETERS.items():
         count = len(FAMILIES[name].names)
         for n in np.flatnonzero(presses.group == GROUPS.index(name)):
             point, numbers = _ENCODED[name](presses.center[n], presses.theta[n, :count])
@@ -176,7 +183,7 @@ def _targets(presses: Presses) -> tuple[Array, Array]:
     return y, w
 
 
-# -- parameters without jumps
+# -- continuous parameters: their values have no jump where axes or angles are exchanged
 
 
 def _matrix_log(a: float, b: float, angle: float) -> list[float]:
@@ -185,18 +192,18 @@ def _matrix_log(a: float, b: float, angle: float) -> list[float]:
     return [a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c]
 
 
-def _values(m: Array) -> tuple[float, float, float]:
+def _eigenvalues(m: Array) -> tuple[float, float, float]:
     """Return the larger and the smaller eigenvalue, and the direction of the larger."""
     mean, off = (m[0] + m[2]) / 2, math.hypot((m[0] - m[2]) / 2, m[1])
     return mean + off, mean - off, 0.5 * math.atan2(2 * m[1], m[0] - m[2])
 
 
-def _bent(k: float) -> float:
-    return math.log(max(k, 0.0) + _BEND)
+def _log_curvature(k: float) -> float:
+    return math.log(max(k, 0.0) + _CURVATURE_OFFSET)
 
 
-def _unbent(value: float) -> float:
-    return math.exp(min(value, 7.0)) - _BEND
+def _from_log_curvature(value: float) -> float:
+    return math.exp(min(value, 7.0)) - _CURVATURE_OFFSET
 
 
 def _on_curves(center: Array, theta: Array, K: Array) -> list[float]:
@@ -221,25 +228,27 @@ def _matrix(entries: Array | list[float]) -> Array:
 
 
 def _encode_smooth(center: Array, theta: Array) -> tuple[list[float], list[float]]:
-    maximum, minimum, angle = _values(theta[3:6])
-    bent = _matrix_log(_bent(maximum), _bent(minimum), angle)
+    maximum, minimum, angle = _eigenvalues(theta[3:6])
+    bent = _matrix_log(_log_curvature(maximum), _log_curvature(minimum), angle)
     return _on_curves(center, theta, _matrix(theta[3:6])), bent
 
 
 def _decode_smooth(center: Array, point: Array, y: Array) -> Array:
-    maximum, minimum, angle = _values(y)
-    bent = _matrix_log(max(_unbent(maximum), 0.2), max(_unbent(minimum), 0.2), angle)
+    maximum, minimum, angle = _eigenvalues(y)
+    bent = _matrix_log(
+        max(_from_log_curvature(maximum), 0.2), max(_from_log_curvature(minimum), 0.2), angle
+    )
     return np.array([*_below_curves(center, point, _matrix(bent)), *bent])
 
 
 def _encode_ball(center: Array, theta: Array) -> tuple[list[float], list[float]]:
     k = float(theta[3])
-    return _on_curves(center, theta, k * np.eye(2)), [_bent(k), 0.0, _bent(k)]
+    return _on_curves(center, theta, k * np.eye(2)), [_log_curvature(k), 0.0, _log_curvature(k)]
 
 
 def _decode_ball(center: Array, point: Array, y: Array) -> Array:
-    maximum, minimum, _ = _values(y)
-    k = max(_unbent((maximum + minimum) / 2), 0.2)
+    maximum, minimum, _ = _eigenvalues(y)
+    k = max(_from_log_curvature((maximum + minimum) / 2), 0.2)
     return np.array([*_below_curves(center, point, k * np.eye(2)), k])
 
 
@@ -247,24 +256,24 @@ def _encode_cylinder(center: Array, theta: Array) -> tuple[list[float], list[flo
     # the larger curvature is across the axis
     angle = theta[4] + math.pi / 2
     axis = np.array([math.cos(theta[4]), math.sin(theta[4])])
-    falls = -math.tan(theta[5])
+    descent = -math.tan(theta[5])
     along = float((center - theta[:2]) @ axis)
-    place = np.array([*theta[:2] + along * axis, theta[2] + along * falls])
+    place = np.array([*theta[:2] + along * axis, theta[2] + along * descent])
     K = theta[3] * (np.eye(2) - np.outer(axis, axis))
     height, *slope = _on_curves(center, place, K)
-    point = [height, *(np.array(slope) + falls * axis)]
-    return point, _matrix_log(_bent(theta[3]), _bent(0.0), angle)
+    point = [height, *(np.array(slope) + descent * axis)]
+    return point, _matrix_log(_log_curvature(theta[3]), _log_curvature(0.0), angle)
 
 
 def _decode_cylinder(center: Array, point: Array, y: Array) -> Array:
-    maximum, _, angle = _values(y)
-    k = max(_unbent(maximum), 0.2)
+    maximum, _, angle = _eigenvalues(y)
+    k = max(_from_log_curvature(maximum), 0.2)
     axis = np.array([-math.sin(angle), math.cos(angle)])
-    falls = float(point[1:3] @ axis)
-    across = np.array([point[0], *(point[1:3] - falls * axis)])
+    descent = float(point[1:3] @ axis)
+    across = np.array([point[0], *(point[1:3] - descent * axis)])
     K = k * (np.eye(2) - np.outer(axis, axis))
     direction = math.atan2(axis[1], axis[0])
-    return np.array([*_below_curves(center, across, K), k, direction, -math.atan(falls)])
+    return np.array([*_below_curves(center, across, K), k, direction, -math.atan(descent)])
 
 
 def _on_face(center: Array, theta: Array) -> list[float]:
@@ -295,7 +304,7 @@ def _encode_block(center: Array, theta: Array) -> tuple[list[float], list[float]
 
 
 def _decode_block(center: Array, point: Array, y: Array) -> Array:
-    a, b, angle = _values(y[2:5])
+    a, b, angle = _eigenvalues(y[2:5])
     if a - b < _SQUARE:
         angle = math.atan2(y[6], y[5]) / 4
     return np.array([*_below_face(center, point, y[:2]), angle, math.exp(a), math.exp(b)])

@@ -1,10 +1,11 @@
 """Marker tracking in a sequence of images.
 
-Fits start at predicted positions, with occasional searches of the whole image. A fit finds its edge
-from two pixels away, and between images markers move less. A fit is accepted if it ended near its
-prediction. It must have the marker's earlier shape and contrast, and a residual like the others'.
-Otherwise the whole image is searched. It is also searched after a gap, at regular intervals, and
-after any suspicious image. While markers are missing, it is searched every other time.
+Each fit starts at the predicted position of its marker. It converges from two pixels away; markers
+move less than that between images. A fit is accepted if its position is near the prediction, its
+shape and contrast are those of the previous image, and its residual is like those of the other
+markers. The whole image is searched for markers if a fit is rejected, after a gap, at regular
+intervals, and after an image with an unusual residual. While markers are missing, every second
+image is searched.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Trusted fits of the image at `time`, s, and the velocity of their centers (N, 2), px/s.
-    `count` is the expected number of markers. `left` is the number of following images that need no
-    search."""
+    `count` is the expected number of markers. The next `images_before_search` images need no search
+    of the whole image."""
 
     time: float
     fit: edge_fit.EdgeFit
     velocity: Array
     count: int
-    left: int
+    images_before_search: int
 
 
 def follow(
@@ -55,20 +56,24 @@ def follow(
         step = image.time - before.time
         velocity = (fit.center - before.fit.center) / step if step > 0 else before.velocity
         status = np.full(len(fit.center), "ok", dtype="<U24")
-        return as_ellipses(fit, status), Tracks(image.time, fit, velocity, count, before.left - 1)
+        return as_ellipses(fit, status), Tracks(
+            image.time, fit, velocity, count, before.images_before_search - 1
+        )
     fit, status = markers.search(
         grey, min_radius_px=min_radius_px, max_radius_px=max_radius_px, settings=settings
     )
     good = fit.take(status == "ok")
     if not len(good.center):
         return as_ellipses(fit, status), None
-    if len(good.center) < len(status) or not _calm(good, s):
-        left = 0
+    if len(good.center) < len(status) or not _residuals_alike(good, s):
+        images_before_search = 0
     elif len(good.center) == count:
-        left = s.images_between_searches
+        images_before_search = s.images_between_searches
     else:
-        left = 1
-    tracks = Tracks(image.time, good, _velocity(good.center, image.time, before), count, left)
+        images_before_search = 1
+    tracks = Tracks(
+        image.time, good, _velocity(good.center, image.time, before), count, images_before_search
+    )
     return as_ellipses(fit, status), tracks
 
 
@@ -79,34 +84,36 @@ def _tracked(
     rejected."""
     s = settings.tracking
     step = time - before.time
-    if before.left < 1 or not 0 <= step <= s.max_gap:
+    if before.images_before_search < 1 or not 0 <= step <= s.max_gap:
         return None
     n = len(before.fit.center)
     center = before.fit.center + step * before.velocity
     start = Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
     fit = fit_candidates(grey, start, settings)
     status, _ = validate_fits(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
-    if (status == "ok").all() and _believable(fit, start, before.fit, s):
+    if (status == "ok").all() and _as_predicted(fit, start, before.fit, s):
         return fit
     return None
 
 
-def _believable(
+def _as_predicted(
     fit: edge_fit.EdgeFit, start: Candidates, before: edge_fit.EdgeFit, s: TrackingSettings
 ) -> bool:
     """Return True if all fits have the expected position and appearance."""
     contrast = fit.outside - fit.inside
-    was = before.outside - before.inside
-    return _calm(fit, s) and bool(
+    previous = before.outside - before.inside
+    return _residuals_alike(fit, s) and bool(
         np.abs(fit.center - start.center).max() < s.position_tolerance
         and np.abs(fit.shape - start.shape).max() < s.shape_tolerance
-        and np.abs(contrast - was).max() < s.contrast_tolerance * was.min()
+        and np.abs(contrast - previous).max() < s.contrast_tolerance * previous.min()
     )
 
 
-def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
-    """Return True if no fit has a larger residual than the others: no object lies on a marker's
-    edge."""
+def _residuals_alike(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
+    """Return True if no fit has a much larger residual than the others.
+
+    A larger residual shows that an edge is partly hidden.
+    """
     return bool(
         fit.residual.max() < s.max_residual * statistics.median(fit.residual.tolist())
         and fit.lost.max() < s.max_lost_weight
@@ -114,14 +121,16 @@ def _calm(fit: edge_fit.EdgeFit, s: TrackingSettings) -> bool:
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:
-    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2); 0 if unknown. It follows
-    from the nearest of those `before`."""
+    """Return the velocity (N, 2), px/s, of the circles at `center` (N, 2); 0 if unknown.
+
+    A circle is assigned to the nearest predicted one of the previous image.
+    """
     unknown = np.zeros_like(center)
     if before is None or not before.time < time:
         return unknown
     step = time - before.time
     d2 = np.square(center[:, None] - (before.fit.center + step * before.velocity)).sum(axis=2)
     nearest = d2.argmin(axis=1)
-    # within a radius of it
-    own = d2[np.arange(len(center)), nearest] < np.square(before.fit.shape[nearest, 0])
-    return np.where(own[:, None], (center - before.fit.center[nearest]) / step, unknown)
+    # within its radius
+    is_same = d2[np.arange(len(center)), nearest] < np.square(before.fit.shape[nearest, 0])
+    return np.where(is_same[:, None], (center - before.fit.center[nearest]) / step, unknown)

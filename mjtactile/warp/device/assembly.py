@@ -127,7 +127,7 @@ def evaluate(
     threads: int,
     scale: float,
 ) -> wp.vec2:
-    """Evaluate forces, links and obstacles at all nodes; return volume and minimum turn."""
+    """Evaluate forces, links and obstacles at all nodes; return volume and minimum area ratio."""
     volume = float(0.0)
     min_area_ratio = float(1.0e3)
     count = membrane.nx * membrane.ny

@@ -11,7 +11,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 _MIN_DET = wp.constant(1.0e-4)
-_MIN_TENSION = wp.constant(0.05)  # fraction of the tension below which a link is not reduced
+_MIN_TENSION = wp.constant(0.05)  # minimum stiffness of a link, as a fraction of the mean tension
 
 
 @wp.struct

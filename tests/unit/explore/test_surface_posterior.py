@@ -20,8 +20,8 @@ from mjtactile.explore.surface_patch import Patch
 from mjtactile.explore.surface_posterior import unknown
 
 HALF = np.array([0.012, 0.010, 0.016])  # semi-axes of an ellipsoid, m
-TURN = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
-PLACE = np.array([2e-3, -1e-3, 3e-3])
+ROTATION = Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
+CENTER = np.array([2e-3, -1e-3, 3e-3])
 
 
 def theta(sizes_mm, exponents, taper=(0.0, 0.0), cut=superquadric.UNCUT):
@@ -42,7 +42,7 @@ def test_distance_is_exact_where_geometry_has_a_closed_form():
     assert superquadric.distance(theta([11.0, 11.0, 25.0], [0.1, 1.0]), wall) == pytest.approx(
         1.0, abs=1e-3
     )
-    # a stump of a cone: 10 mm wide in the middle, 12 at its upper end
+    # a truncated cone: 10 mm wide in the middle, 12 at its upper end
     cone = theta([10.0, 10.0, 20.0], [0.1, 1.0], (0.2, 0.2))
     assert superquadric.distance(cone, np.array([[11.0, 0.0, 10.0]])) == pytest.approx(
         0.0, abs=1e-3
@@ -71,43 +71,43 @@ def test_the_slope_within_a_distance_is_that_of_its_level():
         assert np.quantile(np.abs(differences - slope[:, axis]), 0.9) < 1e-6
 
 
-def ellipsoid_patch(way, rng, noise=2e-5):
-    """A patch 5 mm wide on the ellipsoid, where its normal is `way`."""
-    local = TURN.T @ (way / np.linalg.norm(way))
+def ellipsoid_patch(direction, rng, noise=2e-5):
+    """Return a patch 5 mm wide on the ellipsoid, where its normal is `direction`."""
+    local = ROTATION.T @ (direction / np.linalg.norm(direction))
     top = HALF**2 * local / np.sqrt(local @ (HALF**2 * local))
     near = top / HALF + rng.uniform(-0.2, 0.2, (17, 3))
     on = HALF * near / np.linalg.norm(near, axis=1)[:, None]
-    points = PLACE + on @ TURN.T + noise * rng.normal(size=(17, 1)) * (TURN @ local)
-    return Patch(points, np.zeros((0, 3)), TURN @ local, "smooth", 0.3)
+    points = CENTER + on @ ROTATION.T + noise * rng.normal(size=(17, 1)) * (ROTATION @ local)
+    return Patch(points, np.zeros((0, 3)), ROTATION @ local, "smooth", 0.3)
 
 
-WAYS = np.array(
+DIRECTIONS = np.array(
     [[0, 0, 1.0], [1, 0, 0], [0, -1, 0.2], [-0.7, 0.7, -0.3], [0.3, 0.5, -1], [-1, -0.4, 0.4]]
 )
 
 
 @pytest.fixture(scope="module")
-def believed():
+def fitted():
     rng = np.random.default_rng(1)
-    patches = [ellipsoid_patch(direction, rng) for direction in WAYS]
+    patches = [ellipsoid_patch(direction, rng) for direction in DIRECTIONS]
     return patches, fuse(patches)
 
 
 @pytest.fixture(scope="module")
-def explored(believed):
-    patches, surfaces = believed
+def explored(fitted):
+    patches, surfaces = fitted
     return patches, surfaces[0]
 
 
 @pytest.fixture(scope="module")
-def touched_once(believed):
-    """The first patch, and the most probable surface of it alone."""
-    patches = believed[0][:1]
+def touched_once(fitted):
+    """Return the first patch and the most probable surface of this patch alone."""
+    patches = fitted[0][:1]
     return patches, fuse(patches)[0]
 
 
-def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(believed):
-    patches, surfaces = believed
+def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(fitted):
+    patches, surfaces = fitted
     assert surfaces[0].family.name == "ellipsoid"
     # few parameters: a model with more that explains it as well is less likely
     assert shares(surfaces)[0] > 0.9
@@ -119,52 +119,52 @@ def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(belie
     assert (reported.sd < 0.03 * true).all()
 
 
-def box_patch(way, noise=2e-5, half=HALF):
-    """Seventeen points, 3 mm about the middle of a box's face."""
+def box_patch(outward, noise=2e-5, half=HALF):
+    """Return a patch of 17 points within 3 mm of the center of a box's face."""
     rng = np.random.default_rng(7)
-    axis = int(np.argmax(np.abs(way)))
-    points = np.asarray(way) * half + rng.uniform(-3e-3, 3e-3, (17, 3))
-    points[:, axis] = way[axis] * half[axis] + noise * rng.normal()
-    return Patch(points @ TURN.T + PLACE, np.zeros((0, 3)), TURN @ way, "flat", 0.3)
+    axis = int(np.argmax(np.abs(outward)))
+    points = np.asarray(outward) * half + rng.uniform(-3e-3, 3e-3, (17, 3))
+    points[:, axis] = outward[axis] * half[axis] + noise * rng.normal()
+    return Patch(points @ ROTATION.T + CENTER, np.zeros((0, 3)), ROTATION @ outward, "flat", 0.3)
 
 
-def test_a_box_of_five_touched_faces_is_a_box_whose_sixth_is_unknown():
+def test_the_untouched_face_of_a_box_is_uncertain():
     directions = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
     surfaces = fuse([box_patch(direction) for direction in directions])
     assert surfaces[0].family.name == "box"
     mesh = mesh_of(surfaces[0], 1.5e-3)
     _, axes = principal_sizes(mesh)
     reported = sizes([mesh], surfaces[:1], [])
-    along = np.abs(TURN.T @ axes)
+    along = np.abs(ROTATION.T @ axes)
     for number in range(3):
-        if along[2, number] > 0.9:  # touched at one end: a third of it, as any size beforehand
+        if along[2, number] > 0.9:  # touched at one end: a third of the size, as in the prior
             assert reported.sd[number] > 2e-3
-        else:  # both ends: two heights of 50 um, tapers and edges that patches 6 mm wide do not see
+        else:  # both ends: two heights of 50 um, tapers and edges that patches 6 mm wide do not reach
             assert reported.sd[number] < 6e-4
             true = 2 * HALF[int(np.argmax(along[:, number]))]
             assert reported.mean[number] == pytest.approx(true, abs=3e-4)
-    news = size_information_gain(mesh, surfaces[0])
+    gain = size_information_gain(mesh, surfaces[0])
     # a touch of the sixth face adds nearly all of this information; one of the opposite face, known
     # to 50 um, adds little
-    facing = mesh.normals @ TURN[:, 2]
-    assert np.median(news[facing < -0.9]) > 2e-3
-    assert np.median(news[facing > 0.9]) < 0.2 * np.median(news[facing < -0.9])
+    facing = mesh.normals @ ROTATION[:, 2]
+    assert np.median(gain[facing < -0.9]) > 2e-3
+    assert np.median(gain[facing > 0.9]) < 0.2 * np.median(gain[facing < -0.9])
 
 
-def test_what_was_touched_is_within_the_interval(believed):
-    """The size interval contains every touched point, even a foot that no shape model has."""
-    patches, surfaces = believed
-    foot = replace(patches[0], points=patches[0].points + 4e-3 * TURN[:, 2])
+def test_the_size_interval_contains_touched_points(fitted):
+    """The size interval contains every touched point, also a foot that no shape model contains."""
+    patches, surfaces = fitted
+    foot = replace(patches[0], points=patches[0].points + 4e-3 * ROTATION[:, 2])
     reported = sizes([mesh_of(surfaces[0], 1.5e-3)], surfaces[:1], [*patches, foot])
     assert reported.interval[0, 1] > reported.mean[0] + 3e-3
     assert reported.interval[1, 1] == pytest.approx(reported.mean[1] + reported.sd[1])
 
 
-def test_a_rival_of_another_size_adds_uncertainty_of_size(believed):
-    """Two bodies as likely as each other, one of them a tenth larger: half of that squared."""
-    _, surfaces = believed
+def test_a_second_hypothesis_of_another_size_adds_uncertainty(fitted):
+    """Two equally probable shapes, one 10 % larger, add half the squared difference to the variance."""
+    _, surfaces = fitted
     mesh = mesh_of(surfaces[0], 1.5e-3)
-    larger = replace(mesh, vertices=PLACE + 1.1 * (mesh.vertices - PLACE))
+    larger = replace(mesh, vertices=CENTER + 1.1 * (mesh.vertices - CENTER))
     reported = sizes([mesh, larger], [surfaces[0]] * 2, [])
     difference = 0.1 * reported.mean / np.sqrt(2)
     # their own uncertainty is added: 3 % of the size, against 7
@@ -183,18 +183,18 @@ def test_a_touch_of_an_edge_determines_little():
     normals = np.column_stack([along >= 0, 0 * y, along <= 0]).astype(float)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     triangles = Delaunay(np.column_stack([along, y])).simplices
-    worth = _mean_around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
+    weight = _mean_around(Mesh(vertices, triangles, normals, np.zeros(len(y))), np.ones(len(y)))
     length = (70 / np.sqrt(2) + 11) / 81
     # twelve of them are exactly 5 mm away: rounding decides which of these count
-    assert worth[(along == 0) & (y == 0)] == pytest.approx(length**6, rel=0.05)
-    assert worth[(along == -8) & (y == 0)] == pytest.approx(1.0)
+    assert weight[(along == 0) & (y == 0)] == pytest.approx(length**6, rel=0.05)
+    assert weight[(along == -8) & (y == 0)] == pytest.approx(1.0)
 
 
 def distances(surface, ways):
     """Return the distances of true points of the ellipsoid, m, and their sd."""
-    local = ways @ TURN
+    local = ways @ ROTATION
     local /= np.linalg.norm(local, axis=1)[:, None]
-    true = PLACE + (HALF * local) @ TURN.T
+    true = CENTER + (HALF * local) @ ROTATION.T
     return surface.distance(true), surface.distance_sd(true)
 
 
@@ -212,7 +212,7 @@ def test_six_patches_determine_an_ellipsoid(explored):
 def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored, touched_once):
     patches, surface = explored
     _, one = touched_once
-    touched, untouched = patches[0].center[None], (2 * PLACE - patches[0].center)[None]
+    touched, untouched = patches[0].center[None], (2 * CENTER - patches[0].center)[None]
     assert one.distance_sd(touched)[0] < 1e-4  # sd of the patch itself, m
     assert one.distance_sd(untouched)[0] > 2e-3  # never touched
     assert surface.distance_sd(untouched)[0] < 0.1 * one.distance_sd(untouched)[0]
@@ -245,7 +245,7 @@ def test_the_mesh_is_closed_and_has_the_ellipsoids_volume(explored):
 
 
 @pytest.mark.slow
-def test_a_stray_point_moves_nothing(explored):
+def test_an_outlier_does_not_change_the_surface(explored):
     patches, surface = explored
     points = patches[1].points.copy()
     points[3] += 7e-4 * patches[1].normal  # a patch that was taken to be wider than it is

@@ -1,5 +1,5 @@
-"""Compiled contact patches against the same in numpy: one, two and three that press at random
-places, with shear."""
+"""Compiled contact patches compared with numpy: one to three loads at random positions, with
+shear."""
 
 import math
 from types import SimpleNamespace
@@ -18,8 +18,7 @@ NO_PLANE: Any = SimpleNamespace(mean=None)  # the part of a linearization that p
 
 
 def pressed(estimator, rest, rng, count):
-    """Create a shape under `count` loads, some at the frame or as small as a node; weights are left
-    out."""
+    """Create a shape under `count` loads, some at the frame or as small as a node spacing."""
     traction = rng.normal(0, 30.0, (3, len(estimator.nodes)))
     for center in rng.uniform(-0.5, 0.5, (count, 2)) * [
         estimator.design.frame.length,
@@ -44,8 +43,7 @@ def pressed(estimator, rest, rng, count):
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_patches(sensor):
-    """Sums of at most some thousand products, to rounding; the angle up to half a turn, which an
-    axis does not have."""
+    """Results agree to rounding; the angle of an axis has a period of pi."""
     design = load_sensor(sensor)
     rng = np.random.default_rng(7)
     estimator = InverseMembrane(design)
@@ -60,12 +58,12 @@ def test_patches(sensor):
     several = 0
     for count in [1, 2, 3] * 12:
         shape = pressed(estimator, rest.c, rng, count)
-        ours, theirs = (
+        compiled, reference = (
             module(estimator, shape, rest) for module in (find_patches, numpy_patches.find_patches)
         )
-        assert len(ours) == len(theirs)
-        several += len(ours) > 1
-        for patch, expected in zip(ours, theirs, strict=True):
+        assert len(compiled) == len(reference)
+        several += len(compiled) > 1
+        for patch, expected in zip(compiled, reference, strict=True):
             np.testing.assert_array_equal(patch.mask, expected.mask)
             np.testing.assert_allclose(patch.outline, expected.outline, atol=1e-15)
             np.testing.assert_allclose(patch.force, expected.force, rtol=1e-10, atol=1e-12)
@@ -78,7 +76,7 @@ def test_patches(sensor):
     assert several > 5
 
 
-def test_nothing_presses():
+def test_a_pulled_membrane_has_no_patches():
     estimator = InverseMembrane(load_sensor("dense"))
     c = np.zeros((3, estimator.membrane.count))
     pull = np.full((3, len(estimator.nodes)), 10.0)

@@ -159,7 +159,7 @@ def test_gas_that_is_lost_without_a_gauge_is_distinguished_from_the_camera(fract
 def covered(*ids, of=DESIGN):
     """A change of the picture that blackens a square over these fiducials."""
     sensor, _ = started()
-    places = sensor.pipeline.detector.known._circles.places_px[list(ids)]
+    places = sensor.pipeline.detector.known._finder.places_px[list(ids)]
 
     def change(image):
         pixels = image.pixels.copy()

@@ -55,23 +55,28 @@ def test_when_it_searches(monkeypatch):
         return bool(follow(Image(pixels, time), tracks, **settings) and searches)
 
     found, tracks = follow(image)
-    assert len(found) == COUNT and tracks.left == DEFAULTS.tracking.images_between_searches
+    assert (
+        len(found) == COUNT
+        and tracks.images_before_search == DEFAULTS.tracking.images_between_searches
+    )
     later = image.time + 0.03
     assert not again(image.pixels, later, tracks)
     assert again(image.pixels, image.time + 0.2, tracks)  # a gap
     assert again(image.pixels, image.time - 0.03, tracks)  # time runs backwards
-    assert again(image.pixels, later, replace(tracks, left=0))  # it was long ago
+    assert again(image.pixels, later, replace(tracks, images_before_search=0))  # it was long ago
     assert again(np.roll(image.pixels, 2, axis=1), later, tracks)  # it moved by 2 px
     assert again(np.full_like(image.pixels, 128), later, tracks)  # nothing is there any more
     covered = image.pixels.copy()
     u, v = found.center_px[0].astype(int)
     covered[v + 9 : v + 16, u - 4 : u + 4] = 200
     _, odd = follow(Image(covered, later), tracks)
-    assert odd.left == 0 and again(image.pixels, later + 0.03, odd)  # something lay on a marker
+    assert odd.images_before_search == 0 and again(
+        image.pixels, later + 0.03, odd
+    )  # something lay on a marker
     missing = image.pixels.copy()
     missing[v - 20 : v + 20, u - 20 : u + 20] = 170
     _, fewer = follow(Image(missing, later))
-    assert fewer.left == 1 and len(fewer.fit.center) == COUNT - 1
+    assert fewer.images_before_search == 1 and len(fewer.fit.center) == COUNT - 1
 
 
 def test_no_markers_leave_no_tracks():
