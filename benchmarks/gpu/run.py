@@ -16,12 +16,15 @@ import numpy as np
 
 import mjtactile.gym  # noqa: F401  # registers the environment
 from benchmarks.gpu.pairs import NAME, RANDOM, SEED, pairs
+from benchmarks.gpu.presses import KINDS, press_objects, press_table
 from benchmarks.gpu.tactile_sensor import speeds
 from mjtactile.core import platform_support
 from mjtactile.core.types import Array
 
 PAIRS = {True: 400, False: 50}
 """Paired episodes of random objects, with and without a GPU."""
+PRESSES = {True: 8, False: 60}
+"""Random presses of each kind of object, in a quick run and else."""
 WORLDS = (4096, 16384, 1024)
 _LIMIT = 400.0
 _TIMED = 260  # control steps, up to the hold
@@ -45,8 +48,8 @@ def run(
         notify: Receiver of progress messages.
 
     Returns:
-        "device", "pairs" and, on a GPU, "speed", "tactile", "solutions" and "failures". "skipped"
-        names the parts for which no time was left.
+        "device", "pairs", "presses" and, on a GPU, "speed", "tactile", "solutions" and "failures".
+        "skipped" names the parts for which no time was left.
     """
     import warp as wp
 
@@ -62,6 +65,10 @@ def run(
     if not quick:
         count = PAIRS[device.is_cuda]
         parts.insert(1, ("pairs", lambda: pairs(RANDOM, count, str(device), processors)[0]))
+    parts += [
+        ("presses", lambda kind=kind: press_objects(kind, PRESSES[quick], str(device)))
+        for kind in KINDS
+    ]
     for name, measure in parts:
         if time.monotonic() > start + _LIMIT and device.is_cuda:
             result["skipped"].append(name)
@@ -189,6 +196,9 @@ def table(result: Mapping[str, Any]) -> str:
             f"| {row['object']} | {row['pairs']} | {row['held_cpu']} / {row['held']} | "
             f"{100 * row['same_outcome']:.0f} | {forces} |"
         )
+    if result.get("presses"):
+        lines += ["", "Random presses of 0.3 to 2.5 mm, 6 mm from the frame:", ""]
+        lines += press_table(result["presses"])
     if not result["is_gpu"]:
         return "\n".join([*lines, "", "No GPU was at hand: speed was not measured."]) + "\n"
     lines += ["", "| worlds | control steps/s | memory, GB | held force, N |", "|---|---|---|---|"]

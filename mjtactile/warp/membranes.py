@@ -13,9 +13,11 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
-from mjtactile.warp.device.elasticity import MembraneGrid
+from mjtactile.warp.arrays import ints
+from mjtactile.warp.cut_cells import cut_cells
 from mjtactile.warp.device.equilibrium import solve_all
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
+from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.obstacles import Geom
 from mjtactile.warp.device.relaxation import MAX_NODES
 from mjtactile.warp.stencil import plane_stencil
@@ -69,20 +71,13 @@ class Membranes:
             planes: Planes (n, 4) of convex geoms: outward normal and distance, m.
 
         Raises:
-            InputError: A grid with too many nodes, a frame that is not rectangular, or a sensor
-                whose membrane finds no equilibrium.
+            InputError: A grid with too many nodes, or a sensor whose membrane finds no equilibrium.
         """
         if grid[0] * grid[1] > MAX_NODES:
             raise InputError(
                 f"{grid} has {grid[0] * grid[1]} nodes; at most {MAX_NODES}", field="grid"
             )
         self.design = load_sensor(sensor)
-        if self.design.frame.outline is not None:
-            raise InputError(
-                f"has a {self.design.frame.shape} frame; only rectangular ones are supported here",
-                source=self.design.name,
-                field="frame.shape",
-            )
         self.membrane = membrane_of(self.design, grid)
         self.count, self.grid = count, grid
         self.device = wp.get_device(device)
@@ -90,8 +85,8 @@ class Membranes:
         self.iteration = iteration or Iteration()
         with wp.ScopedDevice(self.device):
             self.rubber = _membrane(self.membrane)
-            self.scheme = _scheme(self.membrane, self.iteration)
-            self.fields = _fields(count, grid)
+            self.scheme = new_scheme(self.membrane, self.iteration)
+            self.fields = new_fields(count, grid)
             self.gas = Gas()
             self.gas.flat = float(self.design.chamber_volume_flat)
             self.gas.ambient = float(self.design.chamber.ambient)
@@ -153,16 +148,17 @@ def _membrane(membrane: QuasistaticMembrane) -> Any:
     rubber.half_thickness = membrane.design.membrane.thickness / 2
     rubber.depth = membrane.design.chamber.depth
     rubber.law = wp.array(membrane._law.astype(np.float32), dtype=float)
-    inner = np.zeros(membrane.grid, np.int32)
-    inner[1:-1, 1:-1] = 1
-    rubber.free = wp.array(inner.ravel(), dtype=int)
+    rubber.opening = float(numbers[-2])
+    rubber.cut, nodes = cut_cells(membrane)
+    rubber.free = ints(nodes)
     rest = membrane.rest.x.reshape(3, -1).astype(np.float32)
     rubber.rest = wp.array(rest, dtype=float)
     rubber.stencil = wp.array(plane_stencil(membrane).astype(np.float32), dtype=float)
     return rubber
 
 
-def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:
+def new_scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:
+    """Return the iteration for the device."""
     scheme = Scheme()
     scheme.outer = iteration.outer
     scheme.batches = iteration.batches
@@ -173,7 +169,8 @@ def _scheme(membrane: QuasistaticMembrane, iteration: Iteration) -> Any:
     return scheme
 
 
-def _fields(count: int, grid: tuple[int, int]) -> Any:
+def new_fields(count: int, grid: tuple[int, int]) -> Any:
+    """Return state and workspace of `count` membranes."""
     nodes = grid[0] * grid[1]
     fields = Fields()
     for name in ("u", "kept"):
@@ -195,6 +192,7 @@ def _fields(count: int, grid: tuple[int, int]) -> Any:
         setattr(fields, name, wp.zeros((count, nodes), dtype=float))
     fields.owner = wp.zeros((count, nodes), dtype=int)
     fields.spring = wp.zeros((count, 4, nodes), dtype=float)
+    fields.away = wp.zeros((count, 2, nodes), dtype=float)
     for name in ("pressure", "volume"):
         setattr(fields, name, wp.zeros(count, dtype=float))
     for name in ("status", "iterations", "lost"):

@@ -42,7 +42,7 @@ def _force(membrane: QuasistaticMembrane, dx: float, dy: float, moved: Array) ->
                     tangents = np.stack(
                         [(x[a, j] - x[i, j]) * si / dx, (x[i, b] - x[i, j]) * sj / dy], axis=1
                     )
-                    load = tangents @ _stress(membrane, tangents) * dx * dy / 4
+                    load = tangents @ stress(membrane, tangents) * dx * dy / 4
                     for node, sign, axis in (
                         ((i, j), -1, 0),
                         ((a, j), 1, 0),
@@ -54,7 +54,7 @@ def _force(membrane: QuasistaticMembrane, dx: float, dy: float, moved: Array) ->
     return force
 
 
-def _stress(membrane: QuasistaticMembrane, tangents: Array) -> Array:
+def stress(membrane: QuasistaticMembrane, tangents: Array) -> Array:
     """Return the second Piola-Kirchhoff stress (2, 2) times thickness, N/m (X2)."""
     stretch, kind, modulus, poisson, middle, per_unit = membrane._numbers[4:10]
     C = stretch * tangents.T @ tangents

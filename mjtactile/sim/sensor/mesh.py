@@ -155,6 +155,11 @@ class MarkerInterpolator:
             [tensor(value_x, value_y), tensor(slope_x, value_y), tensor(value_x, slope_y)]
         )
 
+    @property
+    def weights(self) -> Array:
+        """Weights (N, n) of the vertices in the marker centers."""
+        return self._operator[: len(self._operator) // 3]
+
     def marker_poses(self, p_SV: Array) -> tuple[Array, Array]:
         """Return centers (N, 3) m and outward unit normals (N, 3) for vertices `p_SV` (n, 3)."""
         p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)

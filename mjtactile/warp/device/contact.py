@@ -9,41 +9,27 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.elasticity import MembraneGrid, node_at
+from mjtactile.warp.device.edges import contact_area
 from mjtactile.warp.device.fields import Fields
+from mjtactile.warp.device.grid import MembraneGrid, node_at
+from mjtactile.warp.device.obstacles import Geom
 
 wp.set_module_options({"enable_backward": False})
 
-_MIN_FORCE = wp.constant(1.0e-4)  # force below which nothing sticks, N
+MIN_FORCE = wp.constant(1.0e-4)
+"""Force below which nothing sticks, N."""
 _TILT = wp.constant(0.25)  # tilt stiffness over stiffness times radius^2
-
-
-@wp.struct
-class StickingTable:
-    """In-plane stiffness of disc patches by radius and position in a quadrant of the frame.
-
-    `values` (radii * columns * rows) holds stiffness along x and y, N/m, and about z, N m/rad.
-    Radii grow by a constant factor `ratio` (logarithm) from `first`, m.
-    """
-
-    radii: int
-    columns: int
-    rows: int
-    first: float
-    ratio: float
-    step_x: float
-    step_y: float
-    values: wp.array(dtype=wp.vec3)
 
 
 @wp.struct
 class Patch:
     """Contact of one body on one membrane, and the memory of its friction.
 
-    `force` and `torque` act on the membrane about the origin of S. `strain` is the shear
-    displacement, m, m, rad. `shift` is the in-plane motion, m, of the contact nodes since the last
-    solution, which is no motion of the body over the membrane. `moved` and `turned` are the motion
-    of the body in the last step, `R` and `p` its pose.
+    `force` and `torque` act on the membrane about the origin of S. `area` m^2 is that of X5.
+    `strain` is the shear displacement, m, m, rad, `grip` the stiffness against it, N/m and N m/rad.
+    `shift` is the in-plane motion, m, of the contact nodes since the last solution, which is no
+    motion of the body over the membrane. `moved` and `turned` are the motion of the body in the
+    last step, `R` and `p` its pose.
     """
 
     touches: int
@@ -65,30 +51,6 @@ class Patch:
 
 
 @wp.func
-def grip_at(table: StickingTable, radius: float, x: float, y: float) -> wp.vec3:
-    """Return the stiffness of a patch by linear interpolation."""
-    r = wp.clamp(
-        wp.log(wp.max(radius, 1.0e-6) / table.first) / table.ratio, 0.0, float(table.radii - 1)
-    )
-    a = wp.clamp(wp.abs(x) / table.step_x, 0.0, float(table.columns - 1))
-    b = wp.clamp(wp.abs(y) / table.step_y, 0.0, float(table.rows - 1))
-    i = wp.min(int(r), table.radii - 2)
-    j = wp.min(int(a), table.columns - 2)
-    k = wp.min(int(b), table.rows - 2)
-    found = wp.vec3(0.0, 0.0, 0.0)
-    for e in range(8):
-        di = e // 4
-        dj = (e // 2) % 2
-        dk = e % 2
-        wi = 1.0 - wp.abs(r - float(i + di))
-        wj = 1.0 - wp.abs(a - float(j + dj))
-        wk = 1.0 - wp.abs(b - float(k + dk))
-        at = ((i + di) * table.columns + j + dj) * table.rows + k + dk
-        found += (wi * wj * wk) * table.values[at]
-    return found
-
-
-@wp.func
 def _sum(value: float) -> float:
     return wp.tile_extract(wp.tile_sum(wp.tile(value)), 0)
 
@@ -96,6 +58,8 @@ def _sum(value: float) -> float:
 @wp.func
 def add_up(
     membrane: MembraneGrid,
+    geoms: wp.array2d(dtype=Geom),
+    pool: wp.array(dtype=wp.vec4),
     fields: Fields,
     slot_of: wp.array2d(dtype=int),
     before: wp.array3d(dtype=float),
@@ -104,8 +68,10 @@ def add_up(
     slot: int,
     lane: int,
     threads: int,
+    tension: float,
+    has_thin: bool,
 ) -> Patch:
-    """Sum the nodes in contact with the body of `slot`.
+    """Sum the nodes in contact with the body of `slot`; `tension` N/m is the membrane's mean.
 
     `before` (F, 3, N): last in-plane displacements of the nodes, and 1 where they touched.
     """
@@ -119,7 +85,7 @@ def add_up(
     tx = float(0.0)
     ty = float(0.0)
     tz = float(0.0)
-    count = float(0.0)
+    area = float(0.0)
     kept = float(0.0)
     shift_x = float(0.0)
     shift_y = float(0.0)
@@ -133,7 +99,7 @@ def add_up(
                 push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
                 torque_k = wp.cross(x, push)
                 q_sum += q
-                count += 1.0
+                area += contact_area(membrane, geoms, pool, fields, f, k, tension, has_thin)
                 fx += push[0]
                 fy += push[1]
                 sx += q * x[0]
@@ -153,7 +119,7 @@ def add_up(
     patch.middle = center
     patch.force = wp.vec3(_sum(fx), _sum(fy), -total)
     patch.torque = wp.vec3(_sum(tx), _sum(ty), _sum(tz))
-    patch.area = _sum(count) * membrane.dx * membrane.dy
+    patch.area = _sum(area)
     over_kept = 1.0 / wp.max(_sum(kept), 1.0e-9)
     sum_of_distances = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
@@ -191,24 +157,25 @@ def remember_nodes(
 @wp.func
 def stick(
     membrane: MembraneGrid,
-    table: StickingTable,
+    grip: wp.vec3,
     last: Patch,
     now: Patch,
     friction: float,
     R: wp.mat33,
     p: wp.vec3,
 ) -> Patch:
-    """Return `now` with friction: the strain of `last` and the body's motion, by Coulomb's law."""
+    """Return `now` with friction: the strain of `last` and the body's motion, by Coulomb's law.
+
+    `grip` is the stiffness of the patch.
+    """
     found = now
     found.R = R
     found.p = p
     found.touches = int(0)
     found.slides = int(0)
-    if now.normal > _MIN_FORCE:
+    if now.normal > MIN_FORCE:
         found.touches = 1
-        found.grip = grip_at(
-            table, wp.sqrt(now.area / wp.static(3.14159265)), now.middle[0], now.middle[1]
-        )
+        found.grip = grip
         strain = wp.vec3(0.0, 0.0, 0.0)
         slid = float(0.0)
         if last.touches != 0:
@@ -261,20 +228,26 @@ def normal_stiffness(
 
 
 @wp.func
+def patch_stiffness(patch: Patch, normal: float, spacing: float) -> wp.spatial_vector:
+    """Return the stiffness of a contact along and about the axes of S; `normal` N/m is along z."""
+    arm = wp.max(patch.radius, 0.25 * spacing)
+    tilt = _TILT * normal * arm * arm
+    found = wp.spatial_vector(0.0, 0.0, normal, tilt, tilt, tilt)
+    if patch.slides == 0:
+        found = wp.spatial_vector(patch.grip[0], patch.grip[1], normal, tilt, tilt, patch.grip[2])
+    return found
+
+
+@wp.func
 def held_motion(
-    patch: Patch, normal: float, spacing: float, R_WS: wp.mat33, R_SB: wp.mat33, p_SB: wp.vec3
+    patch: Patch, stiffness: wp.spatial_vector, R_WS: wp.mat33, R_SB: wp.mat33, p_SB: wp.vec3
 ) -> wp.spatial_matrix:
     """Return the stiffness (6, 6) of a contact in the degrees of freedom of a body's free joint.
 
     Translations are in the world's frame, rotations in the body's.
     """
-    arm = wp.max(patch.radius, 0.25 * spacing)
-    tilt = _TILT * normal * arm * arm
-    along = wp.vec3(0.0, 0.0, normal)
-    about = wp.vec3(tilt, tilt, tilt)
-    if patch.slides == 0:
-        along = wp.vec3(patch.grip[0], patch.grip[1], normal)
-        about = wp.vec3(tilt, tilt, patch.grip[2])
+    along = wp.vec3(stiffness[0], stiffness[1], stiffness[2])
+    about = wp.vec3(stiffness[3], stiffness[4], stiffness[5])
     r = patch.middle - p_SB
     K = wp.spatial_matrix()
     for a in range(6):

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.assembly import evaluate, find_springs, prepare_heights, prepare_plane
-from mjtactile.warp.device.elasticity import MembraneGrid
+from mjtactile.warp.device.assembly import evaluate, prepare_heights, prepare_plane
+from mjtactile.warp.device.edges import find_springs
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
+from mjtactile.warp.device.grid import MembraneGrid
+from mjtactile.warp.device.lowest_obstacle import any_thin
 from mjtactile.warp.device.obstacles import Geom, is_on
 from mjtactile.warp.device.relaxation import relax_heights, relax_plane, synchronize
 
@@ -149,6 +151,7 @@ def solve(
     """
     count = membrane.nx * membrane.ny
     p = fields.pressure[f]
+    has_thin = any_thin(membrane, geoms, f)
     if fields.lost[f] > 1:
         for k in range(lane, count, threads):
             fields.force[f, k] = 0.0
@@ -160,7 +163,7 @@ def solve(
     volume = fields.volume[f]
     for step in range(scheme.outer):
         if status == _NOT_CONVERGED:
-            sums = evaluate(membrane, geoms, pool, fields, f, lane, threads, scale)
+            sums = evaluate(membrane, geoms, pool, fields, f, lane, threads, scale, has_thin)
             volume = sums[0]
             before = p
             if step == 0:
@@ -169,7 +172,7 @@ def solve(
                     status = misplaced
             if sums[1] < _MIN_TURN:
                 status = _INVERTED
-            find_springs(membrane, geoms, pool, fields, f, lane, threads)
+            find_springs(membrane, geoms, pool, fields, f, lane, threads, has_thin)
             prepare_heights(membrane, fields, f, lane, threads, p)
             p = settle_heights(membrane, scheme, gas, fields, f, lane, threads, volume, p)
             moved_gas = wp.abs(p - before)

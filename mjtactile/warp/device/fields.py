@@ -23,7 +23,7 @@ class Scheme:
 
 @wp.struct
 class Fields:
-    """State and workspace of all membranes: (F, 3, N), (F, N) and (F, 4, N) for N nodes."""
+    """State and workspace of all membranes: (F, 2, 3 or 4, N) and (F, N) for N nodes."""
 
     u: wp.array3d(dtype=float)
     kept: wp.array3d(dtype=float)
@@ -43,6 +43,7 @@ class Fields:
     swell: wp.array2d(dtype=float)
     extra: wp.array2d(dtype=float)
     spring: wp.array3d(dtype=float)
+    away: wp.array3d(dtype=float)
     pressure: wp.array(dtype=float)
     volume: wp.array(dtype=float)
     status: wp.array(dtype=int)

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness
-from mjtactile.warp.device.elasticity import MembraneGrid
+from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness, patch_stiffness
 from mjtactile.warp.device.fields import Fields, Gas
+from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.update import Places
 
 wp.set_module_options({"enable_backward": False})
 
 _SHARE = wp.constant(0.75)  # fraction of stiffness times step that damps a free body
+# stiffness of parts of one object side by side, over that of a part alone (qs_joint_forces.c)
+_SIDE_BY_SIDE = wp.constant(16.0)
 _FREE, _BALL, _SLIDE = wp.constant(0), wp.constant(1), wp.constant(2)  # joint types of MuJoCo
 
 
@@ -40,11 +42,31 @@ class Joints:
 
 @wp.struct
 class Stiffness:
-    """Numbers of the stiffness against indentation: tension, N/m, half width, m, dV/dp, m^3/Pa."""
+    """Numbers of the stiffness against indentation: half width, m, and dV/dp, m^3/Pa."""
 
-    tension: float
     half: float
     bulge: float
+
+
+@wp.func
+def _stiffness_of(
+    stiffness: Stiffness,
+    gas: Gas,
+    fields: Fields,
+    f: int,
+    patch: Patch,
+    spacing: float,
+    tension: float,
+) -> wp.spatial_vector:
+    """Return the stiffness of a contact along and about the axes of S."""
+    gas_stiffness = float(0.0)
+    if gas.sealed[f] != 0:
+        absolute = fields.pressure[f] + gas.ambient
+        gas_stiffness = gas.exponent * absolute / (gas.flat + fields.volume[f])
+    normal = normal_stiffness(
+        tension, gas_stiffness, stiffness.bulge, stiffness.half, spacing, patch.area
+    )
+    return patch_stiffness(patch, normal, spacing)
 
 
 @wp.func
@@ -87,6 +109,56 @@ def _apply(
 
 
 @wp.func
+def _resist(
+    joints: Joints,
+    xmat: wp.array2d(dtype=wp.mat33),
+    xanchor: wp.array2d(dtype=wp.vec3),
+    xaxis: wp.array2d(dtype=wp.vec3),
+    world: int,
+    start: int,
+    carried: int,
+    stiffness: wp.spatial_vector,
+    R: wp.mat33,
+    at: wp.vec3,
+    fraction: float,
+    qvel: wp.array2d(dtype=float),
+    qfrc_passive: wp.array2d(dtype=float),
+) -> None:
+    """Damp the joint axes between a body in contact and the body `carried` with the free joint.
+
+    These joints move parts of an object against each other. `fraction` times the stiffness along an
+    axis is its damping.
+    """
+    Rt = wp.transpose(R)
+    body = start
+    while body > 0 and body != carried:
+        for n in range(joints.count[body]):
+            j = joints.first[body] + n
+            axes = int(1)
+            if joints.kind[j] == _BALL:
+                axes = 3
+            for c in range(axes):
+                axis = xaxis[world, j]
+                if axes == 3:
+                    R_WB = xmat[world, body]
+                    axis = wp.vec3(R_WB[0, c], R_WB[1, c], R_WB[2, c])
+                along = Rt @ axis
+                about = wp.vec3(0.0, 0.0, 0.0)
+                if joints.kind[j] != _SLIDE:
+                    about = along
+                    along = Rt @ wp.cross(axis, at - xanchor[world, j])
+                damping = float(0.0)
+                for k in range(3):
+                    damping += stiffness[k] * along[k] * along[k]
+                    damping += stiffness[3 + k] * about[k] * about[k]
+                damping *= fraction
+                dof = joints.dof[j] + c
+                joints.damping[world, dof] = joints.damping[world, dof] + damping
+                qfrc_passive[world, dof] = qfrc_passive[world, dof] - damping * qvel[world, dof]
+        body = joints.parent[body]
+
+
+@wp.func
 def _held_body(joints: Joints, places: Places, patch: Patch, finger: int, slot: int) -> int:
     """Return the body whose free joint carries the body of a slot in contact, or -1."""
     found = int(-1)
@@ -94,6 +166,32 @@ def _held_body(joints: Joints, places: Places, patch: Patch, finger: int, slot: 
         if patch.touches != 0:
             found = joints.free[places.bodies[finger, slot]]
     return found
+
+
+@wp.func
+def _write_outputs(
+    places: Places,
+    patches: wp.array2d(dtype=Patch),
+    wrench: wp.array2d(dtype=float),
+    fields: Fields,
+    world: int,
+    sensordata: wp.array2d(dtype=float),
+) -> None:
+    """Write the values of the scene's `user` sensors: wrench, pressure, touching."""
+    fingers = places.frames.shape[0]
+    for finger in range(fingers):
+        f = world * fingers + finger
+        if places.outputs[finger, 0] >= 0:
+            for c in range(6):
+                sensordata[world, places.outputs[finger, 0] + c] = wrench[f, c]
+        if places.outputs[finger, 1] >= 0:
+            sensordata[world, places.outputs[finger, 1]] = fields.pressure[f]
+        if places.outputs[finger, 2] >= 0:
+            touches = float(0.0)
+            for slot in range(places.bodies.shape[1]):
+                if patches[f, slot].touches != 0:
+                    touches = 1.0
+            sensordata[world, places.outputs[finger, 2]] = touches
 
 
 @wp.kernel
@@ -111,13 +209,18 @@ def add_forces(
     xanchor: wp.array2d(dtype=wp.vec3),
     xaxis: wp.array2d(dtype=wp.vec3),
     qvel: wp.array2d(dtype=float),
+    wrench: wp.array2d(dtype=float),
+    tension: wp.array(dtype=float),
     qfrc_passive: wp.array2d(dtype=float),
+    sensordata: wp.array2d(dtype=float),
 ):
     world = wp.tid()
+    _write_outputs(places, patches, wrench, fields, world, sensordata)
     fingers = places.frames.shape[0]
     slots = places.bodies.shape[1]
     step = timestep[world % timestep.shape[0]]
     nv = qvel.shape[1]
+    spacing = wp.min(membrane.dx, membrane.dy)
     # passive forces have the damping of the last step
     for dof in range(nv):
         extra = joints.damping[world, dof] - joints.own[dof]
@@ -152,6 +255,32 @@ def add_forces(
                     at,
                     qfrc_passive,
                 )
+                carried = joints.free[body]
+                if carried > 0 and carried != body:
+                    parts = int(0)
+                    for other in range(slots):
+                        near = patches[f, other]
+                        if _held_body(joints, places, near, finger, other) == carried:
+                            parts += 1
+                    fraction = _SHARE * step
+                    if parts > 1:
+                        fraction *= _SIDE_BY_SIDE
+                    K_contact = _stiffness_of(stiffness, gas, fields, f, patch, spacing, tension[f])
+                    _resist(
+                        joints,
+                        xmat,
+                        xanchor,
+                        xaxis,
+                        world,
+                        body,
+                        carried,
+                        K_contact,
+                        R,
+                        at,
+                        fraction,
+                        qvel,
+                        qfrc_passive,
+                    )
     for a in range(fingers * slots):
         body = _held_body(
             joints, places, patches[world * fingers + a // slots, a % slots], a // slots, a % slots
@@ -180,19 +309,8 @@ def add_forces(
                     R = xmat[world, frame]
                     R_SB = wp.transpose(R) @ xmat[world, body]
                     p_SB = wp.transpose(R) @ (xpos[world, body] - xpos[world, frame])
-                    gas_stiffness = float(0.0)
-                    if gas.sealed[f] != 0:
-                        absolute = fields.pressure[f] + gas.ambient
-                        gas_stiffness = gas.exponent * absolute / (gas.flat + fields.volume[f])
-                    normal = normal_stiffness(
-                        stiffness.tension,
-                        gas_stiffness,
-                        stiffness.bulge,
-                        stiffness.half,
-                        wp.min(membrane.dx, membrane.dy),
-                        patch.area,
-                    )
-                    K += held_motion(patch, normal, wp.min(membrane.dx, membrane.dy), R, R_SB, p_SB)
+                    K_contact = _stiffness_of(stiffness, gas, fields, f, patch, spacing, tension[f])
+                    K += held_motion(patch, K_contact, R, R_SB, p_SB)
                     # the free joint's body may lie off the body in contact, which turns with it
                     moved = R @ (patch.moved + wp.cross(patch.turned, p_SB - patch.p))
                     turned = wp.transpose(R_SB) @ patch.turned
@@ -206,6 +324,6 @@ def add_forces(
                 for c in range(6):
                     total += wp.abs(K[r, c]) / wp.sqrt(joints.inertia[row, dof + c])
                 total *= _SHARE * step * wp.sqrt(joints.inertia[row, dof + r])
-                joints.damping[world, dof + r] = joints.own[dof + r] + total
+                joints.damping[world, dof + r] = joints.damping[world, dof + r] + total
                 # MuJoCo subtracts damping times velocity in its implicit step only
                 qfrc_passive[world, dof + r] = qfrc_passive[world, dof + r] - total * against[r]

@@ -49,7 +49,7 @@ _EACH_OF_A_COLOR = """
             int j = 2 * q - i * ny;
             j += ((i + j) & 1) ^ color;
             const int k = i * ny + j;
-            if (k >= N || j >= ny || !free.data[k]) continue;
+            if (k >= N || j >= ny || free.data[k] <= 0) continue;
 """
 
 _HEIGHTS = (
@@ -76,7 +76,7 @@ _HEIGHTS = (
     }
     for (int k = lane; k < N; k += threads) {
         float q = 0.f;
-        if (free.data[k] && z[k] >= top[k] - 1e-9f) {
+        if (free.data[k] > 0 && z[k] >= top[k] - 1e-9f) {
             const float d = lx[k - ny] + lx[k] + ly[k - 1] + ly[k];
             q = lx[k - ny] * z[k - ny] + lx[k] * z[k + ny] + ly[k - 1] * z[k - 1] + ly[k] * z[k + 1]
                 + r[k] - d * z[k];

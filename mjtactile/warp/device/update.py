@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.contact import Patch, StickingTable, add_up, remember_nodes, stick
-from mjtactile.warp.device.elasticity import MembraneGrid
+from mjtactile.warp.device.contact import MIN_FORCE, Patch, add_up, remember_nodes, stick
+from mjtactile.warp.device.elasticity import mean_tension
 from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
+from mjtactile.warp.device.grid import MembraneGrid
+from mjtactile.warp.device.lowest_obstacle import any_thin
 from mjtactile.warp.device.obstacles import CONVEX, Geom
 from mjtactile.warp.device.relaxation import synchronize
+from mjtactile.warp.device.sticking import Sticking, grip_of, list_held
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,7 +24,8 @@ class Places:
     `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
     model, -1 if absent, `kinds` their kinds, `slots` the numbers of their bodies among `bodies`
     (fingers, slots). `mesh` (1 or worlds, geoms of the model) is the mesh of a geom, `first` and
-    `count` (meshes,) its planes. `radius` m is that of a membrane.
+    `count` (meshes,) its planes. `radius` m is that of a membrane. `outputs` (fingers, 3) are the
+    places of wrench, pressure and touching in `sensordata`, -1 if absent.
     """
 
     frames: wp.array(dtype=int)
@@ -33,6 +37,7 @@ class Places:
     slots: wp.array2d(dtype=int)
     bodies: wp.array2d(dtype=int)
     rbound: wp.array2d(dtype=float)
+    outputs: wp.array2d(dtype=int)
     radius: float
 
 
@@ -101,6 +106,7 @@ class States:
     slid: wp.array(dtype=float)
     slides: wp.array(dtype=int)
     center: wp.array(dtype=wp.vec3)
+    tension: wp.array(dtype=float)
 
 
 @wp.func
@@ -145,7 +151,7 @@ def update_all(
     scheme: Scheme,
     gas: Gas,
     heat: Heat,
-    table: StickingTable,
+    sticking: Sticking,
     places: Places,
     states: States,
     geoms: wp.array2d(dtype=Geom),
@@ -157,21 +163,27 @@ def update_all(
     xmat: wp.array2d(dtype=wp.mat33),
     geom_xpos: wp.array2d(dtype=wp.vec3),
     geom_xmat: wp.array2d(dtype=wp.mat33),
+    shift: wp.vec3,
+    turn: wp.mat33,
 ):
+    # all obstacles are first turned about the origin of S, then shifted along its axes
     f, lane = wp.tid()
     threads = wp.block_dim()
     fingers = places.frames.shape[0]
     world = f // fingers
     finger = f - fingers * world
     frame = places.frames[finger]
-    R = xmat[world, frame]
-    p = xpos[world, frame]
+    R = xmat[world, frame] @ wp.transpose(turn)
+    p = xpos[world, frame] - R @ shift
     for k in range(lane, geoms.shape[1], threads):
         _place(places, geoms, size, geom_xpos, geom_xmat, f, world, finger, k, R, p)
     if lane == 0:
         before_solution(gas, heat, f)
     synchronize()
     solve(membrane, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
+    tension = mean_tension(membrane, fields.u, f, lane, threads, modulus[f])
+    has_thin = any_thin(membrane, geoms, f)
+    list_held(membrane, fields, sticking, places.slots, f, finger, lane)
     force = wp.vec3(0.0, 0.0, 0.0)
     torque = wp.vec3(0.0, 0.0, 0.0)
     largest = float(0.0)
@@ -181,12 +193,39 @@ def update_all(
         body = places.bodies[finger, slot]
         if body >= 0:
             patch = add_up(
-                membrane, fields, places.slots, states.before, f, finger, slot, lane, threads
+                membrane,
+                geoms,
+                pool,
+                fields,
+                places.slots,
+                states.before,
+                f,
+                finger,
+                slot,
+                lane,
+                threads,
+                tension,
+                has_thin,
             )
             R_SB = wp.transpose(R) @ xmat[world, body]
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
-            now = stick(membrane, table, last, patch, states.friction[f], R_SB, p_SB)
+            grip = last.grip
+            if patch.normal > MIN_FORCE and states.friction[f] > 0.0:
+                if sticking.stale[f] != 0 or last.grip[0] <= 0.0:
+                    grip = grip_of(
+                        membrane,
+                        fields,
+                        sticking,
+                        places.slots,
+                        f,
+                        finger,
+                        slot,
+                        patch.middle,
+                        lane,
+                        threads,
+                    )
+            now = stick(membrane, grip, last, patch, states.friction[f], R_SB, p_SB)
             force += now.force
             torque += now.torque
             area += now.area
@@ -206,6 +245,7 @@ def update_all(
         states.slid[f] = main.slid
         states.slides[f] = main.slides
         states.center[f] = main.middle
+        states.tension[f] = tension
 
 
 @wp.kernel

@@ -1,0 +1,195 @@
+"""In-plane stiffness of sticking patches on one membrane (X7), by conjugate gradients.
+
+The rules of `find_grip` of kernels/qs_friction.c: the nodes of a patch move as one rigid set, those
+of other patches are held, and all others go to equilibrium at free heights. SI units, frame S.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from mjtactile.warp.device.fields import Fields
+from mjtactile.warp.device.grid import MembraneGrid, node_at
+from mjtactile.warp.device.relaxation import synchronize
+
+wp.set_module_options({"enable_backward": False})
+
+_STEPS = wp.constant(100)  # of the conjugate gradients
+_CLOSE = wp.constant(1.0e-6)  # squared residual of a stiffness, over that of the start
+_CHANGED = wp.constant(0.05)  # fraction of contact nodes that may change before it is stale
+
+
+@wp.struct
+class Sticking:
+    """Compliance of the inner nodes, and workspace of all membranes (F,).
+
+    `compliance` (2 I, 2 I) m/N holds x and y of each inner node in turn. `loads`, `residual`,
+    `direction` and `moved` are (F, 2 I). `held` (F, I) are the inner nodes in contact, `count` is
+    their number. `known` (F, I) is the patch of each inner node at the last stiffness, plus one;
+    `stale` is 1 if the stiffness must be computed again.
+    """
+
+    compliance: wp.array2d(dtype=float)
+    loads: wp.array2d(dtype=float)
+    residual: wp.array2d(dtype=float)
+    direction: wp.array2d(dtype=float)
+    moved: wp.array2d(dtype=float)
+    held: wp.array2d(dtype=int)
+    known: wp.array2d(dtype=int)
+    count: wp.array(dtype=int)
+    stale: wp.array(dtype=int)
+
+
+@wp.func
+def node_of(membrane: MembraneGrid, inner: int) -> int:
+    """Return the node of an inner node."""
+    rows = membrane.ny - 2
+    return (inner // rows + 1) * membrane.ny + inner % rows + 1
+
+
+@wp.func
+def patch_of(fields: Fields, slot_of: wp.array2d(dtype=int), f: int, finger: int, k: int) -> int:
+    """Return the patch of a node in contact, plus one, or 0."""
+    found = int(0)
+    if fields.force[f, k] > 0.0 and fields.owner[f, k] >= 0:
+        found = slot_of[finger, fields.owner[f, k]] + 1
+    return found
+
+
+@wp.func
+def list_held(
+    membrane: MembraneGrid,
+    fields: Fields,
+    sticking: Sticking,
+    slot_of: wp.array2d(dtype=int),
+    f: int,
+    finger: int,
+    lane: int,
+) -> None:
+    """List the inner nodes in contact, and compare them with those of the last stiffness."""
+    if lane == 0:
+        inner = (membrane.nx - 2) * (membrane.ny - 2)
+        count = int(0)
+        differ = int(0)
+        for n in range(inner):
+            patch = patch_of(fields, slot_of, f, finger, node_of(membrane, n))
+            if patch > 0:
+                sticking.held[f, count] = n
+                count += 1
+            if patch != sticking.known[f, n]:
+                differ += 1
+        sticking.count[f] = count
+        sticking.stale[f] = wp.where(float(differ) > _CHANGED * float(count), 1, 0)
+        if sticking.stale[f] != 0:
+            for n in range(inner):
+                sticking.known[f, n] = patch_of(fields, slot_of, f, finger, node_of(membrane, n))
+    synchronize()
+
+
+@wp.func
+def moved_by(sticking: Sticking, values: wp.array2d(dtype=float), f: int, row: int) -> float:
+    """Return the displacement `row` by forces on the nodes in contact."""
+    total = float(0.0)
+    for h in range(sticking.count[f]):
+        n = 2 * sticking.held[f, h]
+        total += sticking.compliance[n, row] * values[f, n]
+        total += sticking.compliance[n + 1, row] * values[f, n + 1]
+    return total
+
+
+@wp.func
+def _sum(value: float) -> float:
+    return wp.tile_extract(wp.tile_sum(wp.tile(value)), 0)
+
+
+@wp.func
+def start_from(sticking: Sticking, f: int, row: int, moved: float) -> None:
+    """Write the displacement of a node in contact for `find_loads`."""
+    sticking.loads[f, row] = 0.0
+    sticking.residual[f, row] = moved
+    sticking.direction[f, row] = moved
+
+
+@wp.func
+def find_loads(sticking: Sticking, f: int, lane: int, threads: int, close: float) -> None:
+    """Find the `loads` on the nodes in contact that give their displacements, by `start_from`."""
+    size = 2 * sticking.count[f]
+    square = float(0.0)
+    for a in range(lane, size, threads):
+        row = 2 * sticking.held[f, a // 2] + a % 2
+        square += sticking.residual[f, row] * sticking.residual[f, row]
+    square = _sum(square)
+    limit = close * square
+    for _step in range(_STEPS):
+        if square > limit:
+            synchronize()
+            curved = float(0.0)
+            for a in range(lane, size, threads):
+                row = 2 * sticking.held[f, a // 2] + a % 2
+                sticking.moved[f, row] = moved_by(sticking, sticking.direction, f, row)
+                curved += sticking.moved[f, row] * sticking.direction[f, row]
+            by = square / wp.max(_sum(curved), 1.0e-30)
+            after = float(0.0)
+            for a in range(lane, size, threads):
+                row = 2 * sticking.held[f, a // 2] + a % 2
+                sticking.loads[f, row] += by * sticking.direction[f, row]
+                sticking.residual[f, row] -= by * sticking.moved[f, row]
+                after += sticking.residual[f, row] * sticking.residual[f, row]
+            after = _sum(after)
+            for a in range(lane, size, threads):
+                row = 2 * sticking.held[f, a // 2] + a % 2
+                new = sticking.residual[f, row] + after / square * sticking.direction[f, row]
+                sticking.direction[f, row] = new
+            square = after
+    synchronize()
+
+
+@wp.func
+def _rigid(x: wp.vec3, middle: wp.vec3, motion: int, axis: int) -> float:
+    """Return the displacement along an axis of a point by a unit motion: x, y, rotation."""
+    found = float(0.0)
+    if motion == axis:
+        found = 1.0
+    elif motion == 2:
+        found = x[0] - middle[0]
+        if axis == 0:
+            found = middle[1] - x[1]
+    return found
+
+
+@wp.func
+def grip_of(
+    membrane: MembraneGrid,
+    fields: Fields,
+    sticking: Sticking,
+    slot_of: wp.array2d(dtype=int),
+    f: int,
+    finger: int,
+    slot: int,
+    middle: wp.vec3,
+    lane: int,
+    threads: int,
+) -> wp.vec3:
+    """Return the stiffness of a patch along x and y, N/m, and about its center, N m/rad."""
+    found = wp.vec3(0.0, 0.0, 0.0)
+    for motion in range(3):
+        for a in range(lane, 2 * sticking.count[f], threads):
+            n = sticking.held[f, a // 2]
+            k = node_of(membrane, n)
+            moved = float(0.0)
+            if patch_of(fields, slot_of, f, finger, k) == slot + 1:
+                x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
+                moved = _rigid(x, middle, motion, a % 2)
+            start_from(sticking, f, 2 * n + a % 2, moved)
+        find_loads(sticking, f, lane, threads, _CLOSE)
+        total = float(0.0)
+        for a in range(lane, 2 * sticking.count[f], threads):
+            n = sticking.held[f, a // 2]
+            k = node_of(membrane, n)
+            if patch_of(fields, slot_of, f, finger, k) == slot + 1:
+                x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
+                load = sticking.loads[f, 2 * n + a % 2]
+                total += load * _rigid(x, middle, motion, a % 2)
+        found[motion] = _sum(total)
+        synchronize()
+    return found
