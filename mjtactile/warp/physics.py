@@ -22,7 +22,7 @@ _NOWHERE = np.zeros(6)
 class Physics:
     """Membranes on the geoms of a scene.
 
-    `fields`, `gas`, `heat`, `states` and `sticking` hold the state, the others are constants.
+    `fields`, `gas`, `heat`, `states` and `sticking` hold the state. The others are constants.
     """
 
     membranes: Membranes

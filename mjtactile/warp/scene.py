@@ -167,10 +167,14 @@ def _address(model: mujoco.MjModel, name: str) -> int:
 
 
 def _meshes(model: mujoco.MjModel, geoms: set[int]) -> list[int]:
-    """Return the meshes of `geoms`, and those that no geom has: other worlds may use them."""
+    """Return the meshes of `geoms`, and those that no geom has: other worlds may use them.
+
+    A mesh without a hull, such as that of a `<tactile>` sensor, cannot be a geom.
+    """
     used = {int(model.geom_dataid[geom]) for geom in range(model.ngeom)}
     own = {int(model.geom_dataid[geom]) for geom in geoms}
-    others = set(range(model.nmesh)) - used if geoms else set()
+    solid = {mesh for mesh in range(model.nmesh) if model.mesh_graphadr[mesh] >= 0}
+    others = solid - used if geoms else set()
     return sorted(own | others)
 
 

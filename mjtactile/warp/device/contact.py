@@ -71,7 +71,7 @@ def add_up(
     tension: float,
     has_thin: bool,
 ) -> Patch:
-    """Sum the nodes in contact with the body of `slot`; `tension` N/m is the membrane's mean.
+    """Sum the nodes in contact with the body of `slot`. `tension` N/m is the membrane's mean.
 
     `before` (F, 3, N): last in-plane displacements of the nodes, and 1 where they touched.
     """
@@ -229,7 +229,7 @@ def normal_stiffness(
 
 @wp.func
 def patch_stiffness(patch: Patch, normal: float, spacing: float) -> wp.spatial_vector:
-    """Return the stiffness of a contact along and about the axes of S; `normal` N/m is along z."""
+    """Return the stiffness of a contact along and about the axes of S. `normal` N/m is along z."""
     arm = wp.max(patch.radius, 0.25 * spacing)
     tilt = _TILT * normal * arm * arm
     found = wp.spatial_vector(0.0, 0.0, normal, tilt, tilt, tilt)

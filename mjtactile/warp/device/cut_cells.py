@@ -13,8 +13,8 @@ wp.set_module_options({"enable_backward": False})
 class NodeLoad:
     """Load of one node.
 
-    `elastic` N; `swell` m^2, the derivative of the volume by its position; `link_x` and `link_y`
-    N/m, stiffness towards +x and +y; `volume` m^3; `min_area_ratio`, minimum over the corners.
+    `elastic` N. `swell` m^2, the derivative of the volume by its position. `link_x` and `link_y`
+    N/m, stiffness towards +x and +y. `volume` m^3. `min_area_ratio`, minimum over the corners.
     """
 
     elastic: wp.vec3

@@ -42,8 +42,8 @@ class CutCells:
 class MembraneGrid:
     """Grid and material that all membranes of one sensor share.
 
-    `law` holds the coefficients of X2; `free` is 1 at nodes that move, 0 on the frame next to them,
-    -1 beyond; `stencil` is the in-plane stiffness of the membrane at rest (see `stencil.py`).
+    `law` holds the coefficients of X2. `free` is 1 at nodes that move, 0 on the frame next to them,
+    -1 beyond. `stencil` is the in-plane stiffness of the membrane at rest (see `stencil.py`).
     `rest` (3, N) are its displacements. `opening` m^2 is the area of the flat membrane.
     """
 

@@ -148,8 +148,7 @@ def _see_between(
 ) -> Found:
     """Return an obstacle that is thinner than the spacing and passes between nodes.
 
-    It is the lowest point on the cross of the node's cell, along the axis across which the obstacle
-    is thin.
+    It is the lowest point on the cross of the node's cell, across which it is thin.
     """
     found = Found()
     found.height = MISS

@@ -45,8 +45,8 @@ class Places:
 class Heat:
     """Gas of all membranes between steps (equation G4 of docs/theory).
 
-    `amount` (F,) is n R T of the walls, J; `warmth` the gas temperature over that of the walls;
-    `volume` m^3 at the last step; `supply` the gauge pressure, Pa, behind an open valve.
+    `amount` (F,) is n R T of the walls, J. `warmth` the gas temperature over that of the walls;
+    `volume` m^3 at the last step. `supply` the gauge pressure, Pa, behind an open valve.
     `exchange` is the time step over the time constant of heat exchange.
     """
 
@@ -73,7 +73,7 @@ def before_solution(gas: Gas, heat: Heat, f: int) -> None:
     if gas.sealed[f] != 0:
         x = heat.exchange
         warmth = heat.warmth[f] * wp.exp(-x) + x * _ramp(x)
-        # at constant volume; `gas.exponent` has the response to a change of volume
+        # at constant volume. `gas.exponent` has the response to a change of volume
         absolute = heat.amount[f] * warmth / heat.volume[f]
         gas.amount[f] = absolute * wp.pow(heat.volume[f], gas.exponent)
     else:
