@@ -40,7 +40,7 @@ SERVO_FORCE_LIMIT = 5.0  # maximum force of the servo, N, at any measured force
 RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
 # friction is known if its 5 % quantile is this fraction of the median; maximum time of the test, s
 KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
-LOOSENING = 0.3  # relative decrease of the grip while friction is tested, 1/s
+LOOSENING = 1.0  # relative decrease of the grip while friction is tested, 1/s
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
 # delay from a command to its force in an image, s; time scale of force errors, s
