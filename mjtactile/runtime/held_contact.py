@@ -14,6 +14,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 _GROWN = 2.0  # force ratio between two kept images of a load
 _KEPT = 3  # images of a load
 _FIRST = 0.05  # force of the first of them, N
+_EXPLAINED = 2.0  # maximum misfit of a shape that explains the last image
 
 
 class HeldContacts:
@@ -48,8 +49,17 @@ class HeldContacts:
 def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str, Any] | None:
     if held is None or not isinstance(perception, StatefulPipeline):
         return None
-    shape = perception.shape([*load, held]) if held.shape is None else held.shape
+    if held.shape is not None:
+        return _report(held.shape)
+    shape = perception.shape([*load, held])
+    if shape.misfit > _EXPLAINED and load:
+        # the images of the load may have excluded the right model
+        shape = min(shape, perception.shape([held]), key=_misfit)
     return _report(shape)
+
+
+def _misfit(shape: ContactShape) -> float:
+    return shape.misfit if shape.misfit == shape.misfit else float("inf")
 
 
 def _report(shape: ContactShape) -> dict[str, Any]:

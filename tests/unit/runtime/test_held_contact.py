@@ -50,6 +50,22 @@ def test_the_load_and_the_last_image_of_the_hold_count():
     np.testing.assert_allclose(found["area_interval_mm2"], [30, 60])
 
 
+def test_a_history_that_does_not_explain_the_hold_is_discarded():
+    class Misled(StatefulPipeline):
+        def __init__(self):
+            pass
+
+        def shape(self, touches):
+            kind, misfit = ("flat", 3.3) if len(touches) > 1 else ("smooth", 0.9)
+            return ContactShape(kind, dict.fromkeys(SHAPES, 0.0) | {kind: 1.0}, misfit=misfit)
+
+    contacts = HeldContacts()
+    contacts.add(cycle("close", 0.1))
+    contacts.add(cycle("hold", 0.6))
+    (found,) = contacts.estimate([Misled()])
+    assert found["kind"] == "smooth" and found["misfit"] == 0.9
+
+
 def test_a_run_with_shapes_has_its_own():
     shape = ContactShape("unknown", dict.fromkeys(SHAPES, np.nan))
     contacts = HeldContacts()
