@@ -11,8 +11,8 @@ from mjtactile.core.types import ContactShape, Touch
 from mjtactile.runtime.cycle import Cycle
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_GROWN = 2.0  # force ratio between two kept images of a load
-_KEPT = 3  # images of a load
+_GROWN = 1.4  # force ratio between two kept images of a load
+_KEPT = 7  # images of a load
 _FIRST = 0.05  # force of the first of them, N
 _EXPLAINED = 2.0  # maximum misfit of a shape that explains the last image
 
