@@ -35,6 +35,7 @@ from mjtactile.core import foreign_file, signals
 from mjtactile.recording.decimated_history import DecimatedHistory
 from mjtactile.recording.files import to_json, write_json
 from mjtactile.runtime.grasp import fidelity_notes
+from mjtactile.runtime.held_contact import EXPLAINED
 from mjtactile.runtime.progress import Progress
 
 if TYPE_CHECKING:
@@ -297,8 +298,7 @@ def _write_report(
         print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
-_CLEAR, _EXPLAINED = 0.9, 2.0
-"""Minimum probability and maximum misfit of a kind of contact that is printed without reserve."""
+_CLEAR = 0.9  # minimum probability of a kind of contact that is printed without reserve
 
 
 def _contact_text(contact: dict[str, Any]) -> str:
@@ -306,7 +306,7 @@ def _contact_text(contact: dict[str, Any]) -> str:
         return f"unknown: {contact['status']}"
     low, high = contact["area_interval_mm2"]
     kind = f"{contact['kind']} ({100 * contact['probability']:.0f} %)"
-    if contact["probability"] < _CLEAR or contact["misfit"] > _EXPLAINED:
+    if contact["probability"] < _CLEAR or contact["misfit"] > EXPLAINED:
         kind = f"kind unclear, likeliest {kind}"
     return f"{kind}, area {contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
 

@@ -14,7 +14,8 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 _GROWN = 1.4  # force ratio between two kept images of a load
 _KEPT = 7  # images of a load
 _FIRST = 0.05  # force of the first of them, N
-_EXPLAINED = 2.0  # maximum misfit of a shape that explains the last image
+EXPLAINED = 2.0
+"""Maximum misfit of a shape that explains the last image."""
 
 
 class HeldContacts:
@@ -50,26 +51,24 @@ def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str
     if held is None or not isinstance(perception, StatefulPipeline):
         return None
     if held.shape is not None:
-        return _report(held.shape)
+        return _report(held.shape, held)
     shape = perception.shape([*load, held])
-    if shape.misfit > _EXPLAINED and load:
+    if shape.misfit > EXPLAINED and load:
         # the images of the load may have excluded the right model
-        shape = min(shape, perception.shape([held]), key=_misfit)
-    return _report(shape)
+        alone = perception.shape([held])
+        shape = alone if alone.misfit <= EXPLAINED else shape
+    return _report(shape, held)
 
 
-def _misfit(shape: ContactShape) -> float:
-    return shape.misfit if shape.misfit == shape.misfit else float("inf")
-
-
-def _report(shape: ContactShape) -> dict[str, Any]:
+def _report(shape: ContactShape, held: Touch) -> dict[str, Any]:
     """Return kind, probability, misfit, and area, mm^2, with its 68 % interval; unknown values are
-    NaN."""
+    NaN. The area of a shape that does not explain the image is that of the traction."""
+    area = held.contact if shape.misfit > EXPLAINED and held.contact is not None else shape
     return {
         "kind": shape.kind,
         "probability": float(shape.probabilities.get(shape.kind, float("nan"))),
         "misfit": float(shape.misfit),
-        "area_mm2": 1e6 * float(shape.area),
-        "area_interval_mm2": [1e6 * float(end) for end in shape.area_interval],
+        "area_mm2": 1e6 * float(area.area),
+        "area_interval_mm2": [1e6 * float(end) for end in area.area_interval],
         "status": str(shape.status),
     }

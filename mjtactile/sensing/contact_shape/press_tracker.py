@@ -30,9 +30,7 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES, several
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _WORSE = 1.5  # misfit ratio to the last search over all models above which they are searched again
-# fraction of misfit_max above which every evaluation with grown force searches all, and above which
-# the suggested models are not enough
-_BAD = 0.25
+_BAD = 0.25  # fraction of misfit_max above which every evaluation with grown force searches all
 _BETTER = 0.8  # misfit ratio below which a newly fitted shape replaces the tracked one
 _STUCK = 1.15  # misfit ratio to the best model above which a fit is restarted
 Suggest = Callable[[Data], Suggestions]
@@ -134,7 +132,7 @@ def _suggested_fits(
     """Fit the suggested models; empty: none explains the markers."""
     fits = suggested(forward, suggestions, hint, data, s.noise_min, _SUGGESTED)
     minimum = min((fit.misfit for fit in fits), default=math.inf)
-    return fits if minimum < _BAD * s.misfit_max or len(hint.parts) > 1 else []
+    return fits if minimum < s.misfit_asks or len(hint.parts) > 1 else []
 
 
 def _penalty(fit: Fit, s: ContactShapeSettings) -> float:

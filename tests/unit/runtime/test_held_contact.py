@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from mjtactile.core.types import SHAPES, ContactShape, Touch
+from mjtactile.core.types import SHAPES, Contact, ContactShape, Touch
 from mjtactile.runtime.held_contact import HeldContacts
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
@@ -64,6 +65,20 @@ def test_a_history_that_does_not_explain_the_hold_is_discarded():
     contacts.add(cycle("hold", 0.6))
     (found,) = contacts.estimate([Misled()])
     assert found["kind"] == "smooth" and found["misfit"] == 0.9
+
+
+def test_the_area_of_a_shape_that_explains_little_is_that_of_the_traction():
+    shape = ContactShape("flat", dict.fromkeys(SHAPES, 0.2), area=4e-5, misfit=3.3)
+    mask = np.ones((2, 2), dtype=bool)
+    patch = Contact(True, 9e-5, np.zeros(2), 1e-3, mask, area_interval=np.array([4e-5, 1.6e-4]))
+    (touch,) = cycle("hold", 0.6, shape=shape).touch
+    contacts = HeldContacts()
+    contacts.add(
+        SimpleNamespace(touch=(replace(touch, contact=patch),), sent=SimpleNamespace(phase="hold"))
+    )
+    (found,) = contacts.estimate([Fitted()])
+    assert found["kind"] == "flat" and found["area_mm2"] == pytest.approx(90)
+    np.testing.assert_allclose(found["area_interval_mm2"], [40, 160])
 
 
 def test_a_run_with_shapes_has_its_own():
