@@ -45,16 +45,17 @@ class RslRlWorlds(VecEnv):
         self.max_episode_length = round(task["time_limit"] / period)
         self.episode_length_buf = torch.zeros(worlds, dtype=torch.long, device=device)
         self.scale, self.middle, self.span = (
-            torch.tensor(one, dtype=torch.float32, device=device) for one in (SCALE, MIDDLE, SPAN)
+            torch.tensor(values, dtype=torch.float32, device=device)
+            for values in (SCALE, MIDDLE, SPAN)
         )
-        self.shown, _ = self.worlds.reset(seed=1_000_000)  # other seeds than `evaluate`
+        self.observation, _ = self.worlds.reset(seed=1_000_000)  # other seeds than `evaluate`
         self.ended = self.held = 0  # grasps
-        self.paid = torch.zeros(worlds, device=device)  # in the present grasp
+        self.episode_return = torch.zeros(worlds, device=device)  # in the present grasp
         self.returns = []  # means over the grasps that end with a decision
 
     def get_observations(self) -> TensorDict:
         """Return the scaled observations of all worlds."""
-        return TensorDict({"policy": self.shown / self.scale}, batch_size=self.num_envs)
+        return TensorDict({"policy": self.observation / self.scale}, batch_size=self.num_envs)
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
         """Take one decision in each world.
@@ -65,23 +66,23 @@ class RslRlWorlds(VecEnv):
         Returns:
             Scaled observations, rewards, ended grasps, and the grasps that ended by time.
         """
-        own = self.middle + self.span * actions
+        unscaled = self.middle + self.span * actions
         reward = torch.zeros(self.num_envs, device=self.device)
         over, late, held = (torch.zeros_like(reward, dtype=torch.bool) for _ in range(3))
         for _ in range(STEPS):
-            _, paid, terminated, truncated, info = self.worlds.step(own)
-            reward += torch.where(over, 0.0, paid.clamp(min=-MAX_PENALTY))
+            _, gained, terminated, truncated, info = self.worlds.step(unscaled)
+            reward += torch.where(over, 0.0, gained.clamp(min=-MAX_PENALTY))
             late |= truncated & ~over
             held |= (info["outcome"] == _HELD) & ~over
             over |= terminated | truncated
-        self.shown, _ = self.worlds.reset(options={"reset_mask": over})
+        self.observation, _ = self.worlds.reset(options={"reset_mask": over})
         self.episode_length_buf = torch.where(over, 0, self.episode_length_buf + 1)
-        self.paid += reward
+        self.episode_return += reward
         if over.any():
             self.ended += int(over.sum())
             self.held += int(held.sum())
-            self.returns.append(float(self.paid[over].mean()))
-        self.paid = torch.where(over, 0.0, self.paid)
+            self.returns.append(float(self.episode_return[over].mean()))
+        self.episode_return = torch.where(over, 0.0, self.episode_return)
         return self.get_observations(), reward, over, {"time_outs": late}
 
     def report(self) -> str:
