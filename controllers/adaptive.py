@@ -14,7 +14,8 @@
 """
 
 from dataclasses import replace
-from math import hypot, isfinite
+from functools import partial
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -51,21 +52,17 @@ LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
-SETTLE_TIME, GRIP_TIMEOUT, STOP_TIME = 0.25, 6.0, 0.3  # times in s; STOP_TIME: jaws stopped
-MAX_BLIND_TIME, LOST_TIME = 0.5, 0.3  # maximum times without a usable image and without touch, s
+SETTLE_TIME = 0.25  # s
 SEARCH = 0.030  # search range for the table below the specified place height, m
 # pull over all fingers, N, and its duration, s; a bump is shorter
 PULL_FORCE, PULL_TIME = 0.20, 0.09
-RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
-CLOCKS = ("phase", "settled", "blind", "lost", "stuck", "pull", "behind", "test", "slip")
 MEMORY_KEYS = {
     LoadEstimator: "load",
     GripStiffnessEstimator: "spring",
     FrameLoadEstimator: "frames",
     FrictionFilter: "friction",
 }
-START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
-    "narrowest": 1.0,
+START = {f"{clock}_time": 0.0 for clock in ("pull", "behind", "test", "slip")} | {
     "low": WEIGH_HEIGHT,
     "target": MIN_FORCE,
     "due": MIN_FORCE,
@@ -78,20 +75,15 @@ START = {f"{clock}_time": 0.0 for clock in CLOCKS} | {
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: dispatch on the phase that the last command was in."""
-    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
-    command = phases.update_contact_clocks(observation, command, TOUCH_FORCE / 2, MAX_BLIND_TIME)
-    forces = [touch.force_normal for touch in observation.touch]
-    if not all(isfinite(force) for force in forces):
-        return command
-    if command.phase in ("lift", "hold", "lower"):
-        if command.memory["lost_time"] > LOST_TIME:
-            command = replace(command, reason="the object slipped out of the grasp")
-            return phases.start_release(command, lost=1.0)
-        command = grip_as_needed(observation, command)
-    if command.phase not in _PHASES:  # "done" or "abort"
-        return command
-    return _PHASES[command.phase](observation, command, forces)
+    """One control cycle: the function of the phase that the last command was in."""
+    return phases.run_cycle(
+        observation,
+        PHASES,
+        start=START,
+        force_limit=SERVO_FORCE_LIMIT,
+        contact_force=TOUCH_FORCE / 2,
+        update=grip_as_needed,
+    )
 
 
 def _stored(kind: Any, command: Command) -> Any:
@@ -100,7 +92,7 @@ def _stored(kind: Any, command: Command) -> Any:
     return kind(**kept)
 
 
-def grip_as_needed(observation: Observation, command: Command) -> Command:
+def grip_as_needed(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     touch = observation.touch
     memory = command.memory
@@ -159,29 +151,12 @@ def _regulated(observation: Observation, command: Command, forces: list[float]) 
     return phases.remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
 
-def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Close at a constant speed until either finger measures a force, slower until both do."""
-    if min(forces) > TOUCH_FORCE or max(forces) > MAX_PUSH:
-        return phases.enter_phase(command, "regulate")
-    command = phases.update_stuck_clock(observation, command, STOP_TIME)
-    if command.phase == "abort":
-        return command
-    if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
-        return phases.abort(command, "only one finger touches the object")
-    if command.phase == "approach" and max(forces) > TOUCH_FORCE:
-        return phases.enter_phase(command, "close")
-    speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
-    return replace(command, opening=command.opening - speed * observation.period)
-
-
 def _regulate(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Bring the force to the first target."""
     command = _regulated(observation, command, forces)
     is_settled = abs(sum(forces) / len(forces) - command.memory["target"]) < FORCE_TOLERANCE
     is_settled &= min(forces) > TOUCH_FORCE / 2
-    return phases.settle(
-        observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
-    )
+    return phases.settle(observation, command, is_settled, SETTLE_TIME)
 
 
 def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
@@ -262,24 +237,15 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     return replace(command, lift_height=height)
 
 
-def _release(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Open until the fingers are clear of the object."""
-    return phases.release(
-        observation,
-        command,
-        speed=OPENING_SPEED,
-        clearance=RELEASE_OPENING,
-        contact_force=TOUCH_FORCE,
-        timeout=GRIP_TIMEOUT,
-    )
-
-
-_PHASES = {
+_approach = partial(
+    phases.approach, speed=CLOSING_SPEED, contact_force=TOUCH_FORCE, max_force=MAX_PUSH
+)
+PHASES = {
     "approach": _approach,
     "close": _approach,
     "regulate": _regulate,
     "lift": _lift,
     "hold": _hold,
     "lower": _lower,
-    "release": _release,
+    "release": partial(phases.release, speed=OPENING_SPEED, contact_force=TOUCH_FORCE),
 }

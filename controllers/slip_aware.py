@@ -7,7 +7,7 @@ tightens. `step` is pure: it writes its memory into `Command.memory` and reads i
 """
 
 from dataclasses import replace
-from math import isfinite
+from functools import partial
 
 from mjtactile.grasp_estimation import phases
 from mjtactile.types import Command, Observation
@@ -32,54 +32,34 @@ REGULATION_SPEED_MAX = 0.010
 # lift speed, m/s: slow, so that slip is detected early
 LIFT_SPEED = 0.025
 SETTLE_TIME = 0.4
-GRIP_TIMEOUT = 6.0
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
-BLIND_TIME_MAX = 0.5  # maximum time without a usable image, s
-LOST_TIME = 0.3  # time without touch, s, after which the object counts as lost
-RELEASE_OPENING = 0.012  # opening beyond the grip at the end of a run, m
-STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
 # upward force per finger during lowering, N, that indicates a standing object
 TABLE_FORCE = 0.1
-START = {
-    "phase_time": 0.0,
-    "settled_time": 0.0,
-    "blind_time": 0.0,
-    "lost_time": 0.0,
-    "target": FIRST_FORCE,
-    "since_slip": 1.0,
-    "slips": 0.0,
-    "stuck_time": 0.0,
-    "narrowest": 1.0,
-}
+START = {"target": FIRST_FORCE, "since_slip": 1.0, "slips": 0.0}
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: dispatch on the phase that the last command was in."""
-    command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
-    since_slip = command.memory["since_slip"] + observation.period
-    command = phases.remember(command, since_slip=since_slip)
-    command = phases.update_contact_clocks(observation, command, TOUCH_FORCE, BLIND_TIME_MAX)
-    forces = [touch.force_normal for touch in observation.touch]
-    if not all(isfinite(force) for force in forces):
-        return command
-    if command.phase in ("lift", "hold", "lower"):
-        if command.memory["lost_time"] > LOST_TIME:
-            command = replace(command, reason="the object slipped out of the grasp")
-            return phases.start_release(command, lost=1.0)
-        command = _grip_as_needed(observation, command, forces)
-    if command.phase not in _PHASES:  # "done" or "abort"
-        return command
-    return _PHASES[command.phase](observation, command, forces)
+    """One control cycle: the function of the phase that the last command was in."""
+    return phases.run_cycle(
+        observation,
+        PHASES,
+        start=START,
+        force_limit=SERVO_FORCE_LIMIT,
+        contact_force=TOUCH_FORCE,
+        update=_grip_as_needed,
+    )
 
 
 def _grip_as_needed(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Raise the target force if any finger reports slip or incipient slip; at slip also close
     immediately."""
     memory = command.memory
+    since_slip = memory["since_slip"] + observation.period
+    command = phases.remember(command, since_slip=since_slip)
     states = [
         touch.slip.state if touch.slip is not None else "unknown" for touch in observation.touch
     ]
-    if "slipping" in states and memory["since_slip"] >= SLIP_PAUSE:
+    if "slipping" in states and since_slip >= SLIP_PAUSE:
         target = min(
             FORCE_MAX, max(memory["target"], *forces) * (1 + SLIPPING_FRACTION) + SLIPPING_STEP
         )
@@ -106,29 +86,12 @@ def _regulated(observation: Observation, command: Command, forces: list[float]) 
     return replace(command, opening=max(actual - 0.004, min(actual + 0.004, opening)))
 
 
-def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Close at a constant speed until either finger measures a force, slower until both do."""
-    if min(forces) > TOUCH_FORCE or max(forces) > command.memory["target"]:
-        return phases.enter_phase(command, "regulate")
-    command = phases.update_stuck_clock(observation, command, STOP_TIME)
-    if command.phase == "abort":
-        return command
-    if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
-        return phases.abort(command, "only one finger touches the object")
-    if command.phase == "approach" and max(forces) > TOUCH_FORCE:
-        return phases.enter_phase(command, "close")
-    speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
-    return replace(command, opening=command.opening - speed * observation.period)
-
-
 def _regulate(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Bring the force to the target and wait until it stays there."""
     command = _regulated(observation, command, forces)
     error = command.memory["target"] - sum(forces) / len(forces)
     is_settled = abs(error) < FORCE_TOLERANCE
-    return phases.settle(
-        observation, command, is_settled, settle_time=SETTLE_TIME, timeout=GRIP_TIMEOUT
-    )
+    return phases.settle(observation, command, is_settled, SETTLE_TIME)
 
 
 def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
@@ -153,24 +116,15 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     return phases.lower(observation, command, speed=LIFT_SPEED, table_force=TABLE_FORCE)
 
 
-def _release(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Open until the fingers are clear of the object."""
-    return phases.release(
-        observation,
-        command,
-        speed=OPENING_SPEED,
-        clearance=RELEASE_OPENING,
-        contact_force=TOUCH_FORCE,
-        timeout=GRIP_TIMEOUT,
-    )
-
-
-_PHASES = {
+_approach = partial(
+    phases.approach, speed=CLOSING_SPEED, contact_force=TOUCH_FORCE, max_force=FIRST_FORCE
+)
+PHASES = {
     "approach": _approach,
     "close": _approach,
     "regulate": _regulate,
     "lift": _lift,
     "hold": _hold,
     "lower": _lower,
-    "release": _release,
+    "release": partial(phases.release, speed=OPENING_SPEED, contact_force=TOUCH_FORCE),
 }

@@ -30,7 +30,6 @@ LOWER_TIME_SPARE = 1.0
 # opening beyond the grip, m, and time limit of the release, s
 RELEASE_OPENING = 0.012
 RELEASE_TIME = 2.0
-STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
 START = {"phase_time": 0.0, "effort": 0.0, "free": 0.0, "stuck_time": 0.0}
 
 
@@ -80,7 +79,7 @@ def _approach(observation: Observation, command: Command) -> Command:
     elif effort - command.memory["free"] >= EFFORT:
         command = replace(command, opening=observation.gripper.opening)
         return phases.enter_phase(command, "regulate")
-    command = phases.update_stuck_clock(observation, command, STOP_TIME)
+    command = phases.update_stuck_clock(observation, command)
     if command.phase == "abort":
         return command
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)

@@ -53,7 +53,7 @@ class Oracle(Observer):
         self._adaptive = own
         # the oracle's values replace its estimates
         module: Any = sys.modules[own.function.__module__]
-        module.grip_as_needed = lambda observation, command: command
+        module.grip_as_needed = lambda observation, command, forces: command
         self._scenario = scenario
         self._scorer: TaskScorer | None = None
         self._sampled: SampledTask | None = None

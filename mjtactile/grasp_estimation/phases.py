@@ -8,16 +8,32 @@ contact. `stuck_time` is the time without further closing. Each function returns
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 from mjtactile.core.types import Command, Observation
 from mjtactile.grasp_estimation.touch_statics import shear, support_force
 
+Phase = Callable[[Observation, Command, list[float]], Command]
+"""Part of a controller: observation, command and the fingers' normal forces, N, to a command."""
+
+HOLDING = ("lift", "hold", "lower")
+"""Phases in which the object can be lost."""
+
+GRIP_TIMEOUT = 6.0
+"""Maximum time of closing on an object, of settling the force and of releasing, s."""
+
+_MAX_BLIND_TIME, _LOST_TIME = 0.5, 0.3  # times without a usable image and without contact, s
+_STOP_TIME = 0.3  # time, s, without further closing by the rig: the jaws are at their stop
+_SLOW = 0.3  # fraction of the closing speed while one finger has contact
+_CLEARANCE = 0.012  # opening beyond the grip at the end of a run, m
 _MIN_STEP = 1e-4  # minimum decrease of the opening, m, that counts as closing
 _NEAR = 0.001  # tolerance of heights and openings, m
+_CLOCKS: dict[str, float] = dict.fromkeys(
+    ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time"), 0.0
+)
 _LOWER_TIME_SPARE = 1.0  # s; by then the object stands, tilted, and supports the gripper
 
 
@@ -47,27 +63,66 @@ def start_cycle(observation: Observation, start: Mapping[str, Any], force_limit:
     return replace(observation.command, force_limit=force_limit, memory=memory)
 
 
-def update_contact_clocks(
-    observation: Observation, command: Command, contact_force: float, blind_time_max: float
+def run_cycle(
+    observation: Observation,
+    functions: Mapping[str, Phase],
+    *,
+    start: Mapping[str, Any],
+    force_limit: float,
+    contact_force: float,
+    update: Phase | None = None,
+    lost_slip: float = inf,
 ) -> Command:
-    """Update `blind_time` and `lost_time`; abort after `blind_time_max` s without a force estimate.
+    """Run one control cycle of a grasp: the function of the phase that the last command was in.
 
-    An unknown force is not zero: until then the command stays as it is. There is contact if a force
-    exceeds `contact_force`, N.
+    The command stays as it is while a force is unknown. If the object is lost, the gripper releases
+    at its height, not down onto the fallen object, and the run ends with "abort".
+
+    Args:
+        observation: Present observation.
+        functions: Function of each phase; phases without one end the run.
+        start: Initial values of the memory, in addition to the clocks.
+        force_limit: Maximum servo force on each finger, N.
+        contact_force: Minimum normal force of a finger in contact, N.
+        update: Called before the function of a phase of `HOLDING`.
+        lost_slip: Slip distance of every finger, m, of a lost object.
+
+    Returns:
+        The next command.
     """
+    command = start_cycle(observation, {**_CLOCKS, **start}, force_limit)
+    command = _update_contact_clocks(observation, command, contact_force)
+    forces = [touch.force_normal for touch in observation.touch]
+    if not all(isfinite(force) for force in forces):
+        return command
+    if command.phase in HOLDING:
+        slips = [0.0 if touch.slip is None else touch.slip.distance for touch in observation.touch]
+        if command.memory["lost_time"] > _LOST_TIME or min(slips) > lost_slip:
+            command = replace(command, reason="the object slipped out of the grasp")
+            return start_release(command, lost=1.0)
+        if update is not None:
+            command = update(observation, command, forces)
+    function = functions.get(command.phase)
+    return command if function is None else function(observation, command, forces)
+
+
+def _update_contact_clocks(
+    observation: Observation, command: Command, contact_force: float
+) -> Command:
+    """Update `blind_time` and `lost_time`; abort after a long time without a force estimate."""
     unknown = [touch for touch in observation.touch if not isfinite(touch.force_normal)]
     if not unknown:
         in_contact = max(touch.force_normal for touch in observation.touch) > contact_force
         lost_time = 0.0 if in_contact else command.memory["lost_time"] + observation.period
         return remember(command, blind_time=0.0, lost_time=lost_time)
     command = remember(command, blind_time=command.memory["blind_time"] + observation.period)
-    if command.memory["blind_time"] > blind_time_max:
+    if command.memory["blind_time"] > _MAX_BLIND_TIME:
         return abort(command, f"the contact force is unknown: {unknown[0].status}")
     return command
 
 
-def update_stuck_clock(observation: Observation, command: Command, stop_time: float) -> Command:
-    """Update `stuck_time`; abort after `stop_time` s in which the rig has not closed the jaws.
+def update_stuck_clock(observation: Observation, command: Command) -> Command:
+    """Update `stuck_time`; abort if the rig has not closed the jaws for 0.3 s.
 
     The last command is already limited by the rig.
     """
@@ -76,22 +131,45 @@ def update_stuck_clock(observation: Observation, command: Command, stop_time: fl
         return remember(command, stuck_time=0.0, narrowest=command.opening)
     stuck_time = command.memory["stuck_time"] + observation.period
     command = remember(command, stuck_time=stuck_time)
-    return abort(command, "the jaws closed without contact") if stuck_time > stop_time else command
+    if stuck_time > _STOP_TIME:
+        return abort(command, "the jaws closed without contact")
+    return command
+
+
+def approach(
+    observation: Observation,
+    command: Command,
+    forces: list[float],
+    *,
+    speed: float,
+    contact_force: float,
+    max_force: float,
+) -> Command:
+    """Close at `speed` m/s until one finger has contact, then slowly ("close") until both have.
+
+    "regulate" follows, also if one finger measures more than `max_force` N.
+    """
+    if min(forces) > contact_force or max(forces) > max_force:
+        return enter_phase(command, "regulate")
+    command = update_stuck_clock(observation, command)
+    if command.phase == "abort":
+        return command
+    if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
+        return abort(command, "only one finger touches the object")
+    if command.phase == "approach" and max(forces) > contact_force:
+        return enter_phase(command, "close")
+    fraction = 1.0 if command.phase == "approach" else _SLOW
+    return replace(command, opening=command.opening - fraction * speed * observation.period)
 
 
 def settle(
-    observation: Observation,
-    command: Command,
-    is_settled: bool,
-    *,
-    settle_time: float,
-    timeout: float,
+    observation: Observation, command: Command, is_settled: bool, settle_time: float
 ) -> Command:
-    """Enter "lift" after the force was settled for `settle_time` s; abort after `timeout` s."""
+    """Enter "lift" after the force was settled for `settle_time` s; abort after `GRIP_TIMEOUT`."""
     settled_time = command.memory["settled_time"] + observation.period if is_settled else 0.0
     if settled_time >= settle_time:
         return enter_phase(command, "lift")
-    if command.memory["phase_time"] > timeout:
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
         return abort(command, "the force did not settle")
     return remember(command, settled_time=settled_time)
 
@@ -132,21 +210,20 @@ def start_release(command: Command, **values: Any) -> Command:
 def release(
     observation: Observation,
     command: Command,
+    forces: list[float],
     *,
     speed: float,
-    clearance: float,
     contact_force: float,
-    timeout: float,
 ) -> Command:
-    """Open at `speed` m/s until the jaws are `clearance` m beyond the grip, without contact.
+    """Open at `speed` m/s until the jaws are 12 mm beyond the grip, without contact.
 
     The run then ends with "done", or with "abort" if the memory has an entry `lost`. It also aborts
-    if a finger measures `contact_force`, N, for `timeout` s.
+    if a finger measures `contact_force`, N, for `GRIP_TIMEOUT`.
     """
-    goal = command.memory["grip_opening"] + clearance
-    is_free = max(touch.force_normal for touch in observation.touch) < contact_force
+    goal = command.memory["grip_opening"] + _CLEARANCE
+    is_free = max(forces) < contact_force
     if observation.gripper.opening > goal - _NEAR and is_free:
         return enter_phase(command, "abort" if "lost" in command.memory else "done")
-    if command.memory["phase_time"] > timeout:
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
         return abort(command, "the object sticks to a finger")
     return replace(command, opening=min(goal, command.opening + speed * observation.period))
