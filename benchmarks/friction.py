@@ -8,7 +8,8 @@ an object gets wet.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.toml import read_json
 from mjtactile.grasp_estimation import FrictionFilter
 from mjtactile.grasp_estimation.friction_filter import ALL, GRID, MOVES, NONE, SOME
 from mjtactile.recording.files import write_json
@@ -73,13 +75,16 @@ class _Signs(Observer):
         self.filters.append(self._filter)
 
 
-def run(out: Path, quick: bool = False, episodes: int | None = None) -> dict[str, Any]:
+def run(
+    out: Path, quick: bool = False, resume: bool = False, episodes: int | None = None
+) -> dict[str, Any]:
     """Run the grasps of each level.
 
     Args:
-        out: Gets friction.json and wet_posterior.png.
+        out: Gets friction.json, wet_posterior.png and the images of each grasp, friction/*.json.
         quick: One grasp with synthetic touch for each task and controller; on the mesh the one of
             the figure alone.
+        resume: Continue with the stored grasps.
         episodes: Grasps with synthetic touch of each task and controller; a third on the mesh.
 
     Returns:
@@ -88,21 +93,44 @@ def run(out: Path, quick: bool = False, episodes: int | None = None) -> dict[str
     counts = QUICK if quick else EPISODES
     if episodes is not None:
         counts = {SYNTHETIC: episodes, MESH: episodes // 3}
+    folder = out / "friction"
+    folder.mkdir(parents=True, exist_ok=True)
     result: dict[str, Any] = {"episodes": counts, "levels": {}}
-    wet = _grasp("wet", "adaptive", _WET_SEED, "vial", LEVELS[MESH])
-    _plot(wet, out / "wet_posterior.png")
+    wet = _stored(folder / "figure.json", resume, partial(_wet_grasp, out / "wet_posterior.png"))
     for level, effects in LEVELS.items():
         grasps = [
-            _grasp(task, controller, SEED + k, OBJECTS[k % len(OBJECTS)], effects).rows
+            _stored(
+                folder / f"{level} {task} {controller} {SEED + k}.json".replace(" ", "-"),
+                resume,
+                partial(_grasp, task, controller, SEED + k, OBJECTS[k % len(OBJECTS)], effects),
+            )
             for task in TASKS
             for controller in CONTROLLERS
             for k in range(counts[level])
         ]
         if level == MESH:
-            grasps.append(wet.rows)
+            grasps.append(wet)
         result["levels"][level] = frequencies(grasps) | {"grasps": len(grasps)}
         write_json(out / "friction.json", result)
     return result
+
+
+def _stored(path: Path, resume: bool, grasp: Callable[[], _Signs]) -> list[Row]:
+    """Return the images of a grasp; run it unless an interrupted run has stored it."""
+    if not (resume and path.is_file()):
+        write_json(path, {"images": grasp().rows})
+    unknown = float("nan")
+    return [
+        {name: unknown if value is None else value for name, value in row.items()}
+        for row in read_json(path)["images"]
+    ]
+
+
+def _wet_grasp(figure: Path) -> _Signs:
+    """Run the grasp of the figure on the mesh, and plot it."""
+    wet = _grasp("wet", "adaptive", _WET_SEED, "vial", LEVELS[MESH])
+    _plot(wet, figure)
+    return wet
 
 
 def _grasp(task: str, controller: str, seed: int, name: str, effects: str) -> _Signs:

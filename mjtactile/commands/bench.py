@@ -110,6 +110,7 @@ OPTIONS = {
         "fit",
         "outline",
         "suite-v2",
+        "friction",
     ),
     "parts": ("rig", "slip", "tasks"),
     "level": ("tasks",),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks import friction
 from benchmarks.friction import EDGES, frequencies, table
 from mjtactile.grasp_estimation.friction_filter import MOVES, NONE, SOME
 
@@ -40,3 +41,27 @@ def test_the_utilization_of_moving_fingers_is_a_measurement_of_friction():
 def test_the_table_states_the_number_of_grasps():
     found = frequencies([[row(0.55, NONE)]]) | {"grasps": 1}
     assert "Grasps: 1, seeds from 61000." in table({"levels": {"mesh": found}})
+
+
+def test_an_interrupted_run_continues_with_the_stored_grasps(tmp_path, monkeypatch):
+    """Unknown changes of the grip are NaN again; the tables are those of one run."""
+    started = []
+
+    class Grasp:
+        rows = [row(0.55, NONE, harder=np.nan, more=np.nan)] * 2
+
+    def grasp(task, controller, seed, *_):
+        started.append((task, controller, seed))
+        if len(started) == 20:
+            raise KeyboardInterrupt
+        return Grasp()
+
+    monkeypatch.setattr(friction, "_grasp", grasp)
+    monkeypatch.setattr(friction, "_plot", lambda *_: None)
+    with pytest.raises(KeyboardInterrupt):
+        friction.run(tmp_path, episodes=3)
+    resumed = friction.run(tmp_path, episodes=3, resume=True)
+    assert len(started) == 20 + (1 + 4 * 2 * (3 + 1) - 19) and started[19] == started[20]
+    images = resumed["levels"]["synthetic touch"]["images"]
+    assert sum(images) == 4 * 2 * 3 * 2
+    assert resumed["levels"]["synthetic touch"]["answers"] == {"sticking": None, "sliding": None}
