@@ -22,8 +22,8 @@ from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
-from mjtactile.sensing.image.fit_validation import NOT_ELLIPSE, implausible, validate_fits
-from mjtactile.sensing.image.outline_residual import outline_residual
+from mjtactile.sensing.image.fit_validation import NOT_ELLIPSE, TEXTURE, implausible, validate_fits
+from mjtactile.sensing.image.outline_residual import is_blob, outline_residual
 from mjtactile.sensing.settings import DEFAULTS, ExhaustiveDetectionSettings, Settings
 
 
@@ -100,6 +100,9 @@ def _by_outline(
     incomplete = outlines.incomplete()
     status = status.copy()
     status[trusted] = np.where(incomplete, NOT_ELLIPSE, "ok")
+    amplitude = outlines.amplitude[~incomplete]
+    trusted = status == "ok"
+    status[trusted] = np.where(is_blob(fit, trusted, amplitude), TEXTURE, "ok")
     return status, outlines.deformed(~incomplete)
 
 

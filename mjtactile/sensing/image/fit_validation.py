@@ -22,6 +22,7 @@ BLURRED = "too blurred"
 LONG = "too long"
 NO_FIT = "no fit"
 MOVED = "edge lies elsewhere"
+TEXTURE = "as likely a texture"
 # in the order of the status codes in mjtactile/kernels/candidates.c
 _REASONS = (CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT)
 STATUSES = np.array(["ok", *_REASONS, MOVED], dtype="<U24")

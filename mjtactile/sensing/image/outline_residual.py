@@ -39,6 +39,11 @@ _MAX_FRACTION = 0.04  # of the radius; real circles have at most 0.031, of six i
 # and more, seven of ten blobs of a texture more than 0.07.
 _MAX_EXCESS = 0.07  # of the contrast: residual of the fit beyond the noise of the pixels
 _MIN_DEFORMATION = 0.015  # px; simulated circles have 0.004 to 0.01, photographs 0.026 and more
+# Blobs of smoothed noise: of ten that are alike, about one passes the limits above.
+_BLOB_RATE = 0.1
+_BLOB_FRACTION = 0.03  # of the radius
+_ALIKE = 2.5  # maximum ratio of radii, and of contrasts, of blobs of one texture
+_MAX_BLOB_PROBABILITY = 0.05  # blobs have 0.2 and more, photographed circles at most 0.004
 _MIN_HALF_WIDTH = 2.5  # px; of a profile
 _BLURS = 2.5  # half-width of a profile in blurs
 _INSIDE = 0.8  # maximum half-width of a profile, relative to the radius
@@ -74,6 +79,34 @@ class OutlineResidual:
             return False
         ratio = float(np.median(amplitude / self.expected[use]))
         return ratio > _MAX_RATIO and float(np.median(amplitude)) > _MIN_DEFORMATION
+
+
+def is_blob(fit: EdgeFit, trusted: NDArray[np.bool_], amplitude: Array) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the trusted outlines that may be blobs of a texture.
+
+    A texture has many blobs of similar size and contrast, and few of them pass for a circle. Their
+    expected number follows from the fits that are refused. Circles that are alike, or an outline
+    without a deviation, are evidence against it.
+
+    Args:
+        fit: All N fits of an image.
+        trusted: Mask (N,) of the n trusted ones.
+        amplitude: Their amplitudes (n,), px, of the outline residual.
+
+    Returns:
+        True where the probability of a blob exceeds 0.05.
+    """
+    radius = ellipse.axes_from_shape(fit.shape)[0][:, 1]
+    contrast = np.abs(fit.inside - fit.outside)
+    size = np.log(np.maximum(np.stack([radius, contrast], axis=1), 1e-3))
+    ratio = np.abs(size[trusted, None] - size)  # (n, N, 2)
+    alike = (ratio < np.log(_ALIKE)).all(axis=2)
+    refused = (alike & ~trusted).sum(axis=1)
+    passing = _BLOB_RATE * refused
+    circles = (alike & trusted).sum(axis=1) - passing - 2 * np.sqrt(passing)
+    rounder = np.minimum(amplitude / (_BLOB_FRACTION * radius[trusted]), 1.0) ** 2
+    blobs = rounder * passing
+    return blobs / (blobs + np.maximum(circles, 1)) > _MAX_BLOB_PROBABILITY
 
 
 def outline_residual(grey: NDArray, fit: EdgeFit, edge_noise: float = 0.0) -> OutlineResidual:
