@@ -77,10 +77,17 @@ def grasp(worlds: int, seconds: float):
     mujoco.mj_forward(model, data)
     m, d = mjw.put_model(model), mjw.put_data(model, data, nworld=worlds, nconmax=32, njmax=96)
     touch = mjtactile.warp.bind(model, m, d, tips)
-    step = model.opt.timestep
-    for _ in range(round(seconds / step)):
-        wp.launch(close_by_touch, dim=worlds, inputs=[touch.wrench, d.time, step, d.ctrl])
+    timestep = model.opt.timestep
+
+    def step():
+        wp.launch(close_by_touch, dim=worlds, inputs=[touch.wrench, d.time, timestep, d.ctrl])
         mjw.step(m, d)
+
+    step()  # compiles; a capture cannot
+    with wp.ScopedCapture() as capture:
+        step()
+    for _ in range(round(seconds / timestep) - 1):
+        wp.capture_launch(capture.graph)
     heights = d.qpos.numpy()[:, model.joint(3).qposadr[0] + 2]
     return -touch.wrench.numpy()[:, :, 2], np.asarray(heights)
 

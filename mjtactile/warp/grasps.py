@@ -215,9 +215,7 @@ class Grasps:
     # -- inside ---------------------------------------------------------------------------------
 
     def _run_physics(self) -> None:
-        if not self.device.is_cuda:
-            self._substeps()
-        elif self._graph is None:
+        if self._graph is None:
             self._substeps()  # compiles; a capture cannot
             with wp.ScopedCapture() as capture:
                 self._substeps()
