@@ -28,7 +28,7 @@ def run(
     for name in SENSORS:
         notify(name)
         design = load_sensor(name)
-        presses = check(design, places=1 if quick else PLACES, seed=SEED, notify=notify)
+        presses = check(design, positions=1 if quick else PLACES, seed=SEED, notify=notify)
         rows.append({"sensor": name} | asdict(verdict(presses)))
         write_json(Path(out) / "design.json", {"rows": rows, "quick": quick})
     return {"rows": rows, "quick": quick}

@@ -125,7 +125,8 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
         _estimated(design, poses, shadows) for shadows in (True, False)
     )
     force, moved = (
-        np.array(one) - np.array(other) for one, other in zip(sampled, plain, strict=True)
+        np.array(with_shadow) - np.array(other)
+        for with_shadow, other in zip(sampled, plain, strict=True)
     )
     rms = np.sqrt(np.nanmean((moved**2).sum(axis=2), axis=1))
     return {

@@ -120,16 +120,16 @@ def table(result: Mapping[str, Any]) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in result["rows"]:
-        steps = [step for one in row["presses"] for step in one["steps"]]
+        steps = [step for press in row["presses"] for step in press["steps"]]
         true, estimated = (
             np.array([s[which] for s in steps], float) for which in ("true_N", "estimated_N")
         )
         off = 1e3 * (estimated - true)
         normal = off[:, 2]
         heights = ", ".join(f"{100 * (h / theory - 1):+.1f}" for h, theory in row["heights_mm"])
-        flagged = [bool(one["flags"]) for one in row["presses"] for _ in one["steps"]]
+        flagged = [bool(press["flags"]) for press in row["presses"] for _ in press["steps"]]
         unflagged = np.abs(off)[~np.array(flagged)]
-        places = sum(bool(one["flags"]) for one in row["presses"])
+        places = sum(bool(press["flags"]) for press in row["presses"])
         lines.append(
             f"| {row['sensor']} | {row['mesh'][0]} x {row['mesh'][1]} | {heights} | "
             f"{len(steps)} at {len(row['presses'])} positions, "

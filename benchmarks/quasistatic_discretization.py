@@ -75,7 +75,7 @@ def _compared(state: MembraneSolution | None, reference: MembraneSolution) -> di
 
 def _solve_in_steps(quasistatic: QuasistaticMembrane, body: Obstacle) -> MembraneSolution | None:
     """Solve like `_solve`, in small steps of the obstacle position."""
-    place, state = body.numbers[13:16], None
+    place, state = body.parameters[13:16], None
     for above in _STEPS:
         try:
             state = quasistatic.solve(body.at(place + np.array([0.0, 0.0, above])), state)

@@ -223,12 +223,12 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
 def _open_streams() -> None:
     """Open /dev/null for a missing stdin, stdout or stderr. Otherwise a device could get one of
     these descriptors and receive the text written to stderr."""
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
-            os.fstat(number)
+            os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # uses the lowest free number, which is this one
-            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+            setattr(sys, name, open(descriptor, "w" if descriptor else "r", closefd=False))  # noqa: SIM115
 
 
 def _flush_streams() -> None:

@@ -69,7 +69,7 @@ def run(
     ended = [_outcomes(FIRST_SEED + k, k, count, notify) for k in range(count)]
     for row in rows:
         row["outcomes"] = count
-        row["same_outcomes"] = sum(one[row["effects"]] == one["auto"] for one in ended)
+        row["same_outcomes"] = sum(run_row[row["effects"]] == run_row["auto"] for run_row in ended)
     result = {"stamp": stamp(), "rows": rows, "ended": ended}
     if not quick:
         write_json(levels_path(), {"stamp": result["stamp"], "rows": rows})
@@ -94,7 +94,7 @@ def _row(
 
 
 def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(np.concatenate([np.ravel(one) for one in values])))))
+    return float(np.sqrt(np.mean(np.square(np.concatenate([np.ravel(value) for value in values])))))
 
 
 def _press(case: Case) -> Pressed:

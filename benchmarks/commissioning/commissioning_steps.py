@@ -318,8 +318,8 @@ def _held_error(
                 truth = emulator.truth()
                 errors.append(
                     [
-                        one.force_normal - truth[f"contact_{k}"]
-                        for k, one in enumerate(cycle.touch, 1)
+                        touch.force_normal - truth[f"contact_{k}"]
+                        for k, touch in enumerate(cycle.touch, 1)
                     ]
                 )
 

@@ -89,8 +89,8 @@ def pairs(name: str, count: int, device: str, workers: int) -> tuple[dict[str, A
         with ProcessPoolExecutor(workers) as pool:
             grasps = list(pool.map(on_the_cpu, scenarios))
         outcomes, forces = _replayed(name, grasps, device, randomization)
-    there = np.array([one.outcome for one in grasps])
-    difference = np.abs(forces - [one.held_force for one in grasps])
+    there = np.array([grasp.outcome for grasp in grasps])
+    difference = np.abs(forces - [grasp.held_force for grasp in grasps])
     difference = difference[np.isfinite(difference)]
     row = {
         "object": name,
@@ -122,7 +122,7 @@ def _replayed(
     many.reset(seed=SEED)
     outcomes, forces = np.full(count, "", object), np.full(count, np.nan)
     for step in range(_STEPS):
-        actions = np.stack([one.actions[step] for one in grasps]).astype(np.float32)
+        actions = np.stack([grasp.actions[step] for grasp in grasps]).astype(np.float32)
         _, _, terminated, truncated, _ = many.step(actions)
         is_first = (np.asarray(terminated) | np.asarray(truncated)) & (outcomes == "")
         if is_first.any():

@@ -76,7 +76,7 @@ def press_objects(kind: str, count: int, device: str, sensor: str = "dense") -> 
         first = [*model.mesh_vertadr, len(model.mesh_vert)]
         objects = [(kind, model.mesh_vert[a:b]) for a, b in zip(first, first[1:], strict=False)]
     membrane = QuasistaticMembrane(sensor)
-    places = [_place(one, membrane, rng) for one in objects]
+    places = [_place(item, membrane, rng) for item in objects]
     depths = rng.uniform(0.3e-3, 2.5e-3, count)
     with wp.ScopedDevice(device):
         m = mjw.put_model(model)
@@ -92,8 +92,8 @@ def press_objects(kind: str, count: int, device: str, sensor: str = "dense") -> 
         pressure, status = touch.pressure.numpy()[:, 0], touch.status.numpy()[:, 0]
         grip = touch.membrane_patches.numpy()["grip"]
     rows = []
-    for k, (one, place) in enumerate(zip(objects, places, strict=True)):
-        exact = _on_the_cpu(membrane, one, place, depths[k])
+    for k, (item, place) in enumerate(zip(objects, places, strict=True)):
+        exact = _on_the_cpu(membrane, item, place, depths[k])
         if exact is not None:
             own = grip[k, k if kind == "mesh" else 0]
             found = [force[k], pressure[k], own[0], own[1], own[2]]
@@ -168,20 +168,20 @@ def _scene(objects: Sequence[tuple[str, Array]], sensor: str) -> tuple[mujoco.Mj
     return model, tip
 
 
-def _obstacle(one: tuple[str, Array], place: _Place) -> Obstacle:
-    kind, sizes = one
+def _obstacle(item: tuple[str, Array], place: _Place) -> Obstacle:
+    kind, sizes = item
     if kind == "mesh":
         return QuasistaticMembrane.obstacle("mesh", (), place.p, place.R, data=sizes)
     return QuasistaticMembrane.obstacle(kind, sizes, place.p, place.R)
 
 
 def _place(
-    one: tuple[str, Array], membrane: QuasistaticMembrane, rng: np.random.Generator
+    item: tuple[str, Array], membrane: QuasistaticMembrane, rng: np.random.Generator
 ) -> _Place:
     """Return a random pose at which an object starts to touch the untouched membrane."""
     room = np.array([membrane.x[-1], membrane.y[-1]]) - _MARGIN
     R = Rotation.from_euler("z", rng.uniform(0, 360), degrees=True)
-    if one[0] == "capsule" or (one[0] == "cylinder" and rng.random() < 0.5):
+    if item[0] == "capsule" or (item[0] == "cylinder" and rng.random() < 0.5):
         R = R * Rotation.from_euler("y", 90, degrees=True)
     axis = np.array([*rng.normal(size=2), 0.0])
     tilt = np.deg2rad(rng.uniform(0, _TILT)) * axis / np.linalg.norm(axis)
@@ -189,7 +189,7 @@ def _place(
         np.array([*rng.uniform(-room, room), 0.0]), (Rotation.from_rotvec(tilt) * R).as_matrix()
     )
     grid = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(-1, 2)
-    heights = membrane.obstacle_heights(_obstacle(one, place), grid)
+    heights = membrane.obstacle_heights(_obstacle(item, place), grid)
     return place.raised(float((membrane.rest.x[2].ravel() - heights).max()))
 
 
@@ -218,13 +218,13 @@ def _put(
 
 
 def _on_the_cpu(
-    membrane: QuasistaticMembrane, one: tuple[str, Array], place: _Place, depth: float
+    membrane: QuasistaticMembrane, item: tuple[str, Array], place: _Place, depth: float
 ) -> Array | None:
     """Return force, pressure and sticking stiffness (5,), or None without an equilibrium."""
     state = None
     try:
         for by in np.linspace(0, depth, 11)[1:]:
-            state = membrane.solve(_obstacle(one, place.raised(-by)), state)
+            state = membrane.solve(_obstacle(item, place.raised(-by)), state)
     except InputError:
         return None
     if state is None or not state.converged:

@@ -95,7 +95,7 @@ def _grasps(sensor: str, randomization: str, count: int, notify: Notify) -> Iter
 
 def joined(grasps: Sequence[Rows]) -> Rows:
     """All rows of some grasps, one after the other."""
-    return {name: np.concatenate([one[name] for one in grasps]) for name in grasps[0]}
+    return {name: np.concatenate([grasp[name] for grasp in grasps]) for name in grasps[0]}
 
 
 # -- fit -------------------------------------------------------------------------------------------
@@ -386,7 +386,7 @@ def _memory(z: Array, rows: Rows) -> float:
 
 def table(result: dict[str, Any]) -> str:
     """The check as Markdown."""
-    grasps = " and ".join(str(one["grasps"]) for one in result["checks"].values())
+    grasps = " and ".join(str(check["grasps"]) for check in result["checks"].values())
     words = {"errors": "nominal", "varied": "`--randomization default`"}
     lines = [
         f"`{result['sensor']}`, {grasps} grasps. Every other one is used for the fit, the rest for "

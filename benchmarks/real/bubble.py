@@ -149,8 +149,8 @@ def _plot(out: Path, time: Array, wrist: Array, result: Mapping[str, Any], field
     if figure is None:
         return
     curves, surface = figure.subplots(1, 2, width_ratios=(3, 2))
-    at = [one["time_s"] for one in result["rows"]]
-    estimated = np.array([one["estimated_N"] for one in result["rows"]])
+    at = [row["time_s"] for row in result["rows"]]
+    estimated = np.array([row["estimated_N"] for row in result["rows"]])
     curves.plot(time, wrist, "k-", lw=1, label="wrist's wrench, magnitude")
     curves.plot(at, estimated, "o-", ms=4, label="surface and gauge, by statics")
     curves.plot(

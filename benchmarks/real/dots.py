@@ -159,9 +159,11 @@ def _signs(found: list[TrackedCircles]) -> tuple[float, float]:
     moved = []
     for tracked in found:
         displacements = [
-            place - start[one]
-            for one, place in zip(tracked.ids.tolist(), tracked.ellipses.center_px, strict=True)
-            if one >= 0 and one in start
+            place - start[track_id]
+            for track_id, place in zip(
+                tracked.ids.tolist(), tracked.ellipses.center_px, strict=True
+            )
+            if track_id >= 0 and track_id in start
         ]
         moved.append(np.median(displacements, axis=0) if displacements else moved[-1])
     motion = np.array(moved)

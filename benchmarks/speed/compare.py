@@ -129,7 +129,7 @@ def table(result: Mapping[str, Any]) -> str:
     def values(*keys: str | int) -> tuple[float, float]:
         """Return the medians before and now."""
         before, now = (
-            sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2]
+            sorted(_at(cell[which], keys) for cell in rounds)[len(rounds) // 2]
             for which in ("before", "now")
         )
         return before, now
@@ -137,8 +137,8 @@ def table(result: Mapping[str, Any]) -> str:
     def add(name: str, columns: Sequence[str], known: Container[str], *keys: str | int) -> None:
         cells = [values(*keys, column) if column in known else None for column in columns]
         speed = name.endswith("x real time")
-        gain = median(_gain(*one, speed=speed) for one in cells if one is not None)
-        shown = ["" if one is None else f"{one[1]:.3g}" for one in cells]
+        gain = median(_gain(*cell, speed=speed) for cell in cells if cell is not None)
+        shown = ["" if cell is None else f"{cell[1]:.3g}" for cell in cells]
         lines.append(_line(name, [*shown, f"{gain:.2f}"]))
 
     first = rounds[0]["now"]
@@ -154,7 +154,7 @@ def table(result: Mapping[str, Any]) -> str:
         )
     columns = (*PHASES, "touch to release", "all")
     columns = tuple(
-        name for name in columns if any(name in one["factors"] for one in first["loop"])
+        name for name in columns if any(name in cell["factors"] for cell in first["loop"])
     )
     heads = [_LABELS.get(name, name) for name in columns]
     lines += ["", _line("", [*heads, "gain"]), "|---" * (2 + len(columns)) + "|"]

@@ -116,7 +116,7 @@ def table(result: Mapping[str, Any]) -> str:
     rounds = result["rounds"]
 
     def median(name: str) -> float:
-        return statistics.median(one[name] for one in rounds)
+        return statistics.median(round_[name] for round_ in rounds)
 
     return "\n".join(
         [
@@ -132,8 +132,8 @@ def table(result: Mapping[str, Any]) -> str:
             "",
             f"Medians of {len(rounds)} egg grasps with and without Studio, alternating; "
             f"{result['processors']} processors, load average {median('load'):.1f}, at least "
-            f"{min(one['pictures'] for one in rounds)} images. The page runs in headless Chromium "
-            "on the same processors, at most 30 frames per second, without drawing.",
+            f"{min(round_['pictures'] for round_ in rounds)} images. The page runs in headless "
+            "Chromium on the same processors, at most 30 frames per second, without drawing.",
             "",
         ]
     )

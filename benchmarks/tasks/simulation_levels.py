@@ -62,7 +62,7 @@ def agreement(
         and line["episode"] == other["episode"]
         and "error" not in (line["outcome"], other["outcome"])
     ]
-    alike = sum(one["outcome"] == other["outcome"] for one, other in pairs)
+    alike = sum(first["outcome"] == other["outcome"] for first, other in pairs)
     sides = list(zip(*pairs, strict=True)) if pairs else [(), ()]
     return {
         "episodes": len(pairs),

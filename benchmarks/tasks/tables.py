@@ -84,7 +84,11 @@ def table(result: Mapping[str, Any]) -> str:
 
 def _agreement(result: Mapping[str, Any]) -> list[str]:
     """Return table rows: fraction of episodes with the same outcome as on the mesh."""
-    found = {name: one for name, one in result["agreement"].items() if one["episodes"]}
+    found = {
+        name: result_row
+        for name, result_row in result["agreement"].items()
+        if result_row["episodes"]
+    }
     if not found:
         return []
     level = LEVELS[result["level"]].label
@@ -94,13 +98,15 @@ def _agreement(result: Mapping[str, Any]) -> list[str]:
         f"relative to required force, median, `{MESH}` / `{level}` |",
         "|---" * 4 + "|",
     ]
-    for name, one in found.items():
-        low, high = (100 * bound for bound in one["alike_interval"])
-        held = " / ".join(str(count) for count in one["held"])
-        margin = " / ".join("" if value is None else f"{value:.1f}" for value in one["margin"])
+    for name, result_row in found.items():
+        low, high = (100 * bound for bound in result_row["alike_interval"])
+        held = " / ".join(str(count) for count in result_row["held"])
+        margin = " / ".join(
+            "" if value is None else f"{value:.1f}" for value in result_row["margin"]
+        )
         lines.append(
-            f"| {name} | {one['alike']} of {one['episodes']} ({low:.0f}-{high:.0f} %) | {held} | "
-            f"{margin} |"
+            f"| {name} | {result_row['alike']} of {result_row['episodes']} "
+            f"({low:.0f}-{high:.0f} %) | {held} | {margin} |"
         )
     return lines
 

@@ -64,9 +64,9 @@ class CircleFinder:
         size = np.sqrt(ellipses.semi_axes_px[good].prod(axis=1))
         alike = np.abs(np.log(size / np.median(size))) < np.log(_ALIKE)
         uv = ellipses.center_px[good][alike]
-        places = number_grid(uv)
-        if len(places) >= CORNERS_MIN:
-            return BoardView(name, _ids(places), uv[list(places)])
+        grid_positions = number_grid(uv)
+        if len(grid_positions) >= CORNERS_MIN:
+            return BoardView(name, _ids(grid_positions), uv[list(grid_positions)])
         return None
 
     def corners(self, view: BoardView) -> Array:
@@ -134,27 +134,30 @@ def _connected(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]
     basis = _basis(uv, tree, seed)
     if basis is None:
         return {}
-    places = {seed: (0, 0)}
+    grid_positions = {seed: (0, 0)}
     taken = {(0, 0)}
     queue = deque([(seed, basis)])
     while queue:
         at, steps = queue.popleft()
         for axis in (0, 1):
             for sign in (1, -1):
-                place = places[at][0] + sign * (axis == 0), places[at][1] + sign * (axis == 1)
+                neighbor = (
+                    grid_positions[at][0] + sign * (axis == 0),
+                    grid_positions[at][1] + sign * (axis == 1),
+                )
                 distance, near = tree.query(uv[at] + sign * steps[axis])
                 if (
-                    near in places
-                    or place in taken
+                    near in grid_positions
+                    or neighbor in taken
                     or distance > _NEAR * np.linalg.norm(steps[axis])
                 ):
                     continue
-                places[int(near)] = place
-                taken.add(place)
+                grid_positions[int(near)] = neighbor
+                taken.add(neighbor)
                 now = steps.copy()
                 now[axis] = sign * (uv[near] - uv[at])
                 queue.append((int(near), now))
-    return places
+    return grid_positions
 
 
 def _basis(uv: Array, tree: KDTree, seed: int) -> Array | None:
@@ -167,8 +170,8 @@ def _basis(uv: Array, tree: KDTree, seed: int) -> Array | None:
     return np.stack([steps[0], steps[other[0]]]) if len(other) else None
 
 
-def _ids(places: dict[int, tuple[int, int]]) -> NDArray[np.int32]:
-    i, j = np.array(list(places.values())).T
+def _ids(grid_positions: dict[int, tuple[int, int]]) -> NDArray[np.int32]:
+    i, j = np.array(list(grid_positions.values())).T
     return ((i + _HALF) * 2 * _HALF + j + _HALF).astype(np.int32)
 
 

@@ -83,13 +83,13 @@ def camera_images(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, N
     """Yield each new image of a camera for `seconds` s. Raises DeviceError if the camera fails."""
     end = scaled_clock.monotonic() + seconds
     last = 0.0
-    number = 0
+    index = 0
     while scaled_clock.monotonic() < end:
         if camera.wait_newer(last, 0.5):
             image = camera.read()
             last = image.time
-            number = number + 1
-            yield f"picture {number}", image.pixels
+            index = index + 1
+            yield f"picture {index}", image.pixels
 
 
 def _moved(view: BoardView, other: BoardView) -> float:

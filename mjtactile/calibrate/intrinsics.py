@@ -154,5 +154,5 @@ def _fit_fisheye(points: Points, size: tuple[int, int], options: LensFit) -> Int
         np.sqrt(np.diagonal(cov)),
         rotations,
         float(np.sqrt(residual.mean())),
-        np.array([np.sqrt(one.mean()) for one in squares]),
+        np.array([np.sqrt(square.mean()) for square in squares]),
     )

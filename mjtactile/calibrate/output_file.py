@@ -80,7 +80,7 @@ def _fingers_of(finger: str | None, rig_file: RigFile) -> list[CameraConfig]:
     return found
 
 
-def places(targets: Sequence[OutputFile], rig_file: RigFile) -> list[int]:
+def camera_indices(targets: Sequence[OutputFile], rig_file: RigFile) -> list[int]:
     """Return the rig's camera index of each target's finger."""
     return [[camera.finger for camera in rig_file.cameras].index(goal.finger) for goal in targets]
 
@@ -93,13 +93,13 @@ def _target(
         return _at(out, camera.finger, design)
     path = camera.calibration or design.calibration
     if path is None:
-        number = rig_file.cameras.index(camera)
+        index = rig_file.cameras.index(camera)
         message = (
             f"no calibration file is named for the {camera.finger} finger: write calibration "
             f'= "{camera.finger}.json" into this [[camera]] (of a copy, for a shipped rig), '
             "or add --out"
         )
-        raise InputError(message, source=rig_file.path, field=f"camera[{number}].calibration")
+        raise InputError(message, source=rig_file.path, field=f"camera[{index}].calibration")
     return OutputFile(camera.finger, path, design)
 
 

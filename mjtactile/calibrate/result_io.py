@@ -70,7 +70,7 @@ def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def read_columns(
-    path: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1
+    path: Path, numeric: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1
 ) -> dict[str, Any]:
     """Read the columns of a CSV file with a header line.
 
@@ -86,16 +86,16 @@ def read_columns(
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"no CSV file: {error}", source=path) from error
     names = list(rows[0]) if rows else []
-    missing = [name for name in (*numbers, *texts) if name not in names]
+    missing = [name for name in (*numeric, *texts) if name not in names]
     if missing:
         raise InputError(
-            "missing column", source=path, field=missing[0], choices=(*numbers, *texts)
+            "missing column", source=path, field=missing[0], choices=(*numeric, *texts)
         )
     if len(rows) < fewest:
         raise InputError(
             f"the file has {len(rows)} rows; at least {fewest} are needed", source=path
         )
-    result: dict[str, Any] = {name: _numbers(path, name, rows) for name in numbers}
+    result: dict[str, Any] = {name: _numbers(path, name, rows) for name in numeric}
     return result | {name: [(row[name] or "").strip() for row in rows] for name in texts}
 
 

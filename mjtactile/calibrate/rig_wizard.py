@@ -150,7 +150,7 @@ def _valves(
             return {}
     ports = ports_found.with_("a valve board", lambda port: bool(port.board))
     port = _choose("valve board", ports, lambda port: port.path, ask, notify)
-    return {("valve", number, "port"): port.path for number in range(len(rig.valves))}
+    return {("valve", index, "port"): port.path for index in range(len(rig.valves))}
 
 
 def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, notify: Notify) -> Mapping[Place, object]:
@@ -169,8 +169,8 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, notify: Notify) -> Map
         )
     candidates = [_with_source(rig.cameras[0], source) for source in sources]
     changes: dict[Place, object] = {}
-    for number, (source, flip) in enumerate(_assigned(rig, candidates, ask, notify)):
-        changes |= {("camera", number, "source"): source, ("camera", number, "flipped"): flip}
+    for index, (source, flip) in enumerate(_assigned(rig, candidates, ask, notify)):
+        changes |= {("camera", index, "source"): source, ("camera", index, "flipped"): flip}
     return changes
 
 
@@ -303,13 +303,13 @@ def edited(text: str, changes: Mapping[Place, object]) -> str:
     line.
     """
     lines = text.splitlines()
-    for (section, number, key), value in changes.items():
+    for (section, index, key), value in changes.items():
         heads = [
             i
             for i, line in enumerate(lines)
             if re.match(rf"\s*\[+\s*{re.escape(section)}\s*\]+", line)
         ]
-        start = heads[number]
+        start = heads[index]
         end = next(
             (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("[")),
             len(lines),

@@ -145,15 +145,15 @@ def _stages(time: Array, state: Sequence[str]) -> list[tuple[str, Array]]:
     return [(str(state[int(part[0])]), part) for part in np.split(np.arange(len(state)), cuts)]
 
 
-def _stage(stages: list[tuple[str, Array]], place: int, name: str) -> Array:
-    if place >= len(stages) or stages[place][0] != name or len(stages[place][1]) < 5:
+def _stage(stages: list[tuple[str, Array]], index: int, name: str) -> Array:
+    if index >= len(stages) or stages[index][0] != name or len(stages[index][1]) < 5:
         found = ", ".join(f"{text} ({len(part)})" for text, part in stages) or "nothing"
         raise InputError(
             "at least 5 samples each of vent, open, closed are needed, in this order; found "
             f"{found}",
             field="state",
         )
-    return stages[place][1]
+    return stages[index][1]
 
 
 def _crossing(time: Array, fraction: Array, level: float) -> float:

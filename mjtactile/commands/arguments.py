@@ -184,14 +184,14 @@ def mesh(text: str) -> tuple[int, int]:
 def values(text: str) -> list[float]:
     """Read "2", or the range "0:4:0.5" (both ends included)."""
     try:
-        numbers = [float(part) for part in text.split(":")]
+        parsed = [float(part) for part in text.split(":")]
     except ValueError:
-        numbers = []
-    if len(numbers) not in (1, 3) or not all(map(math.isfinite, numbers)):
+        parsed = []
+    if len(parsed) not in (1, 3) or not all(map(math.isfinite, parsed)):
         raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor a range A:B:STEP")
-    if len(numbers) == 1:
-        return numbers
-    start, stop, step = numbers
+    if len(parsed) == 1:
+        return parsed
+    start, stop, step = parsed
     if step == 0 or (stop - start) / step < 0:
         raise argparse.ArgumentTypeError(
             f"{text!r}: the step {step:g} does not lead from {start:g} to {stop:g}"

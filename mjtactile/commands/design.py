@@ -263,8 +263,8 @@ def _print_requirements(result: dict[str, Any], out: Path | None) -> None:
         print(f"{result['sensor']:13s} cannot be used with this hardware: {initial['why_not']}")
     else:
         _print_design({"file": result["sensor"]} | initial)
-    for one in result["best"]:
-        _print_design(one)
+    for candidate in result["best"]:
+        _print_design(candidate)
     _print_checked(result["checked"])
     if out is not None:
         print(f"design.json, front.png and the sensor files were written to {out}")
@@ -275,7 +275,7 @@ def _print_requirement_table(result: dict[str, Any]) -> None:
     from mjtactile.design_study import plots
 
     count = len(result["candidates"])
-    meeting = sum(one["meets"] for one in result["candidates"])
+    meeting = sum(candidate["meets"] for candidate in result["candidates"])
     refused = result["refused_by_fabricate"]
     for row in result["requirement_table"]:
         limit = "" if row["limit"] is None else f", limit of the pipeline {row['limit']:g}"
@@ -288,34 +288,34 @@ def _print_requirement_table(result: dict[str, Any]) -> None:
     print(f"{meeting} of {count} designs meet all requirements{more}.")
 
 
-def _print_design(one: dict[str, Any]) -> None:
+def _print_design(row: dict[str, Any]) -> None:
     from mjtactile.design_study import plots
 
     made = " " * 72
-    if "rows" in one:
+    if "rows" in row:
         made = (
-            f"{one['columns']:3d} x {one['rows']:2d} {one['marker_radius_mm']:10.2f} "
-            f"{one['fx_px']:6.0f} {one['camera_distance_mm']:10.1f} {one['chamber_depth_mm']:9.1f} "
-            f"{one['thickness_mm']:9.2f} "
-            f"{one['pre_stretch']:8.3f} {one['supply_pressure_kPa']:6.2f}"
+            f"{row['columns']:3d} x {row['rows']:2d} {row['marker_radius_mm']:10.2f} "
+            f"{row['fx_px']:6.0f} {row['camera_distance_mm']:10.1f} {row['chamber_depth_mm']:9.1f} "
+            f"{row['thickness_mm']:9.2f} "
+            f"{row['pre_stretch']:8.3f} {row['supply_pressure_kPa']:6.2f}"
         )
     keys = ("detection_mN", "detection_by_noise_mN", "force_sd_mN", "edge_sd_mm", "force_max_N")
-    values = (f"{plots.number(one['performance'][key]):>9s}" for key in keys)
-    print(f"{one['file']:13s} {made} {' '.join(values)}  {', '.join(one['missed']) or '-'}")
+    values = (f"{plots.number(row['performance'][key]):>9s}" for key in keys)
+    print(f"{row['file']:13s} {made} {' '.join(values)}  {', '.join(row['missed']) or '-'}")
 
 
 def _print_checked(checked: list[dict[str, Any]]) -> None:
     from mjtactile.design_study.plots import number
 
-    for one in checked:
+    for press in checked:
         error, times, placed = (
-            number(one[key]) for key in ("force_error_rms_mN", "force_ratio", "place_ratio")
+            number(press[key]) for key in ("force_error_rms_mN", "force_ratio", "place_ratio")
         )
         print(
-            f"full simulation of {one['sensor']}: {one['presses']} contacts, force error "
+            f"full simulation of {press['sensor']}: {press['presses']} contacts, force error "
             f"{error} mN rms, {times} times the predicted sd; position {placed} times"
         )
-        tested = one["range"]
+        tested = press["range"]
         if tested is None:
             continue
         claimed, confirmed = (number(tested[key]) for key in ("claimed", "confirmed"))

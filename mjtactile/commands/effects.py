@@ -82,11 +82,11 @@ def run(options: argparse.Namespace) -> int:
     for row in rows:
         state = _STATES[row["built"], row["on"]]
         why = row["why"] if row["built"] else f"{row['why']}; not implemented: {row['kind']}"
-        numbers = (
+        measured = (
             f"{_cost(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
             f"{_cell(row['left_out_um']):>9}"
         )
-        print(f"{row['effect']:<24}{state:<10}{numbers}  {why}")
+        print(f"{row['effect']:<24}{state:<10}{measured}  {why}")
     return 0
 
 

@@ -166,14 +166,14 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
 
     patches = []
     turns = [*options.turns, *[0.0] * len(options.sources)]
-    for number, source in enumerate(options.sources):
+    for group, source in enumerate(options.sources):
         if foreign_file.is_file(source / _TOUCHED):
             patches += PatchStore(source / _TOUCHED).read()
         else:
-            yaw = math.radians(turns[number])
+            yaw = math.radians(turns[group])
             recording = load_recording(source)
             recorded_sensors(recording, options.sensor)  # refuses another than the recorded one
-            patches += patches_of_recording(recording, 1000 * (number + 1), yaw)
+            patches += patches_of_recording(recording, 1000 * (group + 1), yaw)
     if not patches:
         raise InputError(
             "the inputs contain no touches", source=options.sources[0], field="--input"

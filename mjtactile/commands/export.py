@@ -96,9 +96,9 @@ def run(options: argparse.Namespace) -> int:
     left_out: list[str] = []
     episodes = find_episodes(options.source, left_out.append, outcome=options.outcome)
     problems = {
-        str(one.recording.folder): found
-        for one in episodes
-        if (found := [*one.recording.problems, *_camera_problems(options, one)])
+        str(episode.recording.folder): found
+        for episode in episodes
+        if (found := [*episode.recording.problems, *_camera_problems(options, episode)])
     }
     with complete_folder(options.out, *_WRITTEN) as out, stdout_to_stderr():
         result = _write(options, episodes, out, progress, left_out.append)

@@ -124,9 +124,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _known(text: str) -> tuple[str, float]:
-    field, _, number = text.partition("=")
+    field, _, parsed = text.partition("=")
     try:
-        value = float(number)
+        value = float(parsed)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -32,7 +32,12 @@ def check(options: argparse.Namespace, arguments: Iterable[Addable], rules: Sequ
     Raises:
         InputError: A given option has no effect.
     """
-    given = {name for one in _single(arguments) if _is_given(options, one) for name in one.names}
+    given = {
+        name
+        for argument in _single(arguments)
+        if _is_given(options, argument)
+        for name in argument.names
+    }
     for rule in rules:
         ignored = [name for name in rule.options if name in given]
         if ignored and not rule.applies(options):
@@ -47,11 +52,11 @@ def replays(options: argparse.Namespace) -> bool:
 
 
 def _single(arguments: Iterable[Addable]) -> Iterator[Argument]:
-    for one in arguments:
-        if isinstance(one, (Group, OneOf)):
-            yield from _single(one.arguments)
-        elif isinstance(one, Argument):
-            yield one
+    for argument in arguments:
+        if isinstance(argument, (Group, OneOf)):
+            yield from _single(argument.arguments)
+        elif isinstance(argument, Argument):
+            yield argument
 
 
 def _is_given(options: argparse.Namespace, argument: Argument) -> bool:

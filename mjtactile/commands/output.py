@@ -81,8 +81,8 @@ def new_run_folder(name: str) -> Iterator[Path]:
     folder cannot be created. An empty folder is removed if the work fails.
     """
     stem = Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{name}"
-    for number in itertools.count(1):
-        folder = stem if number == 1 else Path(f"{stem}-{number}")
+    for suffix in itertools.count(1):
+        folder = stem if suffix == 1 else Path(f"{stem}-{suffix}")
         with _removed_if_empty(folder):
             try:
                 folder.mkdir(parents=True)

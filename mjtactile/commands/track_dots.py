@@ -98,18 +98,18 @@ def _write_csv(path: Path, frames: Sequence[NamedImage], found: Sequence[Tracked
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(COLUMNS)
-        for number, (frame, tracked) in enumerate(zip(frames, found, strict=True)):
+        for index, (frame, tracked) in enumerate(zip(frames, found, strict=True)):
             for i in np.flatnonzero(tracked.ids >= 0):
-                place = ["", "", ""]
+                position = ["", "", ""]
                 if tracked.poses is not None and np.isfinite(tracked.poses.p_CM[i]).all():
-                    place = [f"{1e3 * value:.4f}" for value in tracked.poses.p_CM[i]]
+                    position = [f"{1e3 * value:.4f}" for value in tracked.poses.p_CM[i]]
                 ellipse = tracked.ellipses
                 u, v = ellipse.center_px[i]
                 a, b = ellipse.semi_axes_px[i]
                 angle = np.degrees(ellipse.angle[i])
-                numbers = [f"{value:.4f}" for value in (u, v, a, b)]
-                row = [number, frame.name, tracked.ids[i], *numbers, f"{angle:.2f}"]
-                table.writerow([*row, ellipse.status[i], *place])
+                shape = [f"{value:.4f}" for value in (u, v, a, b)]
+                row = [index, frame.name, tracked.ids[i], *shape, f"{angle:.2f}"]
+                table.writerow([*row, ellipse.status[i], *position])
 
 
 def _render(out: Path, frames: Sequence[NamedImage], found: Sequence[TrackedCircles]) -> None:
@@ -145,8 +145,8 @@ def _print(result: dict[str, Any], out: Path | None) -> None:
     count = len(frames)
     print(f"{count} frames, {len(result['tracks'])} circles tracked")
     for name in ("circles", "followed", "trusted"):
-        numbers = [frame[name] for frame in frames]
-        print(f"  {name:9s} {min(numbers)} to {max(numbers)} per frame")
+        counts = [frame[name] for frame in frames]
+        print(f"  {name:9s} {min(counts)} to {max(counts)} per frame")
     long = sum(track["frames"] >= 0.8 * count for track in result["tracks"])
     print(f"  {long} circles are visible in at least four fifths of the frames")
     if out is not None:

@@ -203,8 +203,8 @@ def _xml_table(text: str, source: str) -> dict[str, Any]:
     for child in root:
         data = child.find("data")
         words = ((child if data is None else data).text or "").split()
-        numbers = [_number(word) for word in words]
-        table[child.tag] = numbers if data is not None or len(words) != 1 else numbers[0]
+        values = [_number(word) for word in words]
+        table[child.tag] = values if data is not None or len(words) != 1 else values[0]
     return table
 
 
@@ -387,18 +387,18 @@ def _list(
         raise InputError(
             f"{_short(data)} is not a list of {count} numbers", source=source, field=f"{name}.data"
         )
-    numbers = []
+    values = []
     for i, x in enumerate(data):
         try:  # YAML 1.1 reads 1e-5 (no point) as text
-            number = float("nan") if isinstance(x, bool) else float(x)
+            converted = float("nan") if isinstance(x, bool) else float(x)
         except (TypeError, ValueError, OverflowError):
-            number = float("nan")
-        if not math.isfinite(number):
+            converted = float("nan")
+        if not math.isfinite(converted):
             raise InputError(
                 f"{_short(x)} is not a finite number", source=source, field=f"{name}.data[{i}]"
             )
-        numbers.append(number)
-    return numbers
+        values.append(converted)
+    return values
 
 
 def _short(value: Any) -> str:

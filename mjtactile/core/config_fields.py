@@ -3,12 +3,12 @@
 Key, unit, range, default and meaning are defined once, on the field.
 
     @dataclass(frozen=True)
-    class Pane:
-        thickness: float = number("thickness_mm", 0, 50, MM, about="0: no glass")
+    class Glass:
+        thickness: float = number("thickness_mm", 0, 50, MM, about="0: none")
         index: float = number("refractive_index", 1, 3, default=1.5, about="glass 1.52")
 
-    pane = read(Pane, section)    # SI, or an InputError that names file, field and value
-    write(pane)                   # {"thickness_mm": 2.0, "refractive_index": 1.5}
+    glass = read(Glass, section)   # SI, or an InputError that names file, field and value
+    write(glass)                   # {"thickness_mm": 2.0, "refractive_index": 1.5}
 
 This module reads sensor files, rig files, as-built files, variations, calibrations and settings. A
 method `validate(self, section)` of the class checks constraints between fields. Some classes have

@@ -105,7 +105,7 @@ class SensorDesign:
             True if all values agree; name and calibration file may differ.
         """
         mine, others = (
-            write_fields(replace(one, name="", calibration=None)) for one in (self, other)
+            write_fields(replace(design, name="", calibration=None)) for design in (self, other)
         )
         return mine == others
 
@@ -283,14 +283,14 @@ def _check_view(design: SensorDesign, section: Section) -> None:
     if not len(outside):
         return
     camera = design.camera
-    places = ", ".join(
+    positions = ", ".join(
         f"[{x / MM:.3g}, {y / MM:.3g}]"
         for x, y, _ in design.markers.p_SM[outside[:_NAMED_MAX]].tolist()
     )
     more = ", ..." if len(outside) > _NAMED_MAX else ""
     message = (
         f"{camera.distance / MM:g} leaves {len(outside)} of {design.markers.count} markers outside "
-        f"the image of {camera.width} x {camera.height} pixels (at {places}{more} mm): "
+        f"the image of {camera.width} x {camera.height} pixels (at {positions}{more} mm): "
     )
     distance = _distance_in_view(design)
     if distance is None:

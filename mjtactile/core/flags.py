@@ -296,16 +296,16 @@ def merge_flags(many: Iterable[Flags]) -> dict[str, Flag]:
     return merged
 
 
-def _union(one: Flag, other: Flag) -> Flag:
+def _union(flag: Flag, other: Flag) -> Flag:
     first, last, fraction = (
         choose((a for a in pair if not math.isnan(a)), default=math.nan)
         for choose, pair in (
-            (min, (one.first, other.first)),
-            (max, (one.last, other.last)),
-            (max, (one.fraction, other.fraction)),
+            (min, (flag.first, other.first)),
+            (max, (flag.last, other.last)),
+            (max, (flag.fraction, other.fraction)),
         )
     )
-    return Flag(str(one), first, last, fraction)
+    return Flag(str(flag), first, last, fraction)
 
 
 class FlagTracker:

@@ -34,9 +34,9 @@ def read_bytes(path: Path, largest: int, content: str, field: str | None = None)
     """
     try:
         # without O_NONBLOCK, opening a pipe waits for its writer
-        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(number, "rb") as file:
-            if not stat.S_ISREG(os.fstat(number).st_mode):
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 raise InputError("is not a regular file", source=path, field=field)
             data = file.read(largest + 1)
     except (OSError, ValueError) as error:  # ValueError: a null character

@@ -49,13 +49,13 @@ class GripperPath:
         starts: list[float] = []
         ends: list[float] = []
         points: list[tuple[float, float, float, float]] = []
-        for one in segments:
-            requested = (one.x, one.y, one.z, one.tilt)
+        for segment in segments:
+            requested = (segment.x, segment.y, segment.z, segment.tilt)
             pairs = zip(requested, last, strict=True)
             x, y, z, tilt = (old if new is None else new for new, old in pairs)
             distance = math.dist((x, y, z), last[:3])
-            duration = max(distance / one.speed, abs(tilt - last[3]) / one.tilt_speed)
-            starts.append(time + one.wait)
+            duration = max(distance / segment.speed, abs(tilt - last[3]) / segment.tilt_speed)
+            starts.append(time + segment.wait)
             time = starts[-1] + duration
             ends.append(time)
             last = (x, y, z, tilt)

@@ -173,7 +173,7 @@ class Lens:
         return self.definition.tangential and not any(self.coefficients)
 
     @cached_property
-    def numbers(self) -> Array:
+    def parameters(self) -> Array:
         """Code of the model and its coefficients (9,), for the kernels."""
         padding = COEFFICIENTS_MAX - len(self.coefficients)
         return np.array([self.definition.code, *self.coefficients, *(0.0,) * padding])

@@ -108,7 +108,7 @@ class Camera(Pinhole):
         )
 
     @cached_property
-    def numbers(self) -> Array:
+    def parameters(self) -> Array:
         """All parameters of a ray's path, (16,): fx, fy, cx, cy, lens, and thickness, index and
         distance of the glass."""
         return np.array(
@@ -117,7 +117,7 @@ class Camera(Pinhole):
                 self.fy,
                 self.cx,
                 self.cy,
-                *self.lens.numbers,
+                *self.lens.parameters,
                 self.glass_thickness,
                 self.glass_index,
                 self.glass_distance,

@@ -107,14 +107,14 @@ class Outline:
         # initial value from the affine part, which is exact for circles and ellipses
         a = self.powers[1]
         b = self.conjugates[1]
-        off = z - self.powers[0]
-        w = (np.conj(a) * off - b * np.conj(off)) / (abs(a) ** 2 - abs(b) ** 2)
+        offset = z - self.powers[0]
+        w = (np.conj(a) * offset - b * np.conj(offset)) / (abs(a) ** 2 - abs(b) ** 2)
         w = w / np.maximum(np.abs(w), 1.0)
         for _ in range(_NEWTON_STEPS):
             found, by_w, by_conjugate = self._mapped(w)
-            off = z - found
+            offset = z - found
             det = np.abs(by_w) ** 2 - np.abs(by_conjugate) ** 2
-            step = (np.conj(by_w) * off - by_conjugate * np.conj(off)) / det
+            step = (np.conj(by_w) * offset - by_conjugate * np.conj(offset)) / det
             before = w
             w = w + step / np.maximum(4 * np.abs(step), 1.0)
             w = w / np.maximum(np.abs(w), 1.0)
@@ -166,9 +166,9 @@ class Outline:
         """Compute the distance (N,) m of points (N, 2) m to the outline; positive inside, negative
         outside."""
         middles, normals = self._edges
-        off = middles - plane[:, None]
-        nearest = np.square(off).sum(axis=2).argmin(axis=1)
-        return (off[np.arange(len(plane)), nearest] * normals[nearest]).sum(axis=1)
+        offset = middles - plane[:, None]
+        nearest = np.square(offset).sum(axis=2).argmin(axis=1)
+        return (offset[np.arange(len(plane)), nearest] * normals[nearest]).sum(axis=1)
 
     @cached_property
     def _edges(self) -> tuple[Array, Array]:
@@ -184,9 +184,9 @@ def _polynomial(coefficients: Sequence[complex], w: NDArray) -> tuple[NDArray, N
     """Value and derivative at `w`, by Horner's scheme."""
     value = np.zeros_like(w)
     slope = np.zeros_like(w)
-    for one in reversed(coefficients):
+    for coefficient in reversed(coefficients):
         slope = slope * w + value
-        value = value * w + one
+        value = value * w + coefficient
     return value, slope
 
 

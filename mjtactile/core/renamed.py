@@ -1,7 +1,8 @@
 """Names that version 0.2.0 changed: keys of files, options, columns of recordings.
 
-The readers of files and the command line refuse an old name with the new one in the message. A
-recording keeps its old names for ever, so its reader translates them.
+The readers of files and the command line refuse an old name with the new one in the message. They
+read an old value with a warning. A recording keeps its old names for ever, so its reader translates
+them.
 """
 
 from __future__ import annotations
@@ -58,6 +59,9 @@ KEYS: Mapping[str, str] = {
     "least": "tolerance_min",
 }
 """File key before 0.2.0 to file key now."""
+
+VALUES: Mapping[str, Mapping[str, str]] = {"surface": {"pane": "glass"}}
+"""File key to its values in earlier versions and those now. Old values are read with a warning."""
 
 SETTINGS: Mapping[str, str] = {
     "body.film_sd": "contact_shape.membrane_sd",
@@ -196,11 +200,15 @@ def old_key(key: str) -> str:
 
 
 def old_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a nested table with the names from before 0.2.0, for fingerprints of older files."""
+    """Return a nested table with the earlier names and values, for fingerprints of older files."""
     return {
-        old_key(key): old_keys(value) if isinstance(value, Mapping) else value
+        old_key(key): old_keys(value) if isinstance(value, Mapping) else _old_value(key, value)
         for key, value in table.items()
     }
+
+
+def _old_value(key: str, value: Any) -> Any:
+    return next((old for old, new in VALUES.get(key, {}).items() if new == value), value)
 
 
 def current_row(row: dict[str, Any]) -> dict[str, Any]:

@@ -221,7 +221,7 @@ def _products(positions: Array, orders: list[tuple[int, int]]) -> tuple[Array, A
     """Chebyshev's T_i(x) T_j(y) (k, q), and its derivatives (2, k, q)."""
     i, j = np.array(orders).T
     maximum = int(max(i.max(), j.max()))
-    (x, by_x), (y, by_y) = (_chebyshev(one, maximum) for one in positions.T)
+    (x, by_x), (y, by_y) = (_chebyshev(coordinate, maximum) for coordinate in positions.T)
     return x[i] * y[j], np.array([by_x[i] * y[j], x[i] * by_y[j]])
 
 

@@ -59,13 +59,13 @@ class Stop:
         if self.asked:
             raise Interrupted
 
-    def hear(self, number: int, frame: FrameType | None) -> None:
+    def hear(self, signal_number: int, frame: FrameType | None) -> None:
         """Handle a signal: store it, and raise KeyboardInterrupt only while no device is
         connected."""
         now = time.monotonic()
         is_first = not self.asked
         self.asked = True
-        if number in URGENT:
+        if signal_number in URGENT:
             if self._urgent_since is None:
                 self._urgent_since = now
             elif now - self._urgent_since >= SECOND_TIME:
@@ -107,20 +107,22 @@ def listening(*, ends_process: bool = False) -> Iterator[Stop]:
         yield _heard or Stop()
         return
     _heard = stop = Stop(ends_process=ends_process)
-    handlers = {number: signal.getsignal(number) for number in ENDING}
+    handlers = {signal_number: signal.getsignal(signal_number) for signal_number in ENDING}
     before = {
-        number: handler
-        for number, handler in handlers.items()
+        signal_number: handler
+        for signal_number, handler in handlers.items()
         if handler is signal.SIG_DFL
-        or (number in URGENT and handler not in (signal.SIG_IGN, None))  # None: it is not Python's
+        or (
+            signal_number in URGENT and handler not in (signal.SIG_IGN, None)
+        )  # None: it is not Python's
     }
     try:
-        for number in before:
-            signal.signal(number, stop.hear)
+        for signal_number in before:
+            signal.signal(signal_number, stop.hear)
         yield stop
     finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_IGN if ends_process else handler)
+        for signal_number, handler in before.items():
+            signal.signal(signal_number, signal.SIG_IGN if ends_process else handler)
         _heard = None
 
 

@@ -58,11 +58,11 @@ class Range:
         """Return True if all numbers of `value` are in the range."""
         if isinstance(value, (int, float)):
             return (self.low < value if self.is_open else self.low <= value) and value <= self.high
-        numbers = np.asarray(value)
-        if numbers.dtype.kind not in "biuf":
+        values = np.asarray(value)
+        if values.dtype.kind not in "biuf":
             return True  # text, a choice of its own
-        above = numbers > self.low if self.is_open else numbers >= self.low
-        return bool(np.all(above & (numbers <= self.high)))
+        above = values > self.low if self.is_open else values >= self.low
+        return bool(np.all(above & (values <= self.high)))
 
     def __str__(self) -> str:
         low = f"{self.low:g}"
@@ -155,8 +155,8 @@ def _kind(annotation: Any) -> _Kind:
     if with_origin in (Union, types.UnionType):
         members = typing.get_args(annotation)
         if set(_ARRAY_MEMBERS) <= set(members):  # typing dissolves an alias in a union
-            members = (np.ndarray, *(one for one in members if one not in _ARRAY_MEMBERS))
-        return _union([_kind(one) for one in members])
+            members = (np.ndarray, *(member for member in members if member not in _ARRAY_MEMBERS))
+        return _union([_kind(member) for member in members])
     if with_origin is Literal:
         choices = typing.get_args(annotation)
         return _Kind(lambda value: isinstance(value, str) and value in choices, "", choices)
@@ -246,9 +246,9 @@ def _wrap(function: Any, source: str, ranges: Mapping[str, Range]) -> Any:
     unknown = set(ranges) - set(signature.parameters)
     assert not unknown, f"{source} has no argument {unknown}"
     names = [
-        one.name
-        for one in signature.parameters.values()
-        if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+        parameter.name
+        for parameter in signature.parameters.values()
+        if parameter.kind in (parameter.POSITIONAL_ONLY, parameter.POSITIONAL_OR_KEYWORD)
     ]
     complete: dict[str, _Check] = {}
 
@@ -300,10 +300,13 @@ def _checks(
     function: Any, signature: inspect.Signature, source: str, ranges: Mapping[str, Range]
 ) -> Iterable[tuple[str, _Check]]:
     known = inspect.unwrap(function).__globals__
-    for name, one in signature.parameters.items():
-        is_self = name in ("self", "cls") or one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL)
-        kind = _ANY if is_self else _kind(_evaluated(one.annotation, known))
-        yield name, _Check(source, name, kind, ranges.get(name), one.default)
+    for name, parameter in signature.parameters.items():
+        is_self = name in ("self", "cls") or parameter.kind in (
+            parameter.VAR_KEYWORD,
+            parameter.VAR_POSITIONAL,
+        )
+        kind = _ANY if is_self else _kind(_evaluated(parameter.annotation, known))
+        yield name, _Check(source, name, kind, ranges.get(name), parameter.default)
 
 
 def _evaluated(annotation: Any, known: dict[str, Any]) -> Any:

@@ -122,7 +122,7 @@ class Task:
         if slowest is not None and slowest.end > self.goal.hold_time:
             text = f"{self.goal.hold_time:g} s is less than the duration of the path, up to "
             raise section.fail("goal.hold_time_s", f"{text}{slowest.end:.1f} s")
-        kinds = [one.kind for one in self.disturbances]
+        kinds = [disturbance.kind for disturbance in self.disturbances]
         if kinds.count("stack") > 1:
             raise section.fail("disturbance", "has more than one of kind stack")
         if self.object.liquid is not None and "fill" in kinds:

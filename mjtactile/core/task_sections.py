@@ -64,7 +64,7 @@ class GoalSettings:
 
     def task_goal(self) -> TaskGoal:
         """Return the value that controllers see."""
-        return TaskGoal(**{one.name: getattr(self, one.name) for one in fields(self)})
+        return TaskGoal(**{entry.name: getattr(self, entry.name) for entry in fields(self)})
 
 
 @dataclass(frozen=True)

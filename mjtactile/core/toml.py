@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import logging
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,8 +17,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
-from mjtactile.core.renamed import KEYS, hint
+from mjtactile.core.renamed import KEYS, VALUES, hint
 
+_logger = logging.getLogger(__name__)
 # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
 LARGEST = 8 << 20
 DEEPEST = 32  # maximum names in a dotted key; time and memory of tomllib grow with the square
@@ -59,7 +61,7 @@ def _value(value: Any, digits: int) -> str:
         return text if any(mark in text for mark in ".en") else f"{text}.0"
     if isinstance(value, str):
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return "[" + ", ".join(_value(one, digits) for one in value) + "]"
+    return "[" + ", ".join(_value(item, digits) for item in value) + "]"
 
 
 def _toml(text: str) -> dict[str, Any]:
@@ -233,9 +235,12 @@ class Section:
             return default
         if not isinstance(value, str) or not (value or empty):
             raise self.fail(key, f"{value!r} is not text", choices)
-        if choices is not None and value not in (choices := list(choices)):
-            raise self.fail(key, f"{value!r} is unknown", choices)
-        return value
+        if choices is None or value in (choices := list(choices)):
+            return value
+        if (renamed := VALUES.get(key, {}).get(value)) in choices:
+            _logger.warning("%s: %s: %r is now %r", self._source, self._place(key), value, renamed)
+            return renamed
+        raise self.fail(key, f"{value!r} is unknown", choices)
 
     def has(self, key: str) -> bool:
         """Return True if the table has the field, for entries with alternative keys."""

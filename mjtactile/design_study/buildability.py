@@ -17,7 +17,7 @@ from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.manufacturability import glass_limit
 from mjtactile.fabrication.marker_positions import (
     MembraneState,
-    indentation_places,
+    indentation_positions,
     indenter_radius,
     press_depth,
     simulate,
@@ -48,8 +48,8 @@ def check_camera(stand: VirtualBench) -> None:
     flat = np.zeros_like(stand.membrane.rest.x)
     states = [_state(stand, "flat", flat), _state(stand, "inflated", stand.membrane.rest.x)]
     radius = indenter_radius(design)
-    for name, place in indentation_places(design).items():
-        pressed = stand.indent(ball(place, radius), depth)
+    for name, position in indentation_positions(design).items():
+        pressed = stand.indent(ball(position, radius), depth)
         if pressed is not None:
             states.append(_state(stand, f"indented at {name}", pressed.state.x))
     plan_camera(design, HARDWARE, states, design.name)

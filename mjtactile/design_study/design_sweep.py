@@ -122,9 +122,9 @@ def sweep(
         if len(candidates) == count:
             break
         unit = sequence.random(1)[0]
-        numbers = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
+        samples = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
         try:
-            candidates.append(_evaluate_candidate(design, numbers, force, requirements, given))
+            candidates.append(_evaluate_candidate(design, samples, force, requirements, given))
         except (InputError, MjtactileError) as error:  # infeasible to build or to use for sensing
             refused[str(getattr(error, "field", None) or error)] += 1
             continue
@@ -145,13 +145,13 @@ def sweep(
 
 def _evaluate_candidate(
     design: SensorDesign,
-    numbers: Array,
+    values: Array,
     force: float,
     requirements: Requirements,
     given: GivenHardware,
 ) -> DesignCandidate:
     """Predict one design. Raises InputError or MjtactileError if it is infeasible."""
-    made = rebuilt(made_of(design, numbers, given))
+    made = rebuilt(made_of(design, values, given))
     if made.markers.count > _MAX_MARKERS or radius_px(made) < _FEWEST_PX:
         raise InputError("too many or too small", source=made.name, field="markers")
     check_parts(made)
@@ -163,7 +163,7 @@ def _evaluate_candidate(
     return DesignCandidate(made, reached, tuple(requirements.missed(reached)))
 
 
-def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FREE) -> SensorDesign:
+def made_of(design: SensorDesign, values: Array, given: GivenHardware = ALL_FREE) -> SensorDesign:
     """Return the design for sampled parameters, rounded to what can be made.
 
     The third parameter is the part of the image that the markers cover. It determines the lens. A
@@ -172,13 +172,13 @@ def made_of(design: SensorDesign, numbers: Array, given: GivenHardware = ALL_FRE
 
     Args:
         design: Initial design.
-        numbers: Parameters (6,) in the order of `_RANGES`.
+        values: Parameters (6,) in the order of `_RANGES`.
         given: Parts of the camera that stay as they are.
 
     Returns:
         The design, without a check that it can be built.
     """
-    density, fraction, covered, thicker, higher, stretch = numbers.tolist()
+    density, fraction, covered, thicker, higher, stretch = values.tolist()
     frame = design.frame
     membrane = design.membrane
     chamber = design.chamber
@@ -255,19 +255,23 @@ def with_front(candidates: Sequence[DesignCandidate]) -> list[DesignCandidate]:
     Returns:
         The same designs, marked.
     """
-    fewest = min(len(one.missed) for one in candidates)
+    fewest = min(len(candidate.missed) for candidate in candidates)
     costs = np.array(
         [
-            (one.score.force_sd, _last(one.score.edge_sd), one.design.markers.count)
-            for one in candidates
+            (
+                candidate.score.force_sd,
+                _last(candidate.score.edge_sd),
+                candidate.design.markers.count,
+            )
+            for candidate in candidates
         ]
     )
-    may = np.array([len(one.missed) == fewest for one in candidates])
+    may = np.array([len(candidate.missed) == fewest for candidate in candidates])
     marked = []
-    for number, one in enumerate(candidates):
-        as_good = (costs[may] <= costs[number]).all(axis=1)
-        better = as_good & (costs[may] < costs[number]).any(axis=1)
-        marked.append(replace(one, on_front=bool(may[number] and not better.any())))
+    for index, candidate in enumerate(candidates):
+        as_good = (costs[may] <= costs[index]).all(axis=1)
+        better = as_good & (costs[may] < costs[index]).any(axis=1)
+        marked.append(replace(candidate, on_front=bool(may[index] and not better.any())))
     return marked
 
 
@@ -296,18 +300,18 @@ def best(
         left = with_front(left)
         front = sorted((c for c in left if c.on_front), key=lambda c: c.score.force_sd)
         picks = np.linspace(0, len(front) - 1, min(count, len(front))).round().astype(int)
-        picked = [front[number] for number in np.unique(picks)]
+        picked = [front[index] for index in np.unique(picks)]
         refused = None
-        for one in picked:
-            if id(one.design) in passed:
+        for candidate in picked:
+            if id(candidate.design) in passed:
                 continue
             try:
-                check(one.design)
+                check(candidate.design)
             except (InputError, MjtactileError) as error:
                 notify(f"a design is refused: {error}")
-                refused = one.design
+                refused = candidate.design
                 break
-            passed.add(id(one.design))
+            passed.add(id(candidate.design))
         if refused is None:
             return picked, left
         left = [c for c in left if c.design is not refused]

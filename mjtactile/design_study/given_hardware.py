@@ -123,7 +123,7 @@ def _camera_fits(design: SensorDesign) -> bool:
     layout = Layout(design, Hardware())
     limits = (*limits_of(design, layout.hardware), *layout.limits())
     try:
-        check_all((one for one in limits if one.field == "glass.distance_mm"), design.name)
+        check_all((limit for limit in limits if limit.field == "glass.distance_mm"), design.name)
     except InputError:
         return False
     return True

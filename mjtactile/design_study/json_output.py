@@ -64,8 +64,8 @@ def from_requirements(
     sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, notify=notify)
     notify("checking the best designs as `mjtactile fabricate` does")
     picked, candidates = best(sampled, max(_WRITTEN, check), check_by_simulation, notify)
-    named = {f"best_{number}": one for number, one in enumerate(picked, 1)}
-    texts = {f"{name}.toml": _text(name, one, force) for name, one in named.items()}
+    named = {f"best_{number}": candidate for number, candidate in enumerate(picked, 1)}
+    texts = {f"{name}.toml": _text(name, candidate, force) for name, candidate in named.items()}
     result = {
         "sensor": design.name,
         "force_N": force,
@@ -78,11 +78,11 @@ def from_requirements(
         "requirement_table": requirement_rows(requirements, candidates),
         "refused_by_fabricate": len(sampled) - len(candidates),
         "initial": initial,
-        "candidates": [_row(one) for one in candidates],
-        "best": [{"file": f"{name}.toml"} | _row(one) for name, one in named.items()],
+        "candidates": [_row(candidate) for candidate in candidates],
+        "best": [{"file": f"{name}.toml"} | _row(candidate) for name, candidate in named.items()],
         "checked": [
-            _checked(replace(one.design, name=name), 4, seed, notify)
-            for name, one in list(named.items())[:check]
+            _checked(replace(candidate.design, name=name), 4, seed, notify)
+            for name, candidate in list(named.items())[:check]
         ],
     }
     return result, texts
@@ -120,21 +120,21 @@ def requirement_rows(
         if value is None:
             continue
         row: dict[str, Any] = {"requirement": key, "required": scale * value, "limit": limit}
-        row["met"] = sum(name not in one.missed for one in candidates)
+        row["met"] = sum(name not in candidate.missed for candidate in candidates)
         row["of"] = len(candidates)
         if name == "touch":
-            row["met_by_noise"] = sum(one.score.seen <= value for one in candidates)
+            row["met_by_noise"] = sum(candidate.score.seen <= value for candidate in candidates)
         rows.append(row)
     return rows
 
 
-def _row(one: DesignCandidate) -> dict[str, Any]:
-    design = one.design
+def _row(candidate: DesignCandidate) -> dict[str, Any]:
+    design = candidate.design
     return {
-        "performance": one.score.table(),
-        "missed": list(one.missed),
-        "meets": not one.missed,
-        "on_front": one.on_front,
+        "performance": candidate.score.table(),
+        "missed": list(candidate.missed),
+        "meets": not candidate.missed,
+        "on_front": candidate.on_front,
         "rows": design.markers.rows,
         "columns": design.markers.columns,
         "marker_radius_mm": 1e3 * design.markers.radius,
@@ -147,23 +147,23 @@ def _row(one: DesignCandidate) -> dict[str, Any]:
     }
 
 
-def _text(name: str, one: DesignCandidate, force: float) -> str:
-    reached = one.score.table()
+def _text(name: str, candidate: DesignCandidate, force: float) -> str:
+    reached = candidate.score.table()
     head = (
         f"Written by `mjtactile design`. Predicted at {force:g} N: force sd "
         f"{number(reached['force_sd_mN'])} mN,\n"
         f"edge position sd {number(reached['edge_sd_mm'])} mm; detection threshold "
         f"{number(reached['detection_mN'])} mN, largest force {number(reached['force_max_N'])} N."
     )
-    return sensor_file_edit.sensor_text(replace(one.design, name=name), head)
+    return sensor_file_edit.sensor_text(replace(candidate.design, name=name), head)
 
 
-def _checked(design: SensorDesign, places: int, seed: int, notify: Notify) -> dict[str, Any]:
+def _checked(design: SensorDesign, positions: int, seed: int, notify: Notify) -> dict[str, Any]:
     """Compare the predicted sd with the scatter of indentations in full simulation."""
     notify(f"indenting {design.name} in full simulation")
     claimed = largest_force(VirtualBench(design))
     checked = check_range(design, claimed, seed=seed) if math.isfinite(claimed) else None
-    presses = check(design, places=places, seed=seed, notify=notify)
+    presses = check(design, positions=positions, seed=seed, notify=notify)
     found = {} if not presses else asdict(verdict(presses))
     return {
         "sensor": design.name,

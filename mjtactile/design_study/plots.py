@@ -44,11 +44,11 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
         figure: Empty, of matplotlib.
         given: The JSON's object of a study.
     """
-    places = given["face"]
-    x = sorted({one["x_mm"] for one in places})
-    y = sorted({one["y_mm"] for one in places})
+    positions = given["face"]
+    x = sorted({position["x_mm"] for position in positions})
+    y = sorted({position["y_mm"] for position in positions})
     for axes, (key, words, unit) in zip(figure.subplots(1, len(MAPS)), MAPS, strict=True):
-        values = np.array([one[key] for one in places], float).reshape(len(y), len(x))
+        values = np.array([position[key] for position in positions], float).reshape(len(y), len(x))
         artist = axes.pcolormesh(x, y, values, shading="nearest", cmap="viridis_r", vmin=0)
         dark = 0.55 * np.nanmax(values, initial=0.0)
         for row, column in np.ndindex(values.shape):
@@ -139,12 +139,16 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
     """
     axes = figure.subplots()
     candidates = [
-        one for one in swept["candidates"] if np.isfinite(one["performance"]["edge_sd_mm"])
+        candidate
+        for candidate in swept["candidates"]
+        if np.isfinite(candidate["performance"]["edge_sd_mm"])
     ]
-    x = np.array([one["performance"]["force_sd_mN"] for one in candidates], float)
-    y = np.array([one["performance"]["edge_sd_mm"] for one in candidates], float)
-    markers = np.array([one["rows"] * one["columns"] for one in candidates], float)
-    meets = np.array([one["meets"] for one in candidates], bool)
+    x = np.array([candidate["performance"]["force_sd_mN"] for candidate in candidates], float)
+    y = np.array([candidate["performance"]["edge_sd_mm"] for candidate in candidates], float)
+    markers = np.array(
+        [candidate["rows"] * candidate["columns"] for candidate in candidates], float
+    )
+    meets = np.array([candidate["meets"] for candidate in candidates], bool)
     for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
         if those.any():
             artist = axes.scatter(
@@ -152,7 +156,7 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
                 vmin=0, vmax=markers.max(), cmap="viridis",
             )  # fmt: skip
     figure.colorbar(artist, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]
-    on_front = np.array([one["on_front"] for one in candidates], bool)
+    on_front = np.array([candidate["on_front"] for candidate in candidates], bool)
     # rings: the front is a surface, as the number of markers counts too
     axes.plot(
         x[on_front],

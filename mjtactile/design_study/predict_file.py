@@ -85,12 +85,12 @@ def study(
     notify("predicting the performance")
     own = score(design, force, stand=stand)
     predictor = ResolutionPredictor(stand)
-    places = face_places(design)
+    positions = face_positions(design)
     face = []
-    for number, place in enumerate(places):
-        if number % 10 == 0:
-            notify(f"sensing surface: {number} of {len(places)} positions")
-        face.append(predictor.at(place, force))
+    for index, position in enumerate(positions):
+        if index % 10 == 0:
+            notify(f"sensing surface: {index} of {len(positions)} positions")
+        face.append(predictor.at(position, force))
     image_use = image_use_of(stand)
     changes = []
     for label, variant in variants(design, image_use.longest_lens):
@@ -102,7 +102,7 @@ def study(
     return PredictionReport(design, force, own, tuple(face), image_use, tuple(changes))
 
 
-def face_places(design: SensorDesign) -> list[Array]:
+def face_positions(design: SensorDesign) -> list[Array]:
     """Return the map's positions (2,) m, row by row, in the rectangle around the opening."""
     lines = []
     for side in (design.frame.length, design.frame.width):
@@ -139,7 +139,7 @@ def _longest_lens(stand: VirtualBench) -> float:
             sampler.sample(*stand.poses(x), errors=False).ellipses
             for x in (flat, stand.membrane.rest.x)
         ]
-        is_complete = all(one is not None and len(one) == stand.circles for one in seen)
+        is_complete = all(view is not None and len(view) == stand.circles for view in seen)
         low, high = (midpoint, high) if is_complete else (low, midpoint)
     return low
 

@@ -62,7 +62,7 @@ class PredictionCheck:
 def check(
     design: SensorDesign,
     *,
-    places: int = 6,
+    positions: int = 6,
     depths: int = 3,
     seed: int = 0,
     notify: Callable[[str], None] = lambda _: None,
@@ -71,7 +71,7 @@ def check(
 
     Args:
         design: The sensor.
-        places: Number of positions.
+        positions: Number of positions.
         depths: Number of depths at each position.
         seed: Seed of positions, depths and camera noise.
         notify: Called after each position.
@@ -84,7 +84,7 @@ def check(
     sides = np.array([design.frame.length, design.frame.width]) / 2 - _MARGIN
     mesh = mesh_of(design)
     found = []
-    for number in range(places):
+    for index in range(positions):
         at = rng.uniform(-sides, sides)
         while design.frame.inside(at[None])[0] < _MARGIN - _SAME:
             at = rng.uniform(-sides, sides)
@@ -93,7 +93,7 @@ def check(
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
         compared = [_compared(predictor, at, step) for step in result["steps"]]
         found += [one for one in compared if one is not None]
-        notify(f"position {number + 1} of {places}: {len(found)} indentations")
+        notify(f"position {index + 1} of {positions}: {len(found)} indentations")
     return found
 
 
@@ -164,13 +164,13 @@ def _compared(predictor: ResolutionPredictor, at: np.ndarray, step: dict) -> Che
     if str(step["status"]) != "ok" or not math.isfinite(predicted.force_sd):
         return None
     moments = [predicted.height * wrench[0] - wrench[4], predicted.height * wrench[1] + wrench[3]]
-    off = np.array(moments) / wrench[2] - at
+    center_error = np.array(moments) / wrench[2] - at
     return Checked(
         (float(at[0]), float(at[1])),
         1e-3 * step["depth_mm"],
         true,
         -float(wrench[2]),
-        (float(off[0]), float(off[1])),
+        (float(center_error[0]), float(center_error[1])),
         predicted.force_sd,
         predicted.position_sd,
         float(step["force_estimated_sd_N"]),
@@ -186,19 +186,19 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     Returns:
         The ratios.
     """
-    error = np.array([one.estimated - one.true for one in presses])
-    off = np.array([one.off for one in presses])
+    error = np.array([press.estimated - press.true for press in presses])
+    center_errors = np.array([press.off for press in presses])
     force_sd, position_sd, reported = (
-        np.array([getattr(one, name) for one in presses])
+        np.array([getattr(press, name) for press in presses])
         for name in ("force_sd", "position_sd", "reported_sd")
     )
     return PredictionCheck(
         len(presses),
         _rms(error / force_sd),
-        _rms(off / position_sd[:, None]),
+        _rms(center_errors / position_sd[:, None]),
         _rms(error / reported),
         _rms(error),
-        _rms(off),
+        _rms(center_errors),
     )
 
 

@@ -67,24 +67,24 @@ class ResolutionPredictor:
         self._frame = stand.design.frame
         self._sides = feasible_half_extents(self._frame, _FRAME)
 
-    def at(self, place: Array, force: float, *, edges: bool = True) -> Resolution:
+    def at(self, position: Array, force: float, *, edges: bool = True) -> Resolution:
         """Predict the resolution for a ball, or an edge, that is loaded with a force.
 
         Args:
-            place: Position (2,) m in S.
+            position: Position (2,) m in S.
             force: Indenting force, N.
             edges: True if the edge's position is requested.
 
         Returns:
             The resolution; NaN for loads that the sensor cannot carry or estimate there.
         """
-        x, y = (float(v) for v in place)
+        x, y = (float(v) for v in position)
         unknown = math.nan
         # outside of a frame that is not a rectangle
-        if self._frame.inside(place[None])[0] < _FRAME:
+        if self._frame.inside(position[None])[0] < _FRAME:
             return Resolution(x, y, force, *[unknown] * 6)
-        edge_sd = self.edge_sd(place, force) if edges else unknown
-        pressed = self.stand.press(ball(place, BALL_RADIUS), force)
+        edge_sd = self.edge_sd(position, force) if edges else unknown
+        pressed = self.stand.press(ball(position, BALL_RADIUS), force)
         estimated = None if pressed is None else self.stand.estimate_touch(pressed.state)
         if (
             pressed is None
@@ -101,13 +101,13 @@ class ResolutionPredictor:
         sd = math.sqrt(cov[2, 2])
         return Resolution(x, y, force, -float(wrench[2]), sd, noise, spread, edge_sd, height)
 
-    def edge_sd(self, place: Array, force: float) -> float:
+    def edge_sd(self, position: Array, force: float) -> float:
         """Predict the standard deviation, m, of the position of an edge across the face.
 
         It is the larger of the values for edges along x and along y.
 
         Args:
-            place: Position (2,) m in S on the edge.
+            position: Position (2,) m in S on the edge.
             force: Indenting force, N.
 
         Returns:
@@ -116,32 +116,32 @@ class ResolutionPredictor:
         sds = []
         for across, direction in ((1, 0.0), (0, math.pi / 2)):
             theta = np.array([0.0, 0.0, 0.0, 1 / EDGE_RADIUS, direction, 0.0])
-            cov = self._parameter_cov(FAMILIES["cylinder"], theta, place, force)
+            cov = self._parameter_cov(FAMILIES["cylinder"], theta, position, force)
             if cov is None:
                 return math.nan
             sds.append(1e-3 * math.sqrt(cov[across, across]))
         return max(sds)
 
-    def radius_sd(self, radius: float, place: Array, force: float) -> float:
+    def radius_sd(self, radius: float, position: Array, force: float) -> float:
         """Predict the relative standard deviation of a ball's radius.
 
         Args:
             radius: Radius, m.
-            place: Position (2,) m in S.
+            position: Position (2,) m in S.
             force: Indenting force, N.
 
         Returns:
             The ratio; NaN where the sensor does not carry the force.
         """
         theta = np.array([0.0, 0.0, 0.0, 1 / radius])
-        cov = self._parameter_cov(FAMILIES["ball"], theta, place, force)
+        cov = self._parameter_cov(FAMILIES["ball"], theta, position, force)
         return math.nan if cov is None else radius * math.sqrt(cov[3, 3])
 
     def _parameter_cov(
-        self, family: ShapeModel, theta: Array, place: Array, force: float
+        self, family: ShapeModel, theta: Array, position: Array, force: float
     ) -> Array | None:
         """Return the covariance (k, k) of a loaded shape's parameters (Eq. F18-F20)."""
-        over = self._hint(place, force)
+        over = self._hint(position, force)
 
         def obstacle_at(height: float) -> Obstacle:
             return family.build(theta, replace(over, height=height))[0]
@@ -170,12 +170,20 @@ class ResolutionPredictor:
         raised = np.zeros(self.stand.design.markers.count)
         return Data.of(touch, raised, self._forward.by_gas, self._settings.contact_shape, drift)
 
-    def _hint(self, place: Array, force: float) -> InitialGuess:
+    def _hint(self, position: Array, force: float) -> InitialGuess:
         """Return the reference of the shape's parameters, except for its height."""
         rounding = _ROUNDING * self._forward.spacing
         in_round = self._frame.outline is not None
         return InitialGuess(
-            place, 0.0, 0.0, 0.0, self._sides, self._forward.nodes, rounding, force, round=in_round
+            position,
+            0.0,
+            0.0,
+            0.0,
+            self._sides,
+            self._forward.nodes,
+            rounding,
+            force,
+            round=in_round,
         )
 
 

@@ -28,7 +28,7 @@ MIN_TOUCH = DEFAULTS.zero.touch_min
 MAX_FORCE_ERROR = 0.1
 """Relative error limit at the largest force."""
 # fractions of half the opening: three positions, unaligned with markers and membrane nodes
-_PLACES = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
+_POSITIONS = ((0.05, 0.08), (0.31, -0.22), (-0.27, 0.36))
 
 
 def _number(key: str, unit: float, about: str, digits: int) -> Any:
@@ -84,27 +84,27 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     stand = stand or VirtualBench(design)
     predictor = ResolutionPredictor(stand)
     half = np.array([design.frame.length, design.frame.width]) / 2
-    places = [half * fraction for fraction in _PLACES]
-    resolutions = [predictor.at(place, force) for place in places]
+    positions = [half * fraction for fraction in _POSITIONS]
+    resolutions = [predictor.at(position, force) for position in positions]
     zero = stand.pipeline.settings.zero
     seen = max(zero.touch_sd * stand.level_noise(), stand.reference.min_force)
     return Score(
         touch=max(zero.touch_min, seen),
         seen=seen,
-        force_sd=_rms([one.force_sd for one in resolutions]),
-        noise=_rms([one.noise for one in resolutions]),
-        position_sd=_rms([one.position_sd for one in resolutions]),
-        edge_sd=_rms([one.edge_sd for one in resolutions]),
-        radius=smallest_radius(predictor, places, force),
+        force_sd=_rms([resolution.force_sd for resolution in resolutions]),
+        noise=_rms([resolution.noise for resolution in resolutions]),
+        position_sd=_rms([resolution.position_sd for resolution in resolutions]),
+        edge_sd=_rms([resolution.edge_sd for resolution in resolutions]),
+        radius=smallest_radius(predictor, positions, force),
         maximum=largest_force(stand),
     )
 
 
-def smallest_radius(predictor: ResolutionPredictor, places: list[Array], force: float) -> float:
+def smallest_radius(predictor: ResolutionPredictor, positions: list[Array], force: float) -> float:
     """Return the smallest radius, m, from which on all can be measured; NaN: none."""
     smallest = math.nan
     for radius in reversed(RADII):
-        sd = _rms([predictor.radius_sd(radius, place, force) for place in places])
+        sd = _rms([predictor.radius_sd(radius, position, force) for position in positions])
         if not sd <= MAX_RADIUS_SD:
             break
         smallest = radius

@@ -150,8 +150,8 @@ class VirtualBench:
             else:
                 low = midpoint
                 state = found
-        off = abs(state.force_normal - force)
-        return IndentedMembrane(state, low) if off < _OFF * force else None
+        force_error = abs(state.force_normal - force)
+        return IndentedMembrane(state, low) if force_error < _OFF * force else None
 
     def indent(self, body: ObstacleAtDepth, depth: float) -> IndentedMembrane | None:
         """Lower an obstacle to a depth below first contact.
@@ -174,9 +174,9 @@ class VirtualBench:
     def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve on an obstacle from `start`, without its trend, or from rest; None: no state."""
         starts = [start] if start is None else [start, replace(start, trend=None), None]
-        for one in starts:
+        for initial in starts:
             try:
-                state = self.membrane.solve(body, one)
+                state = self.membrane.solve(body, initial)
             except InputError:  # contact with frame or glass, or an inverted membrane
                 continue
             if state.converged:
@@ -186,8 +186,8 @@ class VirtualBench:
     def first_touch(self, body: ObstacleAtDepth) -> float:
         """Return the obstacle's height at first contact with the membrane at rest, m."""
         x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
-        places = np.column_stack([x.ravel(), y.ravel()])
-        under = self.membrane.obstacle_heights(body(0.0), places)
+        nodes = np.column_stack([x.ravel(), y.ravel()])
+        under = self.membrane.obstacle_heights(body(0.0), nodes)
         return float((self.membrane.rest.heights.ravel() - under).max())
 
     # -- markers and tactile estimates
@@ -217,8 +217,8 @@ class VirtualBench:
         The second image is evaluated, since the covariance after a sudden load change is inflated.
         """
         state = self.state
-        for number in (1, 2):
-            time = number * _IMAGE
+        for image in (1, 2):
+            time = image * _IMAGE
             touch, state = self.pipeline.step(state, self.sample(membrane, time), time)
         return PredictedTouch(touch, state)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs
 
@@ -242,15 +242,15 @@ class VirtualBench:
     def level_noise(self) -> float:
         """Return the sd, N, of the running force level that detects light contacts."""
         blend = self.pipeline.settings.zero.blend
-        one = math.sqrt(self.noise(self.estimate_touch(self.membrane.rest))[2, 2])
-        return one * math.sqrt(blend / (2 - blend))
+        sd = math.sqrt(self.noise(self.estimate_touch(self.membrane.rest))[2, 2])
+        return sd * math.sqrt(blend / (2 - blend))
 
 
 def net_force(inverse: InverseMembrane, prior: Array) -> Array:
     """Net force by the nodes' tractions over the root of their prior, (3, 3 J)."""
     root = np.kron(*inverse.prior.root)
     nodes = len(inverse.node_area)
-    one = (inverse.node_area * prior.reshape(3, nodes)) @ root
+    loads = (inverse.node_area * prior.reshape(3, nodes)) @ root
     rows = np.zeros((3, 3, nodes))
-    rows[range(3), range(3)] = one
+    rows[range(3), range(3)] = loads
     return rows.reshape(3, -1)

@@ -47,7 +47,8 @@ class SerialPort:
     def answers(self) -> tuple[str, ...]:
         """Description of the responding devices."""
         servos = (
-            f"servo {number}: {model}, {self.baud} baud" for number, model in self.servos.items()
+            f"servo {servo_id}: {model}, {self.baud} baud"
+            for servo_id, model in self.servos.items()
         )
         return (*servos, *([f"valve board: {self.board}"] if self.board else []))
 
@@ -140,13 +141,13 @@ def _identify(port: SerialPort, notify: Callable[[str], None]) -> SerialPort:
 def _model_name(bus: DynamixelBus, servo: int) -> str:
     """The model's name; "" of one that does not answer."""
     try:
-        number, _ = bus.ping(servo)
+        model_number, _ = bus.ping(servo)
     except BusError as error:
         if error.reason == "lost":
             raise
         return ""
-    known = MODEL_BY_NUMBER.get(number)
-    return known.name if known else NO_CURRENT_CONTROL.get(number, f"model {number}")
+    known = MODEL_BY_NUMBER.get(model_number)
+    return known.name if known else NO_CURRENT_CONTROL.get(model_number, f"model {model_number}")
 
 
 def _stable_path(device: str) -> str:

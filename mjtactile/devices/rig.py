@@ -123,7 +123,7 @@ def build_device_rig(
         lift=(0.0, rig_file.lift.travel),
         lift_speed=rig_file.lift.speed,
         pressure=_pressure_range(rig_file, boards),
-        pressure_rate=min((one.pressure_rate for one in rig_file.valves), default=0.0),
+        pressure_rate=min((valve.pressure_rate for valve in rig_file.valves), default=0.0),
     )
     names = tuple(camera.finger for camera in rig_file.cameras)
     return Rig(

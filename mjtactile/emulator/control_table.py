@@ -181,11 +181,11 @@ class ControlTable:
         last = max(data + count for _, data, count in _INDIRECT[row.size]) - 1
         for block, (address, data, count) in enumerate(_INDIRECT[row.size]):
             for i in range(count):
-                number = i + 1 + 28 * block
-                name = f"Indirect Address {number}"
+                index = i + 1 + 28 * block
+                name = f"Indirect Address {index}"
                 pointer = address + 2 * i
                 fields.append(TableEntry(pointer, 2, name, data + i, EEPROM_END, last))
-                fields.append(TableEntry(data + i, 1, f"Indirect Data {number}", 0, 0, 255))
+                fields.append(TableEntry(data + i, 1, f"Indirect Data {index}", 0, 0, 255))
                 self.indirect[data + i] = pointer
         self.fields = {field.name: field for field in fields}
         self.at = {field.address: field for field in fields}

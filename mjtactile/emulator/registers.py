@@ -95,22 +95,22 @@ class Registers:
 
         Any other address is returned unchanged.
         """
-        place = self._table.indirect.get(address)
-        if place is None:
+        target = self._table.indirect.get(address)
+        if target is None:
             return address
-        return int.from_bytes(self._memory[place : place + 2], "little")
+        return int.from_bytes(self._memory[target : target + 2], "little")
 
     def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.TableEntry, int]], int]:
         """The registers that `data` covers, with their new values; or an error."""
-        places = [self._where(a) for a in range(address, address + len(data))]
+        addresses = [self._where(a) for a in range(address, address + len(data))]
         fields = []
         start = 0
         while start < len(data):
-            field = self._table.at.get(places[start])
+            field = self._table.at.get(addresses[start])
             if field is None:
                 return [], ACCESS_ERROR
             end = start + field.size
-            if places[start:end] != list(range(field.address, field.address + field.size)):
+            if addresses[start:end] != list(range(field.address, field.address + field.size)):
                 return [], LENGTH_ERROR
             fields.append((field, int.from_bytes(data[start:end], "little")))
             start = end
@@ -135,8 +135,8 @@ class Registers:
             return 0 if value in field.choices else RANGE_ERROR
         low, high = self._range(field)
         bits = 8 * field.size
-        number = value - (1 << bits) if field.signed and value >> (bits - 1) else value
-        return 0 if low <= number <= high else RANGE_ERROR
+        signed = value - (1 << bits) if field.signed and value >> (bits - 1) else value
+        return 0 if low <= signed <= high else RANGE_ERROR
 
     def _range(self, field: ct.TableEntry) -> tuple[int, int]:
         if field.name == "Goal Position" and self.get("Operating Mode") != 3:

@@ -171,13 +171,13 @@ class ServoBus:
         return b""
 
     def _bulk_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
-        place = 0
-        while place + 5 <= len(parameters):
-            address, size = _two_registers(parameters[place + 1 : place + 5])
+        offset = 0
+        while offset + 5 <= len(parameters):
+            address, size = _two_registers(parameters[offset + 1 : offset + 5])
             for servo in awake:
-                if servo.id == parameters[place]:
-                    servo.write(address, parameters[place + 5 : place + 5 + size])
-            place += 5 + size
+                if servo.id == parameters[offset]:
+                    servo.write(address, parameters[offset + 5 : offset + 5 + size])
+            offset += 5 + size
         return b""
 
     def _status(
@@ -196,9 +196,9 @@ class ServoBus:
             "Return Delay Time"
         ) + self._faults.get("servo_late")
         if self._faults.occurs("servo_corrupt"):
-            place = self._faults.rng.randrange(len(answer))
-            changed = answer[place] ^ (1 << self._faults.rng.randrange(8))
-            answer = answer[:place] + bytes([changed]) + answer[place + 1 :]
+            index = self._faults.rng.randrange(len(answer))
+            changed = answer[index] ^ (1 << self._faults.rng.randrange(8))
+            answer = answer[:index] + bytes([changed]) + answer[index + 1 :]
         scaled_clock.sleep(delay)
         self._port.write(answer)
 

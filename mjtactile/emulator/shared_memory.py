@@ -34,13 +34,13 @@ class SharedState:
         os.ftruncate(descriptor, mmap.PAGESIZE)
         self._memory = mmap.mmap(descriptor, mmap.PAGESIZE)
         self._values = np.frombuffer(self._memory, dtype=np.float64, count=len(names))
-        self._places = {name: i for i, name in enumerate(names)}
+        self._offsets = {name: i for i, name in enumerate(names)}
 
     def __getitem__(self, name: str) -> float:
-        return float(self._values[self._places[name]])
+        return float(self._values[self._offsets[name]])
 
     def __setitem__(self, name: str, value: float) -> None:
-        self._values[self._places[name]] = value
+        self._values[self._offsets[name]] = value
 
     def close(self) -> None:
         del self._values

@@ -212,37 +212,37 @@ class ValveFirmware:
         word, *arguments = command.split()
         if any(re.fullmatch(r"\d{1,6}", argument) is None for argument in arguments):
             return "error number"
-        numbers = [int(argument) for argument in arguments]
-        if word == "id" and not numbers:
+        parsed = [int(argument) for argument in arguments]
+        if word == "id" and not parsed:
             return f"id mjvalve 1.1 {len(self.channels)} {int(self._sensors)} {_MAX}"
-        if word == "beat" and len(numbers) == 1:
-            if not _BEAT[0] <= numbers[0] <= _BEAT[1]:
+        if word == "beat" and len(parsed) == 1:
+            if not _BEAT[0] <= parsed[0] <= _BEAT[1]:
                 return "error range"
-            self.heartbeat = 1e-3 * numbers[0]
-            return f"beat {numbers[0]}"
-        if word == "hold" and len(numbers) == 1:
-            if not _HOLD[0] <= numbers[0] <= _HOLD[1]:
+            self.heartbeat = 1e-3 * parsed[0]
+            return f"beat {parsed[0]}"
+        if word == "hold" and len(parsed) == 1:
+            if not _HOLD[0] <= parsed[0] <= _HOLD[1]:
                 return "error range"
-            self.hold = 1e-3 * numbers[0]
-            return f"hold {numbers[0]}"
+            self.hold = 1e-3 * parsed[0]
+            return f"hold {parsed[0]}"
         requested = {"limit": 2, "set": 2, "seal": 1, "vent": 1, "state": 1}.get(word)
-        if not numbers or requested != len(numbers):
+        if not parsed or requested != len(parsed):
             return "error unknown"
-        if numbers[0] not in self.channels:
+        if parsed[0] not in self.channels:
             return "error channel"
         return (
-            self._execute_for_channel(word, self.channels[numbers[0]], *numbers)
-            or f"{word} {' '.join(map(str, numbers))}"
+            self._execute_for_channel(word, self.channels[parsed[0]], *parsed)
+            or f"{word} {' '.join(map(str, parsed))}"
         )
 
     def _execute_for_channel(
-        self, word: str, channel: _Channel, number: int, value: int = 0
+        self, word: str, channel: _Channel, channel_number: int, value: int = 0
     ) -> str | None:
         """An answer of its own, None for the command again."""
         if word == "state":
             is_finite_value = self._sensors and not self._faults.get("valve_sensor")
-            pressure = str(round(self._pressure(number))) if is_finite_value else "-"
-            return f"state {number} {channel.state} {pressure} {channel.fault}"
+            pressure = str(round(self._pressure(channel_number))) if is_finite_value else "-"
+            return f"state {channel_number} {channel.state} {pressure} {channel.fault}"
         if word == "vent":
             channel.vent()
             return None
@@ -258,7 +258,9 @@ class ValveFirmware:
         if word == "set" and value > channel.limit:
             return "error limit"
         if word == "set" and channel.state == "sealed":
-            channel.supply = self._chambers.pressure(number)  # the hose between the two valves
+            channel.supply = self._chambers.pressure(
+                channel_number
+            )  # the hose between the two valves
         channel.state = "set" if word == "set" else "sealed"
         channel.goal = float(value) if word == "set" else channel.goal
         return None

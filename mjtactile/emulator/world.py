@@ -58,7 +58,8 @@ class EmulatedWorld:
         file = replace(
             file,
             fingers=tuple(
-                replace(one, sensor=options.finger_design(one.name)) for one in file.fingers
+                replace(finger, sensor=options.finger_design(finger.name))
+                for finger in file.fingers
             ),
         )
         self.scene = build_sim_rig(
@@ -160,7 +161,7 @@ class EmulatedWorld:
         """
         fingers = range(1, len(self.scene.sensors) + 1)
         is_left_alone = self._rest_opening is not None and all(
-            abs(self._shared[f"contact_{number}"]) < _TOUCH_FORCE for number in fingers
+            abs(self._shared[f"contact_{finger}"]) < _TOUCH_FORCE for finger in fingers
         )
         joint = self._object_joint
         if joint is None or not is_left_alone or np.abs(joint.qvel).max() > _STILL_SPEED:
@@ -194,8 +195,8 @@ class EmulatedWorld:
 
     def _publish_forces(self) -> None:
         """Publish the true normal force on each membrane, once per image."""
-        for number in range(len(self.scene.sensors)):
-            self._shared[f"contact_{number + 1}"] = -ground_truth.contact_force(self.scene, number)[
+        for finger in range(len(self.scene.sensors)):
+            self._shared[f"contact_{finger + 1}"] = -ground_truth.contact_force(self.scene, finger)[
                 2
             ]
 

@@ -214,14 +214,14 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
     numbered: dict[str, list[Line]] = {}
     known: dict[str, list[Line]] = {}
     shipped: dict[str, dict[str, list[Line]]] = {}
-    for place, task in enumerate(suite.tasks):
+    for index, task in enumerate(suite.tasks):
         for line in read(suite, folder, task):
             found.setdefault(task, {}).setdefault(line["controller"], []).append(line)
         for controller, lines in found.get(task, {}).items():
-            numbered.setdefault(controller, []).extend(_numbered(suite, place, lines))
+            numbered.setdefault(controller, []).extend(_numbered(suite, index, lines))
         shipped[task] = {name: suite.lines(task, name) for name in suite.results.get(task, {})}
         for name, lines in shipped[task].items():
-            known.setdefault(name, []).extend(_numbered(suite, place, lines))
+            known.setdefault(name, []).extend(_numbered(suite, index, lines))
     if not found:
         raise InputError(f"contains no results of {suite.name}", source=folder, field="--suite")
     comparisons = sum(len(own) * len(shipped[task]) for task, own in found.items())
@@ -240,9 +240,9 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
     return {**head, "tasks": tasks, "together": together}
 
 
-def _numbered(suite: Suite, place: int, lines: Sequence[Line]) -> list[Line]:
-    """The lines of the task at `place`, whose episodes are none of another's."""
-    return [{**line, "episode": line["episode"] * len(suite.tasks) + place} for line in lines]
+def _numbered(suite: Suite, index: int, lines: Sequence[Line]) -> list[Line]:
+    """The lines of the task at `index`, whose episodes are none of another's."""
+    return [{**line, "episode": line["episode"] * len(suite.tasks) + index} for line in lines]
 
 
 def _compared(

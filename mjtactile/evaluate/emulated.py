@@ -50,7 +50,7 @@ def check(scenario: Scenario) -> bool:
         )
     task = load_task(scenario.task)
     is_randomized = not task.is_plain and any(
-        one.kind != "move_support" for one in task.disturbances
+        disturbance.kind != "move_support" for disturbance in task.disturbances
     )
     if is_randomized or task.object != type(task.object)():
         raise InputError(
@@ -105,8 +105,8 @@ class TrueOutcome(Observer):
         """
         if not self._last:
             return dict(summary)
-        off = abs(float(self._last["object_height"]) - self._start)
-        held = self._done and bool(self._held) and self._came_along and off < _STANDS
+        height_error = abs(float(self._last["object_height"]) - self._start)
+        held = self._done and bool(self._held) and self._came_along and height_error < _STANDS
         outcome = "held" if held else "dropped"
         if self._peak > self._break_force:
             outcome = "crushed"

@@ -72,10 +72,10 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     return sorted(found, key=_rank)
 
 
-def _rank(one: Mapping[str, Any]) -> tuple[float, float]:
+def _rank(row: Mapping[str, Any]) -> tuple[float, float]:
     """Return the sort key: p-value, then strongest correlation."""
-    chance = 1.0 if one["p"] is None else one["p"]
-    strongest = max((abs(rho) for rho in one["correlation"].values()), default=0.0)
+    chance = 1.0 if row["p"] is None else row["p"]
+    strongest = max((abs(rho) for rho in row["correlation"].values()), default=0.0)
     return chance, -strongest
 
 
@@ -89,10 +89,10 @@ def _one(
     both = False
     correlation = {}
     if not words:
-        numbers = np.array(values, float)
-        if held.any() and not held.all() and np.ptp(numbers) > 0:
-            p, both = _chance(numbers, held)
-        correlation = _correlations(numbers, [measures(line) for _, line in pairs])
+        samples = np.array(values, float)
+        if held.any() and not held.all() and np.ptp(samples) > 0:
+            p, both = _chance(samples, held)
+        correlation = _correlations(samples, [measures(line) for _, line in pairs])
     return {
         "name": name,
         "p": p,
@@ -102,28 +102,28 @@ def _one(
     }
 
 
-def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
+def _chance(samples: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
     """Return the p-value of the difference between failures and successes.
 
     It is twice the smaller of two: of the value, and of its distance from the median, which shows
     failures at both ends. The second result is True for the distance.
     """
-    far = np.abs(numbers - np.median(numbers))
-    plain = float(stats.mannwhitneyu(numbers[held], numbers[~held]).pvalue)
+    far = np.abs(samples - np.median(samples))
+    plain = float(stats.mannwhitneyu(samples[held], samples[~held]).pvalue)
     distance = float(stats.mannwhitneyu(far[held], far[~held]).pvalue)
     return min(2 * min(plain, distance), 1.0), distance < plain
 
 
 def _correlations(
-    numbers: np.ndarray, rows: Sequence[Mapping[str, float | None]]
+    samples: np.ndarray, rows: Sequence[Mapping[str, float | None]]
 ) -> dict[str, float]:
     found = {}
     for measure in MEASURES:
         measured = np.array([row[measure] for row in rows], float)  # None: NaN
         known = np.isfinite(measured)
-        if known.sum() < 5 or np.ptp(measured[known]) == 0 or np.ptp(numbers[known]) == 0:
+        if known.sum() < 5 or np.ptp(measured[known]) == 0 or np.ptp(samples[known]) == 0:
             continue
-        found[measure] = round(float(stats.spearmanr(numbers[known], measured[known]).statistic), 3)
+        found[measure] = round(float(stats.spearmanr(samples[known], measured[known]).statistic), 3)
     return found
 
 
@@ -138,9 +138,9 @@ def _bins(
             for kind in kinds
             if kind in values
         ]
-    numbers = np.array(values, float)
+    samples = np.array(values, float)
     edges = np.unique(np.quantile(np.array(pool, float), np.linspace(0, 1, _BINS + 1)))
-    number = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, len(edges) - 2)
+    number = np.clip(np.searchsorted(edges, samples, side="right") - 1, 0, len(edges) - 2)
     found = []
     for k in range(len(edges) - 1):
         if (number == k).any():

@@ -16,9 +16,9 @@ _TOP = 8
 _FAR = 1.6  # limit of the linear scale, as a multiple of the range of 97 % of the values
 
 
-def colour(number: int) -> str:
+def colour(series: int) -> str:
     """Return the color of a series."""
-    return COLOURS[number % len(COLOURS)]
+    return COLOURS[series % len(COLOURS)]
 
 
 def interval_bar(low: float, fraction: float, high: float, color: str, width: int = 220) -> str:

@@ -118,10 +118,10 @@ def compare(screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
 def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) -> dict[str, Any]:
     cheap = {line["episode"]: line for line in screened if line["controller"] == name}
     complete = {line["episode"]: line for line in full if line["controller"] == name}
-    held = {number for number, line in cheap.items() if line["outcome"] == "held"}
+    held = {episode for episode, line in cheap.items() if line["outcome"] == "held"}
     of_failed, of_held = (
-        _stratum([number for number in sorted(numbers) if number in complete], cheap, complete)
-        for numbers in (cheap.keys() - held, held)
+        _stratum([episode for episode in sorted(episodes) if episode in complete], cheap, complete)
+        for episodes in (cheap.keys() - held, held)
     )
     # all failures are run again; the sample represents the others, within its exact limits
     fraction, low, high = (
@@ -140,11 +140,11 @@ def _of_controller(name: str, screened: Sequence[Line], full: Sequence[Line]) ->
 
 
 def _stratum(
-    numbers: Sequence[int], cheap: Mapping[int, Line], complete: Mapping[int, Line]
+    episodes: Sequence[int], cheap: Mapping[int, Line], complete: Mapping[int, Line]
 ) -> dict[str, Any]:
-    count = len(numbers)
-    holds = sum(complete[number]["outcome"] == "held" for number in numbers)
-    differ = [k for k in numbers if complete[k]["outcome"] != cheap[k]["outcome"]]
+    count = len(episodes)
+    holds = sum(complete[episode]["outcome"] == "held" for episode in episodes)
+    differ = [k for k in episodes if complete[k]["outcome"] != cheap[k]["outcome"]]
     return {
         "run_again": count,
         "holds": holds,
@@ -167,16 +167,16 @@ def table(result: Mapping[str, Any]) -> str:
         "outcomes differ |"
     )
     lines = [head, "|---" * 7 + "|"]
-    for name, one in result["controllers"].items():
-        failed = one["of_failed"]
-        held = one["of_held"]
+    for name, row in result["controllers"].items():
+        failed = row["of_failed"]
+        held = row["of_held"]
         run_again = failed["run_again"] + held["run_again"]
         differ = failed["differ"] + held["differ"]
         low, high = exact_limits(differ, run_again) if run_again else (0.0, 1.0)
         lines.append(
-            f"| {name} | {one['episodes']} | "
-            f"{100 * one['screened_held'] / max(one['episodes'], 1):.1f} % | "
-            f"{_percent(one['holds_share'], *one['holds_interval'])} | {failed['holds']} of "
+            f"| {name} | {row['episodes']} | "
+            f"{100 * row['screened_held'] / max(row['episodes'], 1):.1f} % | "
+            f"{_percent(row['holds_share'], *row['holds_interval'])} | {failed['holds']} of "
             f"{failed['run_again']} | {held['holds']} of {held['run_again']} | "
             f"{_percent(differ / max(run_again, 1), low, high)} |"
         )

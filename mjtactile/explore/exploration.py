@@ -195,10 +195,10 @@ def explored(
     )
 
 
-def _line(number: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
+def _line(index: int, new: Sequence[Patch], surface: SurfacePosterior) -> str:
     contacts = ", ".join(f"{patch.kind} at {patch.force:.2f} N" for patch in new) or "no contact"
     sd = f"surface sd {1e3 * mesh_of(surface, _PLAN_EDGE).error():.2f} mm"
-    return f"touch {number}: {contacts}; {surface.family.name}, {sd}"
+    return f"touch {index}: {contacts}; {surface.family.name}, {sd}"
 
 
 class PatchStore:
@@ -220,13 +220,13 @@ class PatchStore:
         except UnicodeDecodeError as error:
             raise InputError(f"is not a list of patches: {error}", source=self.path) from error
         patches = []
-        for number, line in enumerate(lines):
+        for index, line in enumerate(lines):
             try:
                 patches.append(Patch.from_dict(json.loads(line)))
             except (ValueError, KeyError, TypeError, RecursionError) as error:
-                if number + 1 == len(lines):
+                if index + 1 == len(lines):
                     break
                 raise InputError(
-                    f"line {number + 1} is not a patch: {error}", source=self.path
+                    f"line {index + 1} is not a patch: {error}", source=self.path
                 ) from error
         return patches

@@ -63,8 +63,8 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
         )
     designs = [finger.design for finger in rig.fingers]
     patches = []
-    for number, grip in enumerate(grips_of(cycles), group):
-        patches += patches_of_grip(grip, session.perceptions, designs, yaw=yaw, group=number)
+    for grip_number, grip in enumerate(grips_of(cycles), group):
+        patches += patches_of_grip(grip, session.perceptions, designs, yaw=yaw, group=grip_number)
     return patches
 
 

@@ -84,13 +84,13 @@ def explore_by_gripper(
         perceptions = session.perceptions
         flags = session.flags
     patches = list(known)
-    for number, grip in enumerate(grips_of(log.cycles), before + 1):
-        new = patches_of_grip(grip, perceptions, designs, yaw=yaw, group=number)
+    for grip_number, grip in enumerate(grips_of(log.cycles), before + 1):
+        new = patches_of_grip(grip, perceptions, designs, yaw=yaw, group=grip_number)
         for patch in new:
             keep(patch)
         patches += new
         kinds = ", ".join(patch.kind for patch in new)
-        notify(f"grip {number}: {1e3 * grip[0].height:.0f} mm up: {kinds}")
+        notify(f"grip {grip_number}: {1e3 * grip[0].height:.0f} mm up: {kinds}")
     tried = before + len(heights)
     return explored(patches, outcome if patches else "no contact", tried, flags)
 

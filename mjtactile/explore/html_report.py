@@ -146,9 +146,9 @@ def _paint(axes: Any, mesh: Mesh, colour: Array, found: ExplorationResult) -> No
     )
     for touch, patch in enumerate(found.patches):
         if patch.normal @ up @ _VIEW > 0.1:
-            place = 1e3 * (patch.center + 1e-3 * patch.normal) @ up
-            axes.scatter(*place, s=14, c="k", depthshade=False, zorder=3)
-            axes.text(*place, f" {touch + 1}", fontsize=8, zorder=4)
+            position = 1e3 * (patch.center + 1e-3 * patch.normal) @ up
+            axes.scatter(*position, s=14, c="k", depthshade=False, zorder=3)
+            axes.text(*position, f" {touch + 1}", fontsize=8, zorder=4)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     center = (low + high) / 2
     half = float((high - low).max()) / 2

@@ -39,9 +39,9 @@ def principal_sizes(mesh: Mesh) -> tuple[Array, Array]:
     """Return the extents (3,), m, of a surface along its principal axes, the largest first, and
     these axes as columns (3, 3)."""
     weights = mesh.areas()
-    off = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
-    axes = np.linalg.eigh((off * weights[:, None]).T @ off)[1][:, ::-1]
-    return np.ptp(off @ axes, axis=0), axes
+    centered = mesh.vertices - np.average(mesh.vertices, axis=0, weights=weights)
+    axes = np.linalg.eigh((centered * weights[:, None]).T @ centered)[1][:, ::-1]
+    return np.ptp(centered @ axes, axis=0), axes
 
 
 def sizes(

@@ -123,9 +123,9 @@ def _face_of_shape(shape: ContactShape, touch: Touch, design: SensorDesign) -> _
     z, slope = _heights(shape, x, y)
     points = np.column_stack([xy, shape.p_SO[2] + z])
     assert touch.surface is not None
-    off = points[:, 2] - _membrane_height(touch.surface, xy) - design.membrane.thickness / 2
-    on = np.abs(off) < _AGREES
-    if on.sum() < max(_MIN_AGREEING * len(off), 3):
+    gap = points[:, 2] - _membrane_height(touch.surface, xy) - design.membrane.thickness / 2
+    on = np.abs(gap) < _AGREES
+    if on.sum() < max(_MIN_AGREEING * len(gap), 3):
         return None
     normal = np.array([slope[0], slope[1], -1.0])
     return points[on], normal / np.linalg.norm(normal), _spread(shape)
@@ -160,9 +160,9 @@ def _bent(curvature: float, distance: Array) -> Array:
 
 def _inside(outline: Array, center: Array, shrink: float) -> Array:
     """Return positions on a patch: its center and rings."""
-    off = outline - center
-    angle = np.arctan2(off[:, 1], off[:, 0])
-    far = np.hypot(off[:, 0], off[:, 1])
+    offsets = outline - center
+    angle = np.arctan2(offsets[:, 1], offsets[:, 0])
+    far = np.hypot(offsets[:, 0], offsets[:, 1])
     spokes = np.arange(_SPOKES) * (2 * math.pi / _SPOKES)
     order = np.argsort(angle)
     extent = shrink * np.interp(spokes, angle[order], far[order], period=2 * math.pi)
@@ -202,10 +202,10 @@ def _face_of_membrane(touch: Touch, design: SensorDesign) -> _Face:
     xy = np.column_stack([traction.x[columns], traction.y[rows]])
     z = _membrane_height(touch.surface, xy)
     points = np.column_stack([xy, z + design.membrane.thickness / 2])
-    off = points - points.mean(axis=0)
+    centered = points - points.mean(axis=0)
     normal = np.array([0.0, 0.0, -1.0])
     if len(points) >= 4:
-        slope = np.linalg.lstsq(off[:, :2], off[:, 2], rcond=1e-2)[0]
+        slope = np.linalg.lstsq(centered[:, :2], centered[:, 2], rcond=1e-2)[0]
         normal = np.array([*slope, -1.0]) / math.hypot(*slope, 1.0)
     return points, normal, _MEMBRANE_SPREAD
 

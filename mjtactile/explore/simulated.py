@@ -117,12 +117,12 @@ def explore_in_gripper(
     model = _load_object(scenario, goal)
     require_two(len(load_sim_rig(scenario.rig).fingers))
     patches = list(known)
-    number = max((patch.group for patch in patches), default=0)
+    grip_number = max((patch.group for patch in patches), default=0)
     grips: list[tuple[float, float]] = []
     hypotheses = fuse(patches)
     flags: dict[str, Flag] = {}
     outcome = "touches"
-    while number < goal.touches:
+    while grip_number < goal.touches:
         mesh = mesh_of(hypotheses[0], _PLAN_EDGE)
         if patches and mesh.error() <= goal.accuracy:
             outcome = "accurate"
@@ -132,8 +132,8 @@ def explore_in_gripper(
             break
         angle, height = next_grip(mesh, grips, has_contact=bool(patches))
         grips.append((angle, height))
-        number += 1
-        new = _grip(scenario, angle, height, goal.force, number, flags)
+        grip_number += 1
+        new = _grip(scenario, angle, height, goal.force, grip_number, flags)
         for patch in new:
             keep(patch)
         patches += new
@@ -141,10 +141,10 @@ def explore_in_gripper(
         sd = 1e3 * mesh_of(hypotheses[0], _PLAN_EDGE).error()
         kinds = ", ".join(patch.kind for patch in new) or "no contact"
         notify(
-            f"grip {number}: rotated {math.degrees(angle):.0f} deg, {1e3 * height:.0f} mm up: "
+            f"grip {grip_number}: rotated {math.degrees(angle):.0f} deg, {1e3 * height:.0f} mm up: "
             f"{kinds}; surface sd {sd:.2f} mm"
         )
-    found = explored(patches, outcome if patches else "no contact", number, flags)
+    found = explored(patches, outcome if patches else "no contact", grip_number, flags)
     if not patches:
         return found, {}
     return found, score(found, TrueSurface.of(model), np.zeros(3), np.eye(3))
@@ -162,9 +162,9 @@ def next_grip(
         if (angle, height) in grips:
             continue
         axis = np.array([math.cos(angle), -math.sin(angle), 0.0])
-        off = mesh.vertices - (0.0, 0.0, height)
-        along = off @ axis
-        lateral = np.linalg.norm(off - along[:, None] * axis, axis=1)
+        centered = mesh.vertices - (0.0, 0.0, height)
+        along = centered @ axis
+        lateral = np.linalg.norm(centered - along[:, None] * axis, axis=1)
         near = (lateral < _FINGER) & (np.abs(mesh.normals @ axis) > _FACES)
         worth[angle, height] = float(mesh.sd[near].mean()) if near.sum() > 8 else 0.0
     return max(worth, key=lambda grip: worth[grip]) if worth else grips[0]
@@ -175,14 +175,16 @@ def _grip(
     turn: float,
     height: float,
     force: float,
-    number: int,
+    grip_number: int,
     flags: dict[str, Flag],
 ) -> list[Patch]:
     """Simulate one grip of the rotated object."""
     # a seed first samples the camera noise, so each grip gets its own seed
     file = load_sim_rig(scenario.rig)
     change = SampledWorld(object=ObjectChange(place=(0.0, 0.0), yaw=turn))
-    rig = build_sim_rig(replace(scenario, seed=scenario.seed + number), file=file, sampled=change)
+    rig = build_sim_rig(
+        replace(scenario, seed=scenario.seed + grip_number), file=file, sampled=change
+    )
     log = Log()
     try:
         session = Session(rig, threads=0)
@@ -190,7 +192,9 @@ def _grip(
         session.run(GripController((height,), force), time_limit=_GRIP_TIME, observer=log)
         flags |= merge_flags((flags, rig.flags()))
         designs = [finger.design for finger in rig.fingers]
-        return patches_of_grip(log.cycles, session.perceptions, designs, yaw=turn, group=number)
+        return patches_of_grip(
+            log.cycles, session.perceptions, designs, yaw=turn, group=grip_number
+        )
     finally:
         rig.close()
 

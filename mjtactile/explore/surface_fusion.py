@@ -41,8 +41,8 @@ _ON_END, _END_POINTS = 0.3, 3  # mm from a flat end, and points, by which it was
 _UNTOUCHED = 1e3  # of the log of evidence, that a flat end costs which was not
 _ROUNDS = 40
 _FIRST_ROUNDS = 12
-_STARTS = 2  # that are followed to the end
-_PLACES = 3  # start poses in addition to a known shape
+_STARTS = 2  # start poses that are refined until convergence
+_MAX_CENTERS = 3  # start poses in addition to a known shape
 _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 
 
@@ -55,9 +55,9 @@ def fuse(
     if not patches:
         return [unknown()]
     data = _Data.of(patches)
-    places = _starts(patches)
+    starts = _starts(patches)
     known = {surface.family.name: surface.theta for surface in before if len(surface.points)}
-    surfaces = [_of_family(data, family, places, known.get(family.name)) for family in FAMILIES]
+    surfaces = [_of_family(data, family, starts, known.get(family.name)) for family in FAMILIES]
     return sorted(surfaces, key=lambda surface: -surface.log_evidence)
 
 
@@ -69,17 +69,17 @@ def shares(surfaces: Sequence[SurfacePosterior]) -> Array:
 
 
 def _of_family(
-    data: _Data, family: ObjectFamily, places: Sequence[Array], known: Array | None
+    data: _Data, family: ObjectFamily, centers: Sequence[Array], known: Array | None
 ) -> SurfacePosterior:
     """Estimate the most likely shape of a family, with its residual field."""
     starts = []
     if known is not None:
-        starts, places = [known], places[:_PLACES]
-    for place, exponents in itertools.product(places, family.starts):
-        starts.append(np.concatenate([place, exponents, family.mean[11:]]))
+        starts, centers = [known], centers[:_MAX_CENTERS]
+    for center, exponents in itertools.product(centers, family.starts):
+        starts.append(np.concatenate([center, exponents, family.mean[11:]]))
         if family.cut:  # at either end
             starts.append(starts[-1].copy())
-            starts[-1][3:6] = _upside_down(place[3:6])
+            starts[-1][3:6] = _upside_down(center[3:6])
     fits = sorted((_robust(data, family, start, _FIRST_ROUNDS) for start in starts), key=_cost)
     theta = min((_robust(data, family, fit.x, _ROUNDS) for fit in fits[:_STARTS]), key=_cost).x
     stated = data.noise
@@ -101,8 +101,8 @@ def _ends_flat(data: _Data, theta: Array) -> bool:
     """Return True if the flat end of a shape was touched. Without a touch, the end may as well be
     round."""
     touched = data.points[: data.parts[-1].stop]
-    off = superquadric.beyond_cut(theta[None], touched)[0]
-    return bool((np.abs(off) < _ON_END).sum() >= _END_POINTS)
+    beyond = superquadric.beyond_cut(theta[None], touched)[0]
+    return bool((np.abs(beyond) < _ON_END).sum() >= _END_POINTS)
 
 
 def _upside_down(turn: Array) -> Array:
@@ -155,15 +155,15 @@ class _Data:
             if np.median(np.abs(left[part])) < _OUTLIER_SD * own:
                 continue
             odds += _FLAG_ODDS
-            off = self.points[part] - self.points[part].mean(axis=0)
+            centered = self.points[part] - self.points[part].mean(axis=0)
             height, tilt = _FLAG_SD
-            noise[part, part] += height**2 + tilt**2 * off @ off.T
+            noise[part, part] += height**2 + tilt**2 * centered @ centered.T
         field = kernel(self.points, self.points, *_FIRST_FIELD)
         for _ in range(int(_STRAYS * len(left))):
             inverse = np.linalg.inv(field + noise)
-            off = np.abs(inverse @ left) / np.sqrt(np.diag(inverse))
-            worst = int(off.argmax())
-            if off[worst] < _STRAY:
+            centered = np.abs(inverse @ left) / np.sqrt(np.diag(inverse))
+            worst = int(centered.argmax())
+            if centered[worst] < _STRAY:
                 break
             noise[worst, worst] += _STRAY_SD**2
             odds += _STRAY_ODDS
@@ -174,9 +174,9 @@ class _Data:
         inside = superquadric.distance(theta, self.free)
         chosen: list[Array] = []
         for index in np.argsort(inside)[: np.count_nonzero(inside < 0)]:
-            place = self.free[index]
-            if all(np.linalg.norm(place - other) > _FREE_SPACING for other in chosen):
-                chosen.append(place)
+            free = self.free[index]
+            if all(np.linalg.norm(free - other) > _FREE_SPACING for other in chosen):
+                chosen.append(free)
         if not chosen:
             return self
         count = len(chosen)
@@ -187,10 +187,10 @@ class _Data:
         )
 
 
-def _thinned(places: Array) -> Array:
+def _thinned(points: Array) -> Array:
     """Return one of the points in each cell as wide as their minimum distance."""
-    cells = np.floor(places / _FREE_SPACING).astype(int)
-    return places[np.unique(cells, axis=0, return_index=True)[1]]
+    cells = np.floor(points / _FREE_SPACING).astype(int)
+    return points[np.unique(cells, axis=0, return_index=True)[1]]
 
 
 def _least_squares(
@@ -225,18 +225,18 @@ def _robust(data: _Data, family: ObjectFamily, start: Array, rounds: int) -> Opt
     for part in data.parts:
         sd[part] *= np.sqrt(max(part.stop - part.start, 4) / 4)
 
-    def soft(off: Array) -> Array:
-        return np.sign(off) * _WIDE * np.sqrt(np.log1p((off / _WIDE) ** 2))
+    def soft(residual: Array) -> Array:
+        return np.sign(residual) * _WIDE * np.sqrt(np.log1p((residual / _WIDE) ** 2))
 
     def left(theta: Array) -> Array:
         touched = soft(data.left(theta) / sd)
         return np.concatenate([touched, *_free_and_prior(data, family, theta)])
 
     def slopes(theta: Array) -> Array:
-        off = data.left(theta) / sd
-        near = np.abs(off) < 1e-6
-        ratio = np.divide(off, soft(off), out=np.ones_like(off), where=~near)
-        by_off = ratio / (1 + (off / _WIDE) ** 2)
+        residual = data.left(theta) / sd
+        near = np.abs(residual) < 1e-6
+        ratio = np.divide(residual, soft(residual), out=np.ones_like(residual), where=~near)
+        by_off = ratio / (1 + (residual / _WIDE) ** 2)
         touched, others = _slopes(data, family, theta)
         return np.concatenate([-(by_off / sd)[:, None] * touched, *others])
 

@@ -215,10 +215,10 @@ class RecordedEpisode:
     def _camera_poses(self) -> dict[str, tuple[Array, Array]]:
         return {name: self._camera_pose(k, name) for k, name in enumerate(self.fingers)}
 
-    def _camera_pose(self, number: int, finger: str) -> tuple[Array, Array]:
+    def _camera_pose(self, index: int, finger: str) -> tuple[Array, Array]:
         calibration = self.calibrations[finger]
         if self._perceptions:
-            flat = self._perceptions[number].state.flat
+            flat = self._perceptions[index].state.flat
             return flat.R_SC, flat.p_SC
         design = self._designs[finger]
         if calibration is not None and (frame := calibration.used(design).frame) is not None:
@@ -238,16 +238,16 @@ class RecordedEpisode:
         except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
             return ()
 
-    def _perception(self, number: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:
+    def _perception(self, index: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:
         design = self._designs[finger]
         perception = StatefulPipeline.of(design, calibration := self.calibrations[finger])
-        perception.measure_flat_reference(list(flat.images(number)))
-        gauge = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
+        perception.measure_flat_reference(list(flat.images(index)))
+        gauge = rest.gauge_pressure[index] if index < len(rest.gauge_pressure) else None
         if gauge is None or math.isnan(gauge):
             gauge = design.chamber.supply_gauge
         elif calibration is not None:
             gauge = calibration.pressure(gauge)
-        perception.measure_rest_reference(list(rest.images(number)), gauge)
+        perception.measure_rest_reference(list(rest.images(index)), gauge)
         perception.contact_shapes = self.recording.has_shapes
         return perception
 
@@ -365,8 +365,8 @@ def part_names(episode: RecordedEpisode, key: str) -> list[str]:
         return list(own)
     if column.ndim == 1 and column.dtype != object:
         return [f"{key}_{unit}" if unit else key]
-    places = episode.fingers if column.shape[1] == len(episode.fingers) else range(column.shape[1])
-    return [f"{place}.{name}" for place in places for name in own]
+    parts = episode.fingers if column.shape[1] == len(episode.fingers) else range(column.shape[1])
+    return [f"{part}.{name}" for part in parts for name in own]
 
 
 def meanings() -> dict[str, dict[str, str]]:

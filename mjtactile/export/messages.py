@@ -90,17 +90,17 @@ def stamp_of(seen: Perceived, finger: int) -> float:
     return stamp if np.isfinite(stamp) else seen.time
 
 
-def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Iterator[Message]:
-    stamp = stamp_of(seen, number)
+def _of_finger(source: Source, seen: Perceived, index: int, finger: str) -> Iterator[Message]:
+    stamp = stamp_of(seen, index)
     camera = f"{finger}_camera"
     sensor = f"{finger}_sensor"
     if seen.images:
-        file = seen.files[number] if seen.files else None
-        yield Message(f"/{finger}/image", "image", stamp, camera, (seen.images[number], file))
+        file = seen.files[index] if seen.files else None
+        yield Message(f"/{finger}/image", "image", stamp, camera, (seen.images[index], file))
         lens = effective_camera(source.design_of(finger)).camera
         yield Message(f"/{finger}/camera_info", "camera", stamp, camera, lens)
     mine = {
-        key: value[number]
+        key: value[index]
         for key, value in seen.row.items()
         if isinstance(value, (list, np.ndarray))
         and len(value) == len(source.fingers)
@@ -109,7 +109,7 @@ def _of_finger(source: Source, seen: Perceived, number: int, finger: str) -> Ite
     yield Message(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
     yield Message(f"/{finger}/touch", "touch", stamp, sensor, mine)
     if seen.touch:
-        for name, cloud in _clouds(seen.touch[number]):
+        for name, cloud in _clouds(seen.touch[index]):
             yield Message(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)
 
 

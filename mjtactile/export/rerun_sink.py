@@ -94,9 +94,9 @@ class RerunSink:
 
     def _in_frame(self, item: messages.Message) -> str:
         """Return the entity path of an item in its frame."""
-        place = self._place(item.frame)
+        pose = self._place(item.frame)
         name = item.topic.strip("/").removesuffix("/drawn").split("/")[-1]
-        return place if item.topic == f"/{item.frame}" else f"{place}/{name}"
+        return pose if item.topic == f"/{item.frame}" else f"{pose}/{name}"
 
     def _image(self, item: messages.Message) -> None:
         image = self._rr.EncodedImage(contents=messages.png_of(item), media_type="image/png")

@@ -107,8 +107,8 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
                 f"fabricate: the {name} has {volume:.3f} mm3 instead of {part.volume:.3f}: "
                 "its holes meet its edges"
             )
-    for one, other, volume in mesh.overlaps(solids):
-        raise _collision(f"the {one} and the {other} would intersect by {volume:.3g} mm3")
+    for first, other, volume in mesh.overlaps(solids):
+        raise _collision(f"the {first} and the {other} would intersect by {volume:.3g} mm3")
 
 
 def _collision(problem: str) -> InputError:

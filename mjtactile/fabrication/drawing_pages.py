@@ -90,9 +90,9 @@ def _scale_bars(width: float, height: float) -> list[DrawingShape]:
         at = height / 2 - 10 if axis == 0 else width / 2 - 9
 
         def place(
-            along: float, off: float, axis: int = axis, at: float = at
+            along: float, across: float, axis: int = axis, at: float = at
         ) -> tuple[float, float]:
-            return (along, at + off) if axis == 0 else (at + off, along)
+            return (along, at + across) if axis == 0 else (at + across, along)
 
         found.append(line("scale", place(-length / 2, 0), place(length / 2, 0)))
         for k in range(round(length / 10) + 1):

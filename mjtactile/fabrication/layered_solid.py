@@ -141,8 +141,8 @@ class Traced(Contour):
         at = np.array(self.points)
         along = np.roll(at, -1, axis=0) - at
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        off = np.array([x, y]) - at
-        return float((off[:, 0] * along[:, 1] - off[:, 1] * along[:, 0]).max())
+        offset = np.array([x, y]) - at
+        return float((offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]).max())
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
         """Return the edges in the format of a rectangle, all straight."""
@@ -250,21 +250,21 @@ def crossing(part: Part) -> tuple[Contour, Contour] | None:
         for layer in part.layers
     ]
     for here, there in pairwise([*contours, []]):
-        for one, other in combinations(dict.fromkeys([*here, *there]), 2):
-            if not _near(one, other):
+        for first, other in combinations(dict.fromkeys([*here, *there]), 2):
+            if not _near(first, other):
                 continue
-            of_one = [other.distance(x, y) for x, y in one.polygon(8)]
-            of_other = [one.distance(x, y) for x, y in other.polygon(8)]
+            of_one = [other.distance(x, y) for x, y in first.polygon(8)]
+            of_other = [first.distance(x, y) for x, y in other.polygon(8)]
             is_separate = min(of_one) > _GAP and min(of_other) > _GAP
             if not (is_separate or max(of_one) < -_GAP or max(of_other) < -_GAP):
-                return one, other
+                return first, other
     return None
 
 
-def _near(one: Contour, other: Contour) -> bool:
+def _near(contour: Contour, other: Contour) -> bool:
     return (
-        abs(one.x - other.x) < one.hx + other.hx + _GAP
-        and abs(one.y - other.y) < one.hy + other.hy + _GAP
+        abs(contour.x - other.x) < contour.hx + other.hx + _GAP
+        and abs(contour.y - other.y) < contour.hy + other.hy + _GAP
     )
 
 

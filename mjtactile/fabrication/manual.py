@@ -125,8 +125,8 @@ def assembly(layout: Layout, optics: Optics, figures: Sequence[str]) -> str:
         f"# Assembly of {layout.design.name!r}",
         "Lengths in mm. +x is the side of the air port, the right side of the camera image.",
     ]
-    for number, step in enumerate(steps_of(layout)):
-        blocks.append(f"## {number}. {step.title}")
+    for index, step in enumerate(steps_of(layout)):
+        blocks.append(f"## {index}. {step.title}")
         if step.figure in figures:
             blocks.append(f"![{step.title}](pictures/{step.figure}.png)")
         blocks.append(step.text.format(**known))

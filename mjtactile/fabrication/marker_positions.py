@@ -71,7 +71,7 @@ def press_depth(design: SensorDesign, hardware: Hardware) -> float:
 
 
 _SUPPLY = "chamber.supply_pressure_kPa"
-PLACES = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a corner": (1, 1)}
+POSITIONS = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a corner": (1, 1)}
 """Indentation positions, as fractions of the distance from the center to close to the frame."""
 
 
@@ -80,14 +80,14 @@ def indenter_radius(design: SensorDesign) -> float:
     return min(_BALL, 0.25 * min(design.frame.length, design.frame.width))
 
 
-def indentation_places(
-    design: SensorDesign, places: Mapping[str, tuple[int, int]] = PLACES
+def indentation_positions(
+    design: SensorDesign, positions: Mapping[str, tuple[int, int]] = POSITIONS
 ) -> dict[str, Array]:
     """Return the positions (2,), m in S, of the indentations by their names."""
     sides = np.array([design.frame.length, design.frame.width])
     ball = indenter_radius(design)
     far = np.maximum(_OFFSET_MAX * sides - ball, 0.0)
-    return {name: _inward(design, far * np.array(to), ball) for name, to in places.items()}
+    return {name: _inward(design, far * np.array(to), ball) for name, to in positions.items()}
 
 
 def simulate(
@@ -95,7 +95,7 @@ def simulate(
     hardware: Hardware,
     source: str,
     notify: Callable[[str], None],
-    places: Mapping[str, tuple[int, int]] = PLACES,
+    positions: Mapping[str, tuple[int, int]] = POSITIONS,
 ) -> list[MembraneState]:
     """Compute all states. Raises InputError if the membrane fails, touches the glass, or stretches
     beyond the range of its material law."""
@@ -109,8 +109,8 @@ def simulate(
         Limit(_SUPPLY, 1e-3 * supply, why, high=1e-3 * _pressure_limit(design)).check(source)
     ball = indenter_radius(design)
     try:
-        for name, place in indentation_places(design, places).items():
-            x, y = place.tolist()
+        for name, position in indentation_positions(design, positions).items():
+            x, y = position.tolist()
             world = PressWorld(design, Indenter("sphere", ball), at=(x, y))
             for pressure in dict.fromkeys((0.0, supply)):
                 kpa = f"{1e-3 * pressure:g} kPa"
@@ -185,13 +185,13 @@ def _largest_force(design: SensorDesign) -> list[MembraneState]:
     return states
 
 
-def _inward(design: SensorDesign, place: Array, ball: float) -> Array:
+def _inward(design: SensorDesign, position: Array, ball: float) -> Array:
     """Move a position (2,), m, towards the center until the ball lies within the outline."""
     frame = design.frame
     clear = ball + (0.5 - _OFFSET_MAX) * min(frame.length, frame.width)
     parts = np.linspace(1.0, 0.0, _PARTS)
-    allowed = frame.inside(parts[:, None] * place) >= clear - 1e-9
-    return place if frame.outline is None else place * parts[np.argmax(allowed)]
+    allowed = frame.inside(parts[:, None] * position) >= clear - 1e-9
+    return position if frame.outline is None else position * parts[np.argmax(allowed)]
 
 
 def _indented(world: PressWorld, depth: float, name: str) -> MembraneState:

@@ -76,12 +76,12 @@ def overlaps(solids: Mapping[str, Any]) -> list[tuple[str, str, float]]:
     """Pairs of parts that intersect, and by how much, mm^3."""
     found = []
     boxes = {name: np.reshape(solid.bounding_box(), (2, 3)) for name, solid in solids.items()}
-    for (one, a), (other, b) in combinations(solids.items(), 2):
-        low = np.maximum(boxes[one][0], boxes[other][0])
-        high = np.minimum(boxes[one][1], boxes[other][1])
+    for (first, a), (other, b) in combinations(solids.items(), 2):
+        low = np.maximum(boxes[first][0], boxes[other][0])
+        high = np.minimum(boxes[first][1], boxes[other][1])
         if (low >= high).any():
             continue
         volume = (a ^ b).volume()
         if volume > _TOUCH:
-            found.append((one, other, volume))
+            found.append((first, other, volume))
     return found

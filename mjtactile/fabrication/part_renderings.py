@@ -67,14 +67,14 @@ def render(
     every = (every - (low + high) / 2) / (_BORDER * (high - low)[0] / 2)
     rows = max(round(pixels * (high - low)[1] / (high - low)[0]), 60)
     size = rows * _SAMPLES, pixels * _SAMPLES
-    numbers = np.repeat(np.arange(len(bodies)), [len(own) for own in corners])
-    colours = _shaded(every, np.array([body.part.colour for body in bodies])[numbers])
+    body_of = np.repeat(np.arange(len(bodies)), [len(own) for own in corners])
+    colours = _shaded(every, np.array([body.part.colour for body in bodies])[body_of])
     seen, depth = _paint(every, size)
     image = np.vstack([colours, np.ones((1, 3))])[seen]
     image[_depth_edges(depth)] = _LINE
-    owners = np.append(numbers, -1)[seen]
-    places = [_anchor(owners == number) for number in range(len(bodies))]
-    return image.reshape(rows, _SAMPLES, pixels, _SAMPLES, 3).mean(axis=(1, 3)), places
+    owners = np.append(body_of, -1)[seen]
+    anchors = [_anchor(owners == index) for index in range(len(bodies))]
+    return image.reshape(rows, _SAMPLES, pixels, _SAMPLES, 3).mean(axis=(1, 3)), anchors
 
 
 def _shaded(corners: Array, rgb: Array) -> Array:
@@ -86,11 +86,11 @@ def _shaded(corners: Array, rgb: Array) -> Array:
 
 def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
     """Return the index (-1: none) and depth (-inf) of the nearest triangle at each pixel."""
-    numbers = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
+    body_of = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
     seen = np.full((*size, 3), -1.0)
     depth = np.full(size, -np.inf)
     corners = np.ascontiguousarray(corners)
-    kernel("paint_triangles")(len(corners), corners, numbers, *size, depth, seen)
+    kernel("paint_triangles")(len(corners), corners, body_of, *size, depth, seen)
     return seen[..., 0].astype(np.int64), depth
 
 
@@ -113,7 +113,7 @@ def _anchor(seen: Array) -> Array | None:
 
 def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     """Return the labeled image as PNG; None, with a message on stderr, without matplotlib."""
-    image, places = render(bodies, **view)
+    image, anchors = render(bodies, **view)
     rows, columns = image.shape[:2]
     margin = 60
     figure = new_figure(name, (columns / 100, (rows + 2 * margin) / 100), dpi=100)
@@ -124,8 +124,8 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     axes.imshow(image, interpolation="nearest")
     axes.set(xlim=(0, columns), ylim=(rows + margin, -margin))
     axes.set_axis_off()
-    pairs = zip(bodies, places, strict=True)
-    labels = [(place, body.label) for body, place in pairs if place is not None and body.label]
+    pairs = zip(bodies, anchors, strict=True)
+    labels = [(anchor, body.label) for body, anchor in pairs if anchor is not None and body.label]
     _label(axes, labels, rows, columns, margin)
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
@@ -142,10 +142,10 @@ def _label(
     text = {"fontsize": 10, "ha": "center", "va": "center"}
     arrow = {"arrowstyle": "-", "color": gray, "lw": 0.8, "shrinkA": 1, "shrinkB": 0}
     for group, y in ((order[:half], 18 - margin), (order[half:], rows + margin - 18)):
-        for k, (place, name) in enumerate(sorted(group, key=lambda label: label[0][0])):
+        for k, (anchor, name) in enumerate(sorted(group, key=lambda label: label[0][0])):
             x = columns * (k + 0.5) / len(group)
-            axes.annotate(name, place, (x, y), arrowprops=arrow, **text)
-            axes.plot(*place, "o", ms=3.5, color=gray)
+            axes.annotate(name, anchor, (x, y), arrowprops=arrow, **text)
+            axes.plot(*anchor, "o", ms=3.5, color=gray)
 
 
 def explode(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:

@@ -133,7 +133,7 @@ def _gasket(layout: Layout) -> Part:
 
 def _glass(layout: Layout) -> Part:
     layer = plate(layout.z_glass_plane, layout.z_glass, Contour(layout.glass_x, layout.glass_y))
-    return Part("glass", (layer,), (0.72, 0.88, 0.92), make=False, description="flat pane")
+    return Part("glass", (layer,), (0.72, 0.88, 0.92), make=False, description="flat glass")
 
 
 def _glass_seat(layout: Layout) -> Part:
@@ -170,7 +170,7 @@ def _camera_mount(layout: Layout) -> Part:
     return Part("camera_mount", layers, _PRINTED, description=description)
 
 
-def led_places(layout: Layout) -> list[tuple[float, float]]:
+def led_positions(layout: Layout) -> list[tuple[float, float]]:
     """Centres of the LEDs, at the angles that the simulator has."""
     radius = 1e3 * layout.design.leds.ring_radius
     count = layout.design.leds.count
@@ -186,7 +186,7 @@ def _led_ring(layout: Layout) -> Part:
     """The circuit board, and the LEDs as discs on it."""
     outer = circle(layout.led_outer)
     board = plate(layout.z_plate, layout.z_leds, outer, [circle(layout.led_inner)])
-    leds = _discs(layout.z_leds, layout.z_camera, hw.LED_BODY[1] / 2, led_places(layout))
+    leds = _discs(layout.z_leds, layout.z_camera, hw.LED_BODY[1] / 2, led_positions(layout))
     description = "LEDs in the plane of the lens pupil: led_ring.svg"
     return Part("led_ring", (board, leds), (0.2, 0.55, 0.3), make=False, description=description)
 

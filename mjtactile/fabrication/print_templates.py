@@ -22,7 +22,7 @@ from mjtactile.fabrication.parts import (
     PEG,
     bolt_holes,
     flange,
-    led_places,
+    led_positions,
     mouth,
     opening,
     outline_offset,
@@ -128,13 +128,13 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
     if fiducials is None:
         return None
     radius = MM * fiducials.radius
-    centres = [(MM * x, MM * y) for x, y in fiducials.places]
+    centres = [(MM * x, MM * y) for x, y in fiducials.positions]
     groove = layout.groove
     if groove is None:
         note = "white under the black; align the marks with the glass edges"
         ground = MM * (fiducials.radius + fiducials.ground)
         shapes = _outlines("faint", "ground", (circle(ground, *centre) for centre in centres))
-        shapes.append(DrawingShape("mark", "pane", Contour(layout.glass_x, layout.glass_y)))
+        shapes.append(DrawingShape("mark", "glass", Contour(layout.glass_x, layout.glass_y)))
     else:
         note = (
             "white matte film: cut along red lines into strips, glue to the inner face of the rim"
@@ -163,7 +163,7 @@ def led_page(layout: Layout) -> PrintedPage:
         "circuit board 1.6 mm; LEDs (2835) on the membrane side,",
         "emission in the plane of the lens pupil; view from the camera, through the board",
     ]
-    for number, (x, y) in enumerate(led_places(layout), 1):
+    for number, (x, y) in enumerate(led_positions(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
         at = out * x - (15 if x < 0 else 0), out * y + 1
         shapes += [

@@ -64,12 +64,12 @@ class _File:
     def face(self, surface: int, loops: Sequence[Loop], *, same_sense: bool = True) -> int:
         """A face; the first of `loops` is its outer bound."""
         bounds = []
-        for number, loop in enumerate(loops):
+        for index, loop in enumerate(loops):
             edges = [
                 self.add(f"ORIENTED_EDGE('',*,*,#{e},{_flag(forward)})") for e, forward in loop
             ]
             closed = self.add(f"EDGE_LOOP('',({_references(edges)}))")
-            kind = "FACE_BOUND" if number else "FACE_OUTER_BOUND"
+            kind = "FACE_BOUND" if index else "FACE_OUTER_BOUND"
             bounds.append(self.add(f"{kind}('',#{closed},.T.)"))
         return self.add(f"ADVANCED_FACE('',({_references(bounds)}),#{surface},{_flag(same_sense)})")
 
@@ -286,8 +286,8 @@ def _numbers(values: Iterable[float]) -> str:
     return ",".join(_number(float(v)) for v in values)
 
 
-def _references(numbers: Iterable[int]) -> str:
-    return ",".join(f"#{n}" for n in numbers)
+def _references(ids: Iterable[int]) -> str:
+    return ",".join(f"#{n}" for n in ids)
 
 
 def _flag(value: bool) -> str:

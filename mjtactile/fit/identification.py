@@ -23,7 +23,7 @@ from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
 from mjtactile.fit.membrane_fit import DEFAULT, FitOptions, MembraneFit, fit_membrane, simulate
 from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
-from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, numbers_of
+from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, fitted_parameters
 from mjtactile.fit.rewrite_sensor_file import rewrite
 from mjtactile.fit.sealed_replay import (
     MembraneErrors,
@@ -67,11 +67,13 @@ def fit_recordings(
     seen = _with_lens(design, membrane.focal_scale)
     image = fit_image_noise(seen, evidence[0].flat)
     gas = _gas(membrane, evidence, manually["chamber"], options)
-    numbers = tuple(numbers_of(nominal, known, evidence, membrane, gas, image))
+    parameters = tuple(fitted_parameters(nominal, known, evidence, membrane, gas, image))
     names, cov = covariance_of(free, gas, "membrane.thickness_mm" in known)
-    sentences = correlations(names, cov, {number.field: number.state for number in numbers})
+    sentences = correlations(
+        names, cov, {parameter.field: parameter.state for parameter in parameters}
+    )
     found = rewrite(
-        text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}."
+        text, parameters, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}."
     )
     fitted = sensor_from_table(tomllib.loads(found), name=options.name, source=options.name)
     checks = tuple(
@@ -84,7 +86,7 @@ def fit_recordings(
     return FitResult(
         fitted,
         found,
-        numbers,
+        parameters,
         tuple(sentences),
         tuple(evidence),
         membrane,

@@ -114,14 +114,14 @@ def read_evidence(
             choices=recording.fingers if len(recording.references) == 2 else None,
         )
     recording.require_images()
-    number = recording.fingers.index(finger)
+    finger_index = recording.fingers.index(finger)
     calibration = calibration_of(recording, design, finger)
     pipeline = SensingPipeline(design, calibration)
     flat, rest = recording.references
-    flat_images = tuple(flat.images(number))
+    flat_images = tuple(flat.images(finger_index))
     state = pipeline.measure_flat_reference(pipeline.initial_state(), flat_images)
-    seen = [markers for _, markers in _detect(pipeline, state, rest.images(number))]
-    reading = rest.gauge_pressure[number] if number < len(rest.gauge_pressure) else None
+    seen = [markers for _, markers in _detect(pipeline, state, rest.images(finger_index))]
+    reading = rest.gauge_pressure[finger_index] if finger_index < len(rest.gauge_pressure) else None
     note = recording.notes.get("stage")
     is_own = note is not None and note.get("finger", finger) == finger
     stage = stage_from_note(note, path) if note is not None and is_own else None
@@ -129,8 +129,8 @@ def read_evidence(
         _check_indenter(stage, design, path)
     notify(f"{path}: {len(recording)} images")
     expected = replace(state, expected=_latest(design, seen))
-    times, shots = _follow(recording, number, pipeline, expected)
-    pressure = pressures_at(recording, number, calibration, times)
+    times, shots = _follow(recording, finger_index, pipeline, expected)
+    pressure = pressures_at(recording, finger_index, calibration, times)
     volumes = np.array([pipeline.fitter.fit(markers).volume for markers in shots])
     gauge = math.nan if reading is None else calibration.pressure(reading)
     at_rest = _hold(design, seen, gauge, None, math.nan)
@@ -203,28 +203,28 @@ def _detect(
 
 
 def _follow(
-    recording: Recording, number: int, pipeline: SensingPipeline, state: PipelineState
+    recording: Recording, finger_index: int, pipeline: SensingPipeline, state: PipelineState
 ) -> tuple[Array, list[Markers]]:
     """Times after the first cycle, s, and markers of the cycles' images."""
-    found = list(_detect(pipeline, state, (images[number] for images in recording.images())))
+    found = list(_detect(pipeline, state, (images[finger_index] for images in recording.images())))
     start = float(recording.columns["time"][0]) if len(recording) else 0.0
     return np.array([image.time - start for image, _ in found]), [markers for _, markers in found]
 
 
 def pressures_at(
-    recording: Recording, number: int, calibration: Calibration, times: Array
+    recording: Recording, finger_index: int, calibration: Calibration, times: Array
 ) -> Array:
     """Gauge pressure at `times`, Pa, between the readings of the valve's board; NaN without any."""
     readings = recording.column("gauge_pressure")
     when = recording.column("valve_time")
-    if not len(recording) or number >= recording.valve_count:
+    if not len(recording) or finger_index >= recording.valve_count:
         return np.full(len(times), np.nan)
     start = float(recording.columns["time"][0])
-    known = np.isfinite(readings[:, number]) & np.isfinite(when[:, number])
+    known = np.isfinite(readings[:, finger_index]) & np.isfinite(when[:, finger_index])
     if known.sum() < 2:
         return np.full(len(times), np.nan)
-    gauge = np.array([calibration.pressure(float(p)) for p in readings[known, number]])
-    return np.interp(times, when[known, number] - start, gauge)
+    gauge = np.array([calibration.pressure(float(p)) for p in readings[known, finger_index]])
+    return np.interp(times, when[known, finger_index] - start, gauge)
 
 
 def _latest(design: SensorDesign, seen: Sequence[Markers]) -> Array:

@@ -217,15 +217,15 @@ def _press_with(world: PressWorld, move: Move) -> None:
         if not math.isnan(too_much):
             depth = low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
         world.press(depth, move.shear, _SPEED)
-        off = -float(world.drive_force[2]) - move.force
-        if abs(off) < _FORCE_TOLERANCE * move.force:
+        excess = -float(world.drive_force[2]) - move.force
+        if abs(excess) < _FORCE_TOLERANCE * move.force:
             return
-        if off > 0:
+        if excess > 0:
             high = depth
-            too_much = off
+            too_much = excess
         else:
             low = depth
-            too_little = off
+            too_little = excess
             if math.isnan(too_much):
                 high = min(1.5 * high, 0.9 * world.design.chamber.depth)
 
@@ -290,7 +290,7 @@ class _Problem:
         self.design = design
         self.evidence = evidence
         self.names = names
-        self.pressed = [i for i, one in enumerate(evidence) if _is_loaded(one)]
+        self.pressed = [i for i, measured in enumerate(evidence) if _is_loaded(measured)]
         self.options = options
         # a marker has the same error in all holds: each counts by its fraction of their number
         self._repeats = sum(1 + len(e.holds) for e in evidence)
@@ -342,15 +342,15 @@ class _Problem:
         values = {name: self.value(name, x) for name in self.names}
         return replace(self.design, membrane=replace(self.design.membrane, **values))
 
-    def offset(self, number: int, x: Array) -> float:
+    def offset(self, index: int, x: Array) -> float:
         """First touch of a recording, m, deeper than its mark."""
-        if number in self.pressed:
-            return self.options.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
+        if index in self.pressed:
+            return self.options.touch_sd * float(x[len(self.names) + self.pressed.index(index)])
         return 0.0
 
-    def simulate(self, number: int, x: Array) -> tuple[Simulated, ...]:
+    def simulate(self, index: int, x: Array) -> tuple[Simulated, ...]:
         return simulate(
-            self.made(x), self.evidence[number], self.offset(number, x), self.options.mesh
+            self.made(x), self.evidence[index], self.offset(index, x), self.options.mesh
         )
 
     def residuals(self, x: Array) -> Array:
@@ -386,14 +386,14 @@ class _Problem:
             self._last = x[:n].copy(), [self.simulate(i, x) for i in range(len(self.evidence))]
         return self._last[1]
 
-    def _of(self, number: int, holds: Sequence[Simulated]) -> Array:
+    def _of(self, index: int, holds: Sequence[Simulated]) -> Array:
         """Simulated less measured markers of a recording, whitened, and forces of a load cell."""
-        e = self.evidence[number]
+        e = self.evidence[index]
         parts = []
-        triples = zip((e.rest, *e.holds), holds, self._whiten[number], strict=True)
+        triples = zip((e.rest, *e.holds), holds, self._whiten[index], strict=True)
         for hold, simulated, (rows, weights) in triples:
-            off = simulated.p_SM[rows] - hold.p_SM[rows]
-            parts.append(np.einsum("nij,nj->ni", weights, off).ravel())
+            residual = simulated.p_SM[rows] - hold.p_SM[rows]
+            parts.append(np.einsum("nij,nj->ni", weights, residual).ravel())
             if hold.is_weighed:
                 parts.append(np.array([(-simulated.force[2] - hold.force) / LOAD_CELL_SD]))
         return np.concatenate(parts)
@@ -407,26 +407,26 @@ class _Problem:
             for hold, w in zip((e.rest, *e.holds), ws, strict=True)
         ]
         blocks = []
-        for number, (hold, (rows, weights)) in enumerate(holds):
+        for index, (hold, (rows, weights)) in enumerate(holds):
             up = weights[:, :, 2]
             block = np.zeros((3 * len(rows) + hold.is_weighed, 1 + len(holds)))
             block[: 3 * len(rows), 0] = (self._lens_sd * hold.p_SM[rows, 2, None] * up).ravel()
-            block[: 3 * len(rows), 1 + number] = (SHIFT_SD * up).ravel()
+            block[: 3 * len(rows), 1 + index] = (SHIFT_SD * up).ravel()
             blocks.append(block)
         return -np.concatenate(blocks)
 
     def _rms(self, holds: Sequence[Sequence[Simulated]]) -> float:
-        off = [
+        residuals = [
             simulated.p_SM - hold.p_SM
             for e, found in zip(self.evidence, holds, strict=True)
             for hold, simulated in zip((e.rest, *e.holds), found, strict=True)
         ]
-        return float(np.sqrt(np.nanmean(np.square(off))))
+        return float(np.sqrt(np.nanmean(np.square(residuals))))
 
-    def _depends(self, column: int, number: int) -> bool:
+    def _depends(self, column: int, index: int) -> bool:
         if column >= len(self.names):
-            return number == self.pressed[column - len(self.names)]
-        return self.names[column] != "friction" or number in self.pressed
+            return index == self.pressed[column - len(self.names)]
+        return self.names[column] != "friction" or index in self.pressed
 
     def _result(self, found: Solution) -> MembraneFit:
         n, m, _ = self._counts

@@ -158,7 +158,7 @@ def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) ->
         rho = float(cov[i, j] / (sd[i] * sd[j])) if sd[i] > 0 and sd[j] > 0 else 0.0
         if abs(rho) < TOGETHER:
             continue
-        one, two = (ABOUT[n].name if n in ABOUT else n for n in (names[i], names[j]))
+        first, second = (ABOUT[n].name if n in ABOUT else n for n in (names[i], names[j]))
         advice = next((ABOUT[n].record for n in (names[j], names[i]) if n in ABOUT), "")
         is_separable = all(states.get(n, "fitted") == "fitted" for n in (names[i], names[j]))
         verb = (
@@ -166,5 +166,5 @@ def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) ->
             if is_separable
             else "cannot be separated by these recordings"
         )
-        sentences.append(f"{one} and {two} {verb} (correlation {rho:+.2f}): {advice}")
+        sentences.append(f"{first} and {second} {verb} (correlation {rho:+.2f}): {advice}")
     return sentences

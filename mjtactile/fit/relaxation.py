@@ -136,18 +136,18 @@ class _Memories:
     """
 
     def __init__(self, recording: Recording, design: SensorDesign, finger: str):
-        number = recording.fingers.index(finger)
+        finger_index = recording.fingers.index(finger)
         calibration = calibration_of(recording, design, finger)
         perception = StatefulPipeline.of(design, calibration)
         flat, rest = recording.references
-        perception.measure_flat_reference(list(flat.images(number)))
-        reading = rest.gauge_pressure[number]
+        perception.measure_flat_reference(list(flat.images(finger_index)))
+        reading = rest.gauge_pressure[finger_index]
         if reading is None:
             raise InputError(
                 "has no pressure sensor", source=recording.folder, field="--relaxation"
             )
         gauge = calibration.pressure(reading)
-        at_rest = list(rest.images(number))
+        at_rest = list(rest.images(finger_index))
         perception.measure_rest_reference(at_rest, gauge)
         state = perception.state
         if state.reference is None:
@@ -155,7 +155,7 @@ class _Memories:
         self._inverse: InverseMembrane = perception.pipeline.inverse
         self._rest: InverseRest = state.reference.rest
         self._gauge = gauge
-        images = [images[number] for images in recording.images()]
+        images = [images[finger_index] for images in recording.images()]
         seconds = images[-1].time - at_rest[-1].time
         self.times = 10.0 ** np.arange(0, max(1, math.ceil(math.log10(seconds))) + 1)
         self._start(at_rest[-1].time - state.flat_at, at_rest[-1].time)
@@ -175,7 +175,7 @@ class _Memories:
             self._unfaded.append(self._show(shape.c) if self.free[k] else np.zeros(0))
         start = float(recording.columns["time"][0])
         self.time = np.array([image.time - start for image in images])
-        self.pressure = pressures_at(recording, number, calibration, self.time)
+        self.pressure = pressures_at(recording, finger_index, calibration, self.time)
 
     def equations(self) -> tuple[Array, Array]:
         """Return the least-squares equations of the n free images.
@@ -183,7 +183,9 @@ class _Memories:
         The first array is the response to a fraction of 1 of each element, (n, k, 3 N) m. The
         second array is the markers minus the effect of the pressure, (n, 3 N) m.
         """
-        shown = np.array([one for one, free in zip(self._unfaded, self.free, strict=True) if free])
+        shown = np.array(
+            [unfaded for unfaded, free in zip(self._unfaded, self.free, strict=True) if free]
+        )
         bulge = self._at_markers(self._inverse.membrane.state(self._rest.c).gradient)
         markers = self._markers[self.free].reshape(len(shown), -1)
         moved = (self.pressure[self.free] - self._gauge)[:, None] * bulge

@@ -13,7 +13,7 @@ from mjtactile.fit.result import FitResult
 
 def text_of(result: FitResult) -> str:
     """Return the text: fitted values, correlations, undetermined values and held-out errors."""
-    fitted = [n for n in result.numbers if n.state == "fitted"]
+    fitted = [n for n in result.parameters if n.state == "fitted"]
     lines = [f"{'field':28} {'file':>10} {'found':>10}   95 % interval"]
     lines += [
         f"{n.field:28} {n.before:10.5g} {digits(n.value, n.sd):>10}   {_interval(n)}"
@@ -21,13 +21,13 @@ def text_of(result: FitResult) -> str:
     ]
     lines += [
         f"{n.field:28} {n.before:10.5g} {n.value:10.5g}   measured by hand"
-        for n in result.numbers
+        for n in result.parameters
         if n.state == "known"
     ]
     lines += ["", "not in these recordings (the file's value stays):"]
     lines += [
         f"  {n.field}: {n.comment.partition('; ')[2]}"
-        for n in result.numbers
+        for n in result.parameters
         if n.state == "not in these recordings"
     ]
     lines += [f"  {name}: {why}" for name, why in NOT_FITTED.items()]
@@ -52,9 +52,9 @@ def text_of(result: FitResult) -> str:
     return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
 
 
-def _interval(number: FittedParameter) -> str:
-    low, high = number.interval
-    return f"{digits(low, number.sd)} to {digits(high, number.sd)}"
+def _interval(parameter: FittedParameter) -> str:
+    low, high = parameter.interval
+    return f"{digits(low, parameter.sd)} to {digits(high, parameter.sd)}"
 
 
 def _held(row: Any) -> str:
@@ -81,17 +81,17 @@ def plot(figure: Any, result: FitResult) -> None:
 
 
 def _plot_parameters(axes: Any, result: FitResult) -> None:
-    fitted = [n for n in result.numbers if n.state == "fitted" and n.before]
-    places = range(len(fitted))
+    fitted = [n for n in result.parameters if n.state == "fitted" and n.before]
+    rows = range(len(fitted))
     axes.errorbar(
         [100 * (n.value / n.before - 1) for n in fitted],
-        list(places),
+        list(rows),
         xerr=[100 * SD95 * n.sd / abs(n.before) for n in fitted],
         fmt="o",
         ms=4,
         capsize=3,
     )
-    axes.set_yticks(list(places), [n.field.partition(".")[2] for n in fitted], fontsize=7)
+    axes.set_yticks(list(rows), [n.field.partition(".")[2] for n in fitted], fontsize=7)
     axes.axvline(0.0, color="k", lw=0.8)
     axes.set(xlabel="change from the sensor file, %", title="numbers, 95 %")
     axes.grid(alpha=0.3)
@@ -99,11 +99,11 @@ def _plot_parameters(axes: Any, result: FitResult) -> None:
 
 def _plot_markers(axes: Any, result: FitResult) -> None:
     for evidence, holds in zip(result.evidence, result.membrane.holds, strict=True):
-        off = [
+        errors = [
             1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
             for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)
         ]
-        axes.plot(off, "o-", ms=4, label=evidence.name[-24:])
+        axes.plot(errors, "o-", ms=4, label=evidence.name[-24:])
     axes.set(
         xlabel="hold",
         ylabel="marker error, um (rms)",
@@ -116,17 +116,17 @@ def _plot_markers(axes: Any, result: FitResult) -> None:
 
 def _plot_map(axes: Any, result: FitResult) -> None:
     """Height residual of each marker, mean over all holds."""
-    off = [
+    errors = [
         found.p_SM[:, 2] - hold.p_SM[:, 2]
         for e, holds in zip(result.evidence, result.membrane.holds, strict=True)
         for hold, found in zip((e.rest, *e.holds), holds, strict=True)
     ]
     p = 1e3 * result.design.markers.p_SM
-    maximum = 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
+    maximum = 1e6 * float(np.nanmax(np.abs(np.nanmean(errors, axis=0))))
     shown = axes.scatter(
         p[:, 0],
         p[:, 1],
-        c=1e6 * np.nanmean(off, axis=0),
+        c=1e6 * np.nanmean(errors, axis=0),
         cmap="coolwarm",
         vmin=-maximum,
         vmax=maximum,

@@ -50,7 +50,7 @@ class FitResult:
 
     design: SensorDesign
     text: str
-    numbers: tuple[FittedParameter, ...]
+    parameters: tuple[FittedParameter, ...]
     correlations: tuple[str, ...]
     evidence: tuple[Evidence, ...]
     membrane: MembraneFit
@@ -83,11 +83,11 @@ class FitResult:
             "measure it (`mjtactile calibrate camera`)"
         )
 
-    def number(self, field: str) -> FittedParameter:
-        return next(number for number in self.numbers if number.field == field)
+    def parameter(self, field: str) -> FittedParameter:
+        return next(parameter for parameter in self.parameters if parameter.field == field)
 
 
-def numbers_of(
+def fitted_parameters(
     nominal: SensorDesign,
     known: Mapping[str, float],
     evidence: Sequence[Evidence],
@@ -96,7 +96,7 @@ def numbers_of(
     image: ImageNoiseFit,
 ) -> list[FittedParameter]:
     source = ", ".join(e.name for e in evidence)
-    numbers = {}
+    parameters = {}
     pressed = [
         (
             "membrane",
@@ -114,7 +114,7 @@ def numbers_of(
     for section, attribute, value, variance in [*pressed, *filled]:
         field = FIELD[section, attribute]
         scale = SI[field][2]
-        numbers[field] = classify(
+        parameters[field] = classify(
             field,
             value / scale,
             math.sqrt(variance) / scale,
@@ -124,12 +124,12 @@ def numbers_of(
         )
     for field, (value, sd) in image.values.items():
         before = value_before(nominal, field)
-        numbers[field] = classify(field, value, sd, before, f"{evidence[0].name}, flat")
+        parameters[field] = classify(field, value, sd, before, f"{evidence[0].name}, flat")
     for field, value in known.items():
         before = value_before(nominal, field)
-        numbers[field] = FittedParameter(field, value, 0.0, "known", "measured by hand", before)
+        parameters[field] = FittedParameter(field, value, 0.0, "known", "measured by hand", before)
     return [
-        numbers.get(field) or missing(field, value_before(nominal, field))
+        parameters.get(field) or missing(field, value_before(nominal, field))
         for field in dict.fromkeys([*ABOUT, *known])
     ]
 
@@ -186,7 +186,7 @@ def to_table(result: FitResult) -> dict[str, Any]:
                 "source": n.source,
                 "comment": n.comment,
             }
-            for n in result.numbers
+            for n in result.parameters
         ],
         "correlations": result.correlations,
         "markers_rms_um": 1e6 * result.membrane.rms,

@@ -196,9 +196,9 @@ def membrane_errors(
     ) -> list[Array]:
         return [
             np.zeros(len(before.pressure))
-            if other is one and changed is design
+            if other is recording and changed is design
             else scale * (other.replay(changed).pressure - before.pressure)
-            for one, other, before in zip(recordings, others, base, strict=True)
+            for recording, other, before in zip(recordings, others, base, strict=True)
         ]
 
     sd = dict(zip(membrane.names, np.sqrt(np.diag(membrane.cov)).tolist(), strict=True))
@@ -208,10 +208,10 @@ def membrane_errors(
             value = membrane.values[name] + sd[name]
             changed = replace(design, membrane=replace(design.membrane, **{name: value}))
             effects[name] = changes(changed, recordings)
-    for one in recordings:
-        if (name := first_touch(one.evidence)) in sd:
-            deeper = replace(one, offset=one.offset + sd[name])
-            effects[name] = changes(design, [deeper if r is one else r for r in recordings])
+    for recording in recordings:
+        if (name := first_touch(recording.evidence)) in sd:
+            deeper = replace(recording, offset=recording.offset + sd[name])
+            effects[name] = changes(design, [deeper if r is recording else r for r in recordings])
     nothing = [np.zeros(len(before.pressure)) for before in base]
     shift = nothing
     if DISCRETIZATION in sd:
@@ -222,12 +222,12 @@ def membrane_errors(
         effects[DISCRETIZATION] = [sd[DISCRETIZATION] * change for change in whole]
     contacts = [
         [
-            effects[name][number] * (CONTACT_SD / sd[name]) * during if n == number else none
+            effects[name][index] * (CONTACT_SD / sd[name]) * during if n == index else none
             for n, none in enumerate(nothing)
         ]
-        for number, one in enumerate(recordings)
-        if (name := first_touch(one.evidence)) in effects
-        for during in _holds(one.evidence)
+        for index, recording in enumerate(recordings)
+        if (name := first_touch(recording.evidence)) in effects
+        for during in _holds(recording.evidence)
     ]
     if not effects:
         return MembraneErrors([], shift)

@@ -155,15 +155,15 @@ class FrictionFilter:
 
     def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
         """Return the evidence of an image; None without a known grip force."""
-        press = float(np.mean([one.force_normal for one in touch]))
+        press = float(np.mean([estimate.force_normal for estimate in touch]))
         shears = np.linalg.norm(shear(touch), axis=1)
         drag = float(shears.mean())
         if not (math.isfinite(drag) and press > _FORCE_MIN):
             return None
         count = max(1, round(_REPORT_TIME / period))
         recent = [*self.recent, drag / press][-count:]
-        distances = [0.0 if one.slip is None else one.slip.distance for one in touch]
-        states = [None if one.slip is None else one.slip.state for one in touch]
+        distances = [0.0 if estimate.slip is None else estimate.slip.distance for estimate in touch]
+        states = [None if estimate.slip is None else estimate.slip.state for estimate in touch]
         before = self.ages or [1.0] * len(touch)
         ages = [
             0.0 if state == "slipping" else age + period
@@ -180,7 +180,7 @@ class FrictionFilter:
         pairs = zip(distances, self.distances or distances, strict=True)
         grows = np.array([new - old > min_growth for new, old in pairs])
         slides = np.array([state == "slipping" for state in states])
-        own = shears / np.maximum([one.force_normal for one in touch], _FORCE_MIN)
+        own = shears / np.maximum([estimate.force_normal for estimate in touch], _FORCE_MIN)
         slid, speed = max(recent), 0.0
         if slip == SOME:
             slid = float(own[slides].mean())
@@ -271,15 +271,15 @@ def _diffusion(sd: float) -> Array:
 def _fall(fraction: float) -> Array:
     """Return the kernel of an exponential approach to `_FLOOR`, by linear interpolation."""
     lower = np.where(GRID > _FLOOR, _FLOOR + (GRID - _FLOOR) * math.exp(-fraction), GRID)
-    place = np.interp(lower, GRID, np.arange(len(GRID)))
+    grid_index = np.interp(lower, GRID, np.arange(len(GRID)))
     rows = np.arange(len(GRID))[:, None]
-    return np.maximum(1.0 - np.abs(rows - place), 0.0)
+    return np.maximum(1.0 - np.abs(rows - grid_index), 0.0)
 
 
 @validated()
 def slip_sign(touch: Sequence[Touch]) -> int:
     """Return `NONE`, `SOME` or `ALL`: how many of the fingers in contact report slip."""
-    states = [one.slip.state for one in touch if one.slip is not None]
+    states = [estimate.slip.state for estimate in touch if estimate.slip is not None]
     slips = [state == "slipping" for state in states if state not in ("none", "unknown")]
     return NONE if not any(slips) else ALL if all(slips) else SOME
 
@@ -297,9 +297,9 @@ def _likelihood(
     if signs.slip == NONE:
         sign = 1 - _REPORTED * _normal_cdf((used / GRID - 1) / _SLIP_SD[-1])
     else:  # it slides: the utilization is mu
-        place = signs.slip - 1
-        off = (signs.slid / GRID - 1) / _SLIP_SD[place]
-        sign = _FALSE[place] + possible_slip * np.exp(-0.5 * off**2)
+        state_index = signs.slip - 1
+        deviation = (signs.slid / GRID - 1) / _SLIP_SD[state_index]
+        sign = _FALSE[state_index] + possible_slip * np.exp(-0.5 * deviation**2)
     weight = _WEIGHTS[signs.slip][before >= signs.slip]
     if is_test and signs.slip == NONE:
         weight = _TEST_WEIGHT

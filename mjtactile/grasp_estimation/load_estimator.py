@@ -151,7 +151,7 @@ class FrameLoadEstimator:
         Returns:
             The updated estimator.
         """
-        press = float(np.mean([one.force_normal for one in touch]))
+        press = float(np.mean([estimate.force_normal for estimate in touch]))
         beyond = (1 - _EFFORT_ERROR) * effort - press - _JAW_FRICTION
         if not (math.isfinite(beyond) and beyond > 0):
             return FrameLoadEstimator(self.maximum * (1 + _LIMIT_GROWTH * period))

@@ -81,7 +81,7 @@ def shear(touch: Sequence[Touch]) -> Array:
     Returns:
         (n, 2) Force, N, in each finger's frame S; NaN if it is unknown.
     """
-    return np.array([_wrench(one)[:2] for one in touch]).reshape(-1, 2)
+    return np.array([_wrench(estimate)[:2] for estimate in touch]).reshape(-1, 2)
 
 
 @validated()
@@ -128,8 +128,8 @@ def estimate_weight(
         return Weight(math.nan, math.nan, unknown, unknown)
     along = change / np.maximum(load, 1e-9)[:, None]
     noise = sum(
-        float(direction @ _covariance(one) @ direction)
-        for one, direction in zip(touch, along, strict=True)
+        float(direction @ _covariance(estimate) @ direction)
+        for estimate, direction in zip(touch, along, strict=True)
     )
     moments = 1 + bool(np.any(before))
     sd = math.sqrt(moments * noise + (GAIN_SD * total) ** 2)
@@ -147,15 +147,15 @@ def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Fric
     Returns:
         The estimate from this moment alone.
     """
-    force = np.array([_wrench(one)[:3] for one in touch]).reshape(-1, 3)
+    force = np.array([_wrench(estimate)[:3] for estimate in touch]).reshape(-1, 3)
     normal = -force[:, 2]
     presses = normal > min_force
     used = np.where(
         presses, np.linalg.norm(force[:, :2], axis=1) / np.maximum(normal, 1e-9), np.nan
     )
-    noise = np.array([math.sqrt(np.trace(_covariance(one))) for one in touch])
+    noise = np.array([math.sqrt(np.trace(_covariance(estimate))) for estimate in touch])
     sd = np.where(presses, np.hypot(noise / np.maximum(normal, 1e-9), GAIN_SD * used), np.nan)
-    states = ["unknown" if one.slip is None else one.slip.state for one in touch]
+    states = ["unknown" if estimate.slip is None else estimate.slip.state for estimate in touch]
     slips = np.array([state == "slipping" for state in states], bool) & presses
     holds = np.array([state in ("sticking", "incipient") for state in states], bool) & presses
     minimum = float(np.max((used - 2 * sd)[holds], initial=0.0))
@@ -259,7 +259,7 @@ def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
     if len(touch) != 2:
         return np.array([along, 0.0, 0.0])
     side = change[:, 1] * direction[:, 0] - change[:, 0] * direction[:, 1]
-    press = [one.force_normal for one in touch]
+    press = [estimate.force_normal for estimate in touch]
     # opposite fingers see mirrored sideways directions, so the difference adds the two shears
     return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])
 

@@ -175,25 +175,25 @@ class _Kernel:
         return self.function(*[convert(value, size, held) for convert, value, size in given])
 
     def bind(self, values: Sequence[Any]) -> Callable[..., Any]:
-        later = [place for place, value in enumerate(values) if value is ...]
+        later = [position for position, value in enumerate(values) if value is ...]
         # NaN for a later argument makes all sizes that depend on it NaN
         known = self.sizes(*[np.nan if value is ... else value for value in values])
         fixed = [
-            None if value is ... else self._fixed(place, value, known[place])
-            for place, value in enumerate(values)
+            None if value is ... else self._fixed(position, value, known[position])
+            for position, value in enumerate(values)
         ]
         function = self.function
-        given = [(place, self.convert[place]) for place in later]
+        given = [(position, self.convert[position]) for position in later]
 
         def call(*now: Any) -> Any:
             held: list[Any] = []
             every = list(values)
             arguments = fixed.copy()
-            for place, value in zip(later, now, strict=True):
-                every[place] = value
+            for position, value in zip(later, now, strict=True):
+                every[position] = value
             sizes = self.sizes(*every)
-            for place, one in given:
-                arguments[place] = one(every[place], sizes[place], held)
+            for position, convert in given:
+                arguments[position] = convert(every[position], sizes[position], held)
             return function(*arguments)
 
         def call_with_nothing(*now: Any) -> Any:
@@ -206,15 +206,15 @@ class _Kernel:
         bound_call.kept = values  # type: ignore[attr-defined]  # the arrays' owner, perhaps the only one
         return bound_call
 
-    def _fixed(self, place: int, value: Any, size: float) -> Any:
+    def _fixed(self, position: int, value: Any, size: float) -> Any:
         """Return a number unchanged, or the address of an array that is kept alive."""
-        argument = self.declaration.arguments[place]
+        argument = self.declaration.arguments[position]
         if math.isnan(size):
             raise TypeError(
                 f"{self.declaration.name}: the size of {argument.name} is not known yet"
             )
         copies: list[Any] = []
-        address = self.convert[place](value, size, copies)
+        address = self.convert[position](value, size, copies)
         if copies:
             array = f"a {value.dtype} array of shape {value.shape}"
             raise TypeError(f"{self.declaration.name}: {argument.name} needs a copy of {array}")

@@ -35,10 +35,13 @@ def environments(obstacles: Any) -> list[Collection[Obstacle]]:
     """Return the obstacles of each environment, the same number in each. Raises InputError."""
     is_list = isinstance(obstacles, Iterable) and not isinstance(obstacles, str)
     every: list[Any] = list(obstacles) if is_list else [obstacles]
-    listed: list[Any] = [(one,) if isinstance(one, Obstacle) else one for one in every]
-    if not is_list or not all(isinstance(one, Collection) for one in listed):
+    listed: list[Any] = [
+        (environment,) if isinstance(environment, Obstacle) else environment
+        for environment in every
+    ]
+    if not is_list or not all(isinstance(environment, Collection) for environment in listed):
         raise InputError("must be a list of obstacles for each environment", field="obstacles")
-    if len({len(one) for one in listed}) != 1:
+    if len({len(environment) for environment in listed}) != 1:
         raise InputError("every environment needs the same number of obstacles", field="obstacles")
     return listed
 
@@ -78,12 +81,12 @@ def flag(field: str, value: Any) -> bool:
     return bool(value)
 
 
-def points(places: Any) -> Array:
+def points(values: Any) -> Array:
     """Return points (n, 2). Raises InputError."""
     try:
-        where = np.asarray(places, dtype=float)
+        where = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{shown(places)} is not (n, 2) numbers", field="places") from None
+        raise InputError(f"{shown(values)} is not (n, 2) numbers", field="places") from None
     if where.ndim == 0 or where.shape[-1] != 2:
         raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
     if not np.isfinite(where).all():

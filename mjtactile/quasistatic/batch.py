@@ -16,8 +16,8 @@ def run_in_threads(threads: int, work: Callable[[int], object]) -> None:
     """Call `work(k)` in `threads` threads, including this one, with k from 0 on."""
     done: SimpleQueue[BaseException | None] = SimpleQueue()
     orders = _work_queue(os.getpid(), threads - 1)
-    for number in range(1, threads):
-        orders.put((work, number, done))
+    for thread_index in range(1, threads):
+        orders.put((work, thread_index, done))
     try:
         work(0)
     finally:
@@ -51,10 +51,10 @@ def _work_queue(process: int, count: int) -> SimpleQueue[_Order]:
 
 def _run_work(orders: SimpleQueue[_Order]) -> None:
     while True:
-        work, number, done = orders.get()
+        work, order, done = orders.get()
         failure = None
         try:
-            work(number)
+            work(order)
         except BaseException as error:  # noqa: BLE001 - is raised by who asked
             failure = error
         done.put(failure)

@@ -52,7 +52,7 @@ def cut_grid(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:
     shifts = [(1 + i, 1 + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     near = np.any([padded[i : len(x) + i, j : len(y) + j] for i, j in shifts], axis=0)
     cells = np.argwhere((free_corners > 0) & (free_corners < 4))
-    triangles = [one for i, j in cells for one in _triangles(crossings, int(i), int(j))]
+    triangles = [triangle for i, j in cells for triangle in _triangles(crossings, int(i), int(j))]
     cell = float((x[1] - x[0]) * (y[1] - y[0]))
     groups, area = _group(triangles, len(y), cell)
     nodes = np.where(inside, 1, np.where(near, 0, -1))
@@ -95,11 +95,11 @@ class _Crossings:
     def lopsided(self) -> bool:
         """True if the outline is asymmetric about x or about y."""
         spacings = (self.y[1] - self.y[0], self.x[1] - self.x[0])
-        off = 0.0
+        difference = 0.0
         for across, spacing in zip((self.across_x, self.across_y), spacings, strict=True):
             for other in (across[:, ::-1], -across[::-1]):
-                off = max(off, float(np.nanmax(np.abs(across - other))) / spacing)
-        return off > _SAME
+                difference = max(difference, float(np.nanmax(np.abs(across - other))) / spacing)
+        return difference > _SAME
 
     def between(self, free: tuple[int, int], held: tuple[int, int]) -> tuple[float, float]:
         """Return the end point of the link from a free node to a held neighbour, m."""
@@ -129,7 +129,7 @@ def _boundary_crossings(points: Array, at: Array) -> Array:
 class _Corner:
     """Corner of a polygon: its position, m, and its node (None: fixed)."""
 
-    place: tuple[float, float]
+    position: tuple[float, float]
     node: tuple[int, int] | None
 
 
@@ -147,12 +147,12 @@ def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
     ring = [(i + a, j + b) for a, b in _CORNERS]
     polygon: list[_Corner] = []
     towards: dict[tuple[int, int], tuple[int, int]] = {}
-    for one, other in zip(ring, (*ring[1:], ring[0]), strict=True):
-        if grid.inside[one]:
-            polygon.append(_Corner((grid.x[one[0]], grid.y[one[1]]), one))
-        if grid.inside[one] != grid.inside[other]:
-            free = one if grid.inside[one] else other
-            held = other if grid.inside[one] else one
+    for corner, other in zip(ring, (*ring[1:], ring[0]), strict=True):
+        if grid.inside[corner]:
+            polygon.append(_Corner((grid.x[corner[0]], grid.y[corner[1]]), corner))
+        if grid.inside[corner] != grid.inside[other]:
+            free = corner if grid.inside[corner] else other
+            held = other if grid.inside[corner] else corner
             polygon.append(_Corner(grid.between(free, held), None))
             towards[free] = held
     for part, fraction in _triangulate(polygon):
@@ -180,8 +180,8 @@ def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Arra
     line = _full_groups(rows)
     found = []
     total = 0.0
-    for one in triangles:
-        p = np.array([corner.place for corner in one.corners])
+    for triangle in triangles:
+        p = np.array([corner.position for corner in triangle.corners])
         doubled = float(np.linalg.det(p[1:] - p[0]))
         if doubled < _NOTHING * cell:
             continue
@@ -190,12 +190,12 @@ def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Arra
         after = np.roll(p, -2, axis=0)
         by_x = (next_ - after)[:, 1] / doubled
         by_y = (after - next_)[:, 0] / doubled
-        nodes = [corner.node for corner in one.corners]
-        numbers = [0 if node is None else node[0] * line + node[1] for node in nodes]
-        links = [_link(nodes[a], nodes[(a + 1) % 3], one.towards, line) for a in range(3)]
-        area = one.fraction * doubled / 2
+        nodes = [corner.node for corner in triangle.corners]
+        node_ids = [0 if node is None else node[0] * line + node[1] for node in nodes]
+        links = [_link(nodes[a], nodes[(a + 1) % 3], triangle.towards, line) for a in range(3)]
+        area = triangle.fraction * doubled / 2
         total += area
-        found.append([area, *by_x, *by_y, *numbers, *links])
+        found.append([area, *by_x, *by_y, *node_ids, *links])
     groups = np.zeros((_full_groups(len(found)), 13))
     groups[: len(found)] = found
     return np.ascontiguousarray(groups.reshape(-1, _TOGETHER, 13).swapaxes(1, 2)), total

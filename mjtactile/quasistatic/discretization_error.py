@@ -38,7 +38,7 @@ def relative_force_error(obstacles: Sequence[Obstacle], spacing: float) -> float
 
     Tips and edges of a mesh or of triangles are not detected.
     """
-    return row_error([one.numbers for one in obstacles], spacing)
+    return row_error([obstacle.parameters for obstacle in obstacles], spacing)
 
 
 def row_error(rows: Sequence[Array] | Array, spacing: float) -> float:
@@ -66,10 +66,15 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
     is infinite if the contact is a point or a line on this grid: for edges and tips, for round
     obstacles below two nodes of width, and for faces thinner than half a spacing.
     """
-    if all(_is_face(one) for one in obstacles):
-        thin = min((one.numbers[18] for one in obstacles), default=np.inf) < spacing / 2
+    if all(_is_face(obstacle) for obstacle in obstacles):
+        thin = (
+            min((obstacle.parameters[18] for obstacle in obstacles), default=np.inf) < spacing / 2
+        )
         fractions = _FACES[:-1] if thin else _FACES
-    elif any(one.numbers[0] in _EDGED or one.numbers[0] == _CONE for one in obstacles):
+    elif any(
+        obstacle.parameters[0] in _EDGED or obstacle.parameters[0] == _CONE
+        for obstacle in obstacles
+    ):
         fractions = ()
     else:
         fractions = _ROUND
@@ -78,7 +83,7 @@ def area_error(obstacles: Sequence[Obstacle], width: float, spacing: float) -> f
 
 def _is_face(body: Obstacle) -> bool:
     """Return True if the obstacle touches the membrane with a flat face."""
-    up = np.abs(body.numbers[10:13])
+    up = np.abs(body.parameters[10:13])
     if body.kind in ("cylinder", "disc"):
         return bool(up[2] > _UPRIGHT)
     return body.kind == "plane" or (body.kind == "box" and bool(up.max() > _UPRIGHT))
@@ -86,27 +91,27 @@ def _is_face(body: Obstacle) -> bool:
 
 def lowest_point(body: Obstacle) -> Array | None:
     """Return the lowest point (3,) m of an obstacle; None for planes and height fields."""
-    row = body.numbers
-    R, place, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
+    row = body.parameters
+    R, position, sizes = row[4:13].reshape(3, 3), row[13:16], row[1:4]
     up = R[2]  # z of S in the obstacle's frame
     if body.kind in ("plane", "heights"):
         return None
     if body.kind in ("cone", "quadric"):
-        return place  # a tip, or a pole, that points down
+        return position  # a tip, or a pole, that points down
     if body.corners is not None or body.kind in ("triangles", "box"):
-        return _lowest_of(_ends(body), R) + place
+        return _lowest_of(_ends(body), R) + position
     if body.kind == "ellipsoid":
-        return place - R @ (sizes**2 * up) / np.linalg.norm(sizes * up)
+        return position - R @ (sizes**2 * up) / np.linalg.norm(sizes * up)
     axial = np.array([0.0, 0.0, -np.sign(up[2])])
     if body.kind == "sphere":
-        return place - np.array([0.0, 0.0, sizes[0]])
+        return position - np.array([0.0, 0.0, sizes[0]])
     if body.kind == "capsule":
-        return place + R @ (sizes[1] * axial) - np.array([0.0, 0.0, sizes[0]])
+        return position + R @ (sizes[1] * axial) - np.array([0.0, 0.0, sizes[0]])
     rounded = sizes[2] if body.kind == "disc" else 0.0  # else a cylinder
     across = np.array([up[0], up[1], 0.0])
     lean = float(np.linalg.norm(across))
     rim = (rounded - sizes[0]) * across / lean if lean > _LEVEL else np.zeros(3)
-    return place + R @ ((sizes[1] - rounded) * axial + rim) - np.array([0.0, 0.0, rounded])
+    return position + R @ ((sizes[1] - rounded) * axial + rim) - np.array([0.0, 0.0, rounded])
 
 
 def _ends(body: Obstacle) -> Array:
@@ -114,7 +119,7 @@ def _ends(body: Obstacle) -> Array:
         return body.corners
     if body.kind == "triangles":
         return body.pool.reshape(-1, 3)
-    return body.numbers[1:4] * _SIGNS
+    return body.parameters[1:4] * _SIGNS
 
 
 def _lowest_of(corners: Array, R: Array) -> Array:

@@ -53,11 +53,11 @@ class IncrementalMembrane:
         self.pool = pool
         self.found = np.zeros(FOUND)
         self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MAX_STEPS), 1.0, below_rim])
-        self.numbers = membrane._numbers.copy()
+        self.constants = membrane._constants.copy()
         room = np.empty_like(membrane._room)
         kept = (membrane._kept.size, membrane._kept)
         fixed = (
-            self.numbers,
+            self.constants,
             membrane._law,
             *membrane.grid,
             *kept,
@@ -77,7 +77,7 @@ class IncrementalMembrane:
 
         `gas` is p V^exponent of the absolute pressure if `sealed`, else the gauge pressure, Pa.
         """
-        self.numbers[HEAT_RATIO] = exponent
+        self.constants[HEAT_RATIO] = exponent
         self.settings[:2] = gas, sealed
         self._solve()
         return MembraneStatus(int(self.found[STATUS]))
@@ -105,37 +105,39 @@ class IncrementalMembrane:
         x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
         inner = np.zeros(membrane.grid, bool)
         inner[1:-1, 1:-1] = True
-        places = np.stack([x[~inner], y[~inner]], axis=1)
-        depth, row = self._deepest(places, np.zeros(len(places)))
+        positions = np.stack([x[~inner], y[~inner]], axis=1)
+        depth, row = self._deepest(positions, np.zeros(len(positions)))
         return max(depth, 0.0), row if depth > 0 else -1
 
     def deepest(self) -> int:
         """Return the row of the obstacle that is deepest below the untouched membrane; -1: none."""
         membrane = self.membrane
         x, y = np.meshgrid(membrane.x, membrane.y, indexing="ij")
-        places = np.stack([x.ravel(), y.ravel()], axis=1)
-        return self._deepest(places, membrane.rest.x[2].ravel())[1]
+        positions = np.stack([x.ravel(), y.ravel()], axis=1)
+        return self._deepest(positions, membrane.rest.x[2].ravel())[1]
 
-    def _deepest(self, places: Array, surface: Array) -> tuple[float, int]:
-        """Return the largest depth, m, of obstacles below `surface` (n,) m at `places` (n, 2) m,
+    def _deepest(self, positions: Array, surface: Array) -> tuple[float, int]:
+        """Return the largest depth, m, of obstacles below `surface` (n,) m at `positions` (n, 2) m,
         and its row; infinitely far above and -1 if none is there."""
         found = -math.inf, -1
         pooled = 0 if self.pool is None else self.pool.size
-        heights = np.empty(len(places))
+        heights = np.empty(len(positions))
         for row in np.flatnonzero(self.rows[:, 15] < AWAY):
             obstacle = (1, self.rows[row : row + 1], pooled, self.pool)
-            kernel("qs_obstacle_heights")(self.numbers, *obstacle, len(places), places, heights)
+            kernel("qs_obstacle_heights")(
+                self.constants, *obstacle, len(positions), positions, heights
+            )
             found = max(found, (float((surface - heights).max()), int(row)))
         return found
 
     def relative_force_error(self) -> float:
         """Return the relative force error not exceeded in 9 of 10 cases, of reachable obstacles."""
         membrane, rows = self.membrane, self.rows
-        place, extent = rows[:, 13:16], rows[:, 19]
-        over = (np.abs(place[:, :2]) - extent[:, None] < (membrane.x[-1], membrane.y[-1])).all(
+        position, extent = rows[:, 13:16], rows[:, 19]
+        over = (np.abs(position[:, :2]) - extent[:, None] < (membrane.x[-1], membrane.y[-1])).all(
             axis=1
         )
-        near = over & (place[:, 2] - extent < membrane.rest.heights.max())
+        near = over & (position[:, 2] - extent < membrane.rest.heights.max())
         return row_error(rows[near], membrane.spacing)
 
     @property
@@ -191,16 +193,18 @@ class Sticking:
         i, j = np.nonzero(held)
         labels, patches = np.unique(held[i, j], return_inverse=True)
         load = force[i, j]
-        places = np.stack([membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j]], axis=1)
-        sums = np.stack([np.bincount(patches, load * place) for place in places.T], axis=1)
-        off = places - (sums / np.bincount(patches, load)[:, None])[patches]
+        positions = np.stack([membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j]], axis=1)
+        sums = np.stack(
+            [np.bincount(patches, load * coordinate) for coordinate in positions.T], axis=1
+        )
+        lever = positions - (sums / np.bincount(patches, load)[:, None])[patches]
         nodes = (i - 1) * (membrane.grid[1] - 2) + j - 1
         picked = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
         rigid = np.zeros((len(nodes), 2, len(labels), 3))
         rows = np.arange(len(nodes))
         rigid[rows, 0, patches, 0] = rigid[rows, 1, patches, 1] = 1.0
-        rigid[rows, 0, patches, 2] = -off[:, 1]
-        rigid[rows, 1, patches, 2] = off[:, 0]
+        rigid[rows, 0, patches, 2] = -lever[:, 1]
+        rigid[rows, 1, patches, 2] = lever[:, 0]
         motions = rigid.reshape(len(picked), -1)
         columns = self.compliance[:, picked]
         # half the cost of an LU factorization

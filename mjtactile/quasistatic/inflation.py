@@ -38,7 +38,7 @@ def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
     force = np.zeros(membrane.grid)
     found = np.empty(FOUND)
     for fraction, stretch in _ways(membrane.design.membrane.pre_stretch):
-        membrane._numbers[_STRETCH_SQUARED] = stretch**2
+        membrane._constants[_STRETCH_SQUARED] = stretch**2
         try:
             _keep(membrane, x)
         except np.linalg.LinAlgError:
@@ -87,16 +87,14 @@ def _low_bulge(membrane: QuasistaticMembrane) -> Array:
         along = membrane.y / membrane.y[-1]
         x[2] = height * (1 - across**2) * (1 - along**2)
     else:
-        places = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(
-            -1, 2
-        )
-        within = 1 - np.square(outline.disc(places)).sum(axis=1)
+        nodes = np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), axis=-1).reshape(-1, 2)
+        within = 1 - np.square(outline.disc(nodes)).sum(axis=1)
         x[2] = height * within.reshape(membrane.grid) * free_nodes(membrane._cut, membrane.grid)
     return x
 
 
 def _keep(membrane: QuasistaticMembrane, x: Array) -> None:
     """Factors of the stiffness at displacements `x`, for all solutions that follow."""
-    fixed = (membrane._numbers, membrane._law, *membrane.grid)
+    fixed = (membrane._constants, membrane._law, *membrane.grid)
     given = (x, membrane._room.size, membrane._room, membrane._kept.size, membrane._kept)
     kernel("qs_factorize")(*fixed, *given)

@@ -20,25 +20,25 @@ _POINTS = 1440  # of the outline
 _SPACING = 0.7  # spacings, of those that are fitted
 
 
-def interpolation_matrix(membrane: QuasistaticMembrane, places: Array) -> Array:
-    """Return the matrix (n, nx * ny) from node displacements to points `places` (n, 2) m.
+def interpolation_matrix(membrane: QuasistaticMembrane, positions: Array) -> Array:
+    """Return the matrix (n, nx * ny) from node displacements to points `positions` (n, 2) m.
 
     It is zero on the frame.
     """
-    by_node = interpolation_matrix_with_gradient(membrane, places)[0]
+    by_node = interpolation_matrix_with_gradient(membrane, positions)[0]
     outline = membrane.design.frame.outline
     if outline is None:
         return by_node
-    return np.where(outline.distance(places)[:, None] > 0, by_node, 0.0)
+    return np.where(outline.distance(positions)[:, None] > 0, by_node, 0.0)
 
 
-def interpolation_matrix_with_gradient(membrane: QuasistaticMembrane, places: Array) -> Array:
-    """Return matrices (3, n, nx * ny) of displacements at `places` (n, 2) m and their slopes,
+def interpolation_matrix_with_gradient(membrane: QuasistaticMembrane, positions: Array) -> Array:
+    """Return matrices (3, n, nx * ny) of displacements at `positions` (n, 2) m and their slopes,
     1/m."""
     (across, across_by), (along, along_by) = (
         interpolating(line, np.clip(at, line[0], line[-1]))
         for line, at in zip(
-            (membrane.x, membrane.y), np.asarray(places, dtype=float).T, strict=True
+            (membrane.x, membrane.y), np.asarray(positions, dtype=float).T, strict=True
         )
     )
     pairs = ((across, along), (across_by, along), (across, along_by))
@@ -66,12 +66,12 @@ def _extrapolation(membrane: QuasistaticMembrane) -> tuple[Array, Array]:
         center = rim[np.square((rim - nodes[node]) / spacing).sum(axis=1).argmin()] / spacing
         near = inner[np.square(nodes[inner] / spacing - center).sum(axis=1) < _ABOUT**2]
         held = fitted[np.square(fitted - center).sum(axis=1) < _ABOUT**2]
-        off = np.concatenate([nodes[near] / spacing, held]) - center
-        fit = np.linalg.pinv(_powers(off))[:, : len(near)]
+        offsets = np.concatenate([nodes[near] / spacing, held]) - center
+        fit = np.linalg.pinv(_powers(offsets))[:, : len(near)]
         by_free[row, near] = (_powers(nodes[node][None] / spacing - center) @ fit)[0]
     return candidates, by_free
 
 
-def _powers(off: Array) -> Array:
-    x, y = off.T
-    return np.column_stack([np.ones(len(off)), x, y, x**2, x * y, y**2])
+def _powers(offsets: Array) -> Array:
+    x, y = offsets.T
+    return np.column_stack([np.ones(len(offsets)), x, y, x**2, x * y, y**2])

@@ -95,10 +95,10 @@ class QuasistaticMembrane:
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._cut, opening = cut_grid(frame, self.x, self.y)
         membrane_parameters = (*sides, *self.grid, stretch, *law, *tensions)
-        self._numbers = np.array([*membrane_parameters, *gas, *depths, opening, 0.0])
+        self._constants = np.array([*membrane_parameters, *gas, *depths, opening, 0.0])
         self._point_at_cut()
-        self._room = np.empty(kernel("qs_workspace_size")(self._numbers))
-        self._kept = np.empty(kernel("qs_factors_size")(self._numbers), np.float32)
+        self._room = np.empty(kernel("qs_workspace_size")(self._constants))
+        self._kept = np.empty(kernel("qs_factors_size")(self._constants), np.float32)
         self._rest = np.zeros((3, *self.grid))
         self._rooms: list[Array] = []  # of a batch's threads
         self._derive_room = np.empty(0)  # made when it is first asked for
@@ -114,7 +114,7 @@ class QuasistaticMembrane:
 
     def _point_at_cut(self) -> None:
         """Store the address of the cut cells for the kernels, or 0 for a rectangle."""
-        self._numbers[-1] = self._cut.ctypes.data if self._cut.size else 0.0
+        self._constants[-1] = self._cut.ctypes.data if self._cut.size else 0.0
 
     def _bind(self) -> None:
         later = (1, 0, 1, *[...] * 9)
@@ -214,7 +214,9 @@ class QuasistaticMembrane:
         """
         listed = argument_checks.environments(obstacles)
         count = len(listed)
-        every = obstacle_rows.as_list([body for one in listed for body in one], "obstacles")
+        every = obstacle_rows.as_list(
+            [body for environment in listed for body in environment], "obstacles"
+        )
         rows, pool = obstacle_rows.rows_and_pool(every, self.grid)
         for field, given in (("batch", batch), ("into", into)):
             if given is not None:
@@ -310,7 +312,7 @@ class QuasistaticMembrane:
         self,
         state: MembraneSolution,
         shape: Shape,
-        numbers: ArrayLike,
+        parameters: ArrayLike,
         steps: ArrayLike | None = None,
     ) -> SolutionSensitivities:
         """Compute the derivatives of a state by the parameters of the obstacles.
@@ -319,7 +321,7 @@ class QuasistaticMembrane:
             state: Equilibrium on `shape(numbers)`.
             shape: Function that creates one or several obstacles from parameters (n,): positions,
                 sizes, angles, curvatures.
-            numbers: Parameters (n,) at which to differentiate.
+            parameters: Parameters (n,) at which to differentiate.
             steps: Difference steps (n,) of the parameters, with the sign of the side; None: 1e-8 of
                 each parameter, at least 1e-8.
 
@@ -331,7 +333,7 @@ class QuasistaticMembrane:
                 parameters or steps that are not finite.
         """
         self._require_rest(state)
-        listed, by = changed_obstacles(shape, numbers, steps)
+        listed, by = changed_obstacles(shape, parameters, steps)
         every = [body for bodies in listed for body in bodies]
         rows, pool = obstacle_rows.rows_and_pool(every, self.grid)
         given = rows.reshape(len(listed), -1, obstacle_rows.NUMBERS), pool
@@ -400,13 +402,13 @@ class QuasistaticMembrane:
         return np.ascontiguousarray(stiffness_band(self, state)[:, : width + 1].T)
 
     def obstacle_heights(
-        self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike
+        self, obstacles: Obstacle | Sequence[Obstacle], positions: ArrayLike
     ) -> Array:
         """Return the maximum height of the membrane's mid-surface below obstacles.
 
         Args:
             obstacles: One or several obstacles.
-            places: Points (n, 2), m, in S.
+            positions: Points (n, 2), m, in S.
 
         Returns:
             (n,) Heights, m; infinite where there is no obstacle.
@@ -416,11 +418,11 @@ class QuasistaticMembrane:
         """
         listed = obstacle_rows.as_list(obstacles, "obstacles")
         rows, pool = obstacle_rows.rows_and_pool(listed, self.grid)
-        where = argument_checks.points(places)
+        where = argument_checks.points(positions)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)
         kernel("qs_obstacle_heights")(
-            self._numbers, len(rows), rows, pooled, pool, len(where), where, heights
+            self._constants, len(rows), rows, pooled, pool, len(where), where, heights
         )
         return heights
 
@@ -433,5 +435,5 @@ class QuasistaticMembrane:
 
     def _fixed(self, room: Array) -> tuple[Any, ...]:
         kept = (self._kept.size, self._kept)
-        law = (self._numbers, self._law, *self.grid)
+        law = (self._constants, self._law, *self.grid)
         return (*law, *kept, self._rest, room.size, room)

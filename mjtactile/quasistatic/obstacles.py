@@ -54,13 +54,13 @@ class Obstacle:
 
     Attributes:
         kind: One of KINDS.
-        numbers: (NUMBERS,) Parameters for the kernel.
+        parameters: (NUMBERS,) Parameters for the kernel.
         pool: Planes, triangles or heights of the obstacle.
         corners: Corners (n, 3), m, in its own frame, for kinds with a convex hull.
     """
 
     kind: str
-    numbers: Array
+    parameters: Array
     pool: Array
     corners: Array | None = None
 
@@ -75,11 +75,11 @@ class Obstacle:
         Returns:
             The obstacle at that pose.
         """
-        numbers = self.numbers.copy()
-        numbers[13:16] = finite("p_SO", p_SO, (3,))
+        row = self.parameters.copy()
+        row[13:16] = finite("p_SO", p_SO, (3,))
         if R_SO is not None:
-            numbers[4:13] = _rotation(R_SO)
-        return Obstacle(self.kind, numbers, self.pool, self.corners)
+            row[4:13] = _rotation(R_SO)
+        return Obstacle(self.kind, row, self.pool, self.corners)
 
 
 def obstacle(
@@ -113,9 +113,9 @@ def obstacle(
     """
     if kind not in KINDS:
         raise InputError(f"{kind!r} is unknown", field="kind", choices=KINDS)
-    number, names = KINDS[kind]
-    numbers = np.zeros(NUMBERS)
-    numbers[0] = number
+    kind_code, names = KINDS[kind]
+    row = np.zeros(NUMBERS)
+    row[0] = kind_code
     size = finite("sizes", sizes, (len(names),))
     sides = size.tolist()  # Python floats are faster: derivatives create many obstacles
     for name, value in zip(names, sides, strict=True):
@@ -126,21 +126,21 @@ def obstacle(
             and name not in _MAY_VANISH
         ):
             raise InputError(f"{name} of {value:g} must be positive", field="sizes")
-    numbers[1 : 1 + len(size)] = size
-    numbers[4:13] = _rotation(R_SO)
-    numbers[13:16] = finite("p_SO", p_SO, (3,))
+    row[1 : 1 + len(size)] = size
+    row[4:13] = _rotation(R_SO)
+    row[13:16] = finite("p_SO", p_SO, (3,))
     corners = _corners(kind, size, data)
     pool = _pool(kind, corners, data)
     if kind == "disc" and size[2] > min(size[0], size[1]):
         raise InputError(
             "the rim radius must not exceed the disc's radius and half height", field="sizes"
         )
-    numbers[17] = len(pool)
+    row[17] = len(pool)
     if kind == "heights":
-        numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
-    numbers[18] = _min_width(kind, sides, data)
-    numbers[19] = _extent(kind, sides, data)
-    return Obstacle(kind, numbers, pool.ravel(), corners)
+        row[1:3] = np.shape(data)  # type: ignore[arg-type]
+    row[18] = _min_width(kind, sides, data)
+    row[19] = _extent(kind, sides, data)
+    return Obstacle(kind, row, pool.ravel(), corners)
 
 
 def unchecked_obstacle(
@@ -163,9 +163,9 @@ def unchecked_obstacle(
     if heights is not None:
         sides[:2] = heights.shape
         pool, minimum, extent = heights.ravel(), math.inf, math.inf
-    numbers = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, extent]
+    row = [KINDS[kind][0], *sides, *turned, *p_SO, 0.0, pool.size, minimum, extent]
     made = object.__new__(Obstacle)
-    vars(made).update(kind=kind, numbers=np.array(numbers, dtype=float), pool=pool, corners=None)
+    vars(made).update(kind=kind, parameters=np.array(row, dtype=float), pool=pool, corners=None)
     return made
 
 
@@ -174,10 +174,10 @@ def as_list(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstac
     if isinstance(obstacles, Obstacle):
         return [obstacles]
     found: list[Obstacle] = list(obstacles) if isinstance(obstacles, Iterable) else [obstacles]
-    for one in found:
-        if not isinstance(one, Obstacle):
+    for item in found:
+        if not isinstance(item, Obstacle):
             raise InputError(
-                f"{one!r} is not an obstacle; create it with QuasistaticMembrane.obstacle",
+                f"{item!r} is not an obstacle; create it with QuasistaticMembrane.obstacle",
                 field=field,
             )
     return found
@@ -189,11 +189,11 @@ def rows_and_pool(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Ar
     Raises InputError if heights do not match the nodes of `grid`.
     """
     if len(bodies) == 1 and not bodies[0].pool.size:
-        return bodies[0].numbers[None], None
+        return bodies[0].parameters[None], None
     for body in bodies:
-        if body.kind == "heights" and (shape := (*map(int, body.numbers[1:3]),)) != grid:
+        if body.kind == "heights" and (shape := (*map(int, body.parameters[1:3]),)) != grid:
             raise InputError(f"heights have {shape} nodes, not {grid}", field="obstacle")
-    rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
+    rows = np.array([body.parameters for body in bodies]).reshape(-1, NUMBERS)
     sizes = [body.pool.size for body in bodies]
     if not any(sizes):
         return rows, None
@@ -285,9 +285,9 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
         ])  # fmt: skip
     R = finite("R_SO", given, (3, 3))
     x, y, z = R.tolist()
-    off = [_dot(x, x) - 1, _dot(y, y) - 1, _dot(z, z) - 1, _dot(x, y), _dot(y, z), _dot(z, x)]
+    errors = [_dot(x, x) - 1, _dot(y, y) - 1, _dot(z, z) - 1, _dot(x, y), _dot(y, z), _dot(z, x)]
     crossed = [y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]]
-    if max(map(abs, off)) > 1e-5 or _dot(x, crossed) < 0:
+    if max(map(abs, errors)) > 1e-5 or _dot(x, crossed) < 0:
         raise InputError("is not a rotation", field="R_SO")
     return R.ravel()
 

@@ -72,22 +72,22 @@ class SolutionSensitivities:
 
 
 def changed_obstacles(
-    shape: Shape, numbers: ArrayLike, steps: ArrayLike | None
+    shape: Shape, parameters: ArrayLike, steps: ArrayLike | None
 ) -> tuple[list[list[Obstacle]], Array]:
     """Create the obstacles at parameters (n,) and after a step of each; return 1 + n lists and
     steps.
 
     Raises InputError for invalid parameters or steps, or a changed number of obstacles.
     """
-    at = obstacles.finite("numbers", numbers, (-1,))
+    at = obstacles.finite("numbers", parameters, (-1,))
     by = _STEP * np.maximum(1, np.abs(at))
     if steps is not None:
         by = obstacles.finite("steps", steps, at.shape)
         if not by.all():
             raise InputError("must not be zero", field="steps")
-    made = [shape(place) for place in (at, *(at + np.diag(by)))]
-    listed = [obstacles.as_list(one, "shape") for one in made]
-    if len({len(one) for one in listed}) != 1:
+    made = [shape(values) for values in (at, *(at + np.diag(by)))]
+    listed = [obstacles.as_list(obstacle, "shape") for obstacle in made]
+    if len({len(obstacle) for obstacle in listed}) != 1:
         raise InputError("returns a different number of obstacles after a step", field="shape")
     return listed, by
 
@@ -98,8 +98,8 @@ def moved_obstacles(rows: Array) -> Array:
     moved = np.repeat(rows[None], 1 + 6, axis=0)
     for axis in range(3):
         moved[1 + axis, :, 13 + axis] += POSE_STEP
-    places, rotations = rows[:, 13:16], rows[:, 4:13].reshape(-1, 3, 3)
-    moved[4:, :, 13:16] += POSE_STEP * np.einsum("aij,kj->aki", _TURNS, places)
+    positions, rotations = rows[:, 13:16], rows[:, 4:13].reshape(-1, 3, 3)
+    moved[4:, :, 13:16] += POSE_STEP * np.einsum("aij,kj->aki", _TURNS, positions)
     by_turn = np.einsum("aij,kjl->akil", _TURNS, rotations)
     moved[4:, :, 4:13] += POSE_STEP * by_turn.reshape(3, -1, 9)
     return moved
@@ -118,16 +118,16 @@ def sensitivities_of(
     Raises InputError if the state is close to instability, or belongs to other obstacles.
     """
     if not membrane._derive_room.size:
-        membrane._derive_room = np.empty(kernel("qs_sensitivities_size")(membrane._numbers))
+        membrane._derive_room = np.empty(kernel("qs_sensitivities_size")(membrane._constants))
     room, count = membrane._derive_room, len(by)
     by_x, by_force = np.empty((count, 3, *membrane.grid)), np.empty((count, *membrane.grid))
     by_detection = np.empty((count, FOUND))
     settings = np.array([membrane._gas, membrane.sealed, 0.0, 1.0, 0.0, 0.0])
-    fixed = (membrane._numbers, membrane._law, *membrane.grid, room.size, room, settings)
+    fixed = (membrane._constants, membrane._law, *membrane.grid, room.size, room, settings)
     given = _given(state, rows, pool, by)
     if _call_kernel("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
         raise InputError("is not an equilibrium on these obstacles", field="state")
-    picked = (by_detection[:, place] for place in (PRESSURE, VOLUME, AREA))
+    picked = (by_detection[:, index] for index in (PRESSURE, VOLUME, AREA))
     return SolutionSensitivities(by_x, by_force, by_detection[:, WRENCH], *picked)
 
 
@@ -146,7 +146,13 @@ def approximate_sensitivities(
     """
     by_z, by_force = (np.empty((len(by), *membrane.grid)) for _ in range(2))
     settings = np.array([membrane._gas, membrane.sealed, _LOOSE, 1.0, 0.0, 0.0])
-    fixed = (membrane._numbers, membrane._law, *membrane.grid, membrane._kept.size, membrane._kept)
+    fixed = (
+        membrane._constants,
+        membrane._law,
+        *membrane.grid,
+        membrane._kept.size,
+        membrane._kept,
+    )
     given = _given(state, rows, pool, by)
     workspace = (membrane._room.size, membrane._room)
     _call_kernel(

@@ -106,8 +106,8 @@ class MembraneSolution:
         """Steps that it took."""
         return int(self.found[STEPS])
 
-    def _number(self, place: int) -> float:
-        return float(self.found[place]) if self.converged else float("nan")
+    def _number(self, index: int) -> float:
+        return float(self.found[index]) if self.converged else float("nan")
 
     @property
     def force_normal(self) -> float:
@@ -219,9 +219,9 @@ class MembraneSolutionBatch:
     def __len__(self) -> int:
         return len(self.found)
 
-    def __getitem__(self, number: int) -> MembraneSolution:
-        trend = None if self.trend is None else self.trend[number]
-        return MembraneSolution(self.x[number], self.force[number], self.found[number], trend)
+    def __getitem__(self, index: int) -> MembraneSolution:
+        trend = None if self.trend is None else self.trend[index]
+        return MembraneSolution(self.x[index], self.force[index], self.found[index], trend)
 
     @property
     def converged(self) -> NDArray[np.bool_]:

@@ -35,7 +35,7 @@ def stiffness_band(membrane: QuasistaticMembrane, state: MembraneSolution) -> Ar
     columns, rows = membrane.grid
     band = np.empty((3 * (columns - 2) * (rows - 2), band_stride(3 * rows - 1)))
     given = (state.x, state.gauge_pressure, membrane._room.size, membrane._room)
-    kernel("qs_stiffness")(membrane._numbers, membrane._law, *membrane.grid, *given, band)
+    kernel("qs_stiffness")(membrane._constants, membrane._law, *membrane.grid, *given, band)
     return band
 
 
@@ -43,12 +43,12 @@ def stiffness_band(membrane: QuasistaticMembrane, state: MembraneSolution) -> Ar
 class StuckPatch:
     """Contact patch of one obstacle that sticks completely. SI units, frame S.
 
-    `place` (2,) m is the force-weighted center. `stiffness` (3, 3) are derivatives of force along x
+    `center` (2,) m is weighted with the forces. `stiffness` (3, 3) are derivatives of force along x
     and y, N, and torque about z, N m, by drag along x and y, m, and rotation, rad. `radius` m, the
     force-weighted mean distance from the center, is the lever arm of friction.
     """
 
-    place: Array
+    center: Array
     stiffness: Array
     force_normal: float
     radius: float
@@ -66,26 +66,26 @@ def patches_of(x: Array, y: Array, state: MembraneSolution, factor: Array) -> li
     found = []
     for number in range(1, count + 1):
         i, j = np.nonzero(numbered == number)
-        places = np.stack([x[i] + state.x[0, i, j], y[j] + state.x[1, i, j]], axis=1)
+        positions = np.stack([x[i] + state.x[0, i, j], y[j] + state.x[1, i, j]], axis=1)
         inner = (i - 1) * (len(y) - 2) + j - 1
-        found.append(_patch_of(places, inner, state.force[i, j], factor))
+        found.append(_patch_of(positions, inner, state.force[i, j], factor))
     return sorted(found, key=lambda patch: -patch.force_normal)
 
 
-def _patch_of(places: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> StuckPatch:
-    """Compute the patch of nodes at `places` (m, 2) m with indices `inner` (m,), moved as one."""
+def _patch_of(positions: Array, inner: NDArray[np.intp], force: Array, factor: Array) -> StuckPatch:
+    """Compute the patch of nodes at `positions` (m, 2) m with indices `inner` (m,)."""
     from scipy.linalg import cho_solve_banded  # takes a while to import
 
     total = float(force.sum())
-    center = force @ places / total
-    off = places - center
+    center = force @ positions / total
+    lever = positions - center
     rows = (3 * inner[:, None] + np.arange(3)).ravel()
     ones = np.zeros((factor.shape[1], len(rows)))
     ones[rows, np.arange(len(rows))] = 1.0
     compliance = cho_solve_banded((factor, True), ones)[rows]
     rigid = np.zeros((len(rows), 3))
     rigid[0::3, 0] = rigid[1::3, 1] = 1.0
-    rigid[0::3, 2], rigid[1::3, 2] = -off[:, 1], off[:, 0]
+    rigid[0::3, 2], rigid[1::3, 2] = -lever[:, 1], lever[:, 0]
     stiffness = rigid.T @ np.linalg.solve(compliance, rigid)
-    radius = float(force @ np.hypot(off[:, 0], off[:, 1]) / total)
+    radius = float(force @ np.hypot(lever[:, 0], lever[:, 1]) / total)
     return StuckPatch(center, (stiffness + stiffness.T) / 2, total, radius)

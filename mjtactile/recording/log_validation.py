@@ -177,9 +177,9 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
                 and len(found) in (0, len(first.get("image_time", ())))
             )
         else:
-            one = (NUMBER,) * _PARTS[key] if key in _PARTS else _LISTS.get(key, NUMBER)
+            kinds = (NUMBER,) * _PARTS[key] if key in _PARTS else _LISTS.get(key, NUMBER)
             good = (
-                isinstance(found, tuple) and set(found) <= {one} and len(found) == len(first[key])
+                isinstance(found, tuple) and set(found) <= {kinds} and len(found) == len(first[key])
             )
         if not good:
             return key
@@ -244,7 +244,7 @@ def _is_scenario(scenario: Any) -> bool:
     if kind(scenario) != TABLE:
         return False
     sensors = scenario.get("sensors", {})
-    if kind(sensors) != TABLE or not {kind(one) for one in sensors.values()} <= {TEXT}:
+    if kind(sensors) != TABLE or not {kind(sensor) for sensor in sensors.values()} <= {TEXT}:
         return False
     return all(kind(scenario[key]) in kinds for key, kinds in _SCENARIO.items() if key in scenario)
 

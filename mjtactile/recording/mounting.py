@@ -101,8 +101,8 @@ def _facing(angle: float) -> Array:
 
 def finite(value: Any, otherwise: float = 0.0) -> float:
     """Return a number; `otherwise` in place of one that is not finite."""
-    number = float(value)
-    return number if math.isfinite(number) else otherwise
+    parsed = float(value)
+    return parsed if math.isfinite(parsed) else otherwise
 
 
 def all_finite(values: Array) -> bool:

@@ -310,7 +310,7 @@ def load_recording(path: str | Path) -> Recording:
     references = _references(folder, rows, problems)
     width = len(cycles[0]["image_time"]) if cycles else 0
     problems += _contradictions(notes, references, width)
-    sound = tuple(one for one in references if not _differs(one, width))
+    sound = tuple(reference for reference in references if not _differs(reference, width))
     return Recording(folder, header, notes, columns, complete, tuple(problems), sound)
 
 
@@ -339,9 +339,10 @@ def _contradictions(
     if not width:
         return []
     found = [
-        f"the reference {one.stage!r} has {len(one.names)} fingers, the cycles {width}: left out"
-        for one in references
-        if _differs(one, width)
+        f"the reference {reference.stage!r} has {len(reference.names)} fingers, "
+        f"the cycles {width}: left out"
+        for reference in references
+        if _differs(reference, width)
     ]
     names = notes.get("fingers")
     if names and len(names) != width:

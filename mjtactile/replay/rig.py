@@ -129,7 +129,7 @@ class ReplayGripper:
     def command(self, command: Command) -> Command:
         """Return the recorded goals, with phase, memory and reason of `command`."""
         sent = self._tape.recording.command(self._tape.cycle)
-        goals = {name: getattr(sent, name) for name, one in COMMAND_FIELDS.items() if one.limit}
+        goals = {name: getattr(sent, name) for name, field in COMMAND_FIELDS.items() if field.limit}
         return replace(command, **goals)
 
 

@@ -43,15 +43,15 @@ def plot_section(
     _write(image, text, (8, 17))
     half = size[1] // 2
     arcs = lines_of(shape)[-2:]
-    for number, (angle, arc) in enumerate(zip(directions_of(shape), arcs, strict=False)):
-        panel = image[_TEXT:, number * half : (number + 1) * half]
+    for index, (angle, arc) in enumerate(zip(directions_of(shape), arcs, strict=False)):
+        panel = image[_TEXT:, index * half : (index + 1) * half]
         direction = np.array([np.cos(angle), np.sin(angle)])
         across = np.array([-direction[1], direction[0]])
-        off = true - shape.p_SO
-        own = off[(np.abs(off[:, :, :2] @ across) < 1e-9).all(axis=1)]
+        offset = true - shape.p_SO
+        own = offset[(np.abs(offset[:, :, :2] @ across) < 1e-9).all(axis=1)]
         _render(panel, [_flat(piece, direction) for piece in own], _TRUE, 3)
         _render(panel, [_flat(arc - shape.p_SO, direction)], _ESTIMATED, 1)
-        _write(panel, _NAMES[number], (8, panel.shape[0] - 8))
+        _write(panel, _NAMES[index], (8, panel.shape[0] - 8))
     return image
 
 

@@ -74,14 +74,14 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
 
 def _cut(corners: Array, turn: float) -> Array:
     """Cut triangles (m, 3, 3) with the upright plane `turn` rad from x: (n, 2, 3)."""
-    off = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
-    crossed = np.flatnonzero(off.min(axis=1) * off.max(axis=1) < 0)
+    distance = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
+    crossed = np.flatnonzero(distance.min(axis=1) * distance.max(axis=1) < 0)
     corners = corners[crossed]
-    off = off[crossed]
+    distance = distance[crossed]
     after = np.roll(corners, -1, axis=1)
-    beyond = np.roll(off, -1, axis=1)
-    meets = off * beyond < 0
-    fraction = np.where(meets, off, 0.0) / np.where(meets, off - beyond, 1.0)
+    beyond = np.roll(distance, -1, axis=1)
+    meets = distance * beyond < 0
+    fraction = np.where(meets, distance, 0.0) / np.where(meets, distance - beyond, 1.0)
     points = corners + fraction[:, :, None] * (after - corners)
     two = meets.sum(axis=1) == 2  # else it goes through a corner: its neighbours have the piece
     return points[two][meets[two]].reshape(-1, 2, 3)
@@ -114,10 +114,10 @@ def recorded_shape(recording: Recording, cycle: int, finger: int) -> ContactShap
     if kind in ("none", "unknown"):
         return None
     outline = np.array(columns["shape_outline"][cycle][finger], float).reshape(-1, 2)
-    one = {
+    values = {
         name: recording.column(f"shape_{name}")[cycle, finger]
         for name in ("radius", "direction", "area", "curvatures")
     }
-    place = recording.column("shape_place")[cycle, finger]
+    position = recording.column("shape_place")[cycle, finger]
     family = str(columns["shape_family"][cycle][finger])
-    return ContactShape(kind, {kind: 1.0}, p_SO=place, outline=outline, family=family, **one)
+    return ContactShape(kind, {kind: 1.0}, p_SO=position, outline=outline, family=family, **values)

@@ -98,16 +98,16 @@ def write_figure(
 
 
 def _plot_finger(
-    figure: Any, place: Any, snapshot: CycleLike, finger: int, name: str, scene: SceneCamera | None
+    figure: Any, cell: Any, snapshot: CycleLike, finger: int, name: str, scene: SceneCamera | None
 ) -> None:
     """Plot one finger's image, if there is one, above its surface, in a grid column."""
     image = snapshot.images[finger]
     touch = snapshot.touch[finger]
     if isinstance(image, SyntheticTouch):
-        _plot_estimate(figure.add_subplot(place), touch, name)
+        _plot_estimate(figure.add_subplot(cell), touch, name)
         return
-    grid = place.get_gridspec()
-    column = place.colspan.start
+    grid = cell.get_gridspec()
+    column = cell.colspan.start
     axes = figure.add_subplot(grid[0, column])
     _plot_image(axes, image, find_ellipses(image), f"camera of {name}")
     axes = figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False)
@@ -217,7 +217,7 @@ def _plot_shape(axes: Any, shape: ContactShape, scene: SceneCamera | None, finge
 
 def arrow_unit(touch: Sequence[Touch]) -> float:
     """Return the traction of the scale arrow, Pa: a round value up to the largest estimate."""
-    norms = (np.linalg.norm(_tractions(one), axis=-1) for one in touch)
+    norms = (np.linalg.norm(_tractions(estimate), axis=-1) for estimate in touch)
     largest = max((float(norm.max(initial=0.0)) for norm in norms), default=0.0)
     if largest <= 0:
         return 1000.0

@@ -180,5 +180,5 @@ def marker_radii(design: SensorDesign, as_built: AsBuiltSensor) -> Array:
     It is 0 for missing markers.
     """
     radii = np.full(design.markers.count, design.markers.radius)
-    radii[[number for number in as_built.missing if number < len(radii)]] = 0.0
+    radii[[marker for marker in as_built.missing if marker < len(radii)]] = 0.0
     return radii

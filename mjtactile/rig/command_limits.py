@@ -58,7 +58,7 @@ class CommandLimits:
         if not isinstance(requested, tuple):
             return _near(requested, before, step, low, high)
         pairs = zip(requested, before, strict=True)
-        return tuple(_near(one, was, step, low, high) for one, was in pairs)
+        return tuple(_near(command, was, step, low, high) for command, was in pairs)
 
 
 UNLIMITED = CommandLimits(

@@ -117,7 +117,9 @@ class SampledWorld:
 
     def as_built_sensor(self, finger: str) -> AsBuiltSensor:
         """Return the as-built sensor of a finger; without an entry it equals the sensor file."""
-        return next((one for one in self.as_built if one.finger == finger), AsBuiltSensor(finger))
+        return next(
+            (sensor for sensor in self.as_built if sensor.finger == finger), AsBuiltSensor(finger)
+        )
 
 
 def _entries_of(group: str) -> tuple[Number, ...]:
@@ -184,9 +186,9 @@ class Randomization:
             owners = fingers if section in _OF_FINGERS else [section]
             # a section of the finger's own, as in a rig file
             inner = f"{CAMERA}." if section == CAMERA else ""
-            place, stream = f"{inner}{key}", f"{inner}{old_key(key)}"
+            key_path, stream = f"{inner}{key}", f"{inner}{old_key(key)}"
             values |= {
-                f"{owner}.{place}": _sample(f"{owner}.{stream}", entry, spread, seed, markers)
+                f"{owner}.{key_path}": _sample(f"{owner}.{stream}", entry, spread, seed, markers)
                 for owner in owners
             }
         own: dict[str, dict[str, Any]] = {owner: {} for owner in ("object", "rig", *fingers)}
@@ -292,7 +294,7 @@ def _sample(name: str, entry: Number, spread: Spread, seed: int, markers: int) -
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     if entry.key == MISSING:
         count = min(int(spread.at(rng.random()) + 0.5), markers)
-        return sorted(int(number) for number in rng.choice(markers, count, replace=False))
+        return sorted(int(marker) for marker in rng.choice(markers, count, replace=False))
     # as it will be written
     names = entry.names if isinstance(entry, Numbers) else ()
     rounded = [float(f"{spread.at(fraction):.6g}") for fraction in rng.random(max(len(names), 1))]

@@ -184,8 +184,8 @@ def load_controller(name_or_path: str | Path) -> Controller:
         ControllerError: The file cannot be imported, or has no `step`.
     """
     path = resources.find(name_or_path, "controllers", ".py")
-    place = zlib.crc32(str(path.absolute()).encode())  # others of the same name have theirs
-    name = f"mjtactile_controller_{path.stem}_{place:08x}"
+    path_hash = zlib.crc32(str(path.absolute()).encode())  # others of the same name have theirs
+    name = f"mjtactile_controller_{path.stem}_{path_hash:08x}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError("not a Python file", source=path, field="controller")

@@ -97,8 +97,8 @@ class ControlCycle:
         last = Command(opening=state.opening, force_limit=None, lift_height=state.lift_height)
         now = rig.clock.now()
         supervisor.arm(now)
-        place = SetDown(rig.goal.place_height)
-        return cls(rig, perceptions, supervisor, observer, last, now, set_down=place)
+        set_down = SetDown(rig.goal.place_height)
+        return cls(rig, perceptions, supervisor, observer, last, now, set_down=set_down)
 
     def read_sensors(self) -> None:
         """Read the newest images and the valve states; a simulated world is paused meanwhile."""
@@ -259,7 +259,7 @@ def _rate_limit_start(
     if requested.gauge_pressure is None or last.gauge_pressure is not None:
         return last
     pairs = zip(requested.gauge_pressure, rig.readings(valves), strict=True)
-    shown = tuple(one if gauge is None else gauge.gauge_pressure for one, gauge in pairs)
+    shown = tuple(valve if gauge is None else gauge.gauge_pressure for valve, gauge in pairs)
     return replace(last, gauge_pressure=shown)
 
 

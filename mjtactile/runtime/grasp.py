@@ -93,7 +93,9 @@ class GraspResult:
             found["peak_stress_kPa_true"] = 1e-3 * self.peak_stress_true
             found["peak_energy_kJ_m3_true"] = 1e-3 * self.peak_energy_true
         if any(self.contacts):
-            found["contacts"] = [None if one is None else dict(one) for one in self.contacts]
+            found["contacts"] = [
+                None if contact is None else dict(contact) for contact in self.contacts
+            ]
         found |= self.measures
         if self.reason:
             found["reason"] = self.reason

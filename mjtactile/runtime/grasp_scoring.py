@@ -102,7 +102,7 @@ class GraspScore:
         """
         self.send(phase)
         pairs = zip(touch, self._markers, strict=True)
-        errors = [_marker_error(one.markers, p_SM) for one, p_SM in pairs]
+        errors = [_marker_error(estimate.markers, p_SM) for estimate, p_SM in pairs]
         return {
             "force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
             "wrench_true": [wrench.tolist() for wrench in self._wrenches],

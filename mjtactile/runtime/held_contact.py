@@ -30,21 +30,21 @@ class HeldContacts:
         if len(self._loads) != len(cycle.touch):
             self._loads = [[] for _ in cycle.touch]
             self._held = [None for _ in cycle.touch]
-        for number, touch in enumerate(cycle.touch):
+        for finger, touch in enumerate(cycle.touch):
             if touch.status != OK or not touch.touching:
                 continue
-            load = self._loads[number]
+            load = self._loads[finger]
             needed = _GROWN * load[-1].force_normal if load else _FIRST
             if cycle.sent.phase == "hold":
-                self._held[number] = touch
-            elif self._held[number] is None and len(load) < _KEPT and touch.force_normal > needed:
+                self._held[finger] = touch
+            elif self._held[finger] is None and len(load) < _KEPT and touch.force_normal > needed:
                 load.append(touch)
 
     def estimate(self, perceptions: Sequence[Any]) -> tuple[dict[str, Any] | None, ...]:
         """Return kind and area of the contact of each finger at the end of the hold; None: there
         was none. It takes some 0.1 s."""
         found = zip(perceptions, self._loads, self._held, strict=False)
-        return tuple(_contact(*one) for one in found)
+        return tuple(_contact(*contact) for contact in found)
 
 
 def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str, Any] | None:

@@ -128,7 +128,7 @@ def _measured_text(touch: Sequence[Touch], opening: float | None, goal: float) -
     if opening is not None:
         jaws = f"the jaws are at {1e3 * opening:.1f} mm instead of {1e3 * goal:.1f} mm"
     forces = [
-        f"{one.force_normal:.2f} N" if math.isfinite(one.force_normal) else "unknown"
-        for one in touch
+        f"{estimate.force_normal:.2f} N" if math.isfinite(estimate.force_normal) else "unknown"
+        for estimate in touch
     ]
     return f"{jaws}, the forces are {', '.join(forces)}" if forces else jaws

@@ -321,7 +321,7 @@ def _for_simulation(
 ) -> Settings:
     """Return the settings of a finger's pipeline; a simulated mesh has larger model errors."""
     effects = simulated.get("effects", ())
-    if not any(one.get("effect") == "mesh" and one.get("on") for one in effects):
+    if not any(effect.get("effect") == "mesh" and effect.get("on") for effect in effects):
         return settings
     columns, rows = simulated["mesh"]
     return settings.for_mesh(design, (columns, rows))

@@ -40,7 +40,7 @@ class SuspendedLoad:
         self._height = height
         if height < _UP or goes_down:
             return
-        slid = [one.slip.distance for one in touch if one.slip is not None]
+        slid = [estimate.slip.distance for estimate in touch if estimate.slip is not None]
         if slid and math.isfinite(min(slid)):
             self._slid = min(slid)
         now = shear(touch)
@@ -95,7 +95,7 @@ class SafeSetDown:
             self._is_open = True
             return
         self._load.note(touch, command.lift_height)
-        self._is_gripped = any(one.touching for one in touch)
+        self._is_gripped = any(estimate.touching for estimate in touch)
 
 
 class SetDown:

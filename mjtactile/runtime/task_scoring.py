@@ -64,7 +64,7 @@ class TaskScorer:
         model = self.world.model
         self._bodies = ground_truth.object_bodies(self.world)
         self._gripper_start = float(ground_truth.gripper_position(self.world)[2])
-        self._places = model.body_weldid == 0
+        self._supports = model.body_weldid == 0
         self._start = self._standing()
         self._start_position = ground_truth.object_position(self.world, self._bodies)
 
@@ -127,7 +127,7 @@ class TaskScorer:
         carried = total if second is None else total + second.load
         force = carried * (self.world.model.opt.gravity - self._acceleration())
         force = force + data.xfrc_applied[self._bodies, :3].sum(axis=0)
-        patches = [self._patch(number) for number in range(len(self.world.sensors))]
+        patches = [self._patch(finger) for finger in range(len(self.world.sensors))]
         middles = [center for center, radius in patches if radius > 0]
         radii = [radius for _, radius in patches if radius > 0]
         if not middles:
@@ -189,17 +189,17 @@ class TaskScorer:
             return "it was pulled out of the gripper, which did not open"
         return f"it was released only {late:.1f} s after the pull" if late > within else ""
 
-    def _patch(self, number: int) -> tuple[Array, float]:
+    def _patch(self, finger: int) -> tuple[Array, float]:
         """Return center and radius of the contact patch on a membrane.
 
         The center (3,), m, is in frame W. The radius, m, is the force-weighted mean distance from
         it. It is the ratio of the friction limits in torque and force. It is 0 without contact.
         """
-        center, radius = ground_truth.patch(self.world, number)
+        center, radius = ground_truth.patch(self.world, finger)
         if radius <= 0:
             return center, 0.0
         data = self.world.data
-        body = self.world.sensors[number].body_id
+        body = self.world.sensors[finger].body_id
         R_WS = data.xmat[body].reshape(3, 3)
         # a vertex represents an area: at least half of the mesh spacing
         return data.xpos[body] + R_WS @ center, max(radius, 5e-4)
@@ -245,7 +245,7 @@ class TaskScorer:
         m."""
         _, rotation = ground_truth.object_pose(self.world, self.world.solid)
         upright = 1 - 2 * float(rotation[1] ** 2 + rotation[2] ** 2)  # z of the turned z axis
-        places = np.flatnonzero(self._places)
-        moved = float(self.world.model.body_pos[places[-1], 2])
+        slots = np.flatnonzero(self._supports)
+        moved = float(self.world.model.body_pos[slots[-1], 2])
         height = float(ground_truth.object_position(self.world, self._bodies)[2]) - moved
         return math.acos(min(max(upright, -1.0), 1.0)), height

@@ -36,7 +36,7 @@ class ConstitutiveLaw:
         self._slope = -self._q * np.exp(-_LOG_DET) * (1 + half / (c + half))  # q'
 
     @property
-    def numbers(self) -> tuple[float, ...]:
+    def parameters(self) -> tuple[float, ...]:
         """Parameters as kernels/spline_fem.h expects them. 1 if neo-Hookean, the modulus, Poisson's
         ratio, and the first abscissa and samples per unit of `table`."""
         neo_hookean = self._law is not Law.STVK
@@ -67,10 +67,10 @@ class ConstitutiveLaw:
     def moduli(self, C11: Array, C22: Array, C12: Array) -> Array:
         """dS/dE (6, ...): 1111, 2222, 1122, 1112, 2212, 1212; symmetric otherwise."""
         if self._law is Law.STVK:
-            one = np.ones_like(C11)
+            ones = np.ones_like(C11)
             none = np.zeros_like(C11)
             nu = self._nu
-            return self._plane * np.stack([one, one, nu * one, none, none, (1 - nu) / 2 * one])
+            return self._plane * np.stack([ones, ones, nu * ones, none, none, (1 - nu) / 2 * ones])
         log_det = self._log_det(C11, C22, C12)
         q, slope = (
             2 * self._mu * np.interp(log_det, _LOG_DET, table) for table in (self._q, self._slope)

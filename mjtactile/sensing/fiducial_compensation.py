@@ -103,16 +103,16 @@ class FiducialFinder:
     ) -> tuple[Array, FiducialDetections]:
         """Return the indices of the circles that are not fiducials, and the well detected
         fiducials. `before` are their previous positions; None: those of the sensor file."""
-        places = self.places_px
+        centers = self.places_px
         if before is not None and len(before) == self.count:
-            places = before.center_px
+            centers = before.center_px
         elif before is not None and len(before):
             # undetected fiducials are assumed to move like the others
-            moved = np.median(before.center_px - places[before.ids], axis=0)
-            places = places + moved
-            places[before.ids] = before.center_px
+            moved = np.median(before.center_px - centers[before.ids], axis=0)
+            centers = centers + moved
+            centers[before.ids] = before.center_px
         u, v = ellipses.center_px.T
-        distance = np.hypot(places[:, :1] - u, places[:, 1:] - v)
+        distance = np.hypot(centers[:, :1] - u, centers[:, 1:] - v)
         within = distance < self._search_radius
         good = within & (ellipses.status == "ok")
         ids = np.flatnonzero(good.any(axis=1))
@@ -124,14 +124,14 @@ class FiducialFinder:
 def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
     """Return the mean of repeated measurements by a camera that does not move. A fiducial counts if
     it is detected in at least half of them."""
-    count = np.bincount(np.concatenate([one.ids for one in seen]), minlength=1)
+    count = np.bincount(np.concatenate([image.ids for image in seen]), minlength=1)
     ids = np.flatnonzero(count >= len(seen) / 2)
 
     def mean(name: str) -> Array:
         values = getattr(seen[0], name)
         total = np.zeros((len(count), *values.shape[1:]))
-        for one in seen:
-            total[one.ids] += getattr(one, name)
+        for image in seen:
+            total[image.ids] += getattr(image, name)
         return total[ids] / count[ids].reshape(-1, *(1,) * (total.ndim - 1))
 
     names = ("center_px", "radius_px", "cov", "inside", "outside", "blur_px")

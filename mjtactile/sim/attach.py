@@ -346,9 +346,9 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
     )
     boxes = [((x, y, -depth / 2), (a, b, depth / 2), angle) for x, y, a, b, angle in walls]
     boxes.append(((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2), 0.0))
-    for number, (pos, size, angle) in enumerate(boxes):
+    for index, (pos, size, angle) in enumerate(boxes):
         body.add_geom(
-            name=f"housing{number}",
+            name=f"housing{index}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=pos,
             quat=[math.cos(angle / 2), 0.0, 0.0, math.sin(angle / 2)],
@@ -373,9 +373,9 @@ def _walls_around(outline: Outline, rim: float) -> list[tuple[float, float, floa
     farthest = np.maximum((touching * outward).sum(1), (ends * outward).sum(1))
     midpoint = (ends + np.roll(ends, -1, axis=0)) / 2
     out = farthest - (midpoint * outward).sum(1) + rim / 2
-    places = midpoint + outward * out[:, None]
+    centers = midpoint + outward * out[:, None]
     # neighbours overlap at their outer corners' gap
     half = lengths / 2 + rim * np.pi / _WALLS
     angles = np.arctan2(along[:, 1], along[:, 0])
     half_rim = np.full(_WALLS, rim / 2)
-    return [tuple(wall) for wall in np.column_stack([places, half, half_rim, angles]).tolist()]
+    return [tuple(wall) for wall in np.column_stack([centers, half, half_rim, angles]).tolist()]

@@ -119,4 +119,4 @@ def _functions() -> tuple[int, ...]:
         return ()
     library = ctypes.CDLL(str(found[0]))
     functions = (library.mj_kinematics, library.mj_step)
-    return tuple(ctypes.cast(one, ctypes.c_void_p).value or 0 for one in functions)
+    return tuple(ctypes.cast(function, ctypes.c_void_p).value or 0 for function in functions)

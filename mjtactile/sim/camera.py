@@ -45,14 +45,21 @@ class SimCamera:
                 "image faults need images, and none are rendered", field="--effects -images"
             )
         design = set_camera_effects(sensor.design, effects)
-        place = {"pose": camera_pose(design, as_built), "radius": marker_radii(design, as_built)}
+        camera_options = {
+            "pose": camera_pose(design, as_built),
+            "radius": marker_radii(design, as_built),
+        }
         self._sampler = (
-            None if Effect.IMAGES in effects else EllipseSampler(design, seed=seed, **place)
+            None
+            if Effect.IMAGES in effects
+            else EllipseSampler(design, seed=seed, **camera_options)
         )
         if self._sampler:
             self._renderer = None
         else:
-            self._renderer = Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
+            self._renderer = Renderer(
+                design, seed=seed, shadows=Effect.SHADOWS in effects, **camera_options
+            )
         self._moving = Effect.MOTION_BLUR in effects
         self._late = Effect.LATENCY in effects
         self._before: Image | None = None

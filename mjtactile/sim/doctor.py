@@ -90,9 +90,9 @@ def _fingers(world: GripperWorld) -> Iterator[Finding]:
     """Check each fingertip's site: direction toward the other fingertips, and height."""
     p_WS, z_W = _tips(world)
     centre = p_WS.mean(axis=0)
-    for finger, place, inward in zip(world.rig.fingers, p_WS, z_W, strict=True):
+    for finger, position, inward in zip(world.rig.fingers, p_WS, z_W, strict=True):
         subject = f"finger {finger.name}"
-        away = centre - place
+        away = centre - position
         cosine = float(away @ inward / max(np.linalg.norm(away), 1e-9)) if len(p_WS) > 1 else 1.0
         angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
         if cosine < _INWARD:
@@ -132,7 +132,9 @@ def _frames(world: GripperWorld) -> Iterator[Finding]:
     """Check that y of two fingers has one direction, which loads from their shears require."""
     if len(world.sensors) != 2:
         return
-    first, second = (world.data.xmat[one.body_id].reshape(3, 3)[:, 1] for one in world.sensors)
+    first, second = (
+        world.data.xmat[sensor.body_id].reshape(3, 3)[:, 1] for sensor in world.sensors
+    )
     angle = math.degrees(math.acos(max(-1.0, min(1.0, float(first @ second)))))
     if angle > _Y_MAX:
         names = " and ".join(repr(finger.site) for finger in world.rig.fingers)

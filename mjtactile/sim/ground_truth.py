@@ -200,10 +200,10 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
 def _inside(frame: Frame, x: Array, y: Array) -> NDArray[np.bool_]:
     """Return a mask of the points `x`, `y` (nx, ny) m within the opening."""
     if frame.outline is not None:
-        places = np.stack([x, y], axis=-1).reshape(-1, 2)
-        return (frame.inside(places) > 0).reshape(x.shape)
-    off = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
-    return off.max(axis=0) < 1 - 1e-9
+        points = np.stack([x, y], axis=-1).reshape(-1, 2)
+        return (frame.inside(points) > 0).reshape(x.shape)
+    distance = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
+    return distance.max(axis=0) < 1 - 1e-9
 
 
 def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:
@@ -231,14 +231,14 @@ def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Arra
     up = np.ascontiguousarray(R_WS[:, 2])
     below = -device.design.chamber.depth
     heights = np.full(x.shape, np.inf)
-    for place in np.ndindex(*x.shape):
-        start = p_WS + R_WS @ (x[place], y[place], below)
+    for index in np.ndindex(*x.shape):
+        start = p_WS + R_WS @ (x[index], y[index], below)
         distances = [_ray(model, data, int(geom), start, up) for geom in geoms]
         distances += [
             mujoco.mj_rayFlex(model, data, 0, False, False, True, False, int(flex), start, up)
             for flex in flexes
         ]
-        heights[place] = below + min(
+        heights[index] = below + min(
             (distance for distance in distances if distance >= 0), default=np.inf
         )
     return heights
@@ -270,7 +270,7 @@ def solid_bodies(world: World) -> NDArray[np.int64]:
     """Return the grasped object's MuJoCo bodies without those of a liquid in it."""
     model = world.model
     bodies = object_bodies(world)
-    return bodies[[not model.body(int(one)).name.startswith(PREFIX + LIQUID) for one in bodies]]
+    return bodies[[not model.body(int(body)).name.startswith(PREFIX + LIQUID) for body in bodies]]
 
 
 def support_force(world: World, bodies: NDArray[np.int64]) -> float:

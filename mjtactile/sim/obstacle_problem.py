@@ -147,17 +147,17 @@ def _stiffness(inside: NDArray[np.bool_], w: Array, spacing: float) -> csc_array
     """Return the matrix of -div(k grad) over the free nodes, times spacing^2 (k of the
     docstring)."""
     height = np.zeros(inside.shape)
-    number = np.full(inside.shape, -1)
+    index = np.full(inside.shape, -1)
     height[inside] = w
-    number[inside] = np.arange(len(w))
+    index[inside] = np.arange(len(w))
     slopes = np.gradient(height, spacing)
     k = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     rows = []
     columns = []
     values = []
     for a, b in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
-        i = number[a].ravel()
-        j = number[b].ravel()
+        i = index[a].ravel()
+        j = index[b].ravel()
         between = ((k[a] + k[b]) / 2).ravel()
         for one, other in ((i, j), (j, i)):
             mine = one >= 0

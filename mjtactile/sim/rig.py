@@ -106,7 +106,7 @@ def _plan(scenario: Scenario, file: SimRigFile, sampled: SampledWorld) -> _Plan:
     chosen = choose(design, grasped, force_error=force_error, overrides=overrides)
     as_built = tuple(sampled.as_built_sensor(finger.name) for finger in file.fingers)
     # unknown to sensing: its design has no creep
-    creeps = {Effect.RELAXATION} if any(one.creep for one in as_built) else set()
+    creeps = {Effect.RELAXATION} if any(sensor.creep for sensor in as_built) else set()
     return _Plan(
         scenario,
         file,
@@ -231,7 +231,7 @@ def _workload(world: GraspWorld, clock: SimClock) -> Workload:
         contacts,
         geoms,
         0 if world.solid is None else int(world.model.nflexelem) - _membrane_elements(world),
-        sum(one.mesh.nx * one.mesh.ny for one in world.sensors) if is_mesh else 0,
+        sum(sensor.mesh.nx * sensor.mesh.ny for sensor in world.sensors) if is_mesh else 0,
     )
 
 

@@ -49,15 +49,15 @@ class TrueSurface:
 
         If such a line misses the surface, it is the distance to the nearest surface point.
         """
-        off = np.array(
+        distance = np.array(
             [
                 _FAR - _ray(self.model, self.data, at + _FAR * out, -out)
                 for at, out in zip(p, n, strict=True)
             ]
         )
         nearest = cKDTree(self.points).query(p)[0]
-        wild = (off > 0.1) | (np.abs(off) > 3 * nearest + 2e-3)
-        return np.where(wild, nearest, off)
+        wild = (distance > 0.1) | (np.abs(distance) > 3 * nearest + 2e-3)
+        return np.where(wild, nearest, distance)
 
     def extents(self, axes: Array) -> Array:
         """Return the extents (k,) m along each of `axes` (3, k), columns."""

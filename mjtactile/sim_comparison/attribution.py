@@ -99,7 +99,7 @@ class _Rows:
         known = {}
         weight = {}
         for kind in KINDS:
-            is_finite_value = np.all([np.isfinite(one.of(kind)) for one in signals], axis=0)
+            is_finite_value = np.all([np.isfinite(signal.of(kind)) for signal in signals], axis=0)
             known[kind] = is_finite_value
             weight[kind] = np.sqrt(1.0 / max(int(is_finite_value.sum()), 1)) / TOLERANCE[kind]
         return cls(signals[0].time, signals[0].fingers, known, weight)
@@ -155,8 +155,10 @@ def explain(
     notify(f"recording and simulation differ: {len(causes)} causes are tested")
     fingers = there.fingers
     asked = [{cause.name: (cause.probe,) * fingers} for cause in causes]
-    run_all = many or (lambda requested: [attempted(simulate, one) for one in requested])
-    probes = [here if one is None else one.at(time) for one in run_all(asked)]
+    run_all = many or (
+        lambda requested: [attempted(simulate, parameter) for parameter in requested]
+    )
+    probes = [here if parameter is None else parameter.at(time) for parameter in run_all(asked)]
     tried, allowed = _tried(there, here, causes, probes, _shift(plain, time))
 
     def run(amounts: Mapping[str, Sequence[float]]) -> Signals | None:
@@ -164,15 +166,17 @@ def explain(
         return None if signals is None else signals.at(time)
 
     checked = [
-        _checked(one, allowed[one.cause.name], there, here, run)
-        for one in tried[:_CONTENDERS]
-        if one.explains >= tried[0].explains - _NEAR
+        _checked(parameter, allowed[parameter.cause.name], there, here, run)
+        for parameter in tried[:_CONTENDERS]
+        if parameter.explains >= tried[0].explains - _NEAR
     ]
-    checked.sort(key=lambda one: -one.explains)
+    checked.sort(key=lambda parameter: -parameter.explains)
     best = checked[0]
-    linear = next(one for one in tried if one.cause is best.tried.cause)
+    linear = next(parameter for parameter in tried if parameter.cause is best.tried.cause)
     is_named = _is_named(best, linear, allowed[""]["left"])
-    alike = [one.tried for one in checked[1:] if best.explains - one.explains < _ALIKE]
+    alike = [
+        parameter.tried for parameter in checked[1:] if best.explains - parameter.explains < _ALIKE
+    ]
     return SimComparison(
         there,
         here,
@@ -204,13 +208,17 @@ def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
 
 
 def _checked(
-    one: TestedParameter, allowed: Mapping[str, float], there: Signals, here: Signals, run: _Run
+    parameter: TestedParameter,
+    allowed: Mapping[str, float],
+    there: Signals,
+    here: Signals,
+    run: _Run,
 ) -> _Checked:
     """Simulate the cause, and again with the amount that fits the difference best."""
-    best = _Checked(one, here, 0.0)
-    one = _on_each_finger(one, allowed, there, here, run)
+    best = _Checked(parameter, here, 0.0)
+    parameter = _on_each_finger(parameter, allowed, there, here, run)
     for _ in range(2):
-        signals = run(_amounts(one, allowed))
+        signals = run(_amounts(parameter, allowed))
         if signals is None:
             break
         rows = _Rows.of([there, here, signals])
@@ -219,30 +227,36 @@ def _checked(
         target = rows.vector(there) - base
         explains = 1 - float(np.sum((target - change) ** 2) / (target @ target))
         if explains > best.explains or best.signals is here:
-            best = _Checked(one, signals, explains)
+            best = _Checked(parameter, signals, explains)
         factor = float(np.clip(target @ change / max(change @ change, 1e-12), 0.3, 2.0))
-        one = replace(one, amounts=tuple(factor * amount for amount in one.amounts))
+        parameter = replace(
+            parameter, amounts=tuple(factor * amount for amount in parameter.amounts)
+        )
     return best
 
 
 def _on_each_finger(
-    one: TestedParameter, allowed: Mapping[str, float], there: Signals, here: Signals, run: _Run
+    parameter: TestedParameter,
+    allowed: Mapping[str, float],
+    there: Signals,
+    here: Signals,
+    run: _Run,
 ) -> TestedParameter:
     """Fit each finger's amount with its effect on all fingers, which share forces."""
     fingers = there.fingers
-    if one.cause.on != "sensor" or fingers < 2:
-        return one
-    size = max(map(abs, one.amounts)) or one.cause.probe
+    if parameter.cause.on != "sensor" or fingers < 2:
+        return parameter
+    size = max(map(abs, parameter.amounts)) or parameter.cause.probe
     steps = [(0.0,) * fingers, *(tuple(row) for row in (size * np.eye(fingers)).tolist())]
-    results = [run(_amounts(replace(one, amounts=step), allowed)) for step in steps]
+    results = [run(_amounts(replace(parameter, amounts=step), allowed)) for step in steps]
     found = [signals for signals in results if signals is not None]
     if len(found) < len(steps):
-        return one
+        return parameter
     rows = _Rows.of([there, here, *found])
     base = rows.vector(found[0])
     columns = np.column_stack([(rows.vector(signals) - base) / size for signals in found[1:]])
     amounts, *_ = np.linalg.lstsq(columns, rows.vector(there) - base, rcond=None)
-    return replace(one, amounts=tuple(np.maximum(amounts, one.cause.low).tolist()))
+    return replace(parameter, amounts=tuple(np.maximum(amounts, parameter.cause.low).tolist()))
 
 
 def attempted(simulate: Simulate, amounts: Mapping[str, Sequence[float]]) -> Signals | None:

@@ -61,7 +61,9 @@ def shadow_of(
         found = found.at(found.time[found.time <= until])
 
     def many(requested: Sequence[Amounts]) -> Sequence[Signals | None]:
-        ran: Any = Parallel(n_jobs=workers)(delayed(attempted)(again.run, one) for one in requested)
+        ran: Any = Parallel(n_jobs=workers)(
+            delayed(attempted)(again.run, parameter) for parameter in requested
+        )
         return list(ran)
 
     notify("simulating the recording")

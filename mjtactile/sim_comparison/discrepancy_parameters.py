@@ -164,9 +164,9 @@ ON_STAGE = ("sensor", "stage")
 
 def causes_of(staged: bool, names: tuple[str, ...] = ()) -> tuple[DiscrepancyParameter, ...]:
     """Return the (named) causes that apply to a recording of a stage or a gripper."""
-    places = ON_STAGE if staged else IN_STOCK
+    locations = ON_STAGE if staged else IN_STOCK
     return tuple(
-        cause for cause in CAUSES if cause.on in places and (not names or cause.name in names)
+        cause for cause in CAUSES if cause.on in locations and (not names or cause.name in names)
     )
 
 

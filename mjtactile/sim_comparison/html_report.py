@@ -32,7 +32,9 @@ def verdict(shadow: SimComparison) -> str:
     named = notify(shadow.named)
     if shadow.alike:
         named += (
-            ", or " + ", or ".join(notify(one) for one in shadow.alike) + " (indistinguishable)"
+            ", or "
+            + ", or ".join(notify(signal) for signal in shadow.alike)
+            + " (indistinguishable)"
         )
     explained = f"{named} (explains {100 * shadow.explains:.0f} % of it)"
     return f"differs from the simulator in {where}: {explained}"
@@ -102,9 +104,9 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
         body.append(f"<p>{escape(notify(shadow.named, fingers))}</p>")
         body.append(f"<p>Remedy: {escape(shadow.named.cause.remedy)}</p>")
     body.append(_legend(shadow))
-    for number, finger in enumerate(fingers):
+    for index, finger in enumerate(fingers):
         body.append(f"<h2>{escape(finger)}</h2>")
-        body += [_chart(kind, shadow, number) for kind in KINDS]
+        body += [_chart(kind, shadow, index) for kind in KINDS]
     head = ["", *fingers, "tolerance", "remaining with the cause"]
     body += ["<h2>Differences, rms</h2>", html.table(head, _difference_rows(shadow))]
     if shadow.tried:

@@ -98,8 +98,8 @@ def recorded(episode: RecordedEpisode) -> Signals:
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
     gathered = CollectedSignals(counts)
     rows = []
-    for number, seen in enumerate(episode.cycles()):
-        pressures = gauges(episode.recording.valves(number), episode)
+    for cycle, seen in enumerate(episode.cycles()):
+        pressures = gauges(episode.recording.valves(cycle), episode)
         gathered.add(seen.time, seen.touch, pressures)
         rows.append(np.asarray(seen.row["wrench"], float).reshape(len(counts), -1)[:, :3])
     found = gathered.signals()

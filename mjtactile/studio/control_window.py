@@ -171,8 +171,8 @@ class ControlWindow(plugin.ViewerPlugin):
                 object=_choice("object", now.object, resources.names("models/objects", ".xml")),
                 accuracy=_choice("accuracy", now.accuracy, _ACCURACIES, "as usual"),
             )
-        _, number = imgui.InputInt("seed", now.seed)
-        self._next = replace(now, seed=max(int(number), 0))
+        _, seed = imgui.InputInt("seed", now.seed)
+        self._next = replace(now, seed=max(int(seed), 0))
         if imgui.Button("start"):
             self.bridge.again(self._next)
         if now.rig == "sim" and imgui.TreeNode("effects"):

@@ -44,7 +44,9 @@ class WindowLayout:
         top = _ABOVE + (y if y >= 0 else down + y)
         size = (width if width > 0 else across + width, height if height > 0 else down + height)
         imgui.SetNextWindowPos(imgui.Vec2(max(left, 0), max(top, _ABOVE)), self._when)
-        imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _SIZE_MIN) for one in size)), self._when)
+        imgui.SetNextWindowSize(
+            imgui.Vec2(*(max(length, _SIZE_MIN) for length in size)), self._when
+        )
 
 
 ABOVE_CAMERA = -(OPTIONS + _GAP)  # window height, px, that leaves space for the options window

@@ -52,12 +52,12 @@ class RecordingPlayer(SessionBridge):
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Keep a cycle without its images: the recording has them."""
-        number = len(self._snapshots)
-        if number < len(self._true):
-            true = {"force_normal_true": self._true[number].tolist()}
+        cycle_index = len(self._snapshots)
+        if cycle_index < len(self._true):
+            true = {"force_normal_true": self._true[cycle_index].tolist()}
         else:
             true = {}
-        snapshot = snapshot_of(cycle, self.session, view, true, ChamberReadings(), number)
+        snapshot = snapshot_of(cycle, self.session, view, true, ChamberReadings(), cycle_index)
         self.history.add(snapshot)
         if not self._times:
             self.at = 0.0
@@ -103,10 +103,12 @@ class RecordingPlayer(SessionBridge):
         with self._lock:
             if not self._times:
                 return None
-            number = max(bisect.bisect_right(self._times, self._times[0] + self.at + 1e-9) - 1, 0)
-            if self._shown is None or self._shown.number != number:
-                snapshot = self._snapshots[number]
-                images = self.recording.images_of(number)
+            cycle_index = max(
+                bisect.bisect_right(self._times, self._times[0] + self.at + 1e-9) - 1, 0
+            )
+            if self._shown is None or self._shown.number != cycle_index:
+                snapshot = self._snapshots[cycle_index]
+                images = self.recording.images_of(cycle_index)
                 fingers = (
                     replace(estimated, image=image)
                     for estimated, image in zip(snapshot.fingers, images, strict=True)

@@ -44,19 +44,19 @@ class UserFingers:
             self._seen = seen
             self._latest = StudioSnapshot(
                 number,
-                max(one.image.time for one in seen),
+                max(estimate.image.time for estimate in seen),
                 tuple(
                     FingerSnapshot(
                         finger.name,
-                        one.image,
-                        one.touch,
+                        estimate.image,
+                        estimate.touch,
                         finger.design,
-                        one.rest,
-                        gauge_pressure=one.gauge_pressure,
-                        temperature=one.temperature,
+                        estimate.rest,
+                        gauge_pressure=estimate.gauge_pressure,
+                        temperature=estimate.temperature,
                         body=finger.sensor.body_id,
                     )
-                    for finger, one in zip(fingers, seen, strict=True)
+                    for finger, estimate in zip(fingers, seen, strict=True)
                 ),
                 flags=_flags_of(fingers),
             )

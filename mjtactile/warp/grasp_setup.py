@@ -32,7 +32,7 @@ def require_supported(scenario: Scenario, rig: Rig) -> None:
     """Raise InputError for a task, object, sensors or rig that do not run on a device."""
     world = rig.scene
     task = load_task(scenario.task)
-    kinds = {one.kind for one in task.disturbances}
+    kinds = {disturbance.kind for disturbance in task.disturbances}
     strict = replace(task.success, max_drop=SuccessCriteria().max_drop) != SuccessCriteria()
     if task.waypoints or task.object.liquid or kinds - set(KINDS) or strict:
         text = f"{scenario.task!r} needs more than {', '.join(KINDS)}; it does not run on a device"
@@ -85,7 +85,7 @@ def limits_of(rig: Rig, goal: TaskGoal) -> Any:
     of_rig = rig.limits
     limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
     limits.place_height = float(goal.place_height)
-    limits.opening_min, limits.opening_max = (float(one) for one in of_rig.opening)
+    limits.opening_min, limits.opening_max = (float(opening) for opening in of_rig.opening)
     limits.speed, limits.force = float(of_rig.speed), float(of_rig.force)
     limits.lift_max, limits.lift_speed = float(of_rig.lift[1]), float(of_rig.lift_speed)
     limits.period = float(rig.period)

@@ -205,7 +205,7 @@ class Grasps:
     @property
     def object_seeds(self) -> Array:
         """Return the seed (worlds,) of each world's random object, or -1. Waits for the device."""
-        own = np.array([one.seed for one in self.mix])
+        own = np.array([item.seed for item in self.mix])
         return own[self._kinds[self._starts.row.numpy()]]
 
     def phases(self) -> Array:

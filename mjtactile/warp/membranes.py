@@ -136,19 +136,19 @@ class Membranes:
 
 
 def _membrane(membrane: QuasistaticMembrane) -> Any:
-    numbers = membrane._numbers
+    constants = membrane._constants
     rubber = MembraneGrid()
     rubber.nx, rubber.ny = membrane.grid
     rubber.dx = float(membrane.x[1] - membrane.x[0])
     rubber.dy = float(membrane.y[1] - membrane.y[0])
-    rubber.lambda2 = float(numbers[4])
-    rubber.neo_hookean = int(numbers[5])
-    rubber.modulus, rubber.poisson = float(numbers[6]), float(numbers[7])
-    rubber.law_middle, rubber.law_per_unit = float(numbers[8]), float(numbers[9])
+    rubber.lambda2 = float(constants[4])
+    rubber.neo_hookean = int(constants[5])
+    rubber.modulus, rubber.poisson = float(constants[6]), float(constants[7])
+    rubber.law_middle, rubber.law_per_unit = float(constants[8]), float(constants[9])
     rubber.half_thickness = membrane.design.membrane.thickness / 2
     rubber.depth = membrane.design.chamber.depth
     rubber.law = wp.array(membrane._law.astype(np.float32), dtype=float)
-    rubber.opening = float(numbers[-2])
+    rubber.opening = float(constants[-2])
     rubber.cut, nodes = cut_cells(membrane)
     rubber.free = ints(nodes)
     rest = membrane.rest.x.reshape(3, -1).astype(np.float32)

@@ -73,7 +73,7 @@ def slots_of(model: mujoco.MjModel, prefix: str = "") -> Iterator[tuple[Slot, in
 def write_mix(mix: Sequence[MixedObject], path: Path) -> None:
     """Write the union of the objects as the file of one object, in the pose of the first."""
     spec = mujoco.MjSpec()
-    union = sorted({slot for one in mix for slot, _ in slots_of(one.model)})
+    union = sorted({slot for item in mix for slot, _ in slots_of(item.model)})
     for name in sorted({slot[0] for slot in union}):
         body = spec.worldbody.add_body(name=name)
         if name == "object":
@@ -81,13 +81,13 @@ def write_mix(mix: Sequence[MixedObject], path: Path) -> None:
             body.pos = [0.0, 0.0, mix[0].grasped.grasp_height]
             body.mass, body.inertia, body.explicitinertial = 0.02, [2e-6] * 3, True
     names = []
-    for one in mix:
-        for mesh in read_spec(one.grasped).meshes:
-            names.append(f"mesh{one.seed}")
+    for item in mix:
+        for mesh in read_spec(item.grasped).meshes:
+            names.append(f"mesh{item.seed}")
             spec.add_mesh(name=names[-1], uservert=mesh.uservert)
-    for name, kind, contype, conaffinity, number in union:
+    for name, kind, contype, conaffinity, index in union:
         geom = spec.body(name).add_geom(
-            name=f"{name}_{kind}_{contype}_{number}",
+            name=f"{name}_{kind}_{contype}_{index}",
             type=kind,
             contype=contype,
             conaffinity=conaffinity,
@@ -112,26 +112,26 @@ def objects_of(
     model: mujoco.MjModel, mix: Sequence[MixedObject], geoms: Sequence[int], free: Sequence[int]
 ) -> Any:
     """Return the values of all objects for the `geoms` and `free` bodies of a scene's model."""
-    prefixes = [PREFIX if one.model is model else "" for one in mix]
-    own = [dict(slots_of(one.model, prefix)) for one, prefix in zip(mix, prefixes, strict=True)]
+    prefixes = [PREFIX if item.model is model else "" for item in mix]
+    own = [dict(slots_of(item.model, prefix)) for item, prefix in zip(mix, prefixes, strict=True)]
     slots = {geom: slot for slot, geom in slots_of(model, PREFIX)}
     found = [[table.get(slots[geom], -1) for geom in geoms] for table in own]
     bodies = [
-        [one.model.body(prefix + model.body(b).name.removeprefix(PREFIX)).id for b in free]
-        for one, prefix in zip(mix, prefixes, strict=True)
+        [item.model.body(prefix + model.body(b).name.removeprefix(PREFIX)).id for b in free]
+        for item, prefix in zip(mix, prefixes, strict=True)
     ]
 
     def of_geoms(name: str, absent: Any) -> Array:
         return np.array(
             [
-                [getattr(one.model, name)[g] if g >= 0 else absent for g in row]
-                for one, row in zip(mix, found, strict=True)
+                [getattr(item.model, name)[g] if g >= 0 else absent for g in row]
+                for item, row in zip(mix, found, strict=True)
             ]
         )
 
     def of_bodies(name: str) -> Array:
         return np.array(
-            [getattr(one.model, name)[row] for one, row in zip(mix, bodies, strict=True)]
+            [getattr(item.model, name)[row] for item, row in zip(mix, bodies, strict=True)]
         )
 
     def quaternions(values: Array) -> Any:
@@ -154,37 +154,37 @@ def objects_of(
         quaternions(of_bodies("body_iquat")),
     )
     objects.lightness = wp.array(of_bodies("body_invweight0").astype(np.float32), dtype=wp.vec2)
-    dofs = [[one.model.body_dofadr[b] for b in row] for one, row in zip(mix, bodies, strict=True)]
+    dofs = [[item.model.body_dofadr[b] for b in row] for item, row in zip(mix, bodies, strict=True)]
     objects.diagonal = floats(
-        [[one.model.dof_M0[d : d + 6] for d in row] for one, row in zip(mix, dofs, strict=True)]
+        [[item.model.dof_M0[d : d + 6] for d in row] for item, row in zip(mix, dofs, strict=True)]
     )
-    objects.rise = floats([one.grasped.grasp_height - mix[0].grasped.grasp_height for one in mix])
+    objects.rise = floats([item.grasped.grasp_height - mix[0].grasped.grasp_height for item in mix])
     return objects
 
 
 def _meshes(model: mujoco.MjModel, mix: Sequence[MixedObject], found: Sequence[Any]) -> Array:
     """Return the number (K, geoms) of each mesh in the scene's model, or -1."""
-    numbers = np.full((len(mix), len(found[0])), -1, np.int32)
-    for k, (one, row) in enumerate(zip(mix, found, strict=True)):
+    mesh_ids = np.full((len(mix), len(found[0])), -1, np.int32)
+    for k, (item, row) in enumerate(zip(mix, found, strict=True)):
         for g, geom in enumerate(row):
-            if geom >= 0 and one.model.geom_dataid[geom] >= 0:
-                if one.model is model:
-                    numbers[k, g] = model.geom_dataid[geom]
+            if geom >= 0 and item.model.geom_dataid[geom] >= 0:
+                if item.model is model:
+                    mesh_ids[k, g] = model.geom_dataid[geom]
                 else:
-                    numbers[k, g] = model.mesh(f"{PREFIX}mesh{one.seed}").id
-    return numbers
+                    mesh_ids[k, g] = model.mesh(f"{PREFIX}mesh{item.seed}").id
+    return mesh_ids
 
 
 def poses_of(mix: Sequence[MixedObject], bodies: Sequence[str]) -> Array:
     """Return the poses (K, bodies, 7) in the files of the objects; absent bodies are at 0."""
     poses = np.zeros((len(mix), len(bodies), 7))
     poses[:, :, 3] = 1.0
-    for k, one in enumerate(mix):
-        names = [one.model.body(b).name for b in object_roots_alone(one.model)]
+    for k, item in enumerate(mix):
+        names = [item.model.body(b).name for b in object_roots_alone(item.model)]
         for b, name in enumerate(bodies):
             if name in names:
-                body = one.model.body(name).id
-                poses[k, b] = [*one.model.body_pos[body], *one.model.body_quat[body]]
+                body = item.model.body(name).id
+                poses[k, b] = [*item.model.body_pos[body], *item.model.body_quat[body]]
     return poses
 
 

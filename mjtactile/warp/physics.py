@@ -28,7 +28,7 @@ class Physics:
     membranes: Membranes
     scheme: Any
     sticking: Any
-    places: Any
+    sensor_geoms: Any
     fields: Any
     gas: Any
     heat: Any
@@ -47,7 +47,7 @@ class Physics:
             update_all,
             dim=[part.count],
             inputs=[
-                *(part.rubber, self.scheme, self.gas, self.heat, self.sticking, self.places),
+                *(part.rubber, self.scheme, self.gas, self.heat, self.sticking, self.sensor_geoms),
                 *(self.states, part.geoms, part.pool, part.modulus, self.fields, m.geom_size),
                 *(d.xpos, d.xmat, d.geom_xpos, d.geom_xmat),
                 *(wp.vec3(*twist[:3]), wp.mat33(*_rotation(twist[3:]).ravel())),

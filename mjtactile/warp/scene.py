@@ -23,7 +23,7 @@ from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
 from mjtactile.warp.device.obstacles import CONVEX, SUPPORTED
-from mjtactile.warp.device.update import Places
+from mjtactile.warp.device.update import SensorGeoms
 from mjtactile.warp.membranes import Iteration, Membranes
 from mjtactile.warp.touch import Touch
 
@@ -76,25 +76,25 @@ def bind_bodies(
 ) -> Touch:
     """Do the work of `bind` for sensors of one `design` on the MuJoCo `bodies`.
 
-    `outputs` (fingers, 3) are the places of their values in `sensordata`, -1 if absent. `inertia`
-    (worlds, nv) is the diagonal of the mass matrix, if it differs between worlds.
+    `outputs` (fingers, 3) are the addresses of their values in `sensordata`, -1 if absent.
+    `inertia` (worlds, nv) is the diagonal of the mass matrix, if it differs between worlds.
     """
     if m.callback.passive is not None:
         raise InputError("has a passive callback already", source="bind", field="m")
-    places, planes = _places(model, m, bodies, design, grid)
+    sensor_geoms, planes = _sensor_geoms(model, m, bodies, design, grid)
     rows = np.full((len(bodies), len(OUTPUTS)), -1) if outputs is None else outputs
-    places.outputs = wp.array(rows.astype(np.int32), dtype=int)
+    sensor_geoms.outputs = wp.array(rows.astype(np.int32), dtype=int)
     membranes = Membranes(
         design,
         d.nworld * len(bodies),
-        slots=int(places.geoms.shape[1]),
+        slots=int(sensor_geoms.geoms.shape[1]),
         grid=grid,
         device=str(d.xpos.device),
         iteration=iteration,
         planes=planes,
     )
     with wp.ScopedDevice(membranes.device):
-        touch = Touch(model, m, d, membranes, places)
+        touch = Touch(model, m, d, membranes, sensor_geoms)
         if inertia is not None:
             touch._joints.inertia = inertia
     m.callback.passive = touch.update
@@ -116,7 +116,7 @@ def _common(fingers: Sequence[AttachedSensor]) -> tuple[Any, tuple[int, int]]:
     return parts[0].design, (parts[0].mesh.nx, parts[0].mesh.ny)
 
 
-def _places(
+def _sensor_geoms(
     model: mujoco.MjModel, m: Any, frames: Sequence[int], design: Any, grid: tuple[int, int]
 ) -> tuple[Any, Array]:
     """Return the geoms and bodies that each finger may touch, and the planes of the convex ones."""
@@ -143,21 +143,21 @@ def _places(
             tables["slots"][i, k] = part.slots[k]
             if kind == CONVEX:
                 touchable.add(int(geom))
-    places = Places()
-    places.frames = wp.array(np.array(frames, np.int32), dtype=int)
+    sensor_geoms = SensorGeoms()
+    sensor_geoms.frames = wp.array(np.array(frames, np.int32), dtype=int)
     for name, table in tables.items():
-        setattr(places, name, wp.array(table, dtype=int))
-    places.bodies = wp.array(listed, dtype=int)
-    places.rbound = m.geom_rbound
-    places.radius = radius
-    places.mesh = m.geom_dataid
+        setattr(sensor_geoms, name, wp.array(table, dtype=int))
+    sensor_geoms.bodies = wp.array(listed, dtype=int)
+    sensor_geoms.rbound = m.geom_rbound
+    sensor_geoms.radius = radius
+    sensor_geoms.mesh = m.geom_dataid
     first, count = np.zeros((2, max(model.nmesh, 1)), np.int32)
     planes = []
     for mesh in _meshes(model, touchable):
         planes.append(_planes(model, mesh))
         first[mesh], count[mesh] = sum(len(rows) for rows in planes[:-1]), len(planes[-1])
-    places.first, places.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
-    return places, np.concatenate(planes) if planes else np.zeros((1, 4))
+    sensor_geoms.first, sensor_geoms.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
+    return sensor_geoms, np.concatenate(planes) if planes else np.zeros((1, 4))
 
 
 def _address(model: mujoco.MjModel, name: str) -> int:

@@ -167,7 +167,7 @@ def _events(tasks: Sequence[SampledTask]) -> Array:
 
 
 def _check(sampled: Sequence[SampledWorld], mix: Sequence[MixedObject], period: float) -> None:
-    longest = max(one.rig.delay + one.rig.jitter for one in sampled)
+    longest = max(world.rig.delay + world.rig.jitter for world in sampled)
     if longest > period:
         text = f"delays of up to {1e3 * longest:.0f} ms exceed the period of {1e3 * period:.0f} ms"
         raise InputError(text, source="Grasp-v0", field="randomization")
@@ -178,7 +178,7 @@ def _check(sampled: Sequence[SampledWorld], mix: Sequence[MixedObject], period: 
         for g in range(model.ngeom)
         if model.body_rootid[model.geom_bodyid[g]] in roots
     }
-    if int(mujoco.mjtGeom.mjGEOM_MESH) in kinds and any(one.object.size for one in sampled):
+    if int(mujoco.mjtGeom.mjGEOM_MESH) in kinds and any(world.object.size for world in sampled):
         text = "object.size_percent cannot change a mesh while it runs"
         raise InputError(text, source="Grasp-v0", field="randomization")
 
@@ -216,8 +216,8 @@ def _moved(
     centre = np.array([*world.start.centre[:2], 0.0])
     table = world.rig.table_height
     moved = np.zeros((len(requested), 7))
-    for k, one in enumerate(requested):
-        R, p = planar_pose(one, yaw, centre)
+    for k, mask in enumerate(requested):
+        R, p = planar_pose(mask, yaw, centre)
         at = scale[k] * (local[k, :3] - [0, 0, table]) + [0, 0, table]
         quaternion, result = np.zeros(4), np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, R.ravel())
@@ -226,17 +226,17 @@ def _moved(
     return moved
 
 
-def _frictions(one: SampledWorld, fingers: Sequence[str]) -> list[float]:
+def _frictions(world: SampledWorld, fingers: Sequence[str]) -> list[float]:
     """Return the relative friction of the object's geoms, and of it with each membrane."""
-    own = 1 + one.object.friction
-    return [own, *(own * (1 + one.as_built_sensor(f).friction_fraction) for f in fingers)]
+    own = 1 + world.object.friction
+    return [own, *(own * (1 + world.as_built_sensor(f).friction_fraction) for f in fingers)]
 
 
 def _of(
-    one: SampledWorld, fingers: Sequence[str], value: Callable[[AsBuiltSensor], float]
+    world: SampledWorld, fingers: Sequence[str], value: Callable[[AsBuiltSensor], float]
 ) -> list[float]:
     """Return a value of each finger's as-built sensor."""
-    return [value(one.as_built_sensor(finger)) for finger in fingers]
+    return [value(world.as_built_sensor(finger)) for finger in fingers]
 
 
 def _stiffness(built: AsBuiltSensor) -> float:

@@ -56,7 +56,7 @@ def _force(membrane: QuasistaticMembrane, dx: float, dy: float, moved: Array) ->
 
 def stress(membrane: QuasistaticMembrane, tangents: Array) -> Array:
     """Return the second Piola-Kirchhoff stress (2, 2) times thickness, N/m (X2)."""
-    stretch, kind, modulus, poisson, middle, per_unit = membrane._numbers[4:10]
+    stretch, kind, modulus, poisson, middle, per_unit = membrane._constants[4:10]
     C = stretch * tangents.T @ tangents
     if not kind:
         E = (C - np.eye(2)) / 2

@@ -40,7 +40,9 @@ class Touch:
       chamber with the sensor's pressure at `rest_volume`, m^3, which may be written, too.
     """
 
-    def __init__(self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, places: Any):
+    def __init__(
+        self, model: mujoco.MjModel, m: Any, d: Any, membranes: Membranes, sensor_geoms: Any
+    ):
         self.membranes = membranes
         self._m, self._d = m, d
         count, worlds = membranes.count, d.nworld
@@ -49,11 +51,11 @@ class Touch:
             membranes,
             membranes.scheme,
             new_sticking(membranes),
-            places,
+            sensor_geoms,
             membranes.fields,
             membranes.gas,
             _heat(membranes, float(model.opt.timestep)),
-            _states(membranes, places),
+            _states(membranes, sensor_geoms),
         )
         fields, states = membranes.fields, self._physics.states
         self._joints = _joints(model, worlds)
@@ -92,7 +94,7 @@ class Touch:
             add_forces,
             dim=self.worlds,
             inputs=[
-                *(part.rubber, part.gas, self._stiffness, part.fields, physics.places),
+                *(part.rubber, part.gas, self._stiffness, part.fields, physics.sensor_geoms),
                 *(self._joints, physics.states.patches, m.opt.timestep),
                 *(d.xpos, d.xmat, d.xanchor, d.xaxis, d.qvel, physics.states.wrench),
                 *(physics.states.tension, d.qfrc_passive, d.sensordata),
@@ -117,7 +119,7 @@ class Touch:
                 find_markers,
                 dim=[part.count],
                 inputs=[
-                    *(part.rubber, part.fields, physics.states.patches, physics.places.slots),
+                    *(part.rubber, part.fields, physics.states.patches, physics.sensor_geoms.slots),
                     *(physics.sticking, *self._markers, self._positions),
                 ],
                 block_dim=part.block,
@@ -164,10 +166,10 @@ class Touch:
         return int((self.status.numpy() > 1).sum())
 
 
-def _states(membranes: Membranes, places: Any) -> Any:
+def _states(membranes: Membranes, sensor_geoms: Any) -> Any:
     count, nodes = membranes.count, membranes.grid[0] * membranes.grid[1]
     states = States()
-    states.patches = wp.zeros((count, places.bodies.shape[1]), dtype=Patch)
+    states.patches = wp.zeros((count, sensor_geoms.bodies.shape[1]), dtype=Patch)
     states.before = wp.zeros((count, 3, nodes), dtype=float)
     friction = float(membranes.design.membrane.friction)
     states.friction = wp.full(count, friction, dtype=float)

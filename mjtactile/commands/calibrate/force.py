@@ -254,11 +254,11 @@ def _recording(
     order = np.argsort(times)
 
     def loads() -> Iterator[tuple[str, float, list[Image]]]:
-        for number, images in enumerate(recording.images()):
+        for index, images in enumerate(recording.images()):
             image = images[finger]
             if times.min() <= image.time <= times.max():
                 yield (
-                    f"cycle {number}",
+                    f"cycle {index}",
                     float(np.interp(image.time, times[order], forces[order])),
                     [image],
                 )
@@ -298,11 +298,11 @@ def _live(
         rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(keepalive(*rig.valves))
         snapshots = reference_images(rig, notify)
-        places = output_options.places(targets, rig_file)
+        indices = output_options.camera_indices(targets, rig_file)
         with keepalive(rig.gripper):
             pipelines = [
-                ready_perception(goal.design, goal.load().used(goal.design), *snapshots[place])
-                for goal, place in zip(targets, places, strict=True)
+                ready_perception(goal.design, goal.load().used(goal.design), *snapshots[index])
+                for goal, index in zip(targets, indices, strict=True)
             ]
         if options.load_cell or emulator is not None:
             cell = ask if emulator is None else _load_cell(emulator)
@@ -311,7 +311,7 @@ def _live(
             with keepalive(rig.gripper):
                 loads = list(_weighed(rig, masses, " or ".join(goal.finger for goal in targets)))
     return pipelines, (
-        (name, force, [shots[place] for place in places]) for name, force, shots in loads
+        (name, force, [shots[index] for index in indices]) for name, force, shots in loads
     )
 
 

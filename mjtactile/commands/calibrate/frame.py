@@ -110,7 +110,7 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
     design = load_sensor(options.sensor)
     with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
         shots = reference_images(rig, notify)
-    return [(*shots[place], True) for place in output_options.places(targets, rig_file)]
+    return [(*shots[index], True) for index in output_options.camera_indices(targets, rig_file)]
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:

@@ -58,36 +58,36 @@ def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
 def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, int, int, float]]:
     """Return the formats of a device; empty if it cannot be opened or is not a camera."""
     with contextlib.suppress(OSError):
-        number = os.open(device, os.O_RDWR | os.O_NONBLOCK)
+        descriptor = os.open(device, os.O_RDWR | os.O_NONBLOCK)
         try:
-            for code in _codes(number, ioctl):
+            for code in _codes(descriptor, ioctl):
                 name = code.to_bytes(4, "little").decode("ascii", "replace").strip()
-                for width, height in _sizes(number, code, ioctl):
-                    yield name, width, height, _largest_rate(number, code, width, height, ioctl)
+                for width, height in _sizes(descriptor, code, ioctl):
+                    yield name, width, height, _largest_rate(descriptor, code, width, height, ioctl)
         finally:
-            os.close(number)
+            os.close(descriptor)
 
 
 def _entries(
-    number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
+    descriptor: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
 ) -> Iterator[bytes]:
     """Yield the kernel's answers for index 0, 1, … to the last; `head` follows the index."""
     for index in range(_ENTRIES_MAX):
         data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
         try:
-            ioctl(number, request, data)
+            ioctl(descriptor, request, data)
         except OSError:
             return
         yield bytes(data)
 
 
-def _codes(number: int, ioctl: Ioctl) -> Iterator[int]:
-    for data in _entries(number, _ENUM_FMT, 64, (_CAPTURE,), ioctl):
+def _codes(descriptor: int, ioctl: Ioctl) -> Iterator[int]:
+    for data in _entries(descriptor, _ENUM_FMT, 64, (_CAPTURE,), ioctl):
         yield struct.unpack_from("I", data, 44)[0]
 
 
-def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
-    for data in _entries(number, _ENUM_FRAMESIZES, 44, (code,), ioctl):
+def _sizes(descriptor: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
+    for data in _entries(descriptor, _ENUM_FRAMESIZES, 44, (code,), ioctl):
         kind, width, height = struct.unpack_from("3I", data, 8)
         # a range (minimum, maximum and step of the width, then of the height): use its maximum
         if kind != _DISCRETE:
@@ -97,9 +97,9 @@ def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
             return
 
 
-def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl) -> float:
+def _largest_rate(descriptor: int, code: int, width: int, height: int, ioctl: Ioctl) -> float:
     rates = [0.0]
-    for data in _entries(number, _ENUM_FRAMEINTERVALS, 52, (code, width, height), ioctl):
+    for data in _entries(descriptor, _ENUM_FRAMEINTERVALS, 52, (code, width, height), ioctl):
         # the interval, or the minimum of a range of intervals
         numerator, denominator = struct.unpack_from("2I", data, 20)
         rates.append(denominator / numerator if numerator else 0.0)

@@ -57,7 +57,7 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
     """Check one servo against the rig file."""
     subject = f"servo {servo}"
     try:
-        number, _ = bus.ping(servo)
+        model_number, _ = bus.ping(servo)
         report = read_report(bus, servo)
     except BusError as error:
         yield Finding(
@@ -67,7 +67,7 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
             "check power, cable, id and baud rate; see the search below",
         )
         return
-    yield _identity(subject, number, report, model)
+    yield _identity(subject, model_number, report, model)
     for name, requested, meaning in REQUIRED:
         if report.settings.get(name, requested) != requested:
             yield Finding(
@@ -98,7 +98,7 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
         )
 
 
-def _identity(subject: str, number: int, report: ServoReport, model: str) -> Finding:
+def _identity(subject: str, model_number: int, report: ServoReport, model: str) -> Finding:
     """Compare the responding servo with the rig file's `model`."""
     text = (
         f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, "
@@ -108,7 +108,7 @@ def _identity(subject: str, number: int, report: ServoReport, model: str) -> Fin
     if report.model in MODELS:
         stops = MODELS[report.model].watchdog_stops(report.firmware)
         text += f", without a host it {'holds its place' if stops else 'goes on to its last goal'}"
-    if number in NO_CURRENT_CONTROL:
+    if model_number in NO_CURRENT_CONTROL:
         return Finding(
             "bad", subject, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
         )

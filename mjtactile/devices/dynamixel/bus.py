@@ -277,8 +277,8 @@ class DynamixelBus:
             }
         replies: dict[int, Reply] = {}
         failures: dict[int, BusError] = {}
-        for place, servo in enumerate(servos):
-            start = 8 + place * (size + 4)
+        for index, servo in enumerate(servos):
+            start = 8 + index * (size + 4)
             error = packet[start]
             found = packet[start + 1]
             status = [

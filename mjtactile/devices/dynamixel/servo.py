@@ -126,13 +126,13 @@ class Servo:
     def check_identity(self, baud: int) -> None:
         """Reject another model, a latched error, or settings that change values' meaning."""
         try:
-            number, firmware = self._ask(lambda: self.bus.ping(self.id))
+            model_number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
             raise DeviceError(
                 f"{self.where} does not answer ({error}): is it powered, and are id and baud "
                 f"rate ({baud}) right? `mjtactile doctor` searches for servos"
             ) from error
-        model = require_model(number, self.where)
+        model = require_model(model_number, self.where)
         if model.name != self.model.name:
             raise DeviceError(
                 f"{self.where} is a {model.name}, but the rig file specifies {self.model.name}"
@@ -292,14 +292,14 @@ class ServoReport:
 
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
     """Read the properties of one servo without changing any setting. Raises BusError."""
-    number, firmware = bus.ping(servo)
-    if number in MODEL_BY_NUMBER:
-        name = MODEL_BY_NUMBER[number].name
+    model_number, firmware = bus.ping(servo)
+    if model_number in MODEL_BY_NUMBER:
+        name = MODEL_BY_NUMBER[model_number].name
     else:
-        name = NO_CURRENT_CONTROL.get(number, f"model {number}")
+        name = NO_CURRENT_CONTROL.get(model_number, f"model {model_number}")
     error = bus.read(servo, 70, 1).value(0, 1)
     power = bus.read(servo, 144, 3)
-    model = MODEL_BY_NUMBER.get(number)
+    model = MODEL_BY_NUMBER.get(model_number)
     if model is None:
         settings = {}
     else:

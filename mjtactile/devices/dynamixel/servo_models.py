@@ -100,19 +100,19 @@ NO_CURRENT_CONTROL: Mapping[int, str] = {
 """Models that cannot limit their force: no current-based modes, no Goal Current."""
 
 
-def require_model(number: int, where: str) -> ServoModel:
+def require_model(model_number: int, where: str) -> ServoModel:
     """Return the model with this number. Raises DeviceError without force limit or units."""
-    if number in NO_CURRENT_CONTROL:
+    if model_number in NO_CURRENT_CONTROL:
         raise DeviceError(
-            f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot "
-            f"limit its force; use one of {', '.join(MODELS)}"
+            f"{where} is a {NO_CURRENT_CONTROL[model_number]}, which has no goal current and "
+            f"cannot limit its force; use one of {', '.join(MODELS)}"
         )
-    if number not in MODEL_BY_NUMBER:
+    if model_number not in MODEL_BY_NUMBER:
         raise DeviceError(
-            f"{where} has model number {number}, whose current unit is not known; use one of "
+            f"{where} has model number {model_number}, whose current unit is not known; use one of "
             f"{', '.join(MODELS)}"
         )
-    return MODEL_BY_NUMBER[number]
+    return MODEL_BY_NUMBER[model_number]
 
 
 @functools.cache

@@ -102,7 +102,7 @@ def _require_images(episode: RecordedEpisode, images: str) -> RecordedEpisode:
 
 def _episode(
     episode: RecordedEpisode,
-    number: int,
+    index: int,
     first: int,
     fps: int,
     task: int,
@@ -133,12 +133,12 @@ def _episode(
     for video in videos.values():
         video.close()
     count = len(episode.recording)
-    numbers = np.arange(count)
+    frame_indices = np.arange(count)
     block |= {
-        "timestamp": (numbers / fps).tolist(),
-        "frame_index": numbers.tolist(),
-        "episode_index": [number] * count,
-        "index": (first + numbers).tolist(),
+        "timestamp": (frame_indices / fps).tolist(),
+        "frame_index": frame_indices.tolist(),
+        "episode_index": [index] * count,
+        "index": (first + frame_indices).tolist(),
         "task_index": [task] * count,
     }
     own = {
@@ -153,30 +153,30 @@ def _episode(
 
 def _episode_row(
     episode: RecordedEpisode,
-    number: int,
+    index: int,
     first: int,
     task: str,
-    place: tuple[int, int],
+    chunk_and_file: tuple[int, int],
     videos: Mapping[str, VideoFile],
     fps: int,
 ) -> dict[str, Any]:
     header = episode.recording.header
     length = len(episode.recording)
     row: dict[str, Any] = {
-        "episode_index": number,
+        "episode_index": index,
         "tasks": [task],
         "length": length,
         "dataset_from_index": first,
         "dataset_to_index": first + length,
-        "data/chunk_index": place[0],
-        "data/file_index": place[1],
+        "data/chunk_index": chunk_and_file[0],
+        "data/file_index": chunk_and_file[1],
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
     }
     for key, video in videos.items():
         row |= {
-            f"videos/{key}/chunk_index": video.place[0],
-            f"videos/{key}/file_index": video.place[1],
+            f"videos/{key}/chunk_index": video.chunk_and_file[0],
+            f"videos/{key}/file_index": video.chunk_and_file[1],
             f"videos/{key}/from_timestamp": 0.0,
             f"videos/{key}/to_timestamp": length / fps,
         }
@@ -189,9 +189,9 @@ def _episode_row(
     return row
 
 
-def _keep_files(out: Path, number: int, episode: RecordedEpisode) -> None:
+def _keep_files(out: Path, index: int, episode: RecordedEpisode) -> None:
     """Sensor, rig and calibration files, and the images of the references."""
-    folder = out / "references" / f"episode-{number:06d}"
+    folder = out / "references" / f"episode-{index:06d}"
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in episode.files.items():
         (folder / name).write_text(text, encoding="utf-8")

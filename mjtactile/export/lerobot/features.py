@@ -136,7 +136,7 @@ def _image_file(seen: Perceived, finger: int) -> Path:
 def _marker_columns(episode: RecordedEpisode) -> dict[str, Feature]:
     """Return the columns of each finger's marker positions."""
     count = episode.design.markers.count
-    names = [f"{number}.{axis}_m" for number, axis in product(range(count), "xyz")]
+    names = [f"{marker}.{axis}_m" for marker, axis in product(range(count), "xyz")]
     return {
         f"observation.markers.{finger}": Feature(
             "float32", names, partial(_markers, finger=k, count=count)

@@ -33,10 +33,10 @@ class DataFiles:
         }
 
         def kind(feature: Feature) -> Any:
-            one = kinds[feature.dtype]
+            dtype = kinds[feature.dtype]
             if len(feature.names) == 1 or feature.dtype == "image":
-                return one
-            return pa.list_(one, len(feature.names))
+                return dtype
+            return pa.list_(dtype, len(feature.names))
 
         fields = [
             (key, kind(feature)) for key, feature in features.items() if feature.dtype != "video"
@@ -77,15 +77,18 @@ class DataFiles:
 class VideoFile:
     """One episode of one camera as H.264, grey."""
 
-    def __init__(self, out: Path, key: str, number: int, size: tuple[int, ...], fps: int, crf: int):
+    def __init__(self, out: Path, key: str, index: int, size: tuple[int, ...], fps: int, crf: int):
         import av
 
-        self.place = divmod(number, CHUNK)
+        self.chunk_and_file = divmod(index, CHUNK)
         path = (
             out
             / "videos"
             / key
-            / (FILE.format(chunk_index=self.place[0], file_index=self.place[1]) + ".mp4")
+            / (
+                FILE.format(chunk_index=self.chunk_and_file[0], file_index=self.chunk_and_file[1])
+                + ".mp4"
+            )
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = av.open(str(path), "w")

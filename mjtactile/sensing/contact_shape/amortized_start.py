@@ -143,9 +143,9 @@ def trained(
             back[:, part] = (fraction - targets32[at][:, part]) * w[:, part]
         # Gaussian log likelihood of the logarithmic area
         log_sd = np.clip(mean[area + 1] + y[:, area + 1], *_LOG_SD)
-        off = spread_area * (y[:, area] - goal[:, area])
+        residual = spread_area * (y[:, area] - goal[:, area])
         precision = np.exp(-2 * log_sd)
-        back[:, area + 1] = np.clip(1 - off**2 * precision, -5, 1) * _AREA_WEIGHT
+        back[:, area + 1] = np.clip(1 - residual**2 * precision, -5, 1) * _AREA_WEIGHT
         return (back / len(at)).astype(np.float32)
 
     first = Network.initial((moments.shape[1], *_WIDTHS, _OUTPUTS), rng)
@@ -177,8 +177,8 @@ def _targets(presses: Presses) -> tuple[Array, Array]:
     for name, part in _PARAMETERS.items():
         count = len(FAMILIES[name].names)
         for n in np.flatnonzero(presses.group == GROUPS.index(name)):
-            point, numbers = _ENCODED[name](presses.center[n], presses.theta[n, :count])
-            y[n, _POINT], y[n, part] = point, numbers
+            point, parameters = _ENCODED[name](presses.center[n], presses.theta[n, :count])
+            y[n, _POINT], y[n, part] = point, parameters
             w[n, _POINT] = w[n, part] = 1
     return y, w
 
@@ -194,8 +194,8 @@ def _matrix_log(a: float, b: float, angle: float) -> list[float]:
 
 def _eigenvalues(m: Array) -> tuple[float, float, float]:
     """Return the larger and the smaller eigenvalue, and the direction of the larger."""
-    mean, off = (m[0] + m[2]) / 2, math.hypot((m[0] - m[2]) / 2, m[1])
-    return mean + off, mean - off, 0.5 * math.atan2(2 * m[1], m[0] - m[2])
+    mean, radius = (m[0] + m[2]) / 2, math.hypot((m[0] - m[2]) / 2, m[1])
+    return mean + radius, mean - radius, 0.5 * math.atan2(2 * m[1], m[0] - m[2])
 
 
 def _log_curvature(k: float) -> float:
@@ -209,18 +209,18 @@ def _from_log_curvature(value: float) -> float:
 def _on_curves(center: Array, theta: Array, K: Array) -> list[float]:
     """Return height, mm, and slope (2,) of a paraboloid at `center` (2,), mm. Its lowest point is
     `theta[:3]`, mm. Its curvatures are `K` (2, 2), 1/m."""
-    off = center - theta[:2]
-    slope = 1e-3 * K @ off
-    return [theta[2] + float(slope @ off) / 2, *slope]
+    offset = center - theta[:2]
+    slope = 1e-3 * K @ offset
+    return [theta[2] + float(slope @ offset) / 2, *slope]
 
 
 def _below_curves(center: Array, point: Array, K: Array) -> Array:
     """Return the lowest point (3,), mm, of a paraboloid from `_on_curves`. It is at most `_ASIDE`
     away."""
     values, axes = np.linalg.eigh(1e-3 * K)
-    off = np.clip(axes.T @ point[1:3] / np.maximum(values, 1e-9), -_ASIDE, _ASIDE)
-    height = point[0] - float(values @ off**2) / 2
-    return np.array([*center - axes @ off, height])
+    offset = np.clip(axes.T @ point[1:3] / np.maximum(values, 1e-9), -_ASIDE, _ASIDE)
+    height = point[0] - float(values @ offset**2) / 2
+    return np.array([*center - axes @ offset, height])
 
 
 def _matrix(entries: Array | list[float]) -> Array:
@@ -258,9 +258,9 @@ def _encode_cylinder(center: Array, theta: Array) -> tuple[list[float], list[flo
     axis = np.array([math.cos(theta[4]), math.sin(theta[4])])
     descent = -math.tan(theta[5])
     along = float((center - theta[:2]) @ axis)
-    place = np.array([*theta[:2] + along * axis, theta[2] + along * descent])
+    position = np.array([*theta[:2] + along * axis, theta[2] + along * descent])
     K = theta[3] * (np.eye(2) - np.outer(axis, axis))
-    height, *slope = _on_curves(center, place, K)
+    height, *slope = _on_curves(center, position, K)
     point = [height, *(np.array(slope) + descent * axis)]
     return point, _matrix_log(_log_curvature(theta[3]), _log_curvature(0.0), angle)
 
@@ -277,15 +277,15 @@ def _decode_cylinder(center: Array, point: Array, y: Array) -> Array:
 
 
 def _on_face(center: Array, theta: Array) -> list[float]:
-    off = center - theta[:2]
+    offset = center - theta[:2]
     slope = np.array([-theta[4], theta[3]])
-    return [theta[2] + float(slope @ off), *slope]
+    return [theta[2] + float(slope @ offset), *slope]
 
 
-def _below_face(center: Array, point: Array, off: Array) -> list[float]:
-    """Return position, mm, and tilts of a face whose center is `off` from the pressure center."""
-    place = center + off
-    return [*place, point[0] + float(point[1:3] @ off), point[2], -point[1]]
+def _below_face(center: Array, point: Array, offset: Array) -> list[float]:
+    """Return position, mm, and tilts of a face, centered `offset` from the pressure center."""
+    position = center + offset
+    return [*position, point[0] + float(point[1:3] @ offset), point[2], -point[1]]
 
 
 def _encode_disc(center: Array, theta: Array) -> tuple[list[float], list[float]]:
@@ -299,8 +299,8 @@ def _decode_disc(center: Array, point: Array, y: Array) -> Array:
 def _encode_block(center: Array, theta: Array) -> tuple[list[float], list[float]]:
     a, b = math.log(theta[6]), math.log(theta[7])
     four = [math.cos(4 * theta[5]), math.sin(4 * theta[5])]
-    numbers = [*(theta[:2] - center), *_matrix_log(a, b, theta[5]), *four]
-    return _on_face(center, theta), numbers
+    parameters = [*(theta[:2] - center), *_matrix_log(a, b, theta[5]), *four]
+    return _on_face(center, theta), parameters
 
 
 def _decode_block(center: Array, point: Array, y: Array) -> Array:

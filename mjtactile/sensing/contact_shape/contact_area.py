@@ -46,20 +46,20 @@ def shares(forward: ForwardModel, found: Fit) -> list[float]:
     nearest = nearest_part(forward, found)
     total = max(float(force.sum()), 1e-9)
     count = len(found.family.parts)
-    return [float(force[nearest == place].sum()) / total for place in range(count)]
+    return [float(force[nearest == part].sum()) / total for part in range(count)]
 
 
 def nearest_part(forward: ForwardModel, found: Fit) -> Array:
     """Return the index of the nearest part for each node (nx, ny)."""
-    x, y = _places(forward, found)
+    x, y = _positions(forward, found)
     middles = [
-        hint.place + 1e-3 * theta[:2]
+        hint.position + 1e-3 * theta[:2]
         for theta, hint in zip(found.family.split(found.theta), found.hint.parts, strict=True)
     ]
     return np.argmin([np.hypot(x - at[0], y - at[1]) for at in middles], axis=0)
 
 
-def _places(forward: ForwardModel, found: Fit) -> tuple[Array, Array]:
+def _positions(forward: ForwardModel, found: Fit) -> tuple[Array, Array]:
     moved = found.state.displacements
     return forward.nodes[0] + moved[0], forward.nodes[1] + moved[1]
 
@@ -80,8 +80,8 @@ def state_area(
     membrane.
     """
     if family.name in FACES:
-        off, face_area = face_of(family, theta, hint, state.displacements[:2])
-        within = np.clip(0.5 - off / forward.spacing, 0.0, 1.0)
+        distance, face_area = face_of(family, theta, hint, state.displacements[:2])
+        within = np.clip(0.5 - distance / forward.spacing, 0.0, 1.0)
         lies = float(within[state.contact_forces > 0].sum())
         area = face_area * lies / max(float(within.sum()), 1e-9)
         rim = rim_length(family, theta)
@@ -121,8 +121,8 @@ def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> f
     error of membrane and shape model. Marker variances are multiplied by `noise`."""
     if found.family.name in FACES:
         half = found.theta[5:] if found.family.name == "disc" else found.theta[6:8]
-        places = np.arange(len(found.theta) - len(half), len(found.theta))
-        cov = found.cov_with(noise)[np.ix_(places, places)]
+        indices = np.arange(len(found.theta) - len(half), len(found.theta))
+        cov = found.cov_with(noise)[np.ix_(indices, indices)]
         by = (2 if found.family.name == "disc" else 1) * area / half
         known = float(by @ cov @ by)
         rim_sd = s.mesh_ratio * s.rim_sd * found.hint.rounding

@@ -111,8 +111,10 @@ class ContactShapeEstimator:
         scale = max(s.noise_min, press.now.misfit)
         track = tracked(track, press.now, touch.time, rubber, scale, s)
         assert touch.contact is not None
-        place = np.array(touch.contact.centroid)
-        press = replace(press, track=track, reported=self._kind(press, before, data.force, place))
+        position = np.array(touch.contact.centroid)
+        press = replace(
+            press, track=track, reported=self._kind(press, before, data.force, position)
+        )
         shape = self._result(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
@@ -132,18 +134,18 @@ class ContactShapeEstimator:
         return reference_guess(self.forward)
 
     def _kind(
-        self, press: PressHistory, before: ReportedKind | None, force: float, place: Array
+        self, press: PressHistory, before: ReportedKind | None, force: float, position: Array
     ) -> ReportedKind:
         """Return the kind to report. It is that of `before` while the contact is held, if the
         fitted model allows it."""
         probabilities = press.kinds((*SHAPES,))
-        if before is not None and before.holds(force, place):
+        if before is not None and before.holds(force, position):
             own = kinds_of(press.now.family, press.now.theta, press.now.cov_with(press.noise))
             if before.kind in (*own, "unknown"):
                 return before
         kind = max(probabilities, key=lambda name: probabilities[name])
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
-        return ReportedKind("unknown" if unexplained else kind, force, place)
+        return ReportedKind("unknown" if unexplained else kind, force, position)
 
     def _result(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.contact_shape

@@ -78,8 +78,8 @@ class Prior:
 
     def cost(self, t: Array) -> float:
         """Return the cost of scaled parameters `t` (k,)."""
-        off = t - self.mean
-        return float(off @ self.precision @ off)
+        deviation = t - self.mean
+        return float(deviation @ self.precision @ deviation)
 
 
 @dataclass(frozen=True, eq=False)

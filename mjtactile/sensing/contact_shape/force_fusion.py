@@ -56,15 +56,17 @@ def contact_load(
     load = more * rows @ state.wrench
     pointed = tip_probability(found, noise, s)
     uncertain = max(blunt, pointed)
-    place = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
-    model = _model(load, max(found.misfit, 1.0), pointed, place, below_frame(forward, state), s)
+    position_sd = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
+    model = _model(
+        load, max(found.misfit, 1.0), pointed, position_sd, below_frame(forward, state), s
+    )
     shear = wrench[:2] - more * state.wrench[:2]
     model[[1, 2], [1, 2]] += (s.shear_above_fraction * above * shear[::-1]) ** 2
     by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
-    off = load - rows @ wrench
+    residual = load - rows @ wrench
     p_other = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_max) ** 2
-    cov = model + by_numbers + p_other * np.outer(off, off)
+    cov = model + by_numbers + p_other * np.outer(residual, residual)
     # The membrane catches on a point, while the model slides. Blunt shapes explain no sharp
     # features. If the markers show some, the contact may be a misclassified point.
     explains = kinds["edge"] + kinds["multiple"]
@@ -103,17 +105,22 @@ def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:
 
 
 def _model(
-    load: Array, misfit: float, pointed: float, place: float, below: float, s: ContactShapeSettings
+    load: Array,
+    misfit: float,
+    pointed: float,
+    position_sd: float,
+    below: float,
+    s: ContactShapeSettings,
 ) -> Array:
     """Return the covariance (3, 3) of membrane and friction model errors: force and its
     position."""
     force = abs(float(load[0]))
     fraction = math.hypot(s.force_fraction * misfit, s.tip_fraction * pointed)
     variance = s.force_sd**2 + (fraction * force) ** 2 + (s.frame_fraction * below) ** 2
-    places = load[1:] / max(force, 1e-9)  # position of the pressure center
-    jacobian = np.concatenate([[-1.0], places])
+    center = load[1:] / max(force, 1e-9)  # position of the pressure center
+    jacobian = np.concatenate([[-1.0], center])
     cov = variance * np.outer(jacobian, jacobian)
-    aside = misfit * (place * force) ** 2 + s.torque_sd**2
+    aside = misfit * (position_sd * force) ** 2 + s.torque_sd**2
     cov[1:, 1:] += aside * np.eye(2)
     return cov
 

@@ -102,9 +102,9 @@ class ForwardModel:
         sides = (frame.length, frame.width)
         more = 0.0
         for axis, fraction in enumerate(s.friction_aside):
-            place = self.nodes[axis] + state.displacements[axis]
-            off = float((force * place).sum()) / total / (sides[axis] / 2)
-            more += fraction * off**2
+            position = self.nodes[axis] + state.displacements[axis]
+            offset = float((force * position).sum()) / total / (sides[axis] / 2)
+            more += fraction * offset**2
         return s.friction + more
 
     def answers(
@@ -138,8 +138,10 @@ class ForwardModel:
             return self.membrane.solve_batch(bodies)
         count = len(bodies)
         if count == 1:
-            one = self.membrane.resume(bodies[0], start, _TOLERANCE, _STEPS)
-            return MembraneSolutionBatch(one.x[None], one.force[None], one.found[None])
+            solution = self.membrane.resume(bodies[0], start, _TOLERANCE, _STEPS)
+            return MembraneSolutionBatch(
+                solution.x[None], solution.force[None], solution.found[None]
+            )
         found = np.empty((count, FOUND))
         found[:] = start.found
         batch = MembraneSolutionBatch(

@@ -21,7 +21,7 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 _CLOSE = 2.5  # log evidence behind the best: a fit is refined before it is weighted
 _HELD_FORCE = 1.15  # force ratio within which a contact is held
-_HELD_PLACE = 5e-4  # motion of the contact within which it is held, m
+_HELD_MOTION = 5e-4  # motion of the contact within which it is held, m
 _BEHIND = 10.0  # log evidence behind the best: the model is not searched again in this episode
 
 
@@ -81,14 +81,14 @@ class ReportedKind:
 
     kind: str
     force: float
-    place: Array
+    position: Array
 
-    def holds(self, force: float, place: Array) -> bool:
+    def holds(self, force: float, position: Array) -> bool:
         """Return True if neither force nor position has changed since then: an image of a hold adds
         noise and no evidence."""
         ratio = force / max(self.force, 1e-9)
-        moved = float(np.hypot(*(place - self.place)))
-        return 1 / _HELD_FORCE < ratio < _HELD_FORCE and moved < _HELD_PLACE
+        moved = float(np.hypot(*(position - self.position)))
+        return 1 / _HELD_FORCE < ratio < _HELD_FORCE and moved < _HELD_MOTION
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class PressHistory:
     @property
     def probabilities(self) -> Array:
         """(n,) of the candidates."""
-        logs = np.array([one.log for one in self.candidates])
+        logs = np.array([candidate.log for candidate in self.candidates])
         fraction = np.exp(logs - logs.max())
         return fraction / fraction.sum()
 
@@ -145,13 +145,13 @@ class PressHistory:
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Return those of `families` whose evidence is not far behind in this contact episode."""
         known = (*self.candidates, *self.dropped)
-        close = {one.family.name for one in known if one.behind < _BEHIND}
+        close = {candidate.family.name for candidate in known if candidate.behind < _BEHIND}
         return [family for family in families if family.name in close]
 
     def bodies(self) -> list[tuple[float, Fit]]:
         """Return probability and fit of each candidate. The fit is the newest one for the most
         likely candidate. For the others it comes from the last evaluation of all candidates."""
-        fits = [self.now, *(one.fit for one in self.candidates[1:])]
+        fits = [self.now, *(candidate.fit for candidate in self.candidates[1:])]
         return list(zip(self.probabilities.tolist(), fits, strict=True))
 
 
@@ -169,26 +169,34 @@ def weigh(
     one."""
     if not found:
         return None
-    noise = max(s.noise_min, min(one.fit.misfit for one in found))
-    roughly = [one.with_noise(noise) for one in found]
-    maximum = max(one.log for one in roughly)
+    noise = max(s.noise_min, min(candidate.fit.misfit for candidate in found))
+    roughly = [candidate.with_noise(noise) for candidate in found]
+    maximum = max(candidate.log for candidate in roughly)
     minimum = maximum - s.log_lost
     both = zip(found, roughly, strict=True)
-    likely = [(one, rough) for one, rough in both if rough.log > minimum]
+    likely = [(candidate, rough) for candidate, rough in both if rough.log > minimum]
     kept = [
-        one.exactly(forward, data, noise).with_noise(noise)
+        candidate.exactly(forward, data, noise).with_noise(noise)
         if rough.log > maximum - _CLOSE
         else rough
-        for one, rough in likely
+        for candidate, rough in likely
     ]
-    kept.sort(key=lambda one: -one.log)
+    kept.sort(key=lambda candidate: -candidate.log)
     best = _best(kept, noise)
-    dropped = [replace(one, behind=maximum - one.log) for one in roughly if not one.log > minimum]
+    dropped = [
+        replace(candidate, behind=maximum - candidate.log)
+        for candidate in roughly
+        if not candidate.log > minimum
+    ]
     if past is not None:
-        seen = {one.family.name for one in roughly}
+        seen = {candidate.family.name for candidate in roughly}
         before = (*past.dropped, *past.candidates)
-        likeliest = max(found, key=lambda one: one.fit.log_evidence_with(noise))
-        dropped += [one.without(likeliest, noise) for one in before if one.family.name not in seen]
+        likeliest = max(found, key=lambda candidate: candidate.fit.log_evidence_with(noise))
+        dropped += [
+            candidate.without(likeliest, noise)
+            for candidate in before
+            if candidate.family.name not in seen
+        ]
     kept.remove(best)
     added = (data.force, data.force)
     if past is not None:
@@ -214,9 +222,11 @@ def _best(candidates: list[Candidate], noise: float) -> Candidate:
     maximum = candidates[0].log
     sums: dict[str, float] = {}
     weights = []
-    for one in candidates:
-        kinds = kinds_of(one.family, one.fit.theta, one.fit.cov_with(noise))
-        own = {kind: fraction * math.exp(one.log - maximum) for kind, fraction in kinds.items()}
+    for candidate in candidates:
+        kinds = kinds_of(candidate.family, candidate.fit.theta, candidate.fit.cov_with(noise))
+        own = {
+            kind: fraction * math.exp(candidate.log - maximum) for kind, fraction in kinds.items()
+        }
         weights.append(own)
         for kind, weight in own.items():
             sums[kind] = sums.get(kind, 0.0) + weight

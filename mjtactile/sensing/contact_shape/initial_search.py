@@ -51,16 +51,16 @@ def search(
     `known` is the sum of squares of a model that is not among these. Marker variances are
     multiplied by `noise`."""
     found: list[Fit] = []
-    for family in sorted(families, key=lambda one: _ORDER.get(one.name, len(_ORDER))):
-        one = _best_start(forward, family, hint, data, found, noise, near, known)
-        if one is not None:
-            found.append(one)
+    for family in sorted(families, key=lambda model: _ORDER.get(model.name, len(_ORDER))):
+        fit = _best_start(forward, family, hint, data, found, noise, near, known)
+        if fit is not None:
+            found.append(fit)
     if not found:
         return []
     found = _reuse_curvature(forward, hint, data, found, noise)
-    minimum = min(one.chi2 for one in found)
+    minimum = min(fit.chi2 for fit in found)
     noise = max(noise, minimum / len(data.heights))
-    return [one for one in found if one.chi2 <= minimum + _HOPELESS * noise]
+    return [fit for fit in found if fit.chi2 <= minimum + _HOPELESS * noise]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def _reuse_curvature(
     forward: ForwardModel, hint: InitialGuess, data: Data, found: list[Fit], noise: float
 ) -> list[Fit]:
     """Refit the smooth model from the lying cylinder if that special case of it fits better."""
-    by_name = {one.family.name: one for one in found}
+    by_name = {fit.family.name: fit for fit in found}
     smooth, line = (by_name.get(name) for name in ("smooth", "cylinder"))
     if smooth is None or line is None or line.chi2 > smooth.chi2:
         return found
@@ -146,8 +146,8 @@ def _reuse_curvature(
     at = problem.fit_state(theta, line.state)
     if at is None or at.cost > smooth.at.cost:
         return found
-    other = refine(problem, at, known=min(one.chi2 for one in found), noise=noise)
-    return [other if one is smooth else one for one in found]
+    other = refine(problem, at, known=min(fit.chi2 for fit in found), noise=noise)
+    return [other if fit is smooth else fit for fit in found]
 
 
 def _best_start(
@@ -200,7 +200,7 @@ def _starts(
         return (np.array([*theta[:3], maximum, direction, 0.0]),)
     if region is None:
         return family.starts(hint)
-    x, y = 1e3 * (region.center - hint.place)
+    x, y = 1e3 * (region.center - hint.position)
     radius = 1e3 * math.sqrt(region.area / math.pi)
     if family.name == "disc":
         return tuple(np.array([x, y, 0, 0, 0, fraction * radius]) for fraction in _WIDE)
@@ -232,8 +232,8 @@ class _ContactRegion:
         force, x, y = _contact_nodes(forward, state)
         fraction = force / force.sum()
         center = np.array([fraction @ x, fraction @ y])
-        off = np.array([x - center[0], y - center[1]])
-        spread, axes = np.linalg.eigh((off * fraction) @ off.T)
+        offset = np.array([x - center[0], y - center[1]])
+        spread, axes = np.linalg.eigh((offset * fraction) @ offset.T)
         wide = np.sqrt(3 * np.maximum(spread[::-1], forward.spacing**2 / 3))
         return cls(center, float(state.found[AREA]), math.atan2(axes[1, 1], axes[0, 1]), wide)
 
@@ -264,8 +264,8 @@ def replace_shape(
     there = np.isfinite(heights)
     if not there.any():
         return None
-    off = (force * (state.x[2][state.force > 0] - heights))[there].sum() / force[there].sum()
-    theta[2] += 1e3 * off
+    gap = (force * (state.x[2][state.force > 0] - heights))[there].sum() / force[there].sum()
+    theta[2] += 1e3 * gap
     theta = problem.clip(theta)
     solution = problem.solve(theta, state)
     return None if solution is None else _to_force(problem, theta, solution)

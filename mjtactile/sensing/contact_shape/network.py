@@ -78,9 +78,9 @@ def train(
     first = [np.zeros_like(array) for array in parameters]
     second = [np.zeros_like(array) for array in parameters]
     step = 0
-    for number in range(rounds):
+    for round_ in range(rounds):
         x = inputs(rng).astype(np.float32)
-        rate = _RATE[0] * (_RATE[1] / _RATE[0]) ** (number / max(rounds - 1, 1))
+        rate = _RATE[0] * (_RATE[1] / _RATE[0]) ** (round_ / max(rounds - 1, 1))
         order = rng.permutation(len(x))
         for start in range(0, len(x), _BATCH):
             chosen = order[start : start + _BATCH]

@@ -67,7 +67,7 @@ def follow(
         return _search_all(forward, hint, data, s, None, suggest)
     worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
-    explained = min(one.fit.misfit for one in new.candidates)
+    explained = min(candidate.fit.misfit for candidate in new.candidates)
     if grown and explained > min(_bad_misfit(press, s), _BAD * s.misfit_max):
         other = _search_all(forward, hint, data, s, new, suggest)
         if other is not None and other.now.misfit < _BETTER * new.now.misfit:
@@ -151,9 +151,11 @@ def _with_past(
 ) -> PressHistory | None:
     """Merge the evaluation `new` and the search `other`, with the history of their models before
     this image. A model without history is assumed to have explained the images equally well."""
-    known = {one.family.name: one for one in (*past.dropped, *past.candidates)}
+    known = {candidate.family.name: candidate for candidate in (*past.dropped, *past.candidates)}
     best = past.candidates[0]
-    fits = {one.family.name: one.fit for one in (*new.candidates, *other.candidates)}
+    fits = {
+        candidate.family.name: candidate.fit for candidate in (*new.candidates, *other.candidates)
+    }
     merged = []
     for name, fit in fits.items():
         if name in known:
@@ -179,22 +181,22 @@ def _evaluate_candidates(
     found: list[Evaluation] = []
     suggestions = None if suggest is None else suggest(data)
     possible = _possible(press, suggestions, share, s)
-    for one in possible:
-        start = press.now if one is press.candidates[0] else one.fit
+    for candidate in possible:
+        start = press.now if candidate is press.candidates[0] else candidate.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
-        fit = warm_start(forward, one, start, press.noise, hint, data, EVALUATED, known)
+        fit = warm_start(forward, candidate, start, press.noise, hint, data, EVALUATED, known)
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state
-            if suggestions is None or one.family.parts:
-                fit = restart_fit(forward, one, fit, press.noise, hint, data, known, near)
-            elif fit is None or suggestions.probability(one.family.name) > _LIKELY_START:
+            if suggestions is None or candidate.family.parts:
+                fit = restart_fit(forward, candidate, fit, press.noise, hint, data, known, near)
+            elif fit is None or suggestions.probability(candidate.family.name) > _LIKELY_START:
                 fit = restart_suggested(
-                    forward, one, fit, press.noise, hint, data, known, suggestions, near
+                    forward, candidate, fit, press.noise, hint, data, known, suggestions, near
                 )
         if fit is not None:
-            found.append(Evaluation(fit, one.image_log, one.common, share))
+            found.append(Evaluation(fit, candidate.image_log, candidate.common, share))
     if grown and suggestions is not None and found:
         found += _added(forward, press, found, suggestions, hint, data, s)
     new = weigh(forward, found, hint, data, s, press)
@@ -207,19 +209,30 @@ def _possible(
     """Return the candidates that are likely by earlier images and this one. A dropped model is
     among them again if those that remained have explained the images worse since then. An image
     without evidence excludes no model, so those with a small probability are not fitted."""
-    best = max(one.log for one in press.candidates)
+    best = max(candidate.log for candidate in press.candidates)
     if not share:
         rest = press.candidates[1:]
-        return [press.candidates[0], *(one for one in rest if one.log > best - _UNLIKELY)]
-    again = [one for one in press.dropped if one.log + one.possible > best - s.log_lost]
+        return [
+            press.candidates[0],
+            *(candidate for candidate in rest if candidate.log > best - _UNLIKELY),
+        ]
+    again = [
+        candidate
+        for candidate in press.dropped
+        if candidate.log + candidate.possible > best - s.log_lost
+    ]
     every = [*press.candidates, *again]
     if suggestions is None:
         return every
-    logs = {one.family.name: one.log - best for one in every if not one.family.parts}
+    logs = {
+        candidate.family.name: candidate.log - best
+        for candidate in every
+        if not candidate.family.parts
+    }
     likely = suggestions.likely(logs)
-    known = [one for one in every if one.family.name in likely]
-    known.sort(key=lambda one: -likely[one.family.name])
-    return [*(one for one in every if one.family.parts), *known] or every[:1]
+    known = [candidate for candidate in every if candidate.family.name in likely]
+    known.sort(key=lambda candidate: -likely[candidate.family.name])
+    return [*(candidate for candidate in every if candidate.family.parts), *known] or every[:1]
 
 
 def _added(
@@ -233,8 +246,10 @@ def _added(
 ) -> list[Evaluation]:
     """Fit the suggested models that are not candidates. A model without history gets that of the
     best one."""
-    past = {one.family.name: one for one in press.dropped}
-    tried = {one.family.name for one in press.candidates} | {one.fit.family.name for one in found}
+    past = {candidate.family.name: candidate for candidate in press.dropped}
+    tried = {candidate.family.name for candidate in press.candidates} | {
+        candidate.fit.family.name for candidate in found
+    }
     best = min((each.fit for each in found), key=lambda fit: fit.chi2)
     added = []
     likely = suggestions.likely(dict.fromkeys(FAMILIES, 0.0))

@@ -97,16 +97,16 @@ class PressView:
         field = np.pad(field.reshape(-1, *self.shape), ((0, 0), (_PAD, _PAD), (_PAD, _PAD)))
         view = _sampled(field, (1e-3 * center - self.corner) / _STEP + _PAD)
         length = np.sqrt((view**2).sum(axis=1, keepdims=True)) + 1e-4
-        place = 0.1 * center
+        position = 0.1 * center
         level = np.log(np.hstack([length, positive]))
-        inputs = np.hstack([view, view / length, level, place, place**2])
+        inputs = np.hstack([view, view / length, level, position, position**2])
         return inputs.astype(np.float32), center
 
 
 def _sampled(field: Array, center: Array) -> Array:
     """Return the values (n, _SIDE**2) of fields (n, a, b) around `center` (n, 2), grid steps."""
-    off = _SPACING / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
-    steps = np.stack(np.meshgrid(off, off, indexing="ij"), axis=-1).reshape(-1, 2)
+    offsets = _SPACING / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
+    steps = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
     at = np.clip(center[:, None] + steps, 0, np.array(field.shape[1:]) - 1.001)
     low = at.astype(int)
     weight = (at - low).astype(np.float32)
@@ -121,15 +121,15 @@ def _sampled(field: Array, center: Array) -> Array:
 def _rectangle(half: Array) -> Array:
     """Return points (n, 2) on the sides of a rectangle with half sides `half` (2,)."""
     line = np.linspace(-1, 1, _BORDER // 4, endpoint=False)
-    one = np.ones_like(line)
-    sides = [(line, -one), (one, line), (-line, one), (-one, -line)]
+    ones = np.ones_like(line)
+    sides = [(line, -ones), (ones, line), (-line, ones), (-ones, -line)]
     return half * np.concatenate([np.column_stack(side) for side in sides])
 
 
-def _thin_plate(places: Array, border: Array, grid: Array) -> Array:
-    """Return the matrix (g, N) of a thin-plate spline, from `places` (N, 2), m, to `grid` (g, 2),
+def _thin_plate(points: Array, border: Array, grid: Array) -> Array:
+    """Return the matrix (g, N) of a thin-plate spline, from `points` (N, 2), m, to `grid` (g, 2),
     m. The spline is zero at `border` (b, 2), m."""
-    nodes = np.vstack([places, border])
+    nodes = np.vstack([points, border])
     count = len(nodes)
     linear = np.column_stack([np.ones(count), nodes / _UNIT])
     system = np.zeros((count + 3, count + 3))
@@ -137,7 +137,7 @@ def _thin_plate(places: Array, border: Array, grid: Array) -> Array:
     system[:count, count:] = linear
     system[count:, :count] = linear.T
     to_grid = np.hstack([_kernel(grid, nodes), np.ones((len(grid), 1)), grid / _UNIT])
-    return np.linalg.solve(system.T, to_grid.T).T[:, : len(places)]
+    return np.linalg.solve(system.T, to_grid.T).T[:, : len(points)]
 
 
 def _kernel(a: Array, b: Array) -> Array:

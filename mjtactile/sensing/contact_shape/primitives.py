@@ -29,7 +29,7 @@ _RIM_OUT = 1.4  # outward offset of the rounded rim from the nominal rim, in rou
 class InitialGuess:
     """Start of a fit.
 
-    `place` (2,) is the contact position, m, frame S, and `height` the height of the membrane's
+    `position` (2,) is the contact position, m, frame S, and `height` the height of the membrane's
     outer face there, m. `area`, m^2, and `angle`, rad, are those of the patch from the nodal
     estimate. `frame` (2,) holds the half-extents of the allowed region, m, an ellipse if `round`.
     `nodes` are the positions x, y (nx, ny) of the membrane nodes, m. `rounding` is the radius of
@@ -37,7 +37,7 @@ class InitialGuess:
     holds one guess for each, the strongest first.
     """
 
-    place: Array
+    position: Array
     height: float
     area: float
     angle: float
@@ -76,7 +76,7 @@ def about(axis: int, angle: float) -> Array:
 def place_of(theta: Array, hint: InitialGuess) -> Array:
     """Return the reference point of the shape from its first three parameters (3,), m, frame S."""
     x, y, z = (1e-3 * theta[:3]).tolist()
-    return np.array([hint.place[0] + x, hint.place[1] + y, hint.height + z])
+    return np.array([hint.position[0] + x, hint.position[1] + y, hint.height + z])
 
 
 def principal(theta: Array) -> tuple[float, float, float]:
@@ -123,20 +123,20 @@ def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     """Lying, as long as the sensor is; its ends are before the frame."""
     radius = 1 / max(theta[3], _FLAT)
     R = about(2, theta[4]) @ about(1, theta[5])
-    place = place_of(theta, hint)
+    position = place_of(theta, hint)
     to_edges = _directions_in_ellipse if hint.round else _distance_to_edge
-    back, forth = to_edges(hint.frame, place, R[:, 0])
-    center = place + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
+    back, forth = to_edges(hint.frame, position, R[:, 0])
+    center = position + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
     turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
     return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), center.tolist(), turned),)
 
 
-def _soft(off: Array, rounding: float) -> Array:
+def _soft(distance: Array, rounding: float) -> Array:
     """Return the rise of a rim's flank over its face, m: zero far inside, steep outside, rounded
     between. The membrane solution on a sharp rim changes in steps with the node positions. With a
     rounding of half a spacing it does not, and the fit converges from any start."""
-    rise = np.sqrt(off * off + rounding**2)
-    rise += off
+    rise = np.sqrt(distance * distance + rounding**2)
+    rise += distance
     rise *= _RIM_SLOPE / 2
     return rise
 
@@ -144,32 +144,34 @@ def _soft(off: Array, rounding: float) -> Array:
 def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Return the node positions relative to the shape's center (nx, ny), m, and the heights there.
     The heights are those of the tilted face."""
-    place = place_of(theta, hint)
-    x = hint.nodes[0] - place[0]
-    y = hint.nodes[1] - place[1]
-    return x, y, place[2] + theta[3] * y - theta[4] * x
+    position = place_of(theta, hint)
+    x = hint.nodes[0] - position[0]
+    y = hint.nodes[1] - position[1]
+    return x, y, position[2] + theta[3] * y - theta[4] * x
 
 
 def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`. They are x (m, nx,
     1), y (m, 1, ny), heights (m, nx, ny)."""
-    place = 1e-3 * thetas[:, :3, None, None]
-    x = (hint.nodes[0][:, :1] - hint.place[0]) - place[:, 0]
-    y = (hint.nodes[1][:1] - hint.place[1]) - place[:, 1]
+    position = 1e-3 * thetas[:, :3, None, None]
+    x = (hint.nodes[0][:, :1] - hint.position[0]) - position[:, 0]
+    y = (hint.nodes[1][:1] - hint.position[1]) - position[:, 1]
     tilt_x, tilt_y = thetas[:, 3, None, None], thetas[:, 4, None, None]
-    return x, y, (hint.height + place[:, 2] + tilt_x * y) - tilt_y * x
+    return x, y, (hint.height + position[:, 2] + tilt_x * y) - tilt_y * x
 
 
 def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
-    return [(unchecked_obstacle("heights", (), (0.0, 0.0, 0.0), heights=one),) for one in heights]
+    return [
+        (unchecked_obstacle("heights", (), (0.0, 0.0, 0.0), heights=height),) for height in heights
+    ]
 
 
 def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     """Build the discs with parameters `thetas` (m, 6)."""
     x, y, heights = _off_lines(thetas, hint)
-    off = np.sqrt(x**2 + y**2)
-    off -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
-    heights += _soft(off, hint.rounding)
+    distance = np.sqrt(x**2 + y**2)
+    distance -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
+    heights += _soft(distance, hint.rounding)
     return _faces(heights)
 
 
@@ -183,9 +185,9 @@ def blocks(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     c = np.cos(thetas[:, 5])[:, None, None]
     s = np.sin(thetas[:, 5])[:, None, None]
     for along, half in ((c * x + s * y, 6), (c * y - s * x, 7)):
-        off = np.abs(along)
-        off -= 1e-3 * thetas[:, half, None, None] + _RIM_OUT * hint.rounding
-        heights += _soft(off, hint.rounding)
+        distance = np.abs(along)
+        distance -= 1e-3 * thetas[:, half, None, None] + _RIM_OUT * hint.rounding
+        heights += _soft(distance, hint.rounding)
     return _faces(heights)
 
 
@@ -205,23 +207,23 @@ def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
     )
 
 
-def _distance_to_edge(frame: Array, place: Array, along: Array) -> tuple[float, float]:
-    """Return the backward and forward distances, m, along a line through `place` to a rectangle
+def _distance_to_edge(frame: Array, position: Array, along: Array) -> tuple[float, float]:
+    """Return the backward and forward distances, m, along a line through `position` to a rectangle
     with half-extents `frame` (2,)."""
     distances = []
     for sign in (-1.0, 1.0):
         far = [
             (side - at if sign * direction > 0 else side + at) / abs(direction)
-            for side, at, direction in zip(frame, place, along, strict=False)
+            for side, at, direction in zip(frame, position, along, strict=False)
             if abs(direction) > 1e-9
         ]
         distances.append(max(min(far), 1e-3))
     return distances[0], distances[1]
 
 
-def _directions_in_ellipse(half: Array, place: Array, along: Array) -> tuple[float, float]:
+def _directions_in_ellipse(half: Array, position: Array, along: Array) -> tuple[float, float]:
     """The same before an ellipse of half axes `half` (2,)."""
-    at = place[:2] / half
+    at = position[:2] / half
     step = along[:2] / half
     a = float(step @ step)
     b = float(at @ step)

@@ -125,16 +125,16 @@ def _pressed(
         force = -batch.found[:, WRENCH][:, 2]
         kept = (batch.found[:, STATUS] == 0) & (force > _FORCES[0]) & (force < _FORCES[1])
         heights = forward.heights(batch.x) - forward.rest_heights
-        for place in np.flatnonzero(kept):
-            shape = shapes[chosen[place]]
+        for index in np.flatnonzero(kept):
+            shape = shapes[chosen[index]]
             theta = np.full(8, np.nan)
             theta[: len(shape.theta)] = shape.theta
-            theta[2] = lowered[chosen[place]]
-            state = batch[int(place)]
+            theta[2] = lowered[chosen[index]]
+            state = batch[int(index)]
             area = _area(forward, hint, shape, theta, state, s)
             center = _pressure_center(forward, state)
             rows.append(
-                (heights[place], shape.group, shape.kind, theta, center, area, force[place])
+                (heights[index], shape.group, shape.kind, theta, center, area, force[index])
             )
     heights, group, kind, theta, center, area, force = zip(*rows, strict=True)
     return Presses(
@@ -152,8 +152,8 @@ def _contact_height(forward: ForwardModel, shape: _Shape) -> float:
     """Return the height parameter of a shape that just touches the membrane at rest, m."""
     rest = forward.membrane.rest.x
     x, y = forward.nodes
-    places = np.column_stack([(x + rest[0]).ravel(), (y + rest[1]).ravel()])
-    heights = forward.membrane.obstacle_heights(shape.build(0.0), places)
+    positions = np.column_stack([(x + rest[0]).ravel(), (y + rest[1]).ravel()])
+    heights = forward.membrane.obstacle_heights(shape.build(0.0), positions)
     return float((rest[2].ravel() - heights)[np.isfinite(heights)].max())
 
 
@@ -161,8 +161,8 @@ def _pressure_center(forward: ForwardModel, state: MembraneSolution) -> Array:
     """Return the pressure center (2,) of a membrane solution, mm."""
     force = state.contact_forces
     fraction = force / force.sum()
-    places = (nodes + moved for nodes, moved in zip(forward.nodes, state.x[:2], strict=True))
-    return 1e3 * np.array([float((fraction * place).sum()) for place in places])
+    positions = (nodes + moved for nodes, moved in zip(forward.nodes, state.x[:2], strict=True))
+    return 1e3 * np.array([float((fraction * position).sum()) for position in positions])
 
 
 def _area(
@@ -204,9 +204,9 @@ def _random_shape(hint: InitialGuess, rng: np.random.Generator) -> _Shape:
 
 def _center(hint: InitialGuess, rng: np.random.Generator) -> Array:
     while True:
-        off = rng.uniform(-1, 1, 2)
-        if not hint.round or float(off @ off) < 1:
-            return _WITHIN * off * hint.frame
+        offset = rng.uniform(-1, 1, 2)
+        if not hint.round or float(offset @ offset) < 1:
+            return _WITHIN * offset * hint.frame
 
 
 def _log_uniform(rng: np.random.Generator, ends: tuple[float, float]) -> float:
@@ -287,9 +287,9 @@ def _other(hint: InitialGuess, at: Array, group: int, rng: np.random.Generator) 
         sides = int(rng.integers(3, 7))
         turns = 2 * math.pi * np.arange(sides) / sides + t
         slope = rng.uniform(0.4, _STEEP)
-        off = np.max([math.cos(a) * x + math.sin(a) * y for a in turns], axis=0)
+        distance = np.max([math.cos(a) * x + math.sin(a) * y for a in turns], axis=0)
         w = _log_uniform(rng, (0.1e-3, 1.5e-3))
-        field = slope * (np.hypot(off, w) - w)
+        field = slope * (np.hypot(distance, w) - w)
     elif name == "superquadric":
         power = rng.uniform(2.2, 4.0)
         a, b = 1e-3 * np.exp(rng.uniform(math.log(4.0), math.log(14.0), 2))
@@ -298,16 +298,16 @@ def _other(hint: InitialGuess, at: Array, group: int, rng: np.random.Generator) 
         field = tall * (1 - np.clip(1 - q, 0, None) ** (1 / power))
         field += _STEEP * min(a, b) * np.clip(q - 0.9, 0, None)
     elif name == "ring":
-        off = np.abs(np.hypot(x, y) - rng.uniform(4e-3, 9e-3))
+        distance = np.abs(np.hypot(x, y) - rng.uniform(4e-3, 9e-3))
         w = rng.uniform(1.2e-3, 4e-3)
-        field = w - np.sqrt(np.clip(w * w - off * off, 0.16 * w * w, None))
-        field += _STEEP * np.clip(off - 0.9 * w, 0, None)
+        field = w - np.sqrt(np.clip(w * w - distance * distance, 0.16 * w * w, None))
+        field += _STEEP * np.clip(distance - 0.9 * w, 0, None)
     else:
         rim = _log_uniform(rng, (0.3e-3, 2.5e-3))
-        off = np.hypot(x, y) - 1e-3 * _log_uniform(rng, _SIZES)
-        off += rim
-        field = rim - np.sqrt(np.clip(rim**2 - np.clip(off, 0, rim) ** 2, 0.0, None))
-        field += _STEEP * np.clip(off - 0.8 * rim, 0, None)
+        distance = np.hypot(x, y) - 1e-3 * _log_uniform(rng, _SIZES)
+        distance += rim
+        field = rim - np.sqrt(np.clip(rim**2 - np.clip(distance, 0, rim) ** 2, 0.0, None))
+        field += _STEEP * np.clip(distance - 0.8 * rim, 0, None)
         tilts = _tilts(rng)
         field = field + tilts[0] * y - tilts[1] * x
 

@@ -173,26 +173,26 @@ def other_parts(forward: ForwardModel, best: Fit, data: Data, s: ContactShapeSet
     kept where it has more evidence. All fits are returned."""
     fits: list[Fit] = []
     noise = max(s.noise_min, best.misfit)
-    for place in range(len(best.family.parts)):
+    for part_index in range(len(best.family.parts)):
         names = [part.name for part in best.family.parts]
         for name in _PARTS:
-            if names[place] != name:
-                family = several([*names[:place], name, *names[place + 1 :]])
-                fits += _with_part(forward, best, family, place, data, noise)
+            if names[part_index] != name:
+                family = several([*names[:part_index], name, *names[part_index + 1 :]])
+                fits += _with_part(forward, best, family, part_index, data, noise)
         best = max([best, *fits], key=lambda fit: fit.log_evidence_with(noise))
     return fits
 
 
 def _with_part(
-    forward: ForwardModel, fit: Fit, family: ShapeModel, place: int, data: Data, noise: float
+    forward: ForwardModel, fit: Fit, family: ShapeModel, part_index: int, data: Data, noise: float
 ) -> list[Fit]:
     """Fit several contacts with one part replaced by another model, and return the best start's
     fit; empty: the solver did not converge."""
     fits: list[Fit] = []
     kept = fit.family.split(fit.theta)
-    for start in family.parts[place].starts(fit.hint.parts[place]):
-        part = np.concatenate([kept[place][:3], start[3:]])
-        theta = np.concatenate([*kept[:place], part, *kept[place + 1 :]])
+    for start in family.parts[part_index].starts(fit.hint.parts[part_index]):
+        part = np.concatenate([kept[part_index][:3], start[3:]])
+        theta = np.concatenate([*kept[:part_index], part, *kept[part_index + 1 :]])
         problem = Problem(forward, family, fit.hint, data, Prior.of(family, theta))
         at = problem.fit_state(theta, fit.state)
         if at is not None:
@@ -210,7 +210,7 @@ def _matched(old: InitialGuess, new: InitialGuess) -> InitialGuess:
     left = list(new.parts)
     parts = []
     for one in old.parts:
-        nearest = min(left, key=lambda part: float(np.hypot(*(part.place - one.place))))
+        nearest = min(left, key=lambda part: float(np.hypot(*(part.position - one.position))))
         left.remove(nearest)
         parts.append(nearest)
     return replace(new, parts=tuple(parts))

@@ -92,14 +92,14 @@ def tracked(
     rotation_var = np.full(3, np.nan)
     family = found.family
     indices = family.index("tilt_x"), family.index("tilt_y"), family.index("direction", "angle")
-    for axis, number in enumerate(indices):  # rotation about x, y and z of S
-        if number is not None:
-            turns[axis] = found.theta[number]
-            rotation_var[axis] = cov[number, number]
-    place = place_of(found.theta, found.hint)[:2] - dragged
-    values = np.array([*place, turns[2] - twisted, *turns])
-    places = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2
-    var = np.array([*places, rotation_var[2], *rotation_var])
+    for axis, index in enumerate(indices):  # rotation about x, y and z of S
+        if index is not None:
+            turns[axis] = found.theta[index]
+            rotation_var[axis] = cov[index, index]
+    position = place_of(found.theta, found.hint)[:2] - dragged
+    values = np.array([*position, turns[2] - twisted, *turns])
+    position_cov = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2
+    var = np.array([*position_cov, rotation_var[2], *rotation_var])
     stand = ShapePose(name, time, values, var, dragged, twisted)
     return (*(old for old in track if time - old.time < s.motion_time), stand)
 
@@ -110,12 +110,12 @@ def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
     sliding for a round object."""
     if len(track) < _IMAGES_MIN:
         return None
-    time = np.array([one.time for one in track])
-    values = np.array([one.values for one in track])
-    var = np.mean([one.var for one in track], axis=0)
-    off = time - time.mean()
-    over = float(off @ off)
-    rates = off @ (values - values.mean(axis=0)) / over
+    time = np.array([pose.time for pose in track])
+    values = np.array([pose.values for pose in track])
+    var = np.mean([pose.var for pose in track], axis=0)
+    centered = time - time.mean()
+    over = float(centered @ centered)
+    rates = centered @ (values - values.mean(axis=0)) / over
     rate_var = var / over
     velocity = rates[:2]
     velocity_cov = np.diag(rate_var[:2])

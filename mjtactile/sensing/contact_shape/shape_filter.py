@@ -65,8 +65,8 @@ class ShapeFilter:
             return 0.0
         tiny = _UNSEEN * np.eye(len(information))
         known = np.linalg.inv(self.precision + tiny)
-        off = information - seen @ known @ self.information
-        return float(off @ np.linalg.solve(seen + seen @ known @ seen + tiny, off))
+        unexplained = information - seen @ known @ self.information
+        return float(unexplained @ np.linalg.solve(seen + seen @ known @ seen + tiny, unexplained))
 
     def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
         """Return the prior of all parameters for the next evaluation. The pose is near that of
@@ -111,11 +111,11 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
     # that of the image alone: a fit may end before its prior and the image balance
     information = image @ t - fit.gradient / noise
     stand = prior.precision[np.ix_(free, free)]
-    place = np.linalg.solve(
+    mean = np.linalg.solve(
         image[np.ix_(free, free)] + stand,
         np.column_stack([image[np.ix_(free, kept)], information[free] + stand @ prior.mean[free]]),
     )
-    through = image[np.ix_(kept, free)] @ place
+    through = image[np.ix_(kept, free)] @ mean
     return image[np.ix_(kept, kept)] - through[:, :-1], information[kept] - through[:, -1]
 
 

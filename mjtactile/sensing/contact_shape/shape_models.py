@@ -88,7 +88,7 @@ class ShapeModel:
     @property
     def heights(self) -> list[int]:
         """Indices of the height parameters."""
-        return [number for number, name in enumerate(self.names) if name == "z"]
+        return [index for index, name in enumerate(self.names) if name == "z"]
 
     @property
     def kept(self) -> Array:
@@ -99,9 +99,9 @@ class ShapeModel:
         """Return the index of the first parameter with one of these names; None: there is none."""
         return next((k for k, name in enumerate(self.names) if name in names), None)
 
-    def split(self, numbers: Array) -> list[Array]:
-        """`numbers` (k, ...) of each of the parts."""
-        return np.split(numbers, np.cumsum([len(part.names) for part in self.parts])[:-1])
+    def split(self, parameters: Array) -> list[Array]:
+        """`parameters` (k, ...) of each of the parts."""
+        return np.split(parameters, np.cumsum([len(part.names) for part in self.parts])[:-1])
 
     def rebased(self, theta: Array, old: InitialGuess, new: InitialGuess) -> Array:
         """Return parameters relative to the guess `new` instead of the guess `old`."""
@@ -109,7 +109,7 @@ class ShapeModel:
             given = zip(self.parts, self.split(theta), old.parts, new.parts, strict=True)
             return np.concatenate([part.rebased(own, a, b) for part, own, a, b in given])
         moved = theta.copy()
-        moved[:2] += 1e3 * (old.place - new.place)
+        moved[:2] += 1e3 * (old.position - new.position)
         moved[2] += 1e3 * (old.height - new.height)
         return moved
 
@@ -148,8 +148,8 @@ def face_of(
     c = math.cos(theta[5])
     s = math.sin(theta[5])
     halves = 1e-3 * theta[6:8]
-    off = np.maximum(np.abs(c * x + s * y) - halves[0], np.abs(c * y - s * x) - halves[1])
-    return off, 4 * float(np.prod(halves))
+    distance = np.maximum(np.abs(c * x + s * y) - halves[0], np.abs(c * y - s * x) - halves[1])
+    return distance, 4 * float(np.prod(halves))
 
 
 # Steps of finite differences, in the parameters' units.
@@ -187,19 +187,35 @@ def several(names: Sequence[str]) -> ShapeModel:
 
     def build(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
         given = zip(parts, family.split(theta), hint.parts, strict=True)
-        return tuple(body for part, numbers, own in given for body in part.build(numbers, own))
+        return tuple(
+            body for part, parameters, own in given for body in part.build(parameters, own)
+        )
 
     def starts(hint: InitialGuess) -> tuple[Array, ...]:
         own = [part.starts(of) for part, of in zip(parts, hint.parts, strict=True)]
-        many = max(len(one) for one in own)
-        return tuple(np.concatenate([one[k % len(one)] for one in own]) for k in range(many))
+        many = max(len(part_names) for part_names in own)
+        return tuple(
+            np.concatenate([part_names[k % len(part_names)] for part_names in own])
+            for k in range(many)
+        )
 
-    numbers = tuple(name for part in parts for name in part.names)
+    parameters = tuple(name for part in parts for name in part.names)
     mean, sd, steps, loose, fraction, low, high = (
         np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
     )
     family = ShapeModel(
-        "+".join(names), numbers, mean, sd, steps, loose, fraction, low, high, build, starts, parts
+        "+".join(names),
+        parameters,
+        mean,
+        sd,
+        steps,
+        loose,
+        fraction,
+        low,
+        high,
+        build,
+        starts,
+        parts,
     )
     return family
 
@@ -213,18 +229,21 @@ def _named(name: str) -> ShapeModel:
 
 def _family(
     name: str,
-    numbers: tuple[tuple[str, float, float, float, float], ...],
+    parameters: tuple[tuple[str, float, float, float, float], ...],
     build: Callable[[Array, InitialGuess], tuple[Obstacle, ...]],
     starts: Callable[[InitialGuess], tuple[Array, ...]],
 ) -> ShapeModel:
-    columns = list(zip(*numbers, strict=True))
+    columns = list(zip(*parameters, strict=True))
     names = columns[0]
     mean, sd, low, high = (np.array(column, float) for column in columns[1:])
-    steps = np.array([_STEPS[number.split("_")[0]] for number in names])
+    steps = np.array([_STEPS[parameter.split("_")[0]] for parameter in names])
     loose = np.array(
-        [_LOOSE.get(number, _STIFF * spread) for number, spread in zip(names, sd, strict=True)]
+        [
+            _LOOSE.get(parameter, _STIFF * spread)
+            for parameter, spread in zip(names, sd, strict=True)
+        ]
     )
-    fraction = np.array([_SHARE.get(number.split("_")[0], 0.0) for number in names])
+    fraction = np.array([_SHARE.get(parameter.split("_")[0], 0.0) for parameter in names])
     return ShapeModel(name, names, mean, sd, steps, loose, fraction, low, high, build, starts)
 
 

@@ -127,20 +127,20 @@ def _several(
     maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
-    for place, part in enumerate(family.parts):
-        own = slice(ends[place], ends[place + 1])
-        carried = np.where(nearest == place, force, 0.0)
-        kinds = kinds_of(part, thetas[place], cov[own, own])
+    for index, part in enumerate(family.parts):
+        own = slice(ends[index], ends[index + 1])
+        carried = np.where(nearest == index, force, 0.0)
+        kinds = kinds_of(part, thetas[index], cov[own, own])
         total = _ContactSummary(
-            sizes[place],
-            carry[place] * load,
-            (sizes[place] / maximum * interval[0], sizes[place] / maximum * interval[1]),
+            sizes[index],
+            carry[index] * load,
+            (sizes[index] / maximum * interval[0], sizes[index] / maximum * interval[1]),
             found.misfit,
         )
         body = _body(
             part,
-            thetas[place],
-            found.hint.parts[place],
+            thetas[index],
+            found.hint.parts[index],
             cov[own, own],
             max(kinds, key=lambda name: kinds[name]),
             dict.fromkeys(SHAPES, 0.0) | kinds,
@@ -196,9 +196,9 @@ def with_curvature_spread(shape: ContactShape, fits: list[tuple[float, Fit]]) ->
     if shape.family not in _ROUND:
         return shape
     bent = [(p, _principal(fit)) for p, fit in fits if fit.family.name in _ROUND]
-    p = np.array([one[0] for one in bent])
-    off = np.array([one[1] for one in bent]) - shape.curvatures
-    variance = p @ off**2 / p.sum()
+    p = np.array([bending[0] for bending in bent])
+    deviation = np.array([bending[1] for bending in bent]) - shape.curvatures
+    variance = p @ deviation**2 / p.sum()
     sd = np.hypot(shape.curvatures_sd, np.sqrt(variance))
     grown = float(np.linalg.norm(sd) / max(np.linalg.norm(shape.curvatures_sd), 1e-9))
     return replace(shape, curvatures_sd=sd, radius_sd=grown * shape.radius_sd)
@@ -275,11 +275,11 @@ def _axes(family: ShapeModel, theta: Array, direction: float) -> tuple[Array, _R
 def _pose_cov(cov: Array, turns: _Rotations) -> Array:
     """Return the covariance (6, 6) of position, m, and rotations, rad. Rotations that are not
     parameters of the model have NaN on the diagonal (unknown)."""
-    numbers = [0, 1, 2, *turns]
+    indices = [0, 1, 2, *turns]
     units = np.array([1e-3, 1e-3, 1e-3, 1.0, 1.0, 1.0])
     pose = np.zeros((6, 6))
-    for i, a in enumerate(numbers):
-        for j, b in enumerate(numbers):
+    for i, a in enumerate(indices):
+        for j, b in enumerate(indices):
             if a is not None and b is not None:
                 pose[i, j] = units[i] * units[j] * cov[a, b]
         if a is None:
@@ -309,5 +309,5 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
 @cache
 def _between(count: int) -> Array:
     """Return the linear interpolation matrix (m, count) from node values to points between them."""
-    places = np.linspace(0, count - 1, _FINER * (count - 1) + 1)
-    return np.maximum(0.0, 1 - np.abs(places[:, None] - np.arange(count)))
+    positions = np.linspace(0, count - 1, _FINER * (count - 1) + 1)
+    return np.maximum(0.0, 1 - np.abs(positions[:, None] - np.arange(count)))

@@ -171,9 +171,9 @@ def _packed(start: AmortizedStart) -> dict[str, Array]:
         "inputs": start.inputs.astype(np.float32),
         "scale": start.scale.astype(np.float32),
     }
-    for number, (weight, offset) in enumerate(start.network.layers):
-        arrays[f"weight{number}"] = weight.astype(np.float16)
-        arrays[f"offset{number}"] = offset.astype(np.float16)
+    for index, (weight, offset) in enumerate(start.network.layers):
+        arrays[f"weight{index}"] = weight.astype(np.float16)
+        arrays[f"offset{index}"] = offset.astype(np.float16)
     return arrays
 
 

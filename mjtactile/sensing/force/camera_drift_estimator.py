@@ -80,7 +80,7 @@ class CameraDriftEstimator:
         self._s = s
         self._own = own
         # standard deviations (3,) not covered by the covariance of the image stages, px
-        size = own.glass_size if fiducials.surface == "pane" else own.floor
+        size = own.glass_size if fiducials.surface == "glass" else own.floor
         self._floor = np.array([own.floor, own.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
         angle = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
@@ -147,9 +147,9 @@ class CameraDriftEstimator:
         if abs(farther) < _AS_DARK:
             return seen
         bent = self._own.curve_fraction * math.hypot(1.0, float(seen.mean[_LEVELS]))
-        off = self._s.drift_levels * bent * farther / self._s.drift_size
+        bias = self._s.drift_levels * bent * farther / self._s.drift_size
         covariance = seen.root @ seen.root.T
-        covariance[_SIZE, _SIZE] += off**2
+        covariance[_SIZE, _SIZE] += bias**2
         covariance[_LEVELS, _LEVELS] += bent**2
         return replace(seen, root=np.linalg.cholesky(covariance))
 
@@ -257,9 +257,9 @@ class CameraDriftEstimator:
         design = self.design
         camera = design.camera
         # shift of the image center, at the membrane's distance
-        place = s.displaced_shift * mean[:2] / camera.distance
+        offset = s.displaced_shift * mean[:2] / camera.distance
         rotation = s.displaced_rotation * mean[3:6]
-        shift = (place + [rotation[1], -rotation[0]]) * [camera.fx, camera.fy]
+        shift = (offset + [rotation[1], -rotation[0]]) * [camera.fx, camera.fy]
         shift += self._own.center_sd * mean[MODES:]
         nearer = -s.displaced_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])

@@ -57,7 +57,7 @@ class SurfaceForce:
 
     Attributes:
         force: Force on the membrane (3,), N, frame of the points; z is negative in contact.
-        place: Center of pressure (2,), m; NaN: no contact.
+        center: Center of pressure (2,), m; NaN: no contact.
         area: Contact area, m^2.
         x: Grid coordinates (nx,), m.
         y: Grid coordinates (ny,), m.
@@ -67,7 +67,7 @@ class SurfaceForce:
     """
 
     force: Array
-    place: Array
+    center: Array
     area: float
     x: Array
     y: Array
@@ -174,11 +174,11 @@ def _summed(
     q = np.where(counted, known, 0.0) * grid.spacing**2
     force = np.array([(q * by_x).sum(), (q * by_y).sum(), -q.sum()])
     X, Y = np.meshgrid(grid.x, grid.y, indexing="ij")
-    place = np.full(2, np.nan)
+    center = np.full(2, np.nan)
     if contact.any():
-        place = np.array([(q * X).sum(), (q * Y).sum()]) / q.sum()
+        center = np.array([(q * X).sum(), (q * Y).sum()]) / q.sum()
     area = float(contact.sum()) * grid.spacing**2
-    return SurfaceForce(force, place, area, grid.x, grid.y, heights, pressing, tension)
+    return SurfaceForce(force, center, area, grid.x, grid.y, heights, pressing, tension)
 
 
 class _Grid:
@@ -192,8 +192,8 @@ class _Grid:
         self.x, self.y = (
             np.arange(a, b + self.spacing, self.spacing) for a, b in zip(low, high, strict=True)
         )
-        places = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
-        self.inside = _within(places, outline)
+        nodes = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
+        self.inside = _within(nodes, outline)
 
     def fit(self, points: ArrayLike, field: str) -> tuple[Array, NDArray[np.bool_]]:
         """Return heights (nx, ny), m, and a mask (nx, ny) of where they were measured. The surface
@@ -223,22 +223,22 @@ class _Grid:
         for _ in range(_ROUNDS):
             normal = interpolation.T @ sparse.diags_array(weight) @ interpolation + stiff
             heights = splu(normal.tocsc()).solve(interpolation.T @ (weight * given[:, 2]))
-            off = given[:, 2] - interpolation @ heights
-            spread = 1.48 * float(np.median(np.abs(off))) + 1e-9
-            weight = 1 / (1 + (off / (_OUTLIER * spread)) ** 2)
+            residual = given[:, 2] - interpolation @ heights
+            spread = 1.48 * float(np.median(np.abs(residual))) + 1e-9
+            weight = 1 / (1 + (residual / (_OUTLIER * spread)) ** 2)
         shape = self.inside.shape
         seen = each.reshape(shape) > _MIN_SEEN * usual
         return heights.reshape(shape), self.inside & ~self.grown(~seen | ~self.inside, 1.0)
 
-    def _interpolation(self, places: Array) -> Any:
+    def _interpolation(self, positions: Array) -> Any:
         """Bilinear, (n, nx ny), sparse."""
         from scipy import sparse
 
-        at = (places - [self.x[0], self.y[0]]) / self.spacing
+        at = (positions - [self.x[0], self.y[0]]) / self.spacing
         cell = np.minimum(at.astype(int), np.array(self.inside.shape) - 2)
         u, v = (at - cell).T
-        rows = np.arange(len(places))
-        shape = (len(places), self.inside.size)
+        rows = np.arange(len(positions))
+        shape = (len(positions), self.inside.size)
         corners = (
             (0, 0, (1 - u) * (1 - v)),
             (1, 0, u * (1 - v)),
@@ -285,14 +285,14 @@ class _Grid:
         return np.asarray(binary_dilation(marked, iterations=times), bool)
 
 
-def _within(places: Array, outline: Array) -> NDArray[np.bool_]:
+def _within(positions: Array, outline: Array) -> NDArray[np.bool_]:
     """Return a mask of the positions (..., 2) inside a polygon (k, 2). A ray toward +x crosses the
     polygon an odd number of times from there."""
-    odd = np.zeros(places.shape[:-1], bool)
+    odd = np.zeros(positions.shape[:-1], bool)
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         if a[1] == b[1]:
             continue
-        between = (places[..., 1] >= min(a[1], b[1])) & (places[..., 1] < max(a[1], b[1]))
-        crossing = a[0] + (places[..., 1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
-        odd ^= between & (places[..., 0] < crossing)
+        between = (positions[..., 1] >= min(a[1], b[1])) & (positions[..., 1] < max(a[1], b[1]))
+        crossing = a[0] + (positions[..., 1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+        odd ^= between & (positions[..., 0] < crossing)
     return odd

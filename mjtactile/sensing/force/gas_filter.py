@@ -154,14 +154,14 @@ class GasFilter:
             law = state.amount / volume**self._gamma / self._ambient
             measured = math.log(max(1 + measured, s.minimum) / law)
             variance += (self._gamma * beyond / volume) ** 2
-        off = measured - value
-        deviation = off / math.sqrt(cov[0, 0] + variance)
+        innovation = measured - value
+        deviation = innovation / math.sqrt(cov[0, 0] + variance)
         surprise = state.surprise + s.blend * (deviation - state.surprise)
         surprised = abs(deviation) > s.deviation_max or abs(surprise) > s.surprise_max
         if surprised:
             surprise = 0.0
-            cov[0, 0] += off**2
-            cov[1, 1] += (off / max(ahead, s.shortest)) ** 2
+            cov[0, 0] += innovation**2
+            cov[1, 1] += (innovation / max(ahead, s.shortest)) ** 2
         cov_before = cov[0, 0]
         gain = cov[:, 0] / (cov[0, 0] + variance)
         cov = cov - np.outer(gain, cov[0])
@@ -169,8 +169,8 @@ class GasFilter:
             replace(
                 state,
                 time=reading.time,
-                value=value + gain[0] * off,
-                rate=state.rate * math.exp(-ahead / s.rate_time) + gain[1] * off,
+                value=value + gain[0] * innovation,
+                rate=state.rate * math.exp(-ahead / s.rate_time) + gain[1] * innovation,
                 cov=(cov + cov.T) / 2,
                 surprise=surprise,
             ),

@@ -214,7 +214,7 @@ class InverseMembrane(LoadedMembrane):
         """Return the kernel arguments for the membrane and the detected markers."""
         return (
             *self.membrane.shape,
-            self.membrane.numbers,
+            self.membrane.constants,
             stiffness.factor,
             stiffness.softened,
             stiffness.fraction,

@@ -150,10 +150,10 @@ class Shape:
 
 
 def _equally_certain(
-    one: CameraDriftFilter | CameraDriftEstimate, other: CameraDriftFilter | CameraDriftEstimate
+    drift: CameraDriftFilter | CameraDriftEstimate, other: CameraDriftFilter | CameraDriftEstimate
 ) -> bool:
     """Return True if the camera drift has about the same uncertainty in both."""
-    if type(one) is not type(other) or one.root.shape != other.root.shape:
+    if type(drift) is not type(other) or drift.root.shape != other.root.shape:
         return False
-    ratio = np.diagonal(one.root) / np.diagonal(other.root)
+    ratio = np.diagonal(drift.root) / np.diagonal(other.root)
     return bool(ratio.max() < _CAMERA_RATIO and ratio.min() > 1 / _CAMERA_RATIO)

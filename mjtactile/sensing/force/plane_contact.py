@@ -55,7 +55,7 @@ class PlaneContactSolver:
         membrane = loaded.membrane
         ax, ay = membrane.axes
         own = product(ax.points, ay.points)
-        self._X = membrane.places(own)  # (q, 2), m
+        self._X = membrane.positions(own)  # (q, 2), m
         self._basis = membrane.basis(own)  # (q, n)
         self._stiffness = _STIFFNESS * membrane.weights.ravel()  # of each point, N/m
         overlap = np.tril(self._basis.T @ self._basis != 0)
@@ -92,9 +92,9 @@ class PlaneContactSolver:
         own = np.column_stack([np.ones(len(p)), p[:, :2]])
         plane, *_ = np.linalg.lstsq(own[under], p[under, 2], rcond=None)
         sd = np.sqrt(markers.cov_p[:, 2, 2] + self._loaded.settings.face_floor[2] ** 2)
-        off = (p[:, 2] - own @ plane) / sd
-        curved = np.sqrt(np.square(off[under]).mean()) > flat
-        return None if curved or off.max() > 2 * flat else plane
+        residual = (p[:, 2] - own @ plane) / sd
+        curved = np.sqrt(np.square(residual[under]).mean()) > flat
+        return None if curved or residual.max() > 2 * flat else plane
 
     def lowest(self, plane: Array) -> float:
         """Return the smallest height, m, of a `plane` (3,) over the opening."""
@@ -162,12 +162,14 @@ class PlaneContactSolver:
             if found is None:
                 return None
             c, load, pressing, moved = found.c, found.load, found.pressing, found.moved
-            off = (weights @ (seen - material - at_markers @ c.T)[..., None]).ravel()
-            J = np.stack([at_markers @ one.T for one in moved], axis=-1)  # (m, 3, 3)
+            residual = (weights @ (seen - material - at_markers @ c.T)[..., None]).ravel()
+            J = np.stack(
+                [at_markers @ displacement.T for displacement in moved], axis=-1
+            )  # (m, 3, 3)
             J = (weights @ J).reshape(3 * len(ids), 3)
             SJ = J - modes @ np.linalg.solve(inner, modes.T @ J)
             information = J.T @ SJ + np.diag(_PRIOR)
-            score = SJ.T @ off
+            score = SJ.T @ residual
             if measured is not None:
                 pressure, sd = measured
                 row = found.pressure_moved / sd
@@ -206,7 +208,7 @@ class PlaneContactSolver:
                     stiffness.solve(np.outer(normal, (touching * column) @ self._basis))
                     for column in own.T
                 ]
-                grown = [float((state.gradient * one).sum()) for one in moved]
+                grown = [float((state.gradient * displacement).sum()) for displacement in moved]
                 return _Equilibrium(
                     c, load, pressing, moved, pressure, -gas_stiffness * np.array(grown)
                 )
@@ -220,8 +222,8 @@ class PlaneContactSolver:
             for b in range(3):
                 row, column = 3 * i + a, 3 * j + b
                 lower = row >= column
-                place = column[lower], row[lower] - column[lower]
-                band[place] += values[lower] * normal[a] * normal[b]
+                entries = column[lower], row[lower] - column[lower]
+                band[entries] += values[lower] * normal[a] * normal[b]
 
     def _traction(self, pressing: Array, normal: Array) -> Array:
         """Return the tractions (3, J), Pa, at the nodes of contact forces `pressing` (q,), N.

@@ -114,8 +114,8 @@ class MarkedMembrane:
         s = self.settings
         nominal = self.design.membrane.pre_stretch
         strain = nominal - 1 + self.membrane.mean_strain(c)
-        off = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
-        fraction = off**2 / (off**2 + s.young_sd**2)
+        uncertainty = s.pre_stretch_sd / max(strain, s.pre_stretch_sd)
+        fraction = uncertainty**2 / (uncertainty**2 + s.young_sd**2)
         more = float(np.clip(strain * (scale**fraction - 1) / s.pre_stretch_sd, -3, 3))
         more *= s.pre_stretch_sd
         return scale / (1 + more / strain), 1 + more / nominal
@@ -192,8 +192,10 @@ def bulge_misfit(
     modes = fraction * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     lens = (s.lens_rest + s.lens_rest_per_px * flat_px) * z
     own = markers.cov_p[:, 2, 2] + s.bulge_floor**2 + lens**2
-    off = markers.p_SM[:, 2] - z
-    return float(off @ np.linalg.solve(modes @ modes.T + np.diag(own), off)) / len(off)
+    residual = markers.p_SM[:, 2] - z
+    return float(residual @ np.linalg.solve(modes @ modes.T + np.diag(own), residual)) / len(
+        residual
+    )
 
 
 def require_bulge(
@@ -225,10 +227,10 @@ def require_bulge(
     s = settings.reference
     squares = bulge_misfit(design, markers, z, flat_px, lens_measured=lens_measured, s=s)
     if squares > s.bulge_misfit_max:
-        off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
+        deviation = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
         raise DeviceError(
             f"sensor {design.name}: at rest the membrane does not have the bulge expected at "
-            f"{gauge_pressure:.0f} Pa: markers deviate by up to {off:.2f} mm "
+            f"{gauge_pressure:.0f} Pa: markers deviate by up to {deviation:.2f} mm "
             f"({np.sqrt(squares):.1f} standard deviations, rms); remove any contact, else "
             "measure the lens: `mjtactile calibrate camera`"
         )

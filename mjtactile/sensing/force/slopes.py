@@ -49,8 +49,8 @@ class MarkerSlopes:
         p_CM = markers.p_SM + self._behind
         s = self._settings
         sd = np.hypot(s.slope_model_sd, slope_sd(n, p_CM, markers.cov_p[:, 2, 2]))
-        off = np.abs(self.off(markers, c)).max(axis=1)
-        is_used = (sd < s.slope_sd_max) & (off < s.slope_off_max)  # False for NaN
+        residual = np.abs(self.off(markers, c)).max(axis=1)
+        is_used = (sd < s.slope_sd_max) & (residual < s.slope_off_max)  # False for NaN
         return np.where(is_used, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:

@@ -133,9 +133,9 @@ class SplineMembrane:
         self._up_y = np.concatenate([ay.at(ay.points, 0), ay.at(ay.points, 1)]).T.copy()
         membrane = design.membrane
         self.law = law = ConstitutiveLaw(membrane)
-        numbers = np.array([ax.length, ay.length, membrane.pre_stretch**2, *law.numbers])
+        constants = np.array([ax.length, ay.length, membrane.pre_stretch**2, *law.parameters])
         # as kernels take them
-        self.numbers = numbers
+        self.constants = constants
         turns = None if self._turns is None else np.ascontiguousarray(self._turns)
         self._table = (law.table.shape[1], law.table, turns)
         self.width = 9 * ay.count + 11  # of the stiffness's band
@@ -164,7 +164,7 @@ class SplineMembrane:
         outline = self.design.frame.outline
         return X if outline is None else outline.square(X) * self._half
 
-    def places(self, own: Array) -> Array:
+    def positions(self, own: Array) -> Array:
         """Return the positions (N, 2), m, on the mounted membrane at parametric coordinates (N, 2),
         m."""
         outline = self.design.frame.outline
@@ -208,9 +208,9 @@ class SplineMembrane:
 
     def _law(self, stretch: float) -> tuple[Array, int, Array, Array | None]:
         """Return the constitutive law as kernel arguments."""
-        numbers = self.numbers.copy()
-        numbers[2] *= stretch**2
-        return (numbers, *self._table)
+        constants = self.constants.copy()
+        constants[2] *= stretch**2
+        return (constants, *self._table)
 
     def stress(self, c: Array) -> Array:
         """Second Piola-Kirchhoff stress (3, qx, qy) N/m of the file's law at the Gauss points: S11,

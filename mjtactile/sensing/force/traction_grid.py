@@ -35,14 +35,14 @@ class LoadedMembrane(MarkedMembrane):
         self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
         self._density = self.membrane.density(own)
         self.node_area = self._cells * self._density  # (J,) m^2
-        self.nodes = self.membrane.places(own)
+        self.nodes = self.membrane.positions(own)
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
         self._at_nodes = self.membrane.basis(own)
         self._shared = self._sharing()
         fine_x = np.linspace(-ax.length / 2, ax.length / 2, REFINE * ax.spans + 1)
         fine_y = np.linspace(-ay.length / 2, ay.length / 2, REFINE * ay.spans + 1)
         self._at_fine = (ax.at(fine_x), ay.at(fine_y))
-        fine = self.membrane.places(product(fine_x, fine_y))
+        fine = self.membrane.positions(product(fine_x, fine_y))
         self._fine = fine.T.reshape(2, len(fine_x), len(fine_y))
 
     def node_loads(self) -> tuple[Array, Array]:
@@ -91,9 +91,9 @@ class LoadedMembrane(MarkedMembrane):
         """Return rows, columns and weights (J,) of the four grid positions around each node."""
         if self.design.frame.outline is None:
             return None
-        places = []
+        neighbors = []
         for lines, at in zip((self.x, self.y), self.nodes.T, strict=True):
             step = (at - lines[0]) / (lines[1] - lines[0])
             first = np.clip(step.astype(np.int64), 0, len(lines) - 2)
-            places.append(((first, 1 - step + first), (first + 1, step - first)))
-        return [(row, column, by * bx) for column, bx in places[0] for row, by in places[1]]
+            neighbors.append(((first, 1 - step + first), (first + 1, step - first)))
+        return [(row, column, by * bx) for column, bx in neighbors[0] for row, by in neighbors[1]]

@@ -132,10 +132,10 @@ def fit(
     )
 
 
-def merge(first: NDArray[np.bool_], one: EdgeFit, other: EdgeFit) -> EdgeFit:
-    """The fits of `one` where `first`, of `other` elsewhere."""
+def merge(first: NDArray[np.bool_], fit: EdgeFit, other: EdgeFit) -> EdgeFit:
+    """The fits of `fit` where `first`, of `other` elsewhere."""
     columns = []
-    for a, b in zip(vars(one).values(), vars(other).values(), strict=True):
+    for a, b in zip(vars(fit).values(), vars(other).values(), strict=True):
         both = np.empty((len(first), *a.shape[1:]))
         both[first] = a
         both[~first] = b

@@ -85,9 +85,9 @@ def detect_thoroughly(
     kept_status, deformed = _by_outline(grey, kept_fit, status[keep], edge_noise)
     kept = as_ellipses(kept_fit, kept_status)
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
-    places = np.concatenate([first.center[why != ""], found.center[~keep]])
+    centers = np.concatenate([first.center[why != ""], found.center[~keep]])
     reasons = np.concatenate([why[why != ""], status[~keep]])
-    return kept, Rejected(places, ellipse.axes_from_shape(outlines)[0], reasons), deformed
+    return kept, Rejected(centers, ellipse.axes_from_shape(outlines)[0], reasons), deformed
 
 
 def _by_outline(

@@ -40,9 +40,9 @@ class Gamma:
 
     def contradicts(self, assumed: float, s: GammaSettings) -> bool:
         """Return True if the image clearly has another gamma than `assumed`."""
-        off = abs(np.log(self.value / assumed))
+        deviation = abs(np.log(self.value / assumed))
         # never, where it is unknown
-        return bool(off > s.min_sds * self.sd / self.value and off > s.min_log_change)
+        return bool(deviation > s.min_sds * self.sd / self.value and deviation > s.min_log_change)
 
     def size_uncertainty(self, assumed: float, s: GammaSettings) -> float:
         """Sd in px of circles' size where `assumed` was used."""

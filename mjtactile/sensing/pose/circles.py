@@ -43,7 +43,7 @@ def estimate_poses(
     uv = np.empty((n, 2))
     poses = np.empty((4, n, 3))
     cov_p = np.empty((n, 3, 3))
-    kernel("circle_poses")(n, *_arrays(ellipses), r, camera.numbers, uv, poses, cov_p)
+    kernel("circle_poses")(n, *_arrays(ellipses), r, camera.parameters, uv, poses, cov_p)
     first_p, first_n, second_p, second_n = poses
     return CirclePoses(uv, first_p, first_n, second_p, second_n, cov_p, ellipses.status)
 
@@ -60,7 +60,7 @@ def pose_covariances(
     """
     n = len(ellipses)
     cov = np.empty((len(ellipses), 5, 5))
-    kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.numbers, cov)
+    kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.parameters, cov)
     normals = _tilted(n_C, p_CM)
     # (n_x, n_y) move at fixed n_z; the component along n is not a rotation
     projector = (np.eye(3) - normals[:, :, None] * normals[:, None])[:, :, :2]
@@ -80,7 +80,7 @@ def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
     """Return the cones Q (N, 3, 3) of ellipses in distorted pixels, in ideal normalized
     coordinates, without the glass."""
     Q = np.empty((len(shape), 3, 3))
-    kernel("cones")(len(shape), center_px, shape, camera.numbers, Q)
+    kernel("cones")(len(shape), center_px, shape, camera.parameters, Q)
     return Q
 
 

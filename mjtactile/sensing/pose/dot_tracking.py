@@ -54,7 +54,7 @@ class _Skin:
     """Last or predicted positions of the tracked circles (M, 2), px, their usual distance and size,
     px."""
 
-    places: Array
+    positions: Array
     pitch: float
     size: float
 
@@ -128,75 +128,75 @@ def _followed(
     complete = np.flatnonzero(ellipses.status != CUT)
     size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[complete, 1])
     complete = complete[ellipses.semi_axes_px[complete, 1] > _SMALL * size]
-    places = ellipses.center_px[complete]
+    centers = ellipses.center_px[complete]
     if skin is None:
-        if len(places) < _FEWEST:
+        if len(centers) < _FEWEST:
             return ids, None
-        ids[complete] = np.arange(len(places))
-        return ids, _Skin(places, _distance(places), size)
-    if not len(places):
+        ids[complete] = np.arange(len(centers))
+        return ids, _Skin(centers, _distance(centers), size)
+    if not len(centers):
         return ids, skin
-    expected = skin.places + _motion(skin, places, np.array(size_px))
-    distance = np.linalg.norm(expected[:, None] - places[None], axis=2)
+    expected = skin.positions + _motion(skin, centers, np.array(size_px))
+    distance = np.linalg.norm(expected[:, None] - centers[None], axis=2)
     own = distance.argmin(axis=1)
     # mutual: a circle is one of the followed, and one alone
     mutual = distance.argmin(axis=0)[own] == np.arange(len(expected))
     mutual &= distance[np.arange(len(expected)), own] < _GATE * skin.pitch
     ids[complete[own[mutual]]] = np.flatnonzero(mutual)
-    expected[mutual] = places[own[mutual]]
+    expected[mutual] = centers[own[mutual]]
     new = distance.min(axis=0) > _NEW * skin.pitch
     ids[complete[new]] = len(expected) + np.arange(int(new.sum()))
-    return ids, _Skin(np.concatenate([expected, places[new]]), skin.pitch, skin.size)
+    return ids, _Skin(np.concatenate([expected, centers[new]]), skin.pitch, skin.size)
 
 
-def _motion(skin: _Skin, places: Array, size_px: Array) -> Array:
-    """Compute the common motion (2,), px, of the circles to `places` (n, 2).
+def _motion(skin: _Skin, centers: Array, size_px: Array) -> Array:
+    """Compute the common motion (2,), px, of the circles to `centers` (n, 2).
 
     A motion by more than half of the circles' distance resembles a smaller one to the neighbors.
     The edges of the pattern then remain without a partner inside the image. In this case the
     motions to the neighbors are compared.
     """
-    moved = _together(skin, places, np.zeros(2))
-    unmatched = _unmatched(skin, places, moved, size_px)
-    if unmatched <= _EDGE * len(places):
+    moved = _together(skin, centers, np.zeros(2))
+    unmatched = _unmatched(skin, centers, moved, size_px)
+    if unmatched <= _EDGE * len(centers):
         return moved
-    offsets = places - places[np.linalg.norm(places - places.mean(axis=0), axis=1).argmin()]
+    offsets = centers - centers[np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin()]
     nearest = np.linalg.norm(offsets, axis=1).argsort()[1 : 1 + _NEIGHBORS]
-    others = [_together(skin, places, moved + offset) for offset in offsets[nearest]]
-    counts = [_unmatched(skin, places, other, size_px) for other in others]
+    others = [_together(skin, centers, moved + offset) for offset in offsets[nearest]]
+    counts = [_unmatched(skin, centers, other, size_px) for other in others]
     if min(counts, default=unmatched) >= _CLEARLY * unmatched:
         return moved
     return others[int(np.argmin(counts))]
 
 
-def _unmatched(skin: _Skin, places: Array, moved: Array, size_px: Array) -> int:
+def _unmatched(skin: _Skin, centers: Array, moved: Array, size_px: Array) -> int:
     """Count the tracks and places without a partner, away from the image border."""
-    expected = skin.places + moved
-    distance = np.linalg.norm(expected[:, None] - places[None], axis=2)
+    expected = skin.positions + moved
+    distance = np.linalg.norm(expected[:, None] - centers[None], axis=2)
     alone = [distance.min(axis=1), distance.min(axis=0)]
     margin = skin.pitch
     return sum(
         int(
             np.sum((gap > _GATE * margin) & np.all((at > margin) & (at < size_px - margin), axis=1))
         )
-        for gap, at in zip(alone, (expected, places), strict=True)
+        for gap, at in zip(alone, (expected, centers), strict=True)
     )
 
 
-def _together(skin: _Skin, places: Array, start: Array) -> Array:
+def _together(skin: _Skin, centers: Array, start: Array) -> Array:
     """Compute the motion (2,), px, of most circles near `start`. It is the median offset of all
-    circles to the nearest of `places` (n, 2). A second iteration starts from the result."""
+    circles to the nearest of `centers` (n, 2). A second iteration starts from the result."""
     moved = start
     for _ in range(2):
-        distance = skin.places[:, None] + moved - places[None]
+        distance = skin.positions[:, None] + moved - centers[None]
         nearest = np.linalg.norm(distance, axis=2).argmin(axis=1)
         moved = moved - np.median(distance[np.arange(len(distance)), nearest], axis=0)
     return moved
 
 
-def _distance(places: Array) -> float:
-    """Return the median distance, px, of the `places` (n, 2) to their nearest neighbors."""
-    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+def _distance(centers: Array) -> float:
+    """Return the median distance, px, of the `centers` (n, 2) to their nearest neighbors."""
+    distance = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     return _middle(distance.min(axis=1))
 

@@ -56,7 +56,7 @@ def identify(
     cov_p = np.empty((n, 3, 3))
     scales = np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids]
     both = (poses.p_CM, poses.n_C, poses.p_CM_alt, poses.n_C_alt, poses.cov_p)
-    camera = (_camera(design).numbers, design.camera.p_SC)
+    camera = (_camera(design).parameters, design.camera.p_SC)
     operators = _slope_operators(design, (circle >= 0).tobytes(), s.height_weight)
     sizes = (n, len(poses.p_CM))
     results = (p, normals, cov_p)

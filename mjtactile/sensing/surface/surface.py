@@ -135,8 +135,8 @@ class SurfaceFitter:
             self.prior += rim.T @ rim / _RIM_SD**2
             beyond = self._energy(everywhere - weights, *_BENT)
             self.prior += _BEYOND * beyond / settings.laplacian**2 / frame.area
-            places = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
-            self.outside = (frame.inside(places) <= 0).reshape(len(self.y), len(self.x))
+            nodes = np.stack(np.meshgrid(self.x, self.y), axis=-1).reshape(-1, 2)
+            self.outside = (frame.inside(nodes) <= 0).reshape(len(self.y), len(self.x))
         self._prior_band = banded(self.prior, self.width)
         # half a pitch of a curvature k / 2
         slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)
@@ -209,9 +209,9 @@ class SurfaceFitter:
         x, y = self.basis_x, self.basis_y
         if frame.outline is None:
             return np.ones((len(y.points), len(x.points)))
-        places = np.stack(np.meshgrid(x.points, y.points), axis=-1).reshape(-1, 2)
+        points = np.stack(np.meshgrid(x.points, y.points), axis=-1).reshape(-1, 2)
         across = np.sqrt(x.length / len(x.points) * y.length / len(y.points))
-        fraction = np.clip(0.5 + frame.inside(places) / across, 0.0, 1.0)
+        fraction = np.clip(0.5 + frame.inside(points) / across, 0.0, 1.0)
         fraction = fraction.reshape(len(y.points), len(x.points))
         cut = fraction * (1 - fraction)
         lacking = frame.area - float(y.weights @ fraction @ x.weights)

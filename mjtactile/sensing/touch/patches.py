@@ -53,8 +53,8 @@ def find_patches(
         return ()
     mean = math.sqrt(max(shape.gauge_pressure, 0.1 * peak) * peak)
     above = fine > min(s.separate_fraction * mean, 0.9 * peak)
-    count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
-    owner = _nearest_place(places) if count > 2 else None
+    count, labels = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
+    owner = _nearest_label(labels) if count > 2 else None
     position = estimator.fine_positions(shape.c)
     sunk = (estimator.node_positions(rest.c) - estimator.node_positions(shape.c))[:, 2]
     blur = ((estimator.x[1] - estimator.x[0]) ** 2 + (estimator.y[1] - estimator.y[0]) ** 2) / 24
@@ -103,15 +103,15 @@ def _smoother(nodes: int, sd: float) -> Array:
     return np.maximum(1 - np.abs(np.subtract.outer(fine, index)), 0) @ kernel
 
 
-def _nearest_place(places: NDArray) -> NDArray:
+def _nearest_label(labels: NDArray) -> NDArray:
     """Return the label of the nearest labeled position for each point; 0 if there is none."""
-    if places.max() <= 1:
-        return np.full_like(places, places.max())
+    if labels.max() <= 1:
+        return np.full_like(labels, labels.max())
     _, nearest = cv2.distanceTransformWithLabels(
-        (places == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+        (labels == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    owner = np.zeros(int(nearest.max()) + 1, dtype=places.dtype)
-    owner[nearest[places > 0]] = places[places > 0]
+    owner = np.zeros(int(nearest.max()) + 1, dtype=labels.dtype)
+    owner[nearest[labels > 0]] = labels[labels > 0]
     return owner[nearest]
 
 

@@ -159,10 +159,10 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
     inside = press > _PRESSED * press.max()
     weight = (press * estimator.node_area)[inside]
     weight = weight / weight.sum()
-    place = estimator.node_positions(shape.c)[inside, :2]
+    positions = estimator.node_positions(shape.c)[inside, :2]
     ratio = (shape.traction[:2, inside] / press[inside]).T
     force = weight @ ratio
-    arm = place - weight @ place
+    arm = positions - weight @ positions
     radius = max(float(np.sqrt(weight @ (arm**2).sum(axis=1))), _POINT)
     torque = float(weight @ (arm[:, 0] * ratio[:, 1] - arm[:, 1] * ratio[:, 0])) / radius
     around = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / radius
@@ -256,9 +256,9 @@ def _latest_direction(samples: Sequence[SlipSample]) -> float:
 
 def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
     """Radius of gyration of the pressure, m, and its sd along the direction (3,)."""
-    off = history.position - history.weight @ history.position
-    radius = float(np.sqrt(history.weight @ (off**2).sum(axis=1)))
-    length = float(np.sqrt(history.weight @ (off[:, :2] @ along[:2]) ** 2))
+    centered = history.position - history.weight @ history.position
+    radius = float(np.sqrt(history.weight @ (centered**2).sum(axis=1)))
+    length = float(np.sqrt(history.weight @ (centered[:, :2] @ along[:2]) ** 2))
     return radius, length
 
 

@@ -48,7 +48,7 @@ def _lip(design: SensorDesign, fiducials: Fiducials) -> tuple[Array, Array]:
     if outline is not None:
         at = (fiducials.step, 0.0)
         lip = [np.pad(outline.around(by), ((0, 0), (0, 1))) for by in at]
-        outside, opening = (one - [0.0, 0.0, fiducials.lip] for one in lip)
+        outside, opening = (edge - [0.0, 0.0, fiducials.lip] for edge in lip)
         return outside, opening
     half = np.array([design.frame.length, design.frame.width]) / 2
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -214,7 +214,7 @@ def render_discs(
         p_CM,
         n_C,
         radius,
-        camera.numbers,
+        camera.parameters,
         per_px,
         *_brush(blur_px),
         *coverage.shape,

@@ -77,7 +77,9 @@ class ShadowedLight(Light):
         z = membrane.heights(p_SM)
         light = irradiance(membrane.xy, z, self._p_SL)
         total = light.sum(axis=0)
-        fraction = bilinear(total / self._middle, self._places(z, BLOCK_PX)).astype(np.float32)
+        fraction = bilinear(total / self._middle, self._pixel_coordinates(z, BLOCK_PX)).astype(
+            np.float32
+        )
         field = self._grow(np.maximum(1 - self._falloff / float(self._loss) * (1 - fraction), 0.0))
         blocked = self._blocked(z, light / np.maximum(total, 1e-12))
         if blocked is not None:
@@ -95,7 +97,7 @@ class ShadowedLight(Light):
             clear = wall if clear is None else np.minimum(clear, wall)
         if clear is None or clear.min() >= 1:
             return None
-        column, row = np.moveaxis(self._places(z, _EDGE_PX).astype(np.float32), -1, 0)
+        column, row = np.moveaxis(self._pixel_coordinates(z, _EDGE_PX).astype(np.float32), -1, 0)
         blocked = np.zeros(column.shape, np.float32)
         for fraction, room in zip(light.astype(np.float32), clear.astype(np.float32), strict=True):
             # the clearance is interpolated, not the light: edges are finer than the nodes
@@ -115,12 +117,12 @@ class ShadowedLight(Light):
         slopes = block_slopes(self._camera, block)
         return slopes, optics.glass_displacement(self._camera, (slopes**2).sum(axis=-1))
 
-    def _places(self, z: Array, block: int) -> Array:
+    def _pixel_coordinates(self, z: Array, block: int) -> Array:
         """Return columns and rows (nv, nu, 2) of the height field `z` in pixel blocks."""
         slopes, shift = self._views[block]
         # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
         if block != BLOCK_PX:
-            near = bilinear(z, self._places(z, BLOCK_PX))
+            near = bilinear(z, self._pixel_coordinates(z, BLOCK_PX))
             height = cv2.resize(near, shift.shape[::-1], interpolation=cv2.INTER_LINEAR)
             return self._membrane.columns_rows(self._line(slopes, shift, height))
         height = np.zeros(shift.shape)

@@ -121,7 +121,9 @@ class EllipseSampler:
         cy = (x * y * dy).sum(axis=1) / area
         x = x - cx[:, None]
         y = y - cy[:, None]
-        xx, yy, xy = ((one * dy).sum(axis=1) / area for one in (x**3 / 3, x * y * y, x * x * y / 2))
+        xx, yy, xy = (
+            (power * dy).sum(axis=1) / area for power in (x**3 / 3, x * y * y, x * x * y / 2)
+        )
         xx = 4 * xx
         xy = 4 * xy
         yy = 4 * yy

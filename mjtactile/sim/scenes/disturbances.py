@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 UP = 0.9
 """Fraction of the commanded lift height at which the gripper counts as lifted."""
-_PLACES = (PREFIX, "table/")
+_PREFIXES = (PREFIX, "table/")
 _TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
 _FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed
@@ -66,8 +66,8 @@ class DisturbanceSchedule:
         self._surfaces = np.flatnonzero(owners)
         self._surface_friction = model.geom_friction[self._surfaces, 0].copy()
         self._frictions = [sensor.friction for sensor in world.sensors]
-        self._places = _static_bodies(model)
-        self._place_height = model.body_pos[self._places, 2].copy()
+        self._supports = _static_bodies(model)
+        self._support_height = model.body_pos[self._supports, 2].copy()
         self._first_mass = float(self._mass.sum())
         self._second = world.second_object
         self.up_since = math.nan
@@ -109,7 +109,7 @@ class DisturbanceSchedule:
                 self._fill(event.values["mass"], done)
             elif event.kind == "move_support":
                 height = event.values["height"] * done
-                self._world.model.body_pos[self._places, 2] = self._place_height + height
+                self._world.model.body_pos[self._supports, 2] = self._support_height + height
             elif event.kind == "stack" and self._second is not None:
                 self._second.put(done)
 
@@ -218,7 +218,7 @@ def _static_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
             for body in range(1, model.nbody)
             if model.body_weldid[body] == 0
             and model.body_parentid[body] == 0
-            and model.body(body).name.startswith(_PLACES)
+            and model.body(body).name.startswith(_PREFIXES)
         ],
         dtype=np.int64,
     )

@@ -277,8 +277,8 @@ class Jaws:
             per = per_length / law.ratio
             drives.append((actuator.id, zero - per * law.offset, per / len(self.actuators), 0.0))
         if isinstance(lift, ActuatorLift):
-            number, zero, per = lift.affine()
-            drives.append((number, zero, 0.0, per))
+            actuator_id, zero, per = lift.affine()
+            drives.append((actuator_id, zero, 0.0, per))
         table = np.array(drives)
         return Drive(
             sum(law.offset for _, law in self.actuators),

@@ -282,18 +282,18 @@ class GripperWorld(World):
 
     def _hold_still(self) -> None:
         """Set every control so that the robot is at rest initially."""
-        for number in range(self.model.nu):
+        for actuator_id in range(self.model.nu):
             try:
                 actuator = PositionActuator(
-                    self.model, self.data, self.model.actuator(number).name, ""
+                    self.model, self.data, self.model.actuator(actuator_id).name, ""
                 )
             except (InputError, KeyError):
                 continue  # a motor, or a servo without a name: it stays at control 0
             actuator.set_goal(actuator.length)
         self._jaws.drive(self._opening_goal)
         self._lift.drive(0.0)
-        for number in np.flatnonzero(self.model.actuator_actnum == 1):
-            self.data.act[self.model.actuator_actadr[number]] = self.data.ctrl[number]
+        for actuator_id in np.flatnonzero(self.model.actuator_actnum == 1):
+            self.data.act[self.model.actuator_actadr[actuator_id]] = self.data.ctrl[actuator_id]
 
 
 def _nearer(start: float, goal: float, maximum: float) -> float:

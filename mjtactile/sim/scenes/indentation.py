@@ -302,8 +302,8 @@ def _membrane_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarra
     frame = design.frame
     axes = [np.arange(-0.5 * side, 0.5 * side, 6e-4) for side in (frame.length, frame.width)]
     x, y = (
-        axis + (place - axis[np.argmin(np.abs(axis - place))])
-        for axis, place in zip(axes, at, strict=True)
+        axis + (coordinate - axis[np.argmin(np.abs(axis - coordinate))])
+        for axis, coordinate in zip(axes, at, strict=True)
     )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
     if frame.outline is not None:  # as far within as on rectangles

@@ -110,8 +110,8 @@ def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array 
     try:
         for error in missing_names(spec, rig):
             raise error
-        for number, joint in enumerate(spec.joints):
-            joint.name = joint.name or f"unnamed joint {number}"
+        for index, joint in enumerate(spec.joints):
+            joint.name = joint.name or f"unnamed joint {index}"
         model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise InputError(
@@ -168,8 +168,8 @@ def plan_start(
         _settle(model, data, jaws, rig, "lift.body", wrong)
     elif rig.lift.kind == "arm":
         path = _plan_path(model, data, rig, gripper, centre, raised, jaws, yaw)
-    place = data.qpos.copy(), data.mocap_pos.copy()
-    return Start(*place, gripper, centre.copy(), origin, yaw, raised, path)
+    start_pose = data.qpos.copy(), data.mocap_pos.copy()
+    return Start(*start_pose, gripper, centre.copy(), origin, yaw, raised, path)
 
 
 def _centre_at(
@@ -268,9 +268,9 @@ def _plan_path(
         mujoco.mj_fwdVelocity(model, moving)
         return np.array([_goal_under_gravity(moving, actuator) for actuator in actuators]), rest
 
-    def refusal(target: Array, rest: float, place: str, field: str) -> InputError:
+    def refusal(target: Array, rest: float, where: str, field: str) -> InputError:
         text = (
-            f"the arm does not reach {place}: the fingertips would be at {_mm(target)} mm, and "
+            f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
             f"{1e3 * rest:.1f} mm or mrad remain"
         )
         return InputError(text, source=rig.path, field=field)
@@ -283,8 +283,8 @@ def _plan_path(
         if rest > _TOLERANCE:
             if height == 0:
                 raise refusal(target, rest, "the table", "lift.kind")
-            place = f"{1e3 * height:.0f} mm above its start"
-            raise refusal(target, rest, place, "lift.travel_mm")
+            where = f"{1e3 * height:.0f} mm above its start"
+            raise refusal(target, rest, where, "lift.travel_mm")
         if height == 0:
             data.qpos[:] = moving.qpos
         joints.append(moving.qpos.copy())
@@ -376,9 +376,9 @@ def _goal_under_gravity(data: mujoco.MjData, actuator: PositionActuator) -> floa
 
 def _between(heights: Array, rows: Array, height: float) -> Array:
     """The row for a height, linear between the rows of evenly spaced `heights`."""
-    place = min(max(height / (heights[1] - heights[0]), 0.0), len(heights) - 1.0)
-    low = min(int(place), len(heights) - 2)
-    return rows[low] + (place - low) * (rows[low + 1] - rows[low])
+    index = min(max(height / (heights[1] - heights[0]), 0.0), len(heights) - 1.0)
+    low = min(int(index), len(heights) - 2)
+    return rows[low] + (index - low) * (rows[low + 1] - rows[low])
 
 
 def _mm(point: Array) -> str:

@@ -90,5 +90,5 @@ def _keep_ranges(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Bring slides and hinges back into their ranges."""
     for joint in np.flatnonzero(model.jnt_limited):
         if model.jnt_type[joint] in SCALAR_JOINTS:
-            place = model.jnt_qposadr[joint]
-            data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
+            address = model.jnt_qposadr[joint]
+            data.qpos[address] = np.clip(data.qpos[address], *model.jnt_range[joint])

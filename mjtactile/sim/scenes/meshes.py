@@ -97,8 +97,8 @@ def add_solid(
 ) -> list[mujoco.MjsGeom]:
     """Add mesh geoms, named `name`, `name`1 …, to a MuJoCo body."""
     geoms = []
-    for number, (vertices, faces) in enumerate(parts):
-        label = f"{name}{number or ''}"
+    for index, (vertices, faces) in enumerate(parts):
+        label = f"{name}{index or ''}"
         mesh = spec.add_mesh(name=label)
         mesh.uservert = vertices.ravel()
         mesh.userface = faces.ravel().astype(np.int32)

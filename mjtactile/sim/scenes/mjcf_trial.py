@@ -133,7 +133,10 @@ def _require_files(path: Path, done: set[Path]) -> None:
         root = ElementTree.parse(path).getroot()
     except (ElementTree.ParseError, OSError):
         return  # MuJoCo reports it better
-    folders = {"", *(value for one in root.iter("compiler") for value in map(one.get, _FOLDERS))}
+    folders = {
+        "",
+        *(value for compiler in root.iter("compiler") for value in map(compiler.get, _FOLDERS)),
+    }
     for element in root.iter():
         name = element.get("file")
         for folder in folders if name else ():

@@ -68,9 +68,9 @@ Rng = np.random.Generator
 
 def seed_of(name: str) -> int | None:
     """The seed in "random:7"; None of any other name."""
-    number = name.removeprefix(PREFIX)
-    if name.startswith(PREFIX) and number.isdecimal():
-        return int(number)
+    digits = name.removeprefix(PREFIX)
+    if name.startswith(PREFIX) and digits.isdecimal():
+        return int(digits)
     return None
 
 
@@ -292,8 +292,8 @@ def _build_bottle(t: RandomObject) -> Built:
 def _build_fruit(t: RandomObject) -> Built:
     """Flesh in segments around a core, each on a radial spring, as the shipped strawberry's."""
     stiffness = t.detail[0]
-    off = 0.4 * t.a
-    size = (t.a - off, 0.72 * t.a, t.c)
+    shift = 0.4 * t.a
+    size = (t.a - shift, 0.72 * t.a, t.c)
     part = 0.5 * t.mass / _SEGMENTS
     damping = 2 * 0.7 * math.sqrt(stiffness * part)
     lines = [
@@ -307,7 +307,7 @@ def _build_fruit(t: RandomObject) -> Built:
     ]
     for k in range(_SEGMENTS):
         angle = 2 * math.pi * k / _SEGMENTS
-        x, y = off * math.cos(angle), off * math.sin(angle)
+        x, y = shift * math.cos(angle), shift * math.sin(angle)
         lines += [
             f'<body name="flesh{k}" pos="{x:.6g} {y:.6g} 0" euler="0 0 {math.degrees(angle):g}">',
             f'  <joint name="flesh{k}" type="slide" axis="1 0 0" '

@@ -173,9 +173,9 @@ def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
         first = model.mesh_vertadr[mesh]
         count = model.mesh_vertnum[mesh]
         start = model.mesh_faceadr[mesh]
-        number = model.mesh_facenum[mesh]
+        face_count = model.mesh_facenum[mesh]
         return model.mesh_vert[first : first + count].astype(float), model.mesh_face[
-            start : start + number
+            start : start + face_count
         ]
     return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
 

@@ -188,10 +188,10 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
 """
 
 
-def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
+def _rows(ids: NDArray[np.int64], columns: int = 110) -> str:
     """Return the integers as text in lines of limited width."""
     lines = [""]
-    for row in numbers:
+    for row in ids:
         text = " ".join(map(str, row))
         if len(lines[-1]) + len(text) > columns:
             lines.append("")

@@ -46,9 +46,9 @@ class StageDrive:
     def advance_to(self, time: float) -> None:
         """Step the world to `time` s after the start, towards the newest move's target."""
         end = self._first + round(time / self._world.timestep)
-        number = current(self._moves, self._now)
-        if number is not None:
-            self._follow(self._moves[number], (end - self._world.step_count) * self._world.timestep)
+        index = current(self._moves, self._now)
+        if index is not None:
+            self._follow(self._moves[index], (end - self._world.step_count) * self._world.timestep)
         if self._world.step_count < end:
             self._world.step(end - self._world.step_count)
         self._now = time

@@ -41,9 +41,11 @@ class SoftSolid:
         first = int(model.flex_vertadr[flex])
         count = int(model.flex_vertnum[flex])
         start = int(model.flex_elemdataadr[flex])
-        number = int(model.flex_elemnum[flex])
+        element_count = int(model.flex_elemnum[flex])
         self._vertices = slice(first, first + count)
-        self._elements = model.flex_elem[start : start + 4 * number].reshape(-1, 4).astype(np.int64)
+        self._elements = (
+            model.flex_elem[start : start + 4 * element_count].reshape(-1, 4).astype(np.int64)
+        )
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         self._rest = data.flexvert_xpos[self._vertices].copy()

@@ -68,17 +68,17 @@ def _overlaps(
     """
     probe = int(sensor.housing_geom_ids[0])
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-    places = (model.geom_size[probe], data.geom_xpos[probe], data.geom_xmat[probe])
-    kept = [place.copy() for place in places]
+    geom_values = (model.geom_size[probe], data.geom_xpos[probe], data.geom_xmat[probe])
+    kept = [value.copy() for value in geom_values]
     try:
-        places[0][:] = half
-        places[1][:] = data.xpos[sensor.body_id] + R_WS @ center
-        places[2][:] = R_WS.ravel()
+        geom_values[0][:] = half
+        geom_values[1][:] = data.xpos[sensor.body_id] + R_WS @ center
+        geom_values[2][:] = R_WS.ravel()
         # below a positive limit, so that an overlap is negative
         return mujoco.mj_geomDistance(model, data, probe, geom, 1e-3, None) < 0
     finally:
-        for place, old in zip(places, kept, strict=True):
-            place[:] = old
+        for value, old in zip(geom_values, kept, strict=True):
+            value[:] = old
 
 
 def exclude(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> None:

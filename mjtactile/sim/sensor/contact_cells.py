@@ -41,21 +41,21 @@ _ANGLES = np.arange(8) * np.pi / 4
 
 
 class Cells(NamedTuple):
-    """Vertices in the frame of a shape: `places` (k, 3) m, the membrane's `axes` (3, 3), of which
-    the third is its outward normal, and the `sizes` (k,) m of the cells."""
+    """Vertices in the frame of a shape: `positions` (k, 3) m, the membrane's `axes` (3, 3), and
+    the `sizes` (k,) m of the cells. The third axis is the outward normal."""
 
-    places: Array
+    positions: Array
     axes: Array
     sizes: Array
 
     def of(self, rows: NDArray[np.int64]) -> Cells:
-        return Cells(self.places[rows], self.axes, self.sizes[rows])
+        return Cells(self.positions[rows], self.axes, self.sizes[rows])
 
     def gaps(self, entry: ray_intersection.Entry, shifts: Array) -> Array:
         """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) from the
         vertices."""
         points = (
-            self.places[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
+            self.positions[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
         ).reshape(-1, 3)
         return (
             entry(points, np.broadcast_to(self.axes[2], points.shape)).reshape(shifts.shape[:2])
@@ -81,9 +81,9 @@ def initial_offsets(
     """
     outward = cells.axes[2]
     heights = core @ outward + entry(core, np.broadcast_to(outward, core.shape))
-    shifts = (core @ cells.axes[:2].T)[None] - (cells.places @ cells.axes[:2].T)[:, None]
+    shifts = (core @ cells.axes[:2].T)[None] - (cells.positions @ cells.axes[:2].T)[:, None]
     shifts /= cells.sizes[:, None, None]
-    gaps = (heights - (cells.places @ outward)[:, None]) / cells.sizes[:, None]
+    gaps = (heights - (cells.positions @ outward)[:, None]) / cells.sizes[:, None]
     gaps = np.where(np.abs(shifts).max(axis=2) < HALF_WIDTH, gaps, _MISSED)
     chosen = (gaps + _CENTRED * (shifts * shifts).sum(axis=2)).argmin(axis=1)
     row = np.arange(len(chosen))
@@ -168,8 +168,8 @@ def standoff(
     even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
     shape = subgrid_indentation.profile(even[0], even[1], _RINGS)
     own, radii = subgrid_indentation.depth_beyond_mesh(loads, *shape, width)
-    places = flat / cells.sizes[:, None]
-    others = subgrid_indentation.depth_of_neighbours(loads, radii, places, places + at)
+    positions = flat / cells.sizes[:, None]
+    others = subgrid_indentation.depth_of_neighbours(loads, radii, positions, positions + at)
     return np.maximum(own + others, 0.0)
 
 
@@ -179,11 +179,13 @@ def angles_of(cells: Cells, core: Array, at: Array) -> Array:
     They are computed from the points `core` (m, 3) m inside, and arbitrary for a shape on end.
     """
     flat = cells.axes[:2]
-    off = ((core @ flat.T)[None] - (cells.places @ flat.T)[:, None]) / cells.sizes[:, None, None]
-    off -= at[:, None]
-    near = (np.linalg.norm(off, axis=2) < subgrid_indentation.MAX_RADIUS).astype(float)
+    offsets = ((core @ flat.T)[None] - (cells.positions @ flat.T)[:, None]) / cells.sizes[
+        :, None, None
+    ]
+    offsets -= at[:, None]
+    near = (np.linalg.norm(offsets, axis=2) < subgrid_indentation.MAX_RADIUS).astype(float)
     xx, yy, xy = (
-        (near * off[..., i] * off[..., j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1))
+        (near * offsets[..., i] * offsets[..., j]).sum(axis=1) for i, j in ((0, 0), (1, 1), (0, 1))
     )
     return np.arctan2(2 * xy, xx - yy) / 2
 

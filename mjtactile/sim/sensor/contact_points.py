@@ -84,7 +84,7 @@ class ContactPoints:
         self._first = int(vertex_geom_ids[0])
         block = slice(self._first, self._first + len(vertex_geom_ids))
         # live views
-        self._places = model.geom_pos[block]
+        self._positions = model.geom_pos[block]
         self._radii = model.geom_size[block, 0]
         self._bounds = model.geom_rbound[block]
         self._boxes = model.geom_aabb[block, 3:]
@@ -106,11 +106,11 @@ class ContactPoints:
         self._blunt = max(_BLUNT * float(self._sizes[0]), self._radius)
         if self._shapes:
             _widen(model, model.geom_bodyid[vertex_geom_ids], self._sizes[0])
-        self._back = np.zeros_like(self._places)
-        self._limits = np.full(len(self._places), _TAKES)
+        self._back = np.zeros_like(self._positions)
+        self._limits = np.full(len(self._positions), _TAKES)
         self._time = float(data.time)
         self._still = True
-        self._goal = np.zeros_like(self._places)
+        self._goal = np.zeros_like(self._positions)
         self._poses: dict[int, Array] = {}
         self._since = float(data.time)
         # normals of the membrane without a nearby object: the slopes of a tent do not represent the
@@ -150,7 +150,7 @@ class ContactPoints:
         self._still = not near and np.abs(self._back).max() < _STILL
         if self._still:
             self._back[:] = 0.0
-        self._places[:] = goal + self._back
+        self._positions[:] = goal + self._back
 
     def _rested(self, time: float) -> float:
         """Return the time during which no sharp object has moved relative to the sensor, s.
@@ -161,8 +161,10 @@ class ContactPoints:
         minimum = _STAYS * float(self._sizes[0])
         R_WS = self._data.xmat[self._body].reshape(3, 3)
         poses = {geom: self._pose(geom, R_WS) for geom in self._shapes}
-        off = (np.abs(pose - self._poses.get(geom, np.inf)).max() for geom, pose in poses.items())
-        if max(off, default=0.0) < minimum:
+        change = (
+            np.abs(pose - self._poses.get(geom, np.inf)).max() for geom, pose in poses.items()
+        )
+        if max(change, default=0.0) < minimum:
             return max(time - self._since, 0.0)
         self._poses = poses
         self._since = time
@@ -172,8 +174,8 @@ class ContactPoints:
         """Return position (3,) m and axes of a geom in S as columns (3, 4), scaled by its
         radius."""
         axes = R_WS.T @ self._data.geom_xmat[geom].reshape(3, 3)
-        place = self._in_sensor(self._data.geom_xpos[geom])
-        return np.column_stack([place, self._model.geom_rbound[geom] * axes])
+        position = self._in_sensor(self._data.geom_xpos[geom])
+        return np.column_stack([position, self._model.geom_rbound[geom] * axes])
 
     def _touching(self) -> NDArray[np.bool_]:
         """Return a mask (k,) of the vertices in contact."""
@@ -189,7 +191,7 @@ class ContactPoints:
 
     def _goals(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> _Goals:
         """Return the goals of the spheres of vertices at `p_SV` (n, 3) m."""
-        count = len(self._places)
+        count = len(self._positions)
         to, back = np.zeros((2, count, 3))
         goals = _Goals(to, back, np.zeros(count, dtype=bool), np.full(count, np.inf))
         loads = None
@@ -240,8 +242,8 @@ class ContactPoints:
         center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         radius = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
         size = float(self._sizes[0])
-        places = self._in_sensor(data.geom_xpos[self._geoms])
-        distance = np.linalg.norm(places - center, axis=1) - self._model.geom_rbound[self._geoms]
+        positions = self._in_sensor(data.geom_xpos[self._geoms])
+        distance = np.linalg.norm(positions - center, axis=1) - self._model.geom_rbound[self._geoms]
         found = self._geoms[distance < radius + size].tolist()
         if not found:
             return found
@@ -264,7 +266,7 @@ class ContactPoints:
 
     def _at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
         """Return the rows of the cells at an end of a cylinder, or beyond it."""
-        extent = np.abs(cells.places[:, 2]) + 2 * cells.sizes
+        extent = np.abs(cells.positions[:, 2]) + 2 * cells.sizes
         return np.flatnonzero(extent > self._model.geom_size[geom, 1])
 
     def _hints(self, geom: int, entry: ray_intersection.Entry, cells: Cells) -> tuple[Array, Array]:
@@ -366,9 +368,9 @@ class ContactPoints:
         """Return the contact forces (k,) beyond the gas load, over 2 pi times tension and cell
         size."""
         contact = self._data.contact
-        numbers, mine = self._contact_vertices()
+        vertex_ids, mine = self._contact_vertices()
         rows = np.flatnonzero(mine.any(axis=1) & (contact.efc_address >= 0))
-        vertices = np.where(mine[rows, 1], numbers[rows, 1], numbers[rows, 0])
+        vertices = np.where(mine[rows, 1], vertex_ids[rows, 1], vertex_ids[rows, 0])
         forces = (
             np.bincount(vertices, self._data.efc_force[contact.efc_address[rows]], len(self._sizes))
             if len(rows)

@@ -101,15 +101,15 @@ def filled_fraction(vertices: Array, faces: NDArray[np.int64]) -> float:
 
 def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     """Return a flag if a touching geom is a non-convex mesh, whose hull makes the contact."""
-    number = int(model.geom_dataid[geom])
-    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or number < 0:
+    mesh_id = int(model.geom_dataid[geom])
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or mesh_id < 0:
         return None
-    mesh = model.mesh(number)
+    mesh = model.mesh(mesh_id)
     vertices = int(mesh.vertadr[0])
     faces = int(mesh.faceadr[0])
     fraction = filled_fraction(
-        np.asarray(model.mesh_vert[vertices : vertices + model.mesh_vertnum[number]], float),
-        model.mesh_face[faces : faces + model.mesh_facenum[number]].astype(np.int64),
+        np.asarray(model.mesh_vert[vertices : vertices + model.mesh_vertnum[mesh_id]], float),
+        model.mesh_face[faces : faces + model.mesh_facenum[mesh_id]].astype(np.int64),
     )
     if fraction >= CONVEX:
         return None

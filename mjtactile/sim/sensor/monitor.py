@@ -90,7 +90,7 @@ class SceneMonitor:
         self._unsensed: dict[str, tuple[float, str]] = {}
         self._carriers = [carrier_geoms.carrier_geoms(model, data, sensor) for sensor in sensors]
         self._check_count = -1
-        self._places = self._geoms_in(sensors)
+        self._positions = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
     @property
@@ -137,20 +137,20 @@ class SceneMonitor:
         self._check_count += 1
         # quasi-static membranes detect tunneling themselves
         if self.only_quasistatic and self._check_count % _QS_RARE_PERIOD:
-            for number, sensor in enumerate(self._sensors):
-                flags |= self._frame(number) | self._contact_flags(sensor)
+            for index, sensor in enumerate(self._sensors):
+                flags |= self._frame(index) | self._contact_flags(sensor)
             return flags, {Cadence.FAST}, stop
-        places = self._geoms_in(self._sensors)
+        positions = self._geoms_in(self._sensors)
         is_slow_check = self._check_count % _RARELY == 0
-        for number, sensor in enumerate(self._sensors):
+        for index, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
             flags |= sensor.flags() if is_slow_check else self._contact_flags(sensor)
             rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
-            flags |= self._frame(number)
+            flags |= self._frame(index)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
-            lasting = self._penetration(number, rows)
+            lasting = self._penetration(index, rows)
             if lasting > PENETRATION:
                 flags["penetration"] = (
                     f"objects penetrate the membrane by {lasting:.0%} of the indentation, "
@@ -158,16 +158,16 @@ class SceneMonitor:
                 )
             if lasting > _SUNK:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
-            jumped = self._jumped(number, places[number])
+            jumped = self._jumped(index, positions[index])
             if jumped and isinstance(sensor, QuasistaticSensor):
                 flags["quasistatic"] = jumped
             else:
                 stop = stop or jumped
-        self._places = places
+        self._positions = positions
         stop = stop or self.tunneled_geom()
         if not is_slow_check:
             return flags, SIMULATION - {Cadence.SLOW}, stop
-        return flags | self._too_fast(places), SIMULATION, stop
+        return flags | self._too_fast(positions), SIMULATION, stop
 
     @staticmethod
     def _contact_flags(sensor: AnySensor) -> Reasons:
@@ -225,41 +225,41 @@ class SceneMonitor:
         xy = (p @ self._data.xmat[sensor.body_id].reshape(3, 3))[:, :2]
         return float(sensor.design.frame.inside(xy).min())
 
-    def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
+    def _penetration(self, index: int, rows: NDArray[np.int64]) -> float:
         """Return the penetration over the indentation that lasts for several checks."""
-        heights = self._sensors[number].heights
+        heights = self._sensors[index].heights
         if not len(rows):
-            self._reference_heights[number] = heights
-            self._deep[number] = 0.0
+            self._reference_heights[index] = heights
+            self._deep[index] = 0.0
             return 0.0
-        indentation = max(float((self._reference_heights[number] - heights).max()), 0.0)
-        depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
-        self._deep[number] = [
-            *self._deep[number, 1:],
+        indentation = max(float((self._reference_heights[index] - heights).max()), 0.0)
+        depth = max(float(self._sensors[index].penetrations(rows).max()), 0.0)
+        self._deep[index] = [
+            *self._deep[index, 1:],
             depth / max(indentation + depth, _MIN_INDENTATION),
         ]
-        return float(self._deep[number].min())
+        return float(self._deep[index].min())
 
-    def _frame(self, number: int) -> Reasons:
+    def _frame(self, index: int) -> Reasons:
         """Return flags when a sensor's frame or carrier carries force over several checks."""
-        sensor = self._sensors[number]
+        sensor = self._sensors[index]
         prefix = sensor.prefix
         frame, blocking = contact_loads.frame_load(self._data, sensor)
-        carried, geom = contact_loads.carried_load(self._data, sensor, self._carriers[number])
-        self._framed[number].append(frame)
-        self._bypassed[number].append(carried)
+        carried, geom = contact_loads.carried_load(self._data, sensor, self._carriers[index])
+        self._framed[index].append(frame)
+        self._bypassed[index].append(carried)
         obstacle, name = (
             feature_size.name_of(self._model, one) if one >= 0 else "a soft body"
             for one in (blocking, geom)
         )
         texts = {
             "frame_contact": (
-                min(self._framed[number]),
+                min(self._framed[index]),
                 f"the frame of sensor {prefix!r} is blocked by {obstacle!r} with {{:.1f}} N, which "
                 "the camera cannot measure; move the contact onto the membrane",
             ),
             "carrier_contact": (
-                min(self._bypassed[number]),
+                min(self._bypassed[index]),
                 f"{name!r}, to which sensor {prefix!r} is fixed, carries {{:.1f}} N past the "
                 "membrane; move the site forward, or set contype and conaffinity of the geom to 0",
             ),
@@ -289,13 +289,13 @@ class SceneMonitor:
         """
         if not every and not self.needs_every_step:
             return None
-        for number, sensor in enumerate(self._sensors):
+        for index, sensor in enumerate(self._sensors):
             if sensor.is_asleep or isinstance(sensor, QuasistaticSensor):
                 continue
             p_SV = None
-            for geom in self._over(sensor, self._geoms_of[number] if every else self._thin[number]):
+            for geom in self._over(sensor, self._geoms_of[index] if every else self._thin[index]):
                 p_SV = sensor.p_SV if p_SV is None else p_SV
-                if self._cores[number].behind(
+                if self._cores[index].behind(
                     self._data, sensor.body_id, p_SV, int(geom), sensor.design.chamber.depth
                 ):
                     return self._went_through(sensor, int(geom))
@@ -308,27 +308,29 @@ class SceneMonitor:
         data = self._data
         frame = sensor.design.frame
         R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-        places = (data.geom_xpos[geoms] - data.xpos[sensor.body_id]) @ R_WS
+        positions = (data.geom_xpos[geoms] - data.xpos[sensor.body_id]) @ R_WS
         radii = self._model.geom_rbound[geoms]
         depth = sensor.design.chamber.depth
         top = max(float(sensor.heights.max()), 0.0)
         return geoms[
-            (np.abs(places[:, 0]) < frame.length / 2 + radii)
-            & (np.abs(places[:, 1]) < frame.width / 2 + radii)
-            & (places[:, 2] < top + radii)
-            & (places[:, 2] > -depth - radii)
+            (np.abs(positions[:, 0]) < frame.length / 2 + radii)
+            & (np.abs(positions[:, 1]) < frame.width / 2 + radii)
+            & (positions[:, 2] < top + radii)
+            & (positions[:, 2] > -depth - radii)
         ]
 
-    def _jumped(self, number: int, places: Array) -> str | None:
+    def _jumped(self, index: int, positions: Array) -> str | None:
         """Return a message if a geom was in front of the membrane and is now behind the glass."""
-        sensor = self._sensors[number]
+        sensor = self._sensors[index]
         frame = sensor.design.frame
         glass = -sensor.design.chamber.depth
         top = max(float(sensor.heights.max()), 0.0)
         jumped = (
-            (self._places[number][:, 2] > top) & (places[:, 2] < glass) & self._can_touch[number]
+            (self._positions[index][:, 2] > top)
+            & (positions[:, 2] < glass)
+            & self._can_touch[index]
         )
-        over = np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)
+        over = np.abs(positions[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)
         for k in np.flatnonzero(jumped & over.all(axis=1)):
             return self._went_through(sensor, int(self._geoms[k]))
         return None
@@ -345,17 +347,19 @@ class SceneMonitor:
         hurries = (np.abs(self._data.qvel[self._movers]) > self._max_speeds).any()
         return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
 
-    def _too_fast(self, places: Sequence[Array]) -> Reasons:
+    def _too_fast(self, positions: Sequence[Array]) -> Reasons:
         """Return a flag for objects near a membrane that move by half their size per step."""
         flags: Reasons = {}
         if not len(self._geoms):
             return flags
         velocities = self._velocities(self._model.geom_bodyid[self._geoms])
         step = float(self._model.opt.timestep)
-        for sensor, place, touching in zip(self._sensors, places, self._can_touch, strict=True):
+        for sensor, position, touching in zip(
+            self._sensors, positions, self._can_touch, strict=True
+        ):
             velocity = velocities - self._velocities([sensor.body_id])
             speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
-            near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
+            near = np.einsum("ki,ki->k", position, position) < (_NEAR + self._sizes) ** 2
             fraction = speed * (near & touching) * step / self._sizes
             k = int(np.argmax(fraction))
             if fraction[k] > _FAST:

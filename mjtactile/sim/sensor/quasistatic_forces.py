@@ -47,17 +47,17 @@ class QuasistaticForces:
             self._forces = np.vstack([self._forces, np.zeros((1, 2, self._model.nv))])
             self._holds = np.vstack([self._holds, np.zeros((count, HOLD))])
             self._bind()
-        number = self._owners.index(owner)
-        self._forces[number] = 0.0
-        self._holds[self._rows[number]] = 0.0
-        return number
+        index = self._owners.index(owner)
+        self._forces[index] = 0.0
+        self._holds[self._rows[index]] = 0.0
+        return index
 
-    def set(self, number: int, force: Array, holds: Array) -> None:
-        """Set row `number` to `force` (2, nv), which is force and damping of inner joints, and the
+    def set(self, index: int, force: Array, holds: Array) -> None:
+        """Set row `index` to `force` (2, nv), which is force and damping of inner joints, and the
         damping of the MuJoCo bodies of `holds` (count, HOLD). Other changes to `qfrc_applied` are
         kept."""
-        self._forces[number] = force
-        self._holds[self._rows[number]] = holds
+        self._forces[index] = force
+        self._holds[self._rows[index]] = holds
         assert self._add is not None
         self._add()
 
@@ -66,10 +66,10 @@ class QuasistaticForces:
         assert self._add is not None
         return words(self._add)
 
-    def addresses(self, number: int) -> list[int]:
+    def addresses(self, index: int) -> list[int]:
         """Return the memory addresses of a row's force and of its holds."""
-        holds = self._holds[self._rows[number]]
-        return [self._forces[number].ctypes.data, holds.ctypes.data]
+        holds = self._holds[self._rows[index]]
+        return [self._forces[index].ctypes.data, holds.ctypes.data]
 
     def _bind(self) -> None:
         model, data = self._model, self._data

@@ -157,7 +157,7 @@ class QuasistaticGas:
         absolute = gas.gauge_pressure + gas.ambient
         exponent = stiffness * self._volume / absolute
         self._stiffness[0] = stiffness
-        self._live.numbers[HEAT_RATIO] = exponent
+        self._live.constants[HEAT_RATIO] = exponent
         self._live.settings[:2] = absolute * self._volume**exponent, True
 
     def _let_flow(self) -> None:

@@ -283,7 +283,7 @@ class QuasistaticSensor(BaseSensor):
         x = self._live.x
         owners = self._touched[1]
         i, j = np.nonzero(owners)
-        places = np.stack(
+        positions = np.stack(
             [membrane.x[i] + x[0, i, j], membrane.y[j] + x[1, i, j], x[2, i, j]], axis=1
         )
         normal = force[i, j]
@@ -291,7 +291,7 @@ class QuasistaticSensor(BaseSensor):
         totals = np.bincount(slots, normal, minlength=len(self._patches))
         fraction = normal / totals[slots]
         shear = self._patches["wrench"][slots, :2]
-        return np.column_stack([fraction * shear[:, 0], fraction * shear[:, 1], -normal]), places
+        return np.column_stack([fraction * shear[:, 0], fraction * shear[:, 1], -normal]), positions
 
     @property
     def p_SV(self) -> Array:

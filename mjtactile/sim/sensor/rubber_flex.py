@@ -162,8 +162,8 @@ class RelaxingMesh:
     @property
     def is_still(self) -> bool:
         """True if all terms have reached their limits."""
-        off = self._memory[0] * self._fractions[:, None, None] - self._memory[1:]
-        return bool(np.abs(off).max(initial=0.0) < _STILL * self._shear)
+        remaining = self._memory[0] * self._fractions[:, None, None] - self._memory[1:]
+        return bool(np.abs(remaining).max(initial=0.0) < _STILL * self._shear)
 
     def _advance(self, p_SV: Array, elapsed: float) -> None:
         """Update the state only, without writing stiffness or forces."""

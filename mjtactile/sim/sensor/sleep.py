@@ -67,8 +67,8 @@ class Sleeper:
         self._pushes = data.xfrc_applied[self._bodies]  # a live view: the vertices are one block
         joint = int(model.body_jntadr[bodies[0]])
         self._joints = slice(joint, joint + 3 * len(mesh.interior))
-        place = int(model.jnt_qposadr[joint])
-        self._springs = model.qpos_spring[place : place + 3 * len(mesh.interior)]
+        address = int(model.jnt_qposadr[joint])
+        self._springs = model.qpos_spring[address : address + 3 * len(mesh.interior)]
         self._velocity: list[float] = data.cvel[body_id].tolist()
         self._weight = [np.nan] * 3
         self._kept = tuple[Array, ...]()

@@ -21,7 +21,7 @@ _LINE = 0.31  # deepening of contact on a line: 1 - ln 2
 # 4 to 6 (L5)
 _TIGHTENING = 2.0
 _HALVINGS = 24
-_ONE_PLACE = 0.3  # cells between touches of one feature
+_SAME_POINT = 0.3  # cells between touches of one feature
 # minimum distance of two discs at one position, relative to the sum of their radii: exp(-1/4) / 2
 _MUTUAL = 0.39
 _TINY = 1e-12
@@ -108,6 +108,6 @@ def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Ar
     Several `vertices` (k, 2) may bear on one location, at `touches` (k, 2).
     """
     distance, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
-    one_place = (close < _ONE_PLACE) & ~np.eye(len(load), dtype=bool)
+    same_point = (close < _SAME_POINT) & ~np.eye(len(load), dtype=bool)
     close = np.maximum(close, _MUTUAL * (radius[:, None] + radius))
-    return np.log(np.where(one_place, distance / close, 1.0)) @ load
+    return np.log(np.where(same_point, distance / close, 1.0)) @ load

@@ -55,8 +55,8 @@ class CorePoints:
         return bool((points[:, 2] < heights - self._slack).any())
 
 
-def _heights(triangles: Array, places: Array) -> Array:
-    """Heights (n,) m of `triangles` (m, 3, 3) m over `places` (n, 2) m; -inf outside of them."""
+def _heights(triangles: Array, positions: Array) -> Array:
+    """Heights (n,) m of `triangles` (m, 3, 3) m over `positions` (n, 2) m; -inf outside of them."""
     a, b, c = triangles.transpose(1, 0, 2)
     u = b - a
     v = c - a
@@ -65,8 +65,8 @@ def _heights(triangles: Array, places: Array) -> Array:
     twice = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     twice = np.where(np.abs(twice) > 1e-15, twice, np.inf)
     # offsets (n, m) of each point from each triangle's first corner
-    x = places[:, None, 0] - a[None, :, 0]
-    y = places[:, None, 1] - a[None, :, 1]
+    x = positions[:, None, 0] - a[None, :, 0]
+    y = positions[:, None, 1] - a[None, :, 1]
     along_u = (x * v[:, 1] - y * v[:, 0]) / twice
     along_v = (y * u[:, 0] - x * u[:, 1]) / twice
     is_inside = (along_u >= 0) & (along_v >= 0) & (along_u + along_v <= 1) & np.isfinite(twice)

@@ -21,10 +21,10 @@ _CORRECTION = wp.constant(1.0 / 24.0)  # factor of X4, round obstacles
 
 
 @wp.func
-def _bend(center: float, one: float, other: float) -> float:
+def _bend(center: float, first: float, other: float) -> float:
     found = float(0.0)
-    if is_on(one) and is_on(other):
-        found = one + other - 2.0 * center
+    if is_on(first) and is_on(other):
+        found = first + other - 2.0 * center
     return found
 
 

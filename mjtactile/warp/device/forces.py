@@ -10,7 +10,7 @@ import warp as wp
 from mjtactile.warp.device.contact import Patch, held_motion, normal_stiffness, patch_stiffness
 from mjtactile.warp.device.fields import Fields, Gas
 from mjtactile.warp.device.grid import MembraneGrid
-from mjtactile.warp.device.update import Places
+from mjtactile.warp.device.update import SensorGeoms
 
 wp.set_module_options({"enable_backward": False})
 
@@ -159,18 +159,20 @@ def _resist(
 
 
 @wp.func
-def _held_body(joints: Joints, places: Places, patch: Patch, finger: int, slot: int) -> int:
+def _held_body(
+    joints: Joints, sensor_geoms: SensorGeoms, patch: Patch, finger: int, slot: int
+) -> int:
     """Return the body whose free joint carries the body of a slot in contact, or -1."""
     found = int(-1)
-    if places.bodies[finger, slot] >= 0:
+    if sensor_geoms.bodies[finger, slot] >= 0:
         if patch.touches != 0:
-            found = joints.free[places.bodies[finger, slot]]
+            found = joints.free[sensor_geoms.bodies[finger, slot]]
     return found
 
 
 @wp.func
 def _write_outputs(
-    places: Places,
+    sensor_geoms: SensorGeoms,
     patches: wp.array2d(dtype=Patch),
     wrench: wp.array2d(dtype=float),
     fields: Fields,
@@ -178,20 +180,20 @@ def _write_outputs(
     sensordata: wp.array2d(dtype=float),
 ) -> None:
     """Write the values of the scene's `user` sensors: wrench, pressure, touching."""
-    fingers = places.frames.shape[0]
+    fingers = sensor_geoms.frames.shape[0]
     for finger in range(fingers):
         f = world * fingers + finger
-        if places.outputs[finger, 0] >= 0:
+        if sensor_geoms.outputs[finger, 0] >= 0:
             for c in range(6):
-                sensordata[world, places.outputs[finger, 0] + c] = wrench[f, c]
-        if places.outputs[finger, 1] >= 0:
-            sensordata[world, places.outputs[finger, 1]] = fields.pressure[f]
-        if places.outputs[finger, 2] >= 0:
+                sensordata[world, sensor_geoms.outputs[finger, 0] + c] = wrench[f, c]
+        if sensor_geoms.outputs[finger, 1] >= 0:
+            sensordata[world, sensor_geoms.outputs[finger, 1]] = fields.pressure[f]
+        if sensor_geoms.outputs[finger, 2] >= 0:
             touches = float(0.0)
-            for slot in range(places.bodies.shape[1]):
+            for slot in range(sensor_geoms.bodies.shape[1]):
                 if patches[f, slot].touches != 0:
                     touches = 1.0
-            sensordata[world, places.outputs[finger, 2]] = touches
+            sensordata[world, sensor_geoms.outputs[finger, 2]] = touches
 
 
 @wp.kernel
@@ -200,7 +202,7 @@ def add_forces(
     gas: Gas,
     stiffness: Stiffness,
     fields: Fields,
-    places: Places,
+    sensor_geoms: SensorGeoms,
     joints: Joints,
     patches: wp.array2d(dtype=Patch),
     timestep: wp.array(dtype=float),
@@ -215,9 +217,9 @@ def add_forces(
     sensordata: wp.array2d(dtype=float),
 ):
     world = wp.tid()
-    _write_outputs(places, patches, wrench, fields, world, sensordata)
-    fingers = places.frames.shape[0]
-    slots = places.bodies.shape[1]
+    _write_outputs(sensor_geoms, patches, wrench, fields, world, sensordata)
+    fingers = sensor_geoms.frames.shape[0]
+    slots = sensor_geoms.bodies.shape[1]
     step = timestep[world % timestep.shape[0]]
     nv = qvel.shape[1]
     spacing = wp.min(membrane.dx, membrane.dy)
@@ -231,10 +233,10 @@ def add_forces(
         slot = a - slots * finger
         f = world * fingers + finger
         patch = patches[f, slot]
-        body = places.bodies[finger, slot]
+        body = sensor_geoms.bodies[finger, slot]
         if body >= 0:
             if patch.touches != 0:
-                frame = places.frames[finger]
+                frame = sensor_geoms.frames[finger]
                 R = xmat[world, frame]
                 force = R @ patch.force
                 about = R @ (patch.torque - wp.cross(patch.middle, patch.force))
@@ -260,7 +262,7 @@ def add_forces(
                     parts = int(0)
                     for other in range(slots):
                         near = patches[f, other]
-                        if _held_body(joints, places, near, finger, other) == carried:
+                        if _held_body(joints, sensor_geoms, near, finger, other) == carried:
                             parts += 1
                     fraction = _SHARE * step
                     if parts > 1:
@@ -283,13 +285,17 @@ def add_forces(
                     )
     for a in range(fingers * slots):
         body = _held_body(
-            joints, places, patches[world * fingers + a // slots, a % slots], a // slots, a % slots
+            joints,
+            sensor_geoms,
+            patches[world * fingers + a // slots, a % slots],
+            a // slots,
+            a % slots,
         )
         is_first = body >= 0
         for b in range(a):
             other = _held_body(
                 joints,
-                places,
+                sensor_geoms,
                 patches[world * fingers + b // slots, b % slots],
                 b // slots,
                 b % slots,
@@ -304,8 +310,8 @@ def add_forces(
                 finger = b // slots
                 f = world * fingers + finger
                 patch = patches[f, b - slots * finger]
-                if _held_body(joints, places, patch, finger, b - slots * finger) == body:
-                    frame = places.frames[finger]
+                if _held_body(joints, sensor_geoms, patch, finger, b - slots * finger) == body:
+                    frame = sensor_geoms.frames[finger]
                     R = xmat[world, frame]
                     R_SB = wp.transpose(R) @ xmat[world, body]
                     p_SB = wp.transpose(R) @ (xpos[world, body] - xpos[world, frame])

@@ -162,12 +162,12 @@ def _see_between(
         offset = float(0.0)
         at = wp.vec2(x, y)
         for part in range(-_THIN - 1, _THIN + 2):
-            off = float(part) / parts
-            here = at + off * unit
+            fraction = float(part) / parts
+            here = at + fraction * unit
             seen = lowest(membrane, geoms, pool, f, here[0], here[1])
             if seen[0] < low[0]:
                 low = seen
-                offset = off
+                offset = fraction
         if low[0] < found.height:
             across = _reach(membrane, geoms, pool, f, at + offset * unit, axis)
             middle = offset + 0.5 * (across[1] - across[0]) / parts
@@ -262,10 +262,10 @@ def lean(
             total = float(0.0)
             hits = float(0.0)
             for part in range(-_THIN, _THIN + 1):
-                off = float(part) / float(2 * _THIN + 1)
-                place = at + side * _LEAN_OVER * along + off * over
-                if is_covered(membrane, geoms, pool, f, place):
-                    total += off
+                fraction = float(part) / float(2 * _THIN + 1)
+                position = at + side * _LEAN_OVER * along + fraction * over
+                if is_covered(membrane, geoms, pool, f, position):
+                    total += fraction
                     hits += 1.0
             if hits > 0.0:
                 found += side * total / hits / _LEAN_OVER

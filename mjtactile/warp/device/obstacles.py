@@ -65,8 +65,8 @@ def _result(geom: Geom, t: float, n: wp.vec3, out: float, steepest: float) -> wp
 
 @wp.func
 def _ball(from_: wp.vec3, along: wp.vec3, middle: wp.vec3, radius: float) -> float:
-    off = from_ - middle
-    return _first_root(1.0, wp.dot(off, along), wp.dot(off, off) - radius * radius)
+    offset = from_ - middle
+    return _first_root(1.0, wp.dot(offset, along), wp.dot(offset, offset) - radius * radius)
 
 
 @wp.func

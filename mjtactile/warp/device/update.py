@@ -1,4 +1,4 @@
-"""Step of all membranes in all worlds of a scene: places, equilibrium, friction, results."""
+"""Step of all membranes in all worlds of a scene: poses, equilibrium, friction, results."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.struct
-class Places:
+class SensorGeoms:
     """Fingers of a scene and the geoms that each may touch.
 
     `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
     model, -1 if absent, `kinds` their kinds, `slots` the numbers of their bodies among `bodies`
     (fingers, slots). `mesh` (1 or worlds, geoms of the model) is the mesh of a geom, `first` and
     `count` (meshes,) its planes. `radius` m is that of a membrane. `outputs` (fingers, 3) are the
-    places of wrench, pressure and touching in `sensordata`, -1 if absent.
+    addresses of wrench, pressure and touching in `sensordata`, -1 if absent.
     """
 
     frames: wp.array(dtype=int)
@@ -111,7 +111,7 @@ class States:
 
 @wp.func
 def _place(
-    places: Places,
+    sensor_geoms: SensorGeoms,
     geoms: wp.array2d(dtype=Geom),
     size: wp.array2d(dtype=wp.vec3),
     geom_xpos: wp.array2d(dtype=wp.vec3),
@@ -124,24 +124,24 @@ def _place(
     p: wp.vec3,
 ) -> None:
     """Write one geom's pose in the sensor's frame; kind -1 if it is out of reach."""
-    g = places.geoms[finger, k]
+    g = sensor_geoms.geoms[finger, k]
     geom = Geom()
     geom.kind = -1
     if g >= 0:
         at = wp.transpose(R) @ (geom_xpos[world, g] - p)
-        near = places.radius + places.rbound[world % places.rbound.shape[0], g]
-        if places.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
-            geom.kind = places.kinds[finger, k]
+        near = sensor_geoms.radius + sensor_geoms.rbound[world % sensor_geoms.rbound.shape[0], g]
+        if sensor_geoms.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
+            geom.kind = sensor_geoms.kinds[finger, k]
             geom.size = size[world % size.shape[0], g]
             geom.p = at
             geom.R = wp.transpose(R) @ geom_xmat[world, g]
-            mesh = places.mesh[world % places.mesh.shape[0], g]
+            mesh = sensor_geoms.mesh[world % sensor_geoms.mesh.shape[0], g]
             if geom.kind == CONVEX:
                 if mesh < 0:
                     geom.kind = -1
                 else:
-                    geom.first = places.first[mesh]
-                    geom.count = places.count[mesh]
+                    geom.first = sensor_geoms.first[mesh]
+                    geom.count = sensor_geoms.count[mesh]
     geoms[f, k] = geom
 
 
@@ -152,7 +152,7 @@ def update_all(
     gas: Gas,
     heat: Heat,
     sticking: Sticking,
-    places: Places,
+    sensor_geoms: SensorGeoms,
     states: States,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),
@@ -169,35 +169,35 @@ def update_all(
     # all obstacles are first turned about the origin of S, then shifted along its axes
     f, lane = wp.tid()
     threads = wp.block_dim()
-    fingers = places.frames.shape[0]
+    fingers = sensor_geoms.frames.shape[0]
     world = f // fingers
     finger = f - fingers * world
-    frame = places.frames[finger]
+    frame = sensor_geoms.frames[finger]
     R = xmat[world, frame] @ wp.transpose(turn)
     p = xpos[world, frame] - R @ shift
     for k in range(lane, geoms.shape[1], threads):
-        _place(places, geoms, size, geom_xpos, geom_xmat, f, world, finger, k, R, p)
+        _place(sensor_geoms, geoms, size, geom_xpos, geom_xmat, f, world, finger, k, R, p)
     if lane == 0:
         before_solution(gas, heat, f)
     synchronize()
     solve(membrane, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
     tension = mean_tension(membrane, fields.u, f, lane, threads, modulus[f])
     has_thin = any_thin(membrane, geoms, f)
-    list_held(membrane, fields, sticking, places.slots, f, finger, lane)
+    list_held(membrane, fields, sticking, sensor_geoms.slots, f, finger, lane)
     force = wp.vec3(0.0, 0.0, 0.0)
     torque = wp.vec3(0.0, 0.0, 0.0)
     largest = float(0.0)
     main = Patch()
     area = float(0.0)
-    for slot in range(places.bodies.shape[1]):
-        body = places.bodies[finger, slot]
+    for slot in range(sensor_geoms.bodies.shape[1]):
+        body = sensor_geoms.bodies[finger, slot]
         if body >= 0:
             patch = add_up(
                 membrane,
                 geoms,
                 pool,
                 fields,
-                places.slots,
+                sensor_geoms.slots,
                 states.before,
                 f,
                 finger,
@@ -217,7 +217,7 @@ def update_all(
                         membrane,
                         fields,
                         sticking,
-                        places.slots,
+                        sensor_geoms.slots,
                         f,
                         finger,
                         slot,

@@ -108,7 +108,7 @@ def test_every_field_is_checked():
         "positions_mm": [[21.5, 3.0 * k] for k in range(4)],
     }
     for label in (*labels, "camera.distortion"):
-        on_glass = {"surface": "pane"} if label == "fiducials.blur_px" else {}
+        on_glass = {"surface": "glass"} if label == "fiducials.blur_px" else {}
         for bad in (math.nan, "1"):
             sections = {"fiducials": circles | on_glass, "relaxation": {"terms_s": [[0.1, 1.0]]}}
             if label == "frame.corner_radius_mm":

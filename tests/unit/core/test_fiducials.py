@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
 
 PANE = {
-    "surface": "pane",
+    "surface": "glass",
     "radius_mm": 0.6,
     "quiet_zone_mm": 0.35,
     "positions_mm": [[-12.0, -6.0], [-12.0, 6.0], [12.0, -6.0], [12.0, 6.0]],
@@ -85,7 +85,7 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
 @pytest.mark.parametrize(
     ("changes", "field", "words"),
     [
-        ({"surface": "wall"}, "fiducials.surface", "rim, pane"),
+        ({"surface": "wall"}, "fiducials.surface", "rim, glass"),
         ({"radius_mm": -1}, "fiducials.radius_mm", "-1"),
         ({"positions_mm": [[1, 2, 3]]}, "fiducials.positions_mm", "pairs"),
         (

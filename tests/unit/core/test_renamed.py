@@ -27,6 +27,13 @@ def test_an_old_file_key_is_refused_with_the_new_one():
         Section({"rim_mm": 3.0}, "frame", "my.toml").number("wall_mm", 0, 10)
 
 
+def test_an_old_value_is_read_with_a_warning(caplog):
+    section = Section({"surface": "pane"}, "fiducials", "my.toml")
+    assert section.text("surface", ("rim", "glass")) == "glass"
+    assert caplog.messages == ["my.toml: fiducials.surface: 'pane' is now 'glass'"]
+    assert renamed.old_keys({"surface": "glass"}) == {"surface": "pane"}  # fingerprints stay
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [

@@ -59,7 +59,7 @@ def test_ellipses_from_profiles(image):
         ),
         *(lens.behind_glass(2e-3, 1.52, 23e-3) for lens in CAMERAS.values()),
     ],
-    ids=["as shipped", "no pane", "no lens", "every coefficient", *CAMERAS],
+    ids=["as shipped", "no glass", "no lens", "every coefficient", *CAMERAS],
 )
 def test_poses_from_ellipses(image, camera):
     """Both work in double precision on numbers of order 1; the covariance goes through a 5 x 5

@@ -60,7 +60,7 @@ def test_force_is_the_membranes(membrane, at, radius, depth):
     # a force through a ball's center tilts with the contact position
     assert found.force[:2] == pytest.approx(state.wrench[:2], abs=5e-3)
     # point of action, above the ball's position, less the tilt
-    assert found.place == pytest.approx(np.array(at), abs=6e-4)
+    assert found.center == pytest.approx(np.array(at), abs=6e-4)
 
 
 def test_nothing_touches(membrane):
@@ -71,7 +71,7 @@ def test_nothing_touches(membrane):
         rest_of(membrane),
         smoothing=SMOOTHING,
     )
-    assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.place).all()
+    assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.center).all()
 
 
 def test_shift_turn_and_pressure(membrane):
@@ -93,7 +93,7 @@ def test_shift_turn_and_pressure(membrane):
     # the rotated grid lies differently on the points, and cells at the rim of the contact are added
     # or lost
     assert found.force == pytest.approx(2 * rotation @ own.force, rel=0.04, abs=2e-3)
-    assert found.place == pytest.approx(rotation[:2, :2] @ own.place + shift[:2], abs=3e-4)
+    assert found.center == pytest.approx(rotation[:2, :2] @ own.center + shift[:2], abs=3e-4)
 
 
 @pytest.mark.parametrize(

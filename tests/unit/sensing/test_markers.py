@@ -315,7 +315,7 @@ def test_4k_image():
             640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023
         ),
     ],
-    ids=["lens", "pane"],
+    ids=["lens", "glass"],
 )
 def test_lens_and_glass(camera):
     circles = marker_scenes.random_circles(camera, np.random.default_rng(5))

@@ -41,7 +41,7 @@ def outlines(design):
 @pytest.mark.parametrize(
     ("design", "place", "size"),
     [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_glass(), 0.05, 0.3)],
-    ids=["rim", "pane"],
+    ids=["rim", "glass"],
 )
 def test_they_are_where_lens_and_glass_have_them(design, place, size):
     """Rendered fiducials have the center and size of their outline through lens and glass.

@@ -48,8 +48,8 @@ def with_hot_pixels(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floa
     """Half of them are white, half black."""
     rng = shot.fixed
     changed = pixels.copy()
-    places = rng.choice(pixels.size, min(round(t.hot_pixels), pixels.size), replace=False)
-    changed.flat[places] = 255.0 * (rng.random(len(places)) < 0.5)
+    indices = rng.choice(pixels.size, min(round(t.hot_pixels), pixels.size), replace=False)
+    changed.flat[indices] = 255.0 * (rng.random(len(indices)) < 0.5)
     return changed
 
 
