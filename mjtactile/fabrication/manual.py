@@ -264,7 +264,7 @@ def checks(
         f"{loads.sensor_range:g} kPa, pump {1e-3 * abs(loads.pump):g} kPa",
         "mounted pre-stretch": f"{stretch - stretch_error:.3f} to {stretch + stretch_error:.3f} "
         f"with markers within {tolerance:.2f} mm of the mounted pattern",
-        "pane": f"bending stress {glass_stress(design, highest):.2g} MPa of {hw.GLASS_STRESS:g} "
+        "glass": f"bending stress {glass_stress(design, highest):.2g} MPa of {hw.GLASS_STRESS:g} "
         "allowed",
         "bolts": f"{highest * design.frame.area / len(layout.bolts):.2g} N each of "
         f"{hw.BOLT_LOAD:g}",
