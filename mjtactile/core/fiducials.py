@@ -38,7 +38,7 @@ class Fiducials:
     Attributes:
         surface: "rim" or "glass".
         radius: Radius of each circle.
-        positions: Centers (x, y) in S.
+        places: Centers (x, y) in S.
         ground: Width of the white area around each circle.
         lip: Thickness of the rim in front of the circles; only for "rim".
         step: Setback of the walls behind the lip; only for "rim".
@@ -48,7 +48,7 @@ class Fiducials:
 
     surface: str = text("surface", SURFACES, about="surface that carries the circles")
     radius: float = number("radius_mm", 0.05, 50, MM, about="radius of each black circle")
-    positions: tuple[tuple[float, float], ...] = entry(
+    places: tuple[tuple[float, float], ...] = entry(
         Pairs(key="positions_mm", units=(MM, MM), about="center [x, y] of each circle")
     )
     ground: float = number(
@@ -84,12 +84,12 @@ class Fiducials:
     @property
     def count(self) -> int:
         """Number of circles, F."""
-        return len(self.positions)
+        return len(self.places)
 
     def p_SF(self, design: SensorDesign) -> Array:
         """Centres (F, 3) m in S."""
         z = -self.lip if self.surface == "rim" else _INK - design.chamber.depth
-        return np.array([(x, y, z) for x, y in self.positions])
+        return np.array([(x, y, z) for x, y in self.places])
 
     def groove(self, design: SensorDesign) -> float:
         """Return the height of the space behind the lip, m; 0 on the glass.
@@ -102,10 +102,10 @@ class Fiducials:
         extent = self.radius + self.ground
         if frame.outline is None:
             half = np.array([frame.length, frame.width]) / 2
-            outside = np.abs(self.positions) + extent
+            outside = np.abs(self.places) + extent
             past = np.where(outside > half, half / outside, 1.0).min()
         else:
-            xy = np.array(self.positions)
+            xy = np.array(self.places)
             far = np.linalg.norm(xy, axis=1)
             past = np.minimum((far + frame.inside(xy)) / (far + extent), 1.0).min()
         behind = (1 - float(past)) * (design.camera.distance - self.lip)
@@ -137,14 +137,14 @@ class Fiducials:
         if self.surface == "rim" and self.lip >= design.chamber.depth:
             message = f"{self.lip / MM:g} is not less than the chamber depth"
             raise section.fail("fiducials.lip_mm", message)
-        xy = np.array(self.positions)
+        xy = np.array(self.places)
         distances = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
         if distances.min() < 2 * self.radius + self.ground:
             message = (
                 f"circles {distances.min() / MM:.3g} mm apart leave no white ground between them"
             )
             raise section.fail("fiducials.positions_mm", message)
-        for circle, why in zip(self.positions, self._wrong(design), strict=True):
+        for circle, why in zip(self.places, self._wrong(design), strict=True):
             if why:
                 message = f"[{circle[0] / MM:g}, {circle[1] / MM:g}] {why}"
                 raise section.fail("fiducials.positions_mm", message)
@@ -153,7 +153,7 @@ class Fiducials:
         """Return the error of each position; "" if it is valid."""
         half = np.array([design.frame.length, design.frame.width]) / 2
         extent = self.radius + self.ground
-        xy = np.abs(self.positions)
+        xy = np.abs(self.places)
         # at the opening, as the camera sees it past them
         depth = design.camera.distance - design.apparent_glass_thickness
         here = depth + self.p_SF(design)[:, 2]
@@ -163,8 +163,8 @@ class Fiducials:
             hides = (seen < half).all(axis=1)
             beyond = (xy + extent > half + self.step).any(axis=1)
         else:
-            hides = design.frame.inside(grows[:, None] * self.positions) > -extent * grows
-            beyond = design.frame.inside(np.array(self.positions)) < extent - self.step
+            hides = design.frame.inside(grows[:, None] * self.places) > -extent * grows
+            beyond = design.frame.inside(np.array(self.places)) < extent - self.step
         beyond = beyond & (self.surface == "rim")
         out = self._outside_image(design, xy, here)
         words = {

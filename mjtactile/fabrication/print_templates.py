@@ -128,7 +128,7 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
     if fiducials is None:
         return None
     radius = MM * fiducials.radius
-    centres = [(MM * x, MM * y) for x, y in fiducials.positions]
+    centres = [(MM * x, MM * y) for x, y in fiducials.places]
     groove = layout.groove
     if groove is None:
         note = "white under the black; align the marks with the glass edges"

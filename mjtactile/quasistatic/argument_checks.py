@@ -86,11 +86,11 @@ def points(values: Any) -> Array:
     try:
         where = np.asarray(values, dtype=float)
     except (TypeError, ValueError):
-        raise InputError(f"{shown(values)} is not (n, 2) numbers", field="places") from None
+        raise InputError(f"{shown(values)} is not (n, 2) numbers", field="positions") from None
     if where.ndim == 0 or where.shape[-1] != 2:
-        raise InputError(f"has shape {where.shape}, not (n, 2)", field="places")
+        raise InputError(f"has shape {where.shape}, not (n, 2)", field="positions")
     if not np.isfinite(where).all():
-        raise InputError("is not finite", field="places")
+        raise InputError("is not finite", field="positions")
     return where.reshape(-1, 2)
 
 

@@ -79,7 +79,7 @@ def changed_obstacles(
 
     Raises InputError for invalid parameters or steps, or a changed number of obstacles.
     """
-    at = obstacles.finite("numbers", parameters, (-1,))
+    at = obstacles.finite("parameters", parameters, (-1,))
     by = _STEP * np.maximum(1, np.abs(at))
     if steps is not None:
         by = obstacles.finite("steps", steps, at.shape)

@@ -8,7 +8,7 @@ with the shape of a known one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from mjtactile.core.types.command import CommandField
 _NAN2 = [np.nan] * 2
 _NAN3 = [np.nan] * 3
 _NAN6 = [np.nan] * 6
+Column: TypeAlias = "tuple[str, str, Callable[[CycleLike], Any]]"
+"""Unit and meaning of a column, and the function that reads it from a cycle."""
 _BORDER = 24  # maximum number of points of an outline
 
 
@@ -81,7 +83,7 @@ def _valves(name: str) -> Callable[[CycleLike], Any]:
     return lambda cycle: [getattr(valve, name) for valve in cycle.valves]
 
 
-def _of_command(name: str, entry: CommandField) -> tuple[str, str, Callable[[CycleLike], Any]]:
+def _of_command(name: str, entry: CommandField) -> Column:
     """Return unit, meaning and reader of the column of one field of `Command`."""
     meaning = f"command: {entry.about}"
     if entry.none:
@@ -100,26 +102,25 @@ def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
     return lambda cycle: [value(touch) for touch in cycle.touch]
 
 
-def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
-    """Return a function that reads one attribute of a part of each touch.
+def _of_part(path: str, unknown: Any, unit: str, meaning: str) -> Column:
+    """Return the column of one attribute of a part of each touch, such as "slip.state".
 
-    The part is for example its slip or (with a dot) the motion of its shape. The value is `unknown`
-    if the touch has no such part.
+    The value is `unknown` if the touch has no such part.
     """
-    path = part.split(".")
+    *parts, name = path.split(".")
 
     def value(touch: Touch) -> Any:
         found: Any = touch
-        for step in path:
+        for step in parts:
             found = getattr(found, step)
             if found is None:
                 return unknown
         return getattr(found, name)
 
-    return _of_touch(value)
+    return unit, meaning, _of_touch(value)
 
 
-SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
+SENSED: Mapping[str, Column] = {
     "time": ("s", "rig's clock", lambda c: c.time),
     "phase": _COMMANDED["phase"],
     "image_time": ("s", "capture time of the image", lambda c: [image.time for image in c.images]),
@@ -134,11 +135,12 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
         _of_touch(lambda t: t.force_normal_sd),
     ),
     "force_shear": ("N", "magnitude of the shear force", _of_touch(_shear)),
-    "wrench": (
+    "wrench": _of_part(
+        "traction.wrench",
+        _NAN6,
         "N, N m",
         "force on the membrane (x, y, z) and torque about the frame center, frame S; z is "
         "negative when pressing",
-        _of_part("traction", "wrench", _NAN6),
     ),
     "wrench_sd": (
         "N, N m",
@@ -151,95 +153,64 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "status": ("", '"ok", or the reason why the force is unknown', _of_touch(lambda t: t.status)),
     "status_code": ("", "one of `StatusCode`", _of_touch(lambda t: t.status.code)),
     "touch_age": ("s", "age of the image at the end of perception", _of_touch(lambda t: t.age)),
-    "contact_area": (
-        "m^2",
-        "total contact area; 0 without contact",
-        _of_part("contact", "area", np.nan),
+    "contact_area": _of_part(
+        "contact.area", np.nan, "m^2", "total contact area; 0 without contact"
     ),
-    "contact_area_interval": (
-        "m^2",
-        "68 % interval of the contact area",
-        _of_part("contact", "area_interval", _NAN2),
+    "contact_area_interval": _of_part(
+        "contact.area_interval", _NAN2, "m^2", "68 % interval of the contact area"
     ),
-    "contact_centroid": (
-        "m",
-        "contact centroid (x, y), frame S",
-        _of_part("contact", "centroid", _NAN2),
+    "contact_centroid": _of_part(
+        "contact.centroid", _NAN2, "m", "contact centroid (x, y), frame S"
     ),
-    "contact_depth": ("m", "maximum indentation depth", _of_part("contact", "depth", np.nan)),
+    "contact_depth": _of_part("contact.depth", np.nan, "m", "maximum indentation depth"),
     "patches": (
         "m^2, m, N",
         "contact patches, strongest first: `area`, `centroid`, `depth`, `force`, `semi_axes` and "
         "`angle` (rad from x) of the ellipse",
         _of_touch(lambda t: [_patch(p) for p in t.patches]),
     ),
-    "slip_state": (
-        "",
-        "none, sticking, incipient, slipping or unknown",
-        _of_part("slip", "state", "unknown"),
+    "slip_state": _of_part(
+        "slip.state", "unknown", "", "none, sticking, incipient, slipping or unknown"
     ),
-    "slip_velocity": (
-        "m/s",
-        "of the object relative to the membrane (x, y), frame S",
-        _of_part("slip", "velocity", _NAN2),
+    "slip_velocity": _of_part(
+        "slip.velocity", _NAN2, "m/s", "of the object relative to the membrane (x, y), frame S"
     ),
-    "slip_distance": ("m", "since the start of the contact", _of_part("slip", "distance", np.nan)),
-    "stick_ratio": (
-        "",
-        "fraction of the contact that still sticks",
-        _of_part("slip", "stick_ratio", np.nan),
+    "slip_distance": _of_part("slip.distance", np.nan, "m", "since the start of the contact"),
+    "stick_ratio": _of_part(
+        "slip.stick_ratio", np.nan, "", "fraction of the contact that still sticks"
     ),
-    "shape_kind": (
-        "",
-        "smooth, flat, edge, point, multiple, unknown; none if not asked",
-        _of_part("shape", "kind", "none"),
+    "shape_kind": _of_part(
+        "shape.kind", "none", "", "smooth, flat, edge, point, multiple, unknown; none if not asked"
     ),
-    "shape_family": (
-        "",
-        "ball, cylinder, smooth, disc, block; several joined by +",
-        _of_part("shape", "family", "none"),
+    "shape_family": _of_part(
+        "shape.family", "none", "", "ball, cylinder, smooth, disc, block; several joined by +"
     ),
-    "shape_area": ("m^2", "membrane area in contact", _of_part("shape", "area", np.nan)),
-    "shape_area_interval": (
-        "m^2",
-        "68 % interval of `shape_area`",
-        _of_part("shape", "area_interval", _NAN2),
+    "shape_area": _of_part("shape.area", np.nan, "m^2", "membrane area in contact"),
+    "shape_area_interval": _of_part(
+        "shape.area_interval", _NAN2, "m^2", "68 % interval of `shape_area`"
     ),
-    "shape_radius": (
-        "m",
-        "of a ball, a lying cylinder or a disc",
-        _of_part("shape", "radius", np.nan),
+    "shape_radius": _of_part("shape.radius", np.nan, "m", "of a ball, a lying cylinder or a disc"),
+    "shape_direction": _of_part(
+        "shape.direction", np.nan, "rad", "angle from x of an edge or the smaller curvature"
     ),
-    "shape_direction": (
-        "rad",
-        "angle from x of an edge or the smaller curvature",
-        _of_part("shape", "direction", np.nan),
+    "shape_curvatures": _of_part(
+        "shape.curvatures", _NAN2, "1/m", "of a smooth shape, the larger first"
     ),
-    "shape_curvatures": (
-        "1/m",
-        "of a smooth shape, the larger first",
-        _of_part("shape", "curvatures", _NAN2),
-    ),
-    "shape_place": (
-        "m",
-        "point nearest to the sensor (x, y, z), frame S",
-        _of_part("shape", "p_SO", _NAN3),
+    "shape_place": _of_part(
+        "shape.p_SO", _NAN3, "m", "point nearest to the sensor (x, y, z), frame S"
     ),
     "shape_outline": ("m", "up to 24 points (x, y), frame S", _of_touch(_outline)),
-    "shape_rolling": (
+    "shape_rolling": _of_part(
+        "shape.motion.rolling",
+        _NAN2,
         "rad/s",
         "rotation rate about x and y; of a round shape as implied without slip",
-        _of_part("shape.motion", "rolling", _NAN2),
     ),
-    "shape_sliding": (
-        "m/s",
-        "velocity relative to the rubber (x, y), frame S",
-        _of_part("shape.motion", "sliding", _NAN2),
+    "shape_sliding": _of_part(
+        "shape.motion.sliding", _NAN2, "m/s", "velocity relative to the rubber (x, y), frame S"
     ),
-    "shape_spinning": (
-        "rad/s",
-        "rotation rate relative to the rubber about z",
-        _of_part("shape.motion", "spinning", np.nan),
+    "shape_spinning": _of_part(
+        "shape.motion.spinning", np.nan, "rad/s", "rotation rate relative to the rubber about z"
     ),
     "marker_count": (
         "",
@@ -265,7 +236,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "state": ("", "state of the supervisor", lambda c: getattr(c, "state", "running")),
     "reason": ("", "if the state is not running", lambda c: getattr(c, "reason", "")),
 }
-"""Unit and meaning of each key, and the function that reads it from a cycle."""
+"""Columns by name."""
 
 TRUE: Mapping[str, tuple[str, str]] = {
     "force_normal_true": ("N", "normal force on each membrane"),

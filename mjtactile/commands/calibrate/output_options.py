@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 
 from mjtactile import InputError
-from mjtactile.calibrate.output_file import OutputFile, places
+from mjtactile.calibrate.output_file import OutputFile, camera_indices
 from mjtactile.calibrate.output_file import find_targets as _find_targets
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate.terminal import check_folder
 from mjtactile.types import FINGERS
 
-__all__ = ["OutputFile", "arguments", "find_targets", "places"]
+__all__ = ["OutputFile", "arguments", "camera_indices", "find_targets"]
 
 
 def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ...]:

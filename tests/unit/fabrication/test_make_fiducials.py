@@ -42,7 +42,7 @@ def test_the_print_has_each_circle_at_its_place():
     circles = re.findall(r'<circle cx="([-\d.]+)" cy="([-\d.]+)" r="([\d.]+)"', svg)
     found = [(float(x), float(y)) for x, y, r in circles if float(r) == 0.8]
     # to 1e-5 mm, as the file is written
-    requested = [(round(1e3 * x, 5), round(1e3 * y, 5)) for x, y in DESIGN.fiducials.positions]
+    requested = [(round(1e3 * x, 5), round(1e3 * y, 5)) for x, y in DESIGN.fiducials.places]
     assert sorted(found) == sorted(requested)
 
 
