@@ -32,7 +32,7 @@ def test_intrinsics_are_finite(field, value):
 def test_a_membrane_refuses_unknown_points_and_limits():
     membrane = mjtactile.QuasistaticMembrane(mjtactile.load_sensor("dense"), (11, 9))
     ball = membrane.obstacle("sphere", [0.01])
-    with pytest.raises(InputError, match="places: is not finite"):
+    with pytest.raises(InputError, match="positions: is not finite"):
         membrane.obstacle_heights(ball, [[0.0, 0.0], [math.nan, 0.0]])
     with pytest.raises(InputError, match="within"):
         membrane.refined_for(ball, math.nan)
