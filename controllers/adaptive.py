@@ -227,14 +227,12 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
     is_standing = stands(carried, float(np.asarray(command.memory["held"])[0]))
+    settled_time = command.memory["settled_time"] + observation.period if height == goal else 0.0
     if is_standing:  # the gripper stops here
         height = max(0.0, observation.gripper.lift_height)
-        return phases.start_release(replace(command, lift_height=height))
-    settled_time = command.memory["settled_time"] + observation.period if height == goal else 0.0
-    command = phases.remember(command, settled_time=settled_time)
-    if settled_time > SETTLE_TIME:  # the lift has followed
-        return phases.start_release(replace(command, lift_height=height))
-    return replace(command, lift_height=height)
+    command = phases.remember(replace(command, lift_height=height), settled_time=settled_time)
+    is_down = settled_time > SETTLE_TIME  # the lift has followed
+    return phases.start_release(command) if is_standing or is_down else command
 
 
 _approach = partial(
