@@ -74,7 +74,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         explained = explain_option(message, self.command)
-        # found by the main parser, after the command's has left them
+        # the main parser reports them, after the command's parser
         is_left = message.startswith("unrecognized arguments") and self.command
         help_of = f"{self.prog} {self.command}" if is_left else self.prog
         raise _UsageError(f"{explained} (see {help_of} --help)")

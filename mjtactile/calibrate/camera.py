@@ -28,14 +28,14 @@ CORNERS_MIN = 12
 # sub-pixel corners of a flat board in focus leave 0.05 to 0.3 px
 RMS_MAX_PX = 0.5
 HOLDOUT_MAX_PX = 0.7
-# of the focal length: forces go with the depth, and that with the focal length
+# maximum relative sd of the focal length, to which depths and forces are proportional
 FOCAL_SD_MAX = 0.005
 # minimum tilt: a frontal board separates focal length from distance only by perspective
 TILT_MIN_DEG = 15.0
 TILTED_MIN = 3
 COVERAGE_MIN = 0.6  # fraction of the image's 8 x 6 cells; the distortion is extrapolated elsewhere
 _CELLS = (8, 6)
-_OUTLIER = 3.0  # times the median view's residual
+_OUTLIER = 3.0  # maximum residual of a view, relative to the median view
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,11 @@ from mjtactile.sensing.image.exhaustive_detection import detect_thoroughly
 from mjtactile.sensing.image.markers import Polarity
 
 _HALF = 500  # offset of the grid indices: ids are (i + half) 2 half + j + half
-_NEAR = 0.25  # of the step: how far from where it is expected a neighbour may be
+# maximum deviation of a neighbor from its expected position, as a fraction of the step
+_NEAR = 0.25
 _ALIKE = 1.6  # maximum size ratio of circles of one board in one image
 _SEEDS = 5
-# of fitting and taking the ellipses' centres back; each leaves a hundredth of the one before
+# rounds of fit and ellipse center correction; each reduces the error to a hundredth
 _ROUNDS = 3
 _RIM = 64
 _PLAIN = 4.0  # minimum distance of k3 from zero, sd; an unneeded k3 distorts the image corners

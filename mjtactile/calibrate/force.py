@@ -23,7 +23,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 LOADS_MIN = 4
 FORCE_MIN = 0.2  # Minimum of the largest load, N; below it, noise dominates
 SCALE_OFF_MAX = 0.25  # tolerance of the sensor file's thickness and modulus
-RMS_FRACTION = 0.10  # of the largest load
+RMS_FRACTION = 0.10  # maximum rms, as a fraction of the largest load
 # accuracy limit of dF = c dA for a sealed membrane (tests/physics/test_paper_force.py)
 AREA_RMS_FRACTION = 0.30
 GRAVITY = 9.80665  # standard gravity, m/s^2

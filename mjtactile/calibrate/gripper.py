@@ -31,7 +31,7 @@ OPENING_RMS_MAX = 2e-4  # maximum rms, m; a caliper reads 0.02 mm, a servo's tic
 BACKLASH_MAX = 1e-3  # maximum, m; the membrane is indented by 1 to 3 mm
 # data sheets list stall values, accurate to 20 %; friction reduces the force further
 FACTOR_RANGE = (0.5, 1.5)
-FORCE_RMS_FRACTION = 0.10  # of the largest force
+FORCE_RMS_FRACTION = 0.10  # maximum rms, as a fraction of the largest force
 
 
 @dataclass(frozen=True)

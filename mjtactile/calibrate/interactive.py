@@ -30,7 +30,7 @@ Notify = Callable[[str], None]
 Ask = Callable[[str], float | None]
 """Function that asks the user for a number; None: skip this value."""
 
-# a view counts when the board rests, and is elsewhere than in all others
+# a view is used if the board is still, at a new pose
 _STILL_PX = 2.0
 _NEW_VIEW_FRACTION = 0.06
 _SPEED = 0.010  # speed of the opening while calibrating, m/s

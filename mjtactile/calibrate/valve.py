@@ -16,11 +16,11 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 STATES = ("vent", "open", "closed")
-OFFSET_MAX_FRACTION = 0.05  # of the step: the rest state is weighed with this pressure
+OFFSET_MAX_FRACTION = 0.05  # as a fraction of the step: the rest reference uses this pressure
 ERROR_MAX_FRACTION = 0.10
 NOISE_MAX_FRACTION = 0.05
 RISE_MAX = 1.0  # maximum, s; the driver reports a stuck valve after 1.5 s
-LEAK_MAX = 0.10  # of the step a minute: the force's zero follows slower changes than this
+LEAK_MAX = 0.10  # as a fraction of the step per minute: the zero force follows slower changes
 # the last quarter of a stage counts as settled; s after sealing that are left out
 _SETTLED = 0.75
 _SEALED_AFTER = 0.5

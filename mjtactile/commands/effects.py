@@ -58,7 +58,7 @@ ARGUMENTS = (
 )
 
 
-# by whether it is built, and whether it is on
+# keys: implemented or not, on or off
 _STATES = {
     (True, True): "on",
     (True, False): "off",

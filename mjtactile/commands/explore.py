@@ -172,7 +172,7 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
         else:
             yaw = math.radians(turns[group])
             recording = load_recording(source)
-            recorded_sensors(recording, options.sensor)  # refuses another than the recorded one
+            recorded_sensors(recording, options.sensor)  # raises if it is not the recorded one
             patches += patches_of_recording(recording, 1000 * (group + 1), yaw)
     if not patches:
         raise InputError(

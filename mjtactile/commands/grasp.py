@@ -143,7 +143,7 @@ def run(options: argparse.Namespace) -> int:
         scenario.apply_time_scale(options.time_scale, options.rig)
     requested = scenario.scenario_of(options)
     scenario.apply_time_scale(options.time_scale, requested.rig)
-    progress = Progress()  # it checks if stderr is a terminal
+    progress = Progress()  # checks if stderr is a terminal
     live = _live_views(options.live, progress)
     if options.out is None:
         folder = new_run_folder(scenario.stem(requested))
@@ -193,13 +193,13 @@ def _run_and_report(
 
     A failed run is also reported. The error then carries the summary.
     """
-    # now: in the end there may be no descriptors left to import it with
+    # imported before the run, after which no file descriptors may be left
     from mjtactile.report import summary as _  # noqa: F401
     from mjtactile.runtime.grasp import run_grasp
 
     recorder: Recorder | None = None
     try:
-        with signals.deferred():  # no signal between an open file and who closes it
+        with signals.deferred():  # no signal may leave the opened file unclosed
             recorder = Recorder(out / "recording", requested.header(), frames=options.frames)
             recorder.views = [] if options.video else None
             recorder.strip = DecimatedHistory()
@@ -274,7 +274,7 @@ def _report_fault(
     }
     error.summary = to_json(summary)  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
-    # which takes longer than who stops a run will wait
+    # plots take too long for a user who stopped the run
     _write_report(out, recorder, summary, None if stopped else figure)
     with contextlib.redirect_stdout(sys.stderr):
         print_flags(recorder.flags)
@@ -298,7 +298,7 @@ def _write_report(
         print(f"mjtactile: warning: the report is incomplete: {problem}", file=sys.stderr)
 
 
-_CLEAR = 0.9  # minimum probability of a kind of contact that is printed without reserve
+_CLEAR = 0.9  # minimum probability of a kind of contact that is printed as certain
 
 
 def _contact_text(contact: dict[str, Any]) -> str:

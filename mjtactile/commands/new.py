@@ -42,7 +42,7 @@ class Kind:
 
     folder: str
     suffix: str
-    like: str
+    template: str
     page: str
     next: str
     name: str = ""
@@ -97,7 +97,7 @@ ARGUMENTS = (
     arg.option(
         "--template SHIPPED",
         "shipped file to copy (default: "
-        + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
+        + ", ".join(f"{kind.template} for a {name}" for name, kind in KINDS.items())
         + ")",
     ),
 )
@@ -105,9 +105,9 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     kind = KINDS[options.kind]
-    like = options.template or kind.like
-    random = _random(like) if options.kind == "object" else None
-    source = Path(like) if random else _shipped(kind, like)
+    template = options.template or kind.template
+    random = _random(template) if options.kind == "object" else None
+    source = Path(template) if random else _shipped(kind, template)
     if options.name.suffix == kind.suffix:
         path = options.name
     else:
@@ -140,10 +140,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _random(like: str) -> str | None:
+def _random(template: str) -> str | None:
     from mjtactile.evaluate.episodes import object_text
 
-    return object_text(like)
+    return object_text(template)
 
 
 def _write(path: Path, text: str) -> None:
@@ -154,15 +154,15 @@ def _write(path: Path, text: str) -> None:
         raise InputError(f"the file cannot be written: {error.strerror}", source=path) from error
 
 
-def _shipped(kind: Kind, like: str) -> Path:
+def _shipped(kind: Kind, template: str) -> Path:
     """The shipped file of that name; a user's own file can be copied by other means."""
-    if like not in resources.names(kind.folder, kind.suffix):
+    if template not in resources.names(kind.folder, kind.suffix):
         raise InputError(
-            f"{like!r} is not a shipped file",
+            f"{template!r} is not a shipped file",
             field="--template",
             choices=[
                 *resources.names(kind.folder, kind.suffix),
                 *(["random:N"] if kind is KINDS["object"] else []),
             ],
         )
-    return resources.find(like, kind.folder, kind.suffix)
+    return resources.find(template, kind.folder, kind.suffix)

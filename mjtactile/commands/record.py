@@ -251,7 +251,7 @@ def _on_rig(
     given = {name: value for name, value in values.items() if value is not None}
     requested = Scenario(rig=options.rig, contact_shapes=options.contact_shapes, **given)
     resolved = resolve_scenario(requested, tuple(given))
-    # with the pressure that was asked for, unless the fingers name their own sensor
+    # at the requested pressure, unless the fingers name their own sensor
     named = resolved.sensor == requested.sensor
     built = replace(resolved, sensor=design) if named else resolved
     with open_session(built, workers=0, notify=progress.message) as session:

@@ -91,7 +91,7 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
     table."""
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
-    table = np.array(_C2)  # a row for each aspect
+    table = np.array(_C2)  # one row per aspect ratio
     if aspect in _ASPECT:
         c2 = np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)])
     else:

@@ -58,7 +58,7 @@ def stamp(
 def fingerprint(design: SensorDesign) -> str:
     """SHA-256 of all values of a sensor file; comments and layout do not count."""
     values = old_keys(asdict(replace(design, calibration=None)))
-    for added in ("fiducials", "relaxation"):  # fingerprints of files from before them stay
+    for added in ("fiducials", "relaxation"):  # keeps the fingerprints of older files
         if values[added] is None:
             del values[added]
     if values["camera"]["distortion_model"] == PLUMB_BOB:

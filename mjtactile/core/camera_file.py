@@ -28,7 +28,7 @@ _LARGEST_BINARY = 1 << 24
 DEEPEST = 16
 """Maximum depth of nested values in it."""
 READABLE = ("ROS camera_info", "ros2 topic echo", "OpenCV YAML or XML", "Kalibr YAML", "ini of ROS")
-# of OpenCV: of plumb_bob without k3, with thin prism, with tilt
+# coefficient counts of OpenCV: plumb_bob without k3, with thin prism, with tilt
 _COUNTS = tuple(sorted({0, 4, 12, 14} | {len(model.coefficients) for model in MODELS.values()}))
 _GLASS = {
     "thickness_mm": (0.0, 1000.0, 1e-3),

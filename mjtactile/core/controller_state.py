@@ -15,11 +15,11 @@ import numpy as np
 ENTRIES_MAX = 10_000
 DEEPEST = 16  # lists within lists; a list that contains itself is deeper
 _LARGEST = 2**63  # limit of integers in JSON readers
-_NAMED_MAX = 20  # entries that are left out; after so many the rest is not looked at
+_NAMED_MAX = 20  # maximum number of omitted entries that are named
 
 
 class _NotSerializable(Exception):
-    """It is none of these, or too much of them."""
+    """The value has another type, or exceeds the size limit."""
 
 
 _NUMBERS = frozenset({float, bool, type(None)})
@@ -50,14 +50,14 @@ def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """
     kept: dict[str, Any] = {}
     left_out: list[str] = []
-    room = _SizeBudget(ENTRIES_MAX)
+    budget = _SizeBudget(ENTRIES_MAX)
     for key, value in memory.items():
-        before = room.left
+        before = budget.left
         try:
-            name = _name(key, room)
-            kept[name] = _copy(value, room, 0)
-        except Exception:  # noqa: BLE001  # it is a stranger's object
-            room.left = before
+            name = _name(key, budget)
+            kept[name] = _copy(value, budget, 0)
+        except Exception:  # noqa: BLE001  # the object's own methods may raise anything
+            budget.left = before
             name = key[:40] if isinstance(key, str) else "an entry"
             left_out.append(f"{name} ({type(value).__name__})")
             if len(left_out) == _NAMED_MAX:
@@ -65,37 +65,37 @@ def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     return kept, tuple(left_out)
 
 
-def _name(key: object, room: _SizeBudget) -> str:
+def _name(key: object, budget: _SizeBudget) -> str:
     if not isinstance(key, (str, int)):
         raise _NotSerializable
     name = str(key)
-    room.spend(len(name))
+    budget.spend(len(name))
     return name
 
 
-def _copy(value: Any, room: _SizeBudget, depth: int) -> Any:
+def _copy(value: Any, budget: _SizeBudget, depth: int) -> Any:
     """A plain copy. Raises _NotSerializable."""
     if type(value) in _NUMBERS:  # first: the other type checks take five times as long
-        room.spend(1)
+        budget.spend(1)
         return value
     if depth > DEEPEST:
         raise _NotSerializable
     if isinstance(value, (np.generic, np.ndarray)):
-        room.has(value.size)
+        budget.has(value.size)
         value = value.tolist()
     if isinstance(value, (dict, Mapping)):  # dict first: the check for it is faster
-        room.has(len(value))
-        return {_name(key, room): _copy(item, room, depth + 1) for key, item in value.items()}
+        budget.has(len(value))
+        return {_name(key, budget): _copy(item, budget, depth + 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        room.has(len(value))
-        return [_copy(item, room, depth + 1) for item in value]
-    return _one(value, room)
+        budget.has(len(value))
+        return [_copy(item, budget, depth + 1) for item in value]
+    return _one(value, budget)
 
 
-def _one(value: Any, room: _SizeBudget) -> Any:
+def _one(value: Any, budget: _SizeBudget) -> Any:
     """Return a number or string as a plain type. An Enum loses its type, which other processes
     lack."""
-    room.spend(1 + len(value) if isinstance(value, str) else 1)
+    budget.spend(1 + len(value) if isinstance(value, str) else 1)
     if value is None or isinstance(value, bool):
         return value
     if isinstance(value, int) and abs(value) < _LARGEST:

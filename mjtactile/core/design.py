@@ -37,7 +37,7 @@ _TEXT = "_source_text"  # attribute of a design with the text of its file
 _RIM = 2 * np.pi * np.arange(16) / 16  # points on a marker's edge
 _NAMED_MAX = 5  # markers listed in a message
 _FARTHER = 1.005  # step of the search for a distance that shows all markers
-_FEWEST_MARKERS = 9  # that an outline must leave
+_FEWEST_MARKERS = 9  # minimum number of markers within an outline
 _SPLINE_NUMBERS_MAX = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
 

@@ -20,7 +20,7 @@ from mjtactile.core.field_types import Pairs
 from mjtactile.core.toml import Section
 from mjtactile.core.types import Array
 
-SensorDesign: TypeAlias = Any  # that of `mjtactile.core.design`, which imports this module
+SensorDesign: TypeAlias = Any  # `mjtactile.core.design` imports this module
 
 SURFACES = ("rim", "glass")
 COUNT_MIN = 4

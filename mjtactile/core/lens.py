@@ -205,7 +205,7 @@ class Lens:
                 x = x - (yy * x_off - xy * y_off) / det
                 y = y - (xx * y_off - xy * x_off) / det
                 residual = np.maximum(np.abs(x_off), np.abs(y_off))
-                if not np.any(residual > _NEAR):  # the step just made squares it
+                if not np.any(residual > _NEAR):  # the last step squares the error
                     break
             good = np.logical_and(residual <= _NEAR, det > 0)
         return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)

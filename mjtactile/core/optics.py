@@ -196,7 +196,7 @@ def refract(camera: Camera, p_CP: ArrayLike) -> Array:
         root = 1 / np.sqrt(n2 + (n2 - 1) * x * x)
         step = ((z - t + t * root) * x - rho) / (z - t + t * n2 * root**3)
         x = x - step
-        if not np.any(np.abs(step) > 1e-8 * (1 + x)):  # the step just made squares it
+        if not np.any(np.abs(step) > 1e-8 * (1 + x)):  # the last step squares the error
             break
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.where(rho > 0, x / rho, 1 / z)

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 
 _HARMONICS = 96  # for rounded corners: the truncation error is 2 um for a 40 mm frame
-_SAMPLES = 4096  # of its arc, for their coefficients
+_SAMPLES = 4096  # samples of its arc for the coefficients
 _EDGES = 720  # edges of the polygon that approximates the outline for distances
 _NEWTON_STEPS = 40
-_CLOSE = 1e-12  # of the disc's radius
+_CLOSE = 1e-12  # tolerance, as a fraction of the disc's radius
 _ROOT2 = np.sqrt(2.0)
 
 

@@ -31,7 +31,7 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 """Activations between the layers, by name."""
 OUTPUTS = 3
 """Length of an action."""
-_BEFORE = "tanh"  # of files without the name of their activation
+_BEFORE = "tanh"  # activation of files that name none
 _FINGERS_MAX = 8
 _SIZES = {len(policy_observation_names(n)): n for n in range(1, _FINGERS_MAX + 1)}
 _SUFFIXES = (".npz", ".onnx")

@@ -29,15 +29,15 @@ from mjtactile.core.neo_hookean import Law, shear_modulus
 from mjtactile.core.sensor_parts import Membrane
 from mjtactile.core.types import Array
 
-_DEGREE = 5  # of the polynomials in x^2 and y^2
-_DEGREE_POLYGON = 3  # without the symmetry there are four times as many to a degree
+_DEGREE = 5  # degree of the polynomials in x^2 and y^2
+_DEGREE_POLYGON = 3  # degree without the symmetry, with four times as many terms
 GRAVITY = 9.81
 _SCALE = 1e-3  # length scale, m: the unknowns are of order 1
 _NEWTON = 30
 _THICKNESS_STEPS = 12  # quadratic: enough for the last digit
 _STEPS = (0.3, 1.0)  # load steps, as fractions of the pressure
 _CONVERGED = 1e-8
-_SMALL = 1e-6  # step of a difference
+_SMALL = 1e-6  # step of finite differences
 
 
 def inflated_height(
@@ -49,7 +49,8 @@ def inflated_height(
     polynomials in x^2 and y^2; default 5, for polygons 3. NaN if the rubber cannot hold the
     pressure, or if the frame is more than four times as long as wide.
     """
-    frame = replace(design.frame, shape="ellipse")  # start: a bulge as long and as wide
+    # start: the bulge of a membrane of equal length and width
+    frame = replace(design.frame, shape="ellipse")
     first = analytical_solutions.bulge_height(replace(design, frame=frame), gauge_pressure)
     if not np.isfinite(first):
         return np.nan

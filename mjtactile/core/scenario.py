@@ -182,7 +182,7 @@ class Scenario:
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         limit = values.pop("time_limit")
-        if not self.contact_shapes:  # as results of before it could be asked have it
+        if not self.contact_shapes:  # results of earlier versions have no such key
             del values["contact_shapes"]
         return values | {
             "sensor": self.sensor_name,

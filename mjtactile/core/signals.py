@@ -114,7 +114,7 @@ def listening(*, ends_process: bool = False) -> Iterator[Stop]:
         if handler is signal.SIG_DFL
         or (
             signal_number in URGENT and handler not in (signal.SIG_IGN, None)
-        )  # None: it is not Python's
+        )  # None: not installed by Python
     }
     try:
         for signal_number in before:

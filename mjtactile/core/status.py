@@ -15,7 +15,7 @@ class StatusCode(StrEnum):
     PERCEPTION_TIMEOUT = "perception timeout"
     TOO_FEW_MARKERS = "too few markers"
     FIT_FAILED = "fit failed"  # the markers fit no shape that the membrane can have
-    OVERLOADED = "overloaded"  # and did not since they showed a large force
+    OVERLOADED = "overloaded"  # the previous force was large, and no shape has fitted since
     # the rest reference is no longer valid: temperature change or camera motion
     REFERENCE_LOST = "reference lost"
     PRESSURE_CHANGING = (

@@ -20,7 +20,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import KEYS, VALUES, hint
 
 _logger = logging.getLogger(__name__)
-# bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
+# maximum size of a file, bytes; a manually written file is smaller
 LARGEST = 8 << 20
 DEEPEST = 32  # maximum names in a dotted key; time and memory of tomllib grow with the square
 

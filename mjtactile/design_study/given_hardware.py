@@ -13,7 +13,7 @@ from mjtactile.fabrication.housing_layout import Layout
 from mjtactile.fabrication.manufacturability import check_all, limits_of
 from mjtactile.fabrication.purchased_parts import Hardware
 
-_STEP = 0.5e-3  # of the chamber's depth, m
+_STEP = 0.5e-3  # search step of the chamber's depth, m
 _SHALLOWEST = 5e-3  # chamber depth, m
 
 

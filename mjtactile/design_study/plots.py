@@ -37,14 +37,14 @@ def number(value: float | None) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
-    """Maps of the face.
+def plot_face(figure: Any, study: Mapping[str, Any]) -> None:
+    """Plot the maps of the sensing surface.
 
     Args:
         figure: Empty, of matplotlib.
-        given: The JSON's object of a study.
+        study: The JSON's object of a study.
     """
-    positions = given["face"]
+    positions = study["face"]
     x = sorted({position["x_mm"] for position in positions})
     y = sorted({position["y_mm"] for position in positions})
     for axes, (key, words, unit) in zip(figure.subplots(1, len(MAPS)), MAPS, strict=True):
@@ -60,29 +60,31 @@ def plot_face(figure: Any, given: Mapping[str, Any]) -> None:
         axes.set(title=f"{words}, {unit}", xlabel="x, mm", aspect="equal")
         figure.colorbar(artist, ax=axes, shrink=0.6)
     figure.axes[0].set_ylabel("y, mm")
-    figure.suptitle(f"sensor {given['sensor']}: predicted performance at {given['force_N']:g} N")
+    figure.suptitle(f"sensor {study['sensor']}: predicted performance at {study['force_N']:g} N")
 
 
-def page(given: Mapping[str, Any], image: bytes | None) -> str:
+def page(study: Mapping[str, Any], image: bytes | None) -> str:
     """Write the page of one file.
 
     Args:
-        given: The JSON's object of a study.
+        study: The JSON's object of a study.
         image: The maps, PNG; None: not available.
 
     Returns:
         HTML.
     """
-    title = f"Predicted performance of the sensor {given['sensor']}"
-    body = [f"<h1>{title}</h1>", f"<p>Predicted at {given['force_N']:g} N.</p>"]
-    own = given["performance"]
-    reached = [(words, f"{number(own[key])} {unit}") for key, (words, unit) in WORDS.items()]
+    title = f"Predicted performance of the sensor {study['sensor']}"
+    body = [f"<h1>{title}</h1>", f"<p>Predicted at {study['force_N']:g} N.</p>"]
+    performance = study["performance"]
+    reached = [
+        (words, f"{number(performance[key])} {unit}") for key, (words, unit) in WORDS.items()
+    ]
     body.append(html.table(("", "reached"), reached))
     if image is not None:
         body.append(f'<img alt="maps of the face" src="{html.data_uri("image/png", image)}">')
-    body.append(f"<p>{image_quality_text(given['image'])}</p>")
+    body.append(f"<p>{image_quality_text(study['image'])}</p>")
     body.append("<h2>Effect of changes</h2><p>Factors relative to the present values.</p>")
-    body.append(html.table(("change", *CHANGED.values()), change_rows(given)))
+    body.append(html.table(("change", *CHANGED.values()), change_rows(study)))
     return html.document(title, body)
 
 
@@ -96,21 +98,21 @@ CHANGED = {
 }
 
 
-def change_rows(given: Mapping[str, Any]) -> list[tuple[str, ...]]:
+def change_rows(study: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Return a table row for each change with its factors on the predicted performance.
 
     Args:
-        given: The JSON's object of a study.
+        study: The JSON's object of a study.
 
     Returns:
         Rows of words.
     """
     rows = []
-    for change in given["changes"]:
+    for change in study["changes"]:
         if change["performance"] is None:
             rows.append((change["change"], change["why_not"], *("" for _ in list(CHANGED)[1:])))
             continue
-        factors = [change["performance"][key] / given["performance"][key] for key in CHANGED]
+        factors = [change["performance"][key] / study["performance"][key] for key in CHANGED]
         known = ["-" if not np.isfinite(factor) else f"{factor:.2f}" for factor in factors]
         rows.append((change["change"], *known))
     return rows
@@ -131,7 +133,7 @@ def image_quality_text(image: Mapping[str, float]) -> str:
 
 
 def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
-    """All designs of a sweep, and those that none is better than.
+    """Plot all designs of a sweep and the Pareto front.
 
     Args:
         figure: Empty, of matplotlib.
@@ -149,10 +151,10 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         [candidate["rows"] * candidate["columns"] for candidate in candidates], float
     )
     meets = np.array([candidate["meets"] for candidate in candidates], bool)
-    for those, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
-        if those.any():
+    for mask, marker, label in ((meets, "o", "meets all"), (~meets, "x", "misses a requirement")):
+        if mask.any():
             artist = axes.scatter(
-                x[those], y[those], c=markers[those], marker=marker, s=28, label=label,
+                x[mask], y[mask], c=markers[mask], marker=marker, s=28, label=label,
                 vmin=0, vmax=markers.max(), cmap="viridis",
             )  # fmt: skip
     figure.colorbar(artist, ax=axes, label="markers")  # pyright: ignore[reportPossiblyUnboundVariable]

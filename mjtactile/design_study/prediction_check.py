@@ -18,8 +18,9 @@ from mjtactile.sim.scenes.indentation import Indenter
 _SPACING = 1.7e-3  # spacing of the membrane's vertices, m; a coarser mesh is stiffer than rubber
 _SAME = 1e-9  # length tolerance, m
 _MARGIN = 6e-3  # minimum distance of the ball from the frame, m
-_RANGE_STEPS = (0.4, 0.7, 0.9, 1.0, 1.05)  # of the depth at the predicted maximum force
-_CONFIRMED_FRACTION = 0.9  # of the predicted maximum force, which counts as reached
+# tested depths, as fractions of the depth at the predicted maximum force
+_RANGE_STEPS = (0.4, 0.7, 0.9, 1.0, 1.05)
+_CONFIRMED_FRACTION = 0.9  # fraction of the predicted maximum force that counts as reached
 _DEPTHS = (0.8e-3, 3.2e-3)  # range of the indentation depth, m
 
 

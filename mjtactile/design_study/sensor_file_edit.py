@@ -10,7 +10,7 @@ from mjtactile.core.design import SensorDesign, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.toml import toml_text
 
-_DIGITS = 10  # of numbers in a sensor file
+_DIGITS = 10  # digits of numbers in a sensor file
 
 
 def sensor_text(design: SensorDesign, head: str = "") -> str:

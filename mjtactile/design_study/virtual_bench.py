@@ -25,7 +25,7 @@ _SPACING = 1.3e-3  # node spacing of the membrane, m, as in the contact shape mo
 _STEP = 2.5e-4  # step of lowering an obstacle until the requested force, m
 _SHORTEST = 8  # maximum division of a step where the solver does not converge
 _HALVINGS = 12
-_OFF = 0.02  # of the force, that may be left where it does not follow
+_OFF = 0.02  # maximum relative force error where the force does not converge
 _DEEPEST = 0.05  # maximum depth, m
 _IMAGE = 1 / 30  # image period, s
 

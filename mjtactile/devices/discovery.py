@@ -91,7 +91,7 @@ def servos_at(
         bus = DynamixelBus(port, baud, reply_timeout=reply_time or _REPLY_TIME)
         try:
             found = {servo: model for servo in IDS if (model := _model_name(bus, servo))}
-            if found:  # an answer may have got lost
+            if found:  # a reply may be lost
                 found |= {
                     servo: model
                     for servo in IDS

@@ -24,7 +24,7 @@ from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_fi
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
 _log = logging.getLogger(__name__)
-_EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
+_EMULATED = "/dev/pts/"  # folder of pseudo-terminals, which have no servos
 # time slice of a thread in Python's interpreter, s: the default of 5 ms would delay an image's
 # timestamp by that time
 _SWITCH_INTERVAL = 5e-4

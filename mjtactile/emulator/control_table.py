@@ -16,7 +16,7 @@ from mjtactile.core.errors import InputError
 EEPROM_END = 64
 TURNS_MAX = 1_048_575  # ticks: "Goal Position", modes 4 and 5, -256 to 256 turns
 HOMING_JOINT_MAX = 1024  # ticks: "Homing Offset", a larger one is ignored in mode 3
-# by the value of "Baud Rate"
+# indexed by the value of "Baud Rate"
 BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 # "Operating Mode"
 POSITION_MODES = (3, 4, 5)

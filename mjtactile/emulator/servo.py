@@ -26,7 +26,7 @@ _NO_LOAD_SPEED = 6.0  # speed of a shaft without load, rad/s, about 60 rev/min
 _AMBIENT = 25.0
 _HEATING = 45.0
 _COOLING_TIME = 60.0
-# of the largest current, for so long: latches
+# overload error: fraction of the largest current, and its duration, s
 _OVERLOAD_FRACTION = 0.6
 _OVERLOAD_TIME = 3.0
 TRIPS = ("brake", "limp")
@@ -208,7 +208,7 @@ class EmulatedServo(ServoRegisters):
             ):
                 return MotorDrive(self.angle, 0.0)
             full = self._current_max * self._torque_per_A
-            # "directly controls" current or PWM: pulls with that, wherever it gets to
+            # "directly controls" current or PWM, at any position
             if mode in _FREE_MODES:
                 goal = self.get_signed("Goal Current" if mode == 0 else "Goal PWM")
                 torque = abs(goal) * (self._torque_per_unit if mode == 0 else full / _PWM_FULL)

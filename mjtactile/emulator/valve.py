@@ -28,7 +28,7 @@ _SENSOR_NOISE = 5.0  # standard deviation, Pa
 _MAX = 6000  # pressure limit of the board, Pa
 _BEAT = (20, 60000)  # ms
 _HOLD = (0, 600000)  # ms
-_READINGS_TO_TRIP = 3  # samples in a row that make a fault
+_READINGS_TO_TRIP = 3  # consecutive samples that make a fault
 _SAMPLE = 0.005  # sample period, s
 _LONGEST = 80  # bytes of a line
 

@@ -135,13 +135,13 @@ def run_episode(
         observers = [*watching, facts] if recorder is None else [*watching, facts, recorder]
         summary = _run(scenario, observers, controller)
         if summary["outcome"] == "error" and facts.is_crushed:
-            summary["outcome"] = "crushed"  # whatever came of it then
+            summary["outcome"] = "crushed"  # regardless of later events
         if summary["outcome"] == SET_DOWN:
             summary["outcome"] = "dropped"  # not held; the criterion of an evaluation
         if recorder is not None and recorder.cycles:
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:
-            recorder.discard()  # it failed before it began
+            recorder.discard()  # it failed before its start
     # A world occupies megabytes in a few hundred objects with cyclic references; Python would keep
     # dozens of them. Scanning the other objects, mainly modules, takes longer: they are frozen.
     gc.collect()

@@ -148,7 +148,7 @@ def run_all(
             pool.open(len(missing)) as manner,
             Parallel(return_as="generator_unordered", **manner) as jobs,
         ):
-            # joblib's, where we end early
+            # joblib's warning about an early end
             warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)
             lines = cast(
                 Generator[dict[str, Any] | None, None, None],

@@ -28,7 +28,7 @@ _STYLE = (
     "figure{margin:0}figcaption{font-size:13px}"
     ".out{color:#b00020;font-weight:bold}h3{margin-bottom:.2em}"
 )
-_SHOWN = 12  # drawings of varied values before the rest is folded away
+_SHOWN = 12  # maximum number of plots of randomized values that are not folded
 _LABELS = {
     "slip_mm": "slip, mm (ground truth)",
     "force_error_N": "force error in the hold, N",

@@ -28,7 +28,7 @@ LEVEL = "-mesh,-pipeline"
 SCREEN = "screen"
 FULL = "full"
 """Folders of both evaluations, within that of the whole."""
-_SEED = 20_000  # of the sample: not an episode's
+_SEED = 20_000  # seed of the sample, different from that of any episode
 
 
 def screen(

@@ -20,7 +20,7 @@ from mjtactile.report.summary import write_plots
 from mjtactile.runtime.grasp import run_grasp
 
 _RANKS = dict.fromkeys(OUTCOMES, 2) | {"error": 1, "held": 0}
-_SLIP = 5.0  # mm that are as bad as breaking
+_SLIP = 5.0  # slip, mm, that is as bad as breaking
 
 
 def worst(lines: Sequence[Line], count: int) -> list[Line]:
@@ -36,7 +36,8 @@ def worst(lines: Sequence[Line], count: int) -> list[Line]:
         for line in own:
             kind = (line["controller"], line["object"], line["outcome"])
             kinds.setdefault(kind, []).append(line)
-        rows = zip_longest(*kinds.values()) if rank else kinds.values()  # the kinds in turn
+        # alternate between the kinds
+        rows = zip_longest(*kinds.values()) if rank else kinds.values()
         chosen += [line for row in rows for line in row if line is not None]
     return sorted(
         chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True

@@ -22,7 +22,7 @@ from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
-_MIN_FORCE = 0.08  # for a shape estimate, N
+_MIN_FORCE = 0.08  # minimum force for a shape estimate, N
 _MAX_IMAGES = 8  # images of one indentation, over its whole path
 _LIFTED = 3e-3  # start height of a lifted indenter above its goal, m
 

@@ -34,7 +34,7 @@ _CLEAR = 0.012  # opening beyond that of the grip, m
 _STILL_TIME = 0.3  # hold time before the last image, s
 _MIN_OPENING = 1e-3
 _LIFTED = 1e-3  # gripper rise after which the object no longer stands at its original position, m
-_TOO_STRONG = 1.5  # of the wanted force, on one finger alone
+_TOO_STRONG = 1.5  # maximum force on one finger alone, as a multiple of the requested force
 # axes of S in the gripper frame, for the first and the second finger: x along the closing, z up
 _FACING = (
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),

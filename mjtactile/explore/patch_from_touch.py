@@ -18,12 +18,12 @@ _SPOKES = 8
 _LINE = 7  # points along an edge
 _SHRINK = 0.9  # used fraction of a bounded face: the membrane leaves the face at its border
 _CLEAR = 2e-3  # minimum distance of free membrane from a patch, m
-_FREE_STEP = 4  # of the surface's grid
+_FREE_STEP = 4  # step along the surface's grid, nodes
 _STAGE = 2e-5  # positioning error (sd) of stage or jaws, m
 _FACE_SD = 4e-5  # height noise (sd) of the membrane on the object from image to image, m
 _AGREES = 1e-4  # tolerance between the estimated shape and the membrane on it, m
-_MIN_AGREEING = 0.6  # fraction of a patch's points
-_HARD = 0.25  # of the strongest node's force
+_MIN_AGREEING = 0.6  # minimum fraction of a patch's points
+_HARD = 0.25  # minimum force of an edge node, as a fraction of the strongest node's
 _MEMBRANE_SPREAD = (5e-5, 0.01, 15.0, 6e-5)
 _SIGNIFICANT = 3.0  # threshold of a compliance, in sd
 

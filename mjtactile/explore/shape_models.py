@@ -18,11 +18,11 @@ from mjtactile.explore.superquadric import UNCUT
 HALF = 15.0
 """Prior half size of a graspable object, mm."""
 _PLACE_SD = 15.0  # mm
-_SIZE_SD = 0.6  # of the logarithm of all sizes together
-_ASPECT_SD = 0.4  # and of each alone
+_SIZE_SD = 0.6  # sd of the logarithm of all sizes together
+_ASPECT_SD = 0.4  # sd of the logarithm of each size
 _ROTATION_SD = 2.0  # rad
 _TIED = 0.01  # standard deviation of parameters fixed by a family: exponents, tapers, equal sizes
-_ALIKE = 3e-3  # sd of the logarithm of sizes that a family has alike
+_ALIKE = 3e-3  # sd of the logarithm of sizes that are equal in a family
 _SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
 """Standard deviation and correlation length, mm, of the residual field of a simple shape.
 
@@ -82,7 +82,7 @@ def _family(
     return ObjectFamily(name, mean, cov, root, starts or ((along[0], across[0]),), fields, cut)
 
 
-_CUT = (0.8, 0.2)  # of its lower half: where a flat end is
+_CUT = (0.8, 0.2)  # position of a flat end, as a fraction of the lower half; sd
 _FULL = (1.0, 0.2)
 _SHARP = (0.1, 0.06)
 _ROUND = (1.0, _TIED)

@@ -26,7 +26,7 @@ coarser mesh."""
 _STEP = 2.5e-4  # lowering step of the stage between images, m
 _TRAVEL = 2.6e-3  # maximum depth below first contact, m; the frame's rim is deeper
 _STILL = 0.1  # settling time before an image, s
-_MIN_FORCE = 0.08  # for a shape estimate, N
+_MIN_FORCE = 0.08  # minimum force for a shape estimate, N
 _APPROACHES = 2
 _OFF_CENTER = 5e-3  # distance of the contact from the sensor's center, m, for a second approach
 _HOLDER = math.radians(35)

@@ -16,7 +16,7 @@ from mjtactile.explore.shape_models import FREE, ObjectFamily
 
 _MM = 1e3
 _BEFORE = 2.0  # prior weight, in touches with a prediction error of 1 sd
-_BETWEEN = 2.0  # by which an excess counts: no touch is at an edge, where it is largest
+_BETWEEN = 2.0  # weight of an excess: no touch is at an edge, where it is largest
 ALIKE = 0.04
 """Standard deviation of the error common to all touches, mm. It scales the whole object and is not
 observable by comparing touches. The value holds for the shipped sensors, from sizes of eggs, vials

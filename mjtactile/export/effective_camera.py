@@ -20,9 +20,9 @@ from mjtactile.core.sensor_parts import Pinhole
 from mjtactile.core.signature_checks import validated
 from mjtactile.core.types import Array
 
-_NODES = 15  # points along x and y
+_NODES = 15  # number of points along x and y
 _DEPTHS = np.linspace(-0.25, 0.35, 7)  # z in S of the fitted points, as a fraction of the chamber
-_MARGIN = 0.05  # beyond the image, as a fraction of its size
+_MARGIN = 0.05  # margin beyond the image, as a fraction of its size
 _STEPS = 20
 RESIDUAL_MAX = 0.3
 """Limit of the residual above which `mjtactile export` states it, px."""

@@ -1,4 +1,4 @@
-"""`LiveView` shows a run while it happens, in a viewer that people have open: Rerun or Foxglove."""
+"""`LiveView`: live display of a run in Rerun or Foxglove."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ def _design(finger: Any) -> SensorDesign:
 
 
 def _parsed(target: str) -> tuple[str, Path | str]:
-    """The viewer, and its file, its address or port, "" for the usual one. Raises InputError."""
+    """Return the viewer, and its file, address or port, "" for the default. Raises InputError."""
     viewer, _, where = target.partition(":")
     if target.startswith("rerun+http"):
         viewer, where = "rerun", target

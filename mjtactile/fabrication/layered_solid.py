@@ -20,7 +20,7 @@ from mjtactile.core.types import Array
 
 _GAP = 1e-3  # mm
 _STRAIGHT = 5e-3  # deviation of an outline's harmonics from a straight side, mm
-_CORNERS = 240  # of a polygon for an outline: 1 um off a circle of 30 mm
+_CORNERS = 240  # points of a polygon for an outline: deviates by 1 um from a circle of 30 mm
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ _WEB = 0.3  # minimum web of a cut stencil, mm
 _MARGIN = 0.3  # accuracy of manual placement, mm
 _STRETCH_ERROR = 0.2  # allowed error of the pre-stretch, relative to the pre-stretch less 1
 _SMALLEST_STRETCH = 0.02  # the pre-stretch less 1 below which the tolerance is constant
-_DIGITS = 4  # of a limit, rounded so that it holds
+_DIGITS = 4  # digits of a limit, rounded to the safe side
 
 
 @dataclass(frozen=True)

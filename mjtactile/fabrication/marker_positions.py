@@ -25,10 +25,10 @@ _DEPTH_FRACTION = 0.25
 _STEPS = 4  # of an indentation
 SERVO_FORCE = 2.5
 """Largest force of the servo in the bill, N."""
-_FORCE_STEP = 5e-4  # of the depth, on the way to this force, m
-_RESERVE = 0.99  # of an interpolated depth: the steps of an indentation change the contact a little
-_PARTS = 101  # of the way from a position to the center
-_DEEPEST_FRACTION = 0.9  # of the chamber's depth, for the indentations of a protocol
+_FORCE_STEP = 5e-4  # depth step of the search for a force, m
+_RESERVE = 0.99  # used fraction of an interpolated depth: the contact depends slightly on the steps
+_PARTS = 101  # number of tested positions on the way to the center
+_DEEPEST_FRACTION = 0.9  # maximum indentation of a protocol, as a fraction of the chamber's depth
 _OFFSET_MAX = 0.45  # maximum offset of the ball's center plus its radius, as a fraction of the side
 
 

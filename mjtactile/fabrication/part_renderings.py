@@ -155,7 +155,7 @@ def explode(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]
     """
     gap = _GAP * max(parts[name].size[0] for name in order)
     shifts: dict[str, float] = {}
-    edge = 0.0  # the back of the last one
+    edge = 0.0  # the back side of the last part
     for before, name in zip((None, *order), order, strict=False):
         part = parts[name]
         if name == "nuts" and before is not None:

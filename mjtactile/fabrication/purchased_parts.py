@@ -16,7 +16,7 @@ GLASS_HOLD = 2.0  # minimum width of the glass support
 GLASS_PLAY = 0.2  # clearance of the glass in its seat, each side
 # allowable bending stress of annealed glass under a lasting load, N/mm^2 (EN 16612 has 6 to 8)
 GLASS_STRESS = 7.0
-BOLT_SPACING = 34.0  # the farthest that keeps a printed ring of 3 mm tight
+BOLT_SPACING = 34.0  # maximum bolt distance that keeps a printed ring of 3 mm tight
 BOLT_LOAD = 100.0  # load of one M2 or M3 bolt in a printed part, N
 
 
@@ -44,7 +44,7 @@ class AirPort:
     radius: float
     wall: float
     description: str
-    bore: float  # of the hose that fits
+    bore: float  # inner diameter of the hose
 
 
 _FITTING = "barbed fitting M5 for a hose of 4 x 2.5 mm, M5 thread cut into the hole of 4.2 mm"

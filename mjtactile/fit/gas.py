@@ -20,7 +20,7 @@ from mjtactile.fit.measurements import Evidence
 from mjtactile.fit.membrane_fit import Simulated, is_fast
 from mjtactile.sim.sensor.gas import ChamberGas
 
-_OUTLIER = 3.0  # sd: from there on a reading counts less
+_OUTLIER = 3.0  # residual, in sd, above which the weight of a reading decreases
 _START = 10  # readings that determine the start of a run
 SHIFT_SD = 5.0  # standard deviation of a constant pressure error of a run, Pa
 # minimum number of neighboring pressures with the same error, by the volume's errors; more if the

@@ -14,8 +14,8 @@ import numpy as np
 
 from mjtactile.core.types import Array
 
-_ENOUGH = 0.1  # of a standard deviation: a last step
-_NEAR = 3.0  # in sd: steps below it keep the Jacobian
+_ENOUGH = 0.1  # last step, as a fraction of a standard deviation
+_NEAR = 3.0  # step, in sd, below which the Jacobian is kept
 _HALVINGS = 3
 _FLAT = 1e-3  # relative change of the sum of squares caused by simulation noise
 

@@ -39,7 +39,7 @@ from mjtactile.sim.attach import default_mesh
 # order in which undetermined parameters are fixed: those closest to their design value first
 _HEAT = ("heat_exchange", "polytropic_exponent")
 _LENS_ROUNDS = 2  # further membrane fits, each with the lens of the last
-_ROUNDS = 3  # of the gas fit, each with replays at the last result
+_ROUNDS = 3  # rounds of the gas fit, each with replays at the last result
 # limit of the change of a recording's pressures by a round, rms, Pa: their linear model is accurate
 # to a tenth of it
 _LINEAR = 10.0

@@ -27,7 +27,7 @@ _ROUNDING = 1 / 12
 _SATURATED = 250  # DN
 _EDGE_PX = 5.0  # distance from a marker's edge beyond which it has no effect
 _BORDER = 1e-3  # margin inside the opening, m
-_LEVEL_SD = 0.5  # DN, by which grey levels of any scene are off this law
+_LEVEL_SD = 0.5  # deviation of grey levels of any scene from this law, DN
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ def fit_image_noise(design: SensorDesign, images: Sequence[Image]) -> ImageNoise
 def _noise(stack: Array, mean: Array) -> dict[str, tuple[float, float]]:
     if len(stack) < 2:
         return {}
-    # of neighbours in time, so that a light that flickers slowly is none
+    # differences of consecutive images, so that slow flicker is excluded
     change = np.diff(stack, axis=0)[:, (mean > 2) & (mean < _SATURATED)]
     change = change - np.median(change, axis=1, keepdims=True)
     variance = float(np.mean(change**2)) / 2

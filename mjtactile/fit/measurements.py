@@ -27,12 +27,12 @@ from mjtactile.sensing.pose.flat_reference import FlatReference
 _SETTLING = 0.3  # settling time between a move and its hold, s
 _HOLD_MAX = 0.7  # averaging time at the end of a hold, s
 _FEWEST = 5  # images of a hold
-# of heights: a lens that is right; more by the flat membrane's residual, 1/px
+# relative height error of a correct lens; increase per residual of the flat membrane, 1/px
 LENS_FRACTION = 0.003
 _LENS_FRACTION_PER_PX = 0.1
 # limit of the mean marker motion between the two halves of a hold, m; a larger motion rejects it
 _MOVES_MAX = 5e-5
-_WIDTHS = {"sphere": 2.0, "cylinder": 2.0, "box": 1.0}  # of an indenter, by its size
+_WIDTHS = {"sphere": 2.0, "cylinder": 2.0, "box": 1.0}  # width of an indenter over its size
 
 Notify = Callable[[str], None]
 

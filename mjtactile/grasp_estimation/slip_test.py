@@ -33,7 +33,7 @@ class SlipTestResult:
 
 UNKNOWN = SlipTestResult(math.nan, math.nan)
 _MOMENTS_MIN = 4
-_CHANGE_MIN = 0.01  # of the normal force, rms: less is in its noise
+_CHANGE_MIN = 0.01  # threshold, rms, as a fraction of the normal force; less is noise
 
 
 @validated()

@@ -21,17 +21,17 @@ from mjtactile.core.outline import Outline
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 
-_POINTS = 4096  # of the outline, between which it is straight: 0.005 um of a circle of 30 mm
-_NEAREST = 0.01  # of a spacing: a node nearer to the outline than that is held on it
+_POINTS = 4096  # points of the outline; chords deviate by 0.005 um from a circle of 30 mm
+_NEAREST = 0.01  # distance, in spacings, within which a node is fixed on the outline
 _TOGETHER = 8  # triangles, as kernels/qs_cut_cells.h has them
 _HEADER = 2  # length of the header, values
 _NOTHING = 1e-9  # of a cell
-_SAME = 1e-6  # of a spacing, to which an outline is the same mirrored
+_SAME = 1e-6  # symmetry tolerance of an outline, in spacings
 _DIVISIONS = {
     3: [((0, 1, 2), 1.0)],
     4: [((0, 1, 2), 0.5), ((0, 2, 3), 0.5), ((1, 2, 3), 0.5), ((0, 1, 3), 0.5)],
 }
-_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # of a cell, counter-clockwise
+_CORNERS = ((0, 0), (1, 0), (1, 1), (0, 1))  # corners of a cell, counter-clockwise
 
 
 def cut_grid(frame: Frame, x: Array, y: Array) -> tuple[Array, float]:

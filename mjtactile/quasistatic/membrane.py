@@ -100,7 +100,7 @@ class QuasistaticMembrane:
         self._room = np.empty(kernel("qs_workspace_size")(self._constants))
         self._kept = np.empty(kernel("qs_factors_size")(self._constants), np.float32)
         self._rest = np.zeros((3, *self.grid))
-        self._rooms: list[Array] = []  # of a batch's threads
+        self._rooms: list[Array] = []  # work arrays of a batch's threads
         self._derive_room = np.empty(0)  # made when it is first asked for
         self._finer: dict[float, QuasistaticMembrane] = {}  # those that were asked for
         self._bind()

@@ -41,9 +41,9 @@ KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
     "heights": (11, ()),
 }
 _FEW = 16  # array size below which Python checks values faster than numpy
-_UNIT = 0.01  # off one, of a quaternion that was rounded
+_UNIT = 0.01  # tolerance of the norm of a rounded quaternion
 _FLAT = 1e-9  # extent that counts as no thickness, m
-_SAME_PLANE = 9  # digits of m, and of a normal
+_SAME_PLANE = 9  # decimal digits of positions, m, and of normals
 _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 

@@ -36,7 +36,7 @@ class Observer:
         """
 
     def note(self, **facts: Any) -> None:
-        """There are facts of the run that are no cycle.
+        """Receive facts of the run that belong to no cycle.
 
         Args:
             **facts: By name.
@@ -45,12 +45,12 @@ class Observer:
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
-        """A reference was taken.
+        """Receive the images of a reference.
 
         Args:
             stage: "flat" or "rest".
-            images: One list a finger.
-            gauge_pressure: Pa that it was taken at, for each valve; None: it has no sensor.
+            images: One list per finger.
+            gauge_pressure: Gauge pressure of each chamber, Pa; None: no pressure sensor.
         """
 
     def on_images(self) -> None:

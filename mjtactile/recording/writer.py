@@ -36,7 +36,7 @@ from mjtactile.recording.log_schema import CycleLike, make_row
 from mjtactile.recording.mounting import Mounting
 from mjtactile.recording.observer import Observer
 
-# that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
+# buffered cycles: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
 _QUEUE_CYCLES = 64
 _FLUSH_TIME = 5.0  # maximum wait for the disk at the end of a run, s
 _logger = logging.getLogger(__name__)

@@ -89,7 +89,7 @@ def figure_writer_process() -> Iterator[FigureWriter]:
         if platform_support.processors() == 1:
             yield FigureWriter(None)
             return
-        with contextlib.suppress(OSError):  # a computer that has no room for another process
+        with contextlib.suppress(OSError):  # no memory for another process
             worker = WorkerProcess(__name__, "renders the figure")
             stack.callback(worker.close)
         yield FigureWriter(worker)

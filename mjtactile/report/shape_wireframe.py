@@ -83,7 +83,7 @@ def _cut(corners: Array, turn: float) -> Array:
     meets = distance * beyond < 0
     fraction = np.where(meets, distance, 0.0) / np.where(meets, distance - beyond, 1.0)
     points = corners + fraction[:, :, None] * (after - corners)
-    two = meets.sum(axis=1) == 2  # else it goes through a corner: its neighbours have the piece
+    two = meets.sum(axis=1) == 2  # else it passes through a corner: the neighbors have the segment
     return points[two][meets[two]].reshape(-1, 2, 3)
 
 

@@ -313,7 +313,7 @@ def _shade_phases(axes: Any, recording: Recording) -> None:
     duration = recording.columns["time"][-1] - recording.columns["time"][0]
     for name, start, end in recording.phases():
         if name == "done":
-            continue  # it is the one cycle that ends the run
+            continue  # the last cycle ends the run
         axes.axvspan(start, end, color=PHASE_COLOURS.get(name, "#eeeeee"), zorder=0, linewidth=0)
         rotation = 0 if end - start > 0.07 * duration else 40
         align = {"rotation": rotation, "ha": "left" if rotation else "center", "va": "bottom"}

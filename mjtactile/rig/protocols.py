@@ -15,8 +15,8 @@ class CameraDevice(Protocol):
     """A sensor's camera."""
 
     def read(self) -> Image:
-        """The newest image, with its time of capture on the rig's clock. Raises DeviceError when it
-        is stale."""
+        """Return the newest image, with its time of capture on the rig's clock. Raises DeviceError
+        when it is stale."""
         ...
 
 
@@ -32,10 +32,10 @@ class Gripper(Protocol):
         ...
 
     def state(self) -> GripperState:
-        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its
-        age.
+        """Return opening, speed, effort and height, with the time of measurement on the rig's clock
+        and its age.
 
-        Measured when `request_state` was called, or now if it was not.
+        They are measured when `request_state` was called, or now if it was not.
         """
         ...
 
@@ -49,8 +49,8 @@ class Valve(Protocol):
     """The valve of one chamber."""
 
     def state(self) -> ValveState:
-        """Open or closed, and the pressure, with the time of measurement on the rig's clock and its
-        age."""
+        """Return whether it is open, and the pressure, with the time of measurement on the rig's
+        clock and its age."""
         ...
 
     def open(self, supply_gauge: float) -> None:
@@ -58,7 +58,7 @@ class Valve(Protocol):
         ...
 
     def close(self) -> None:
-        """Seal the chamber: from here on the amount of gas is kept."""
+        """Seal the chamber: from here on the amount of gas is constant."""
         ...
 
     def regulate_pressure(self, gauge_pressure: float | None) -> None:
@@ -77,8 +77,8 @@ class Clock(Protocol):
     def now(self) -> float: ...
 
     def advance_towards(self, time: float) -> None:
-        """Let the world move on towards `time` while the caller computes. Real time needs no
-        telling."""
+        """Let a simulated world advance towards `time` while the caller computes. On a real rig
+        the call has no effect."""
         ...
 
     def wait_until(self, time: float) -> None: ...

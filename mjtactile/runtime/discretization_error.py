@@ -19,7 +19,7 @@ from mjtactile.core.types import Array
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-RATIO = 1.5  # of mesh widths, coarse over fine
+RATIO = 1.5  # ratio of mesh widths, coarse over fine
 _LONGEST_STEP = 8e-3  # maximum time step, s
 _FREE = 0.04  # additional opening for the inflation of both membranes, m
 # Durations, s

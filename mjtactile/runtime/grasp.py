@@ -231,7 +231,7 @@ def run_grasp(
         rig = session.rig
         watching.start(session)
         score = _score(scenario, rig, watching)
-        # before the gripper moves: files cannot be read on a computer that fails meanwhile
+        # read before any motion: reading files may fail later
         criterion = load_task(scenario.task).success.text
         for note in _notes(scenario, rig):
             watching.message(note)
@@ -247,7 +247,7 @@ def run_grasp(
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.lost:
-                raise  # else the grasp was decided before: the object had stayed behind
+                raise  # otherwise the outcome was already known: the object stayed behind
         except DeviceError:
             if rig.recorded.get("outcome") not in OUTCOMES:
                 raise  # else the recording has ended before this controller did

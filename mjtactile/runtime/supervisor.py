@@ -23,7 +23,7 @@ from mjtactile.core.types import Command, Touch, ValveState
 from mjtactile.runtime.retreat import Retreat
 
 BLIND_TIME_MAX = 0.5  # time without a known force before the retreat, s
-# of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
+# as a fraction of the sealed pressure; objects only raise it, 3 K change it by 1 %
 _LEAK_FRACTION = 0.8
 # consecutive cycles for a leak by shape; one is enough by pressure, since the valve driver repeats
 # surprising readings

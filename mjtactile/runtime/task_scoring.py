@@ -31,7 +31,7 @@ _IN_AIR = 0.01  # minimum gripper height at which the fingers alone carry the ob
 _LET_GO = 0.02  # maximum normal force per finger of a released object, N
 _PULL = 0.3  # minimum pull that requires a release, N
 _STANDS = 5e-3  # tolerance of the height of a standing object, m
-_GENEROUS = 2.0  # a grip of so many times the need is more than asked
+_GENEROUS = 2.0  # ratio of the grip to the required force that counts as excessive
 
 
 @dataclass
@@ -94,7 +94,7 @@ class TaskScorer:
             self.set_down_impact = (
                 np.nan_to_num(self.set_down_impact) + pressed * steps * self.world.timestep
             )
-        is_pulled = time - self._up_since >= self.pulls  # then who pulls carries it, too
+        is_pulled = time - self._up_since >= self.pulls  # a person who pulls carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_check:
             self._next_check = time + _EVERY
             stacked = self.world.second_object

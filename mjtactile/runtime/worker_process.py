@@ -64,7 +64,8 @@ class WorkerProcess:
                 self._channel.send(*question)
                 self._due += 1
         except OSError as error:
-            self._channel.close()  # who has taken half of a question can be asked no other
+            # a process that received half of a request cannot receive another
+            self._channel.close()
             raise self._ended() from error
 
     def outcome(self, timeout: float) -> tuple[Any, ...] | None:

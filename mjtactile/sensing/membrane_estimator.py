@@ -77,7 +77,7 @@ class MembraneEstimator:
         allowed = max(1, round(_SET_ASIDE_FRACTION * self._design.markers.count))
         if self.fits_markers(found.shape) or len(state.set_aside) >= allowed:
             return found
-        # whose misfit is largest
+        # marker with the largest misfit
         worst = int(found.markers.ids[found.shape.excess[0, found.markers.ids].argmax()])
         fewer = without(found.markers, (worst,))
         if not self.has_enough_markers(len(fewer)):

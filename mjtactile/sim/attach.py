@@ -82,7 +82,7 @@ _NEEDED = {
 }
 NEEDED_FLAGS = sum(int(flag) for flag in _NEEDED)
 """Bits of `disableflags` that must be 0."""
-_WALLS = 24  # around an outline: 0.1 mm off one of 30 mm
+_WALLS = 24  # boxes around an outline: 0.1 mm deviation for 30 mm
 _MIN_MEMORY = 1 << 24  # bytes
 
 

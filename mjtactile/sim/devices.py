@@ -169,7 +169,7 @@ class SimValve:
         if self._goal is None:
             self._supply = self._sensor.gauge_pressure
             self._moved = self._sensor.time
-        self._goal = gauge_pressure - self._zero  # it goes by its own gauge
+        self._goal = gauge_pressure - self._zero  # the board regulates by its own sensor
 
 
 class SimGripper:

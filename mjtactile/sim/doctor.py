@@ -26,7 +26,7 @@ _ABOVE_TABLE = 5e-3  # height of the sensors' frames over the table in the test,
 # limit between a site's z and the direction to the center of the fingertips
 _INWARD = math.cos(math.radians(60))
 _ASKEW = math.cos(math.radians(10))
-_LEANING = math.sin(math.radians(5))  # of a site's z from the horizontal
+_LEANING = math.sin(math.radians(5))  # maximum angle of a site's z from the horizontal
 _Y_MAX = 20.0  # maximum angle between y of two sites, degrees
 _UNEVEN = 2e-3  # tolerance of the height difference between fingertips, m
 _OPENING_WRONG = 1e-3  # tolerance of the opening law against the fingertip positions, m
@@ -35,7 +35,7 @@ _HEIGHT_WRONG = 2e-3  # tolerance of the lift height, m
 _FORCE_MIN = 1.0  # minimum force on each finger, N; the shipped controllers hold with 0.6
 _WIDTHS = (0.2, 0.6)  # fractions of the opening range of narrow and wide objects
 _EVEN = 0.01  # relative difference of equal forces
-_SLACK = 1.5  # of the time that a motion takes at the rig's speed
+_SLACK = 1.5  # factor on the time of a motion at the rig's speed
 _IN_THE_WAY = "move the site, or set contype and conaffinity of that geom to 0"
 _TOO_LOW = (
     "the fingertips are too low there: raise the sites, limit opening_min_mm and opening_max_mm, "

@@ -108,7 +108,8 @@ def friction_along(world: World, sensor: int, mu: float, direction: Array) -> fl
     for row in np.flatnonzero(on_membrane.any(axis=1) & (data.contact.efc_address >= 0)):
         mujoco.mj_contactForce(world.model, data, row, force)
         axes = data.contact.frame[row].reshape(3, 3)
-        plane = axes[1:] @ direction  # of the force, too; it acts on the contact's second geom
+        # direction of the friction force, which acts on the contact's second geom
+        plane = axes[1:] @ direction
         sums += (
             (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane),
             mu * force[0],

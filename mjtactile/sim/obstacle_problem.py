@@ -25,7 +25,7 @@ from mjtactile.core.types import Array
 
 _ROUNDS = 60
 _FREE_ROUNDS = 4
-_TINY = 1e-9  # of a cell's pressure, and m
+_TINY = 1e-9  # tolerance: relative, of a cell's pressure; of heights, m
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ from mjtactile.studio.user_scene import UserFingers
 
 # maximum number of geoms sent to the browser (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
 _GEOMS = 1024
-_SCALE_MIN = 0.04  # of the colours' scale
+_SCALE_MIN = 0.04  # minimum of the color scale
 _RATE = 15.0  # maximum image rate, Hz: textures are sent to the browser
 # size of transmitted images, px; rendered larger by the factor below, for smooth ellipses
 _IMAGE = (320, 240)

@@ -118,47 +118,51 @@ class RecordingPlayer(SessionBridge):
 
 
 class RecordingHistory(History):
-    """All of a recording, and where it is looked at."""
+    """History of a whole recording, with the displayed time."""
 
-    def __init__(self, tape: RecordingPlayer):
+    def __init__(self, player: RecordingPlayer):
         super().__init__(seconds=math.inf)
-        self._tape = tape
+        self._player = player
 
     def curves(self) -> Curves | None:
         found = super().curves()
-        return None if found is None else replace(found, now=found.time[0] + self._tape.at)
+        return None if found is None else replace(found, now=found.time[0] + self._player.at)
 
 
 class PlaybackWindow(plugin.ViewerPlugin):
-    """The window from which a recording is played."""
+    """Window with the controls of the playback."""
 
-    def __init__(self, tape: RecordingPlayer):
-        self.tape = tape
-        self.complain = tape.message
+    def __init__(self, player: RecordingPlayer):
+        self.player = player
+        self.complain = player.message
         self._layout = WindowLayout()
 
     @messages.handler
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        tape = self.tape
+        player = self.player
         self._layout.start(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_CAMERA)
         if imgui.Begin("Recording")[0]:
-            imgui.TextWrapped(str(tape.recording.folder))
-            snapshot = tape.snapshot()
+            imgui.TextWrapped(str(player.recording.folder))
+            snapshot = player.snapshot()
             if snapshot is not None and (state := snapshot.session) is not None:
                 imgui.TextUnformatted(f"t = {snapshot.time:.2f} s   {state.phase}   {state.state}")
-            if imgui.Button("stop###play" if tape.playing else "play###play"):
-                tape.playing = not tape.playing
+            if imgui.Button("stop###play" if player.playing else "play###play"):
+                player.playing = not player.playing
             imgui.SameLine()
             imgui.SetNextItemWidth(-1)
-            changed, at = imgui.SliderFloat("##at", tape.at, 0.0, max(tape.length, 1e-3), "%.2f s")
+            changed, at = imgui.SliderFloat(
+                "##at", player.at, 0.0, max(player.length, 1e-3), "%.2f s"
+            )
             if changed:
-                tape.playing = False
-                tape.at = at
-            estimated = f"{len(tape.history.rows)} of {len(tape.recording)} cycles processed"
-            imgui.TextUnformatted(estimated if len(tape.history.rows) < len(tape.recording) else "")
-            imgui.TextWrapped(tape.outcome or tape.last_message)
+                player.playing = False
+                player.at = at
+            estimated = f"{len(player.history.rows)} of {len(player.recording)} cycles processed"
+            imgui.TextUnformatted(
+                estimated if len(player.history.rows) < len(player.recording) else ""
+            )
+            imgui.TextWrapped(player.outcome or player.last_message)
         imgui.End()
 
 

@@ -16,9 +16,9 @@ from mjtactile.studio import surface_colormap
 from mjtactile.studio.snapshot import FingerSnapshot, Pose
 
 _G = mujoco.mjtGeom
-_METRES_PER_NEWTON = 0.03  # of a net force
+_METRES_PER_NEWTON = 0.03  # arrow length per net force, m/N
 _FIELD_METRES_PER_NEWTON = 0.15  # arrow length per force of its block of nodes
-_ARROWS = (7, 5)  # of the field along x and y
+_ARROWS = (7, 5)  # arrows of the field along x and y
 _MIN_ARROW = 1.5e-3  # minimum length of a rendered arrow, m
 _OUTLINE = 24  # maximum number of segments of an outline
 _ABOVE = 4e-4  # offset of the estimated surface, m, above the simulated one

@@ -103,7 +103,7 @@ class SessionBridge(Observer):
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], gauge_pressure: Sequence[float | None]
     ) -> None:
-        self.last_message = ""  # that it is taken
+        self.last_message = ""  # clears the message that the reference is being taken
         if self._halted:  # no motion has started that the supervisor could reverse
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():

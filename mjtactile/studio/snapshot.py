@@ -103,8 +103,8 @@ def finger_lines(estimated: FingerSnapshot, perception_ms: float = math.nan) -> 
         lines.append(f"shape  {describe_shape(touch.shape)}")
     lines.append(f"slip   {_slip(touch)}")
     lines.append(f"gas    {_gas(estimated)}")
-    thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
-    return [*lines, f"image  {1e3 * touch.age:.0f} ms old{thought}"]
+    duration = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
+    return [*lines, f"image  {1e3 * touch.age:.0f} ms old{duration}"]
 
 
 def _shear_sd(touch: Touch) -> float:
@@ -202,10 +202,10 @@ def curves_of(rows: Sequence[Row]) -> Curves | None:
     if not rows:
         return None
     every = -(-len(rows) // _CURVE)
-    some = rows[::-every][::-1]  # the newest is among them
+    sampled = rows[::-every][::-1]  # the newest is among them
 
     def column(name: str) -> Array:
-        return np.array([getattr(row, name) for row in some], dtype=float).T
+        return np.array([getattr(row, name) for row in sampled], dtype=float).T
 
     return Curves(
         column("time"),
@@ -240,7 +240,7 @@ class History:
 
     def add(self, snapshot: StudioSnapshot) -> None:
         row = row_of(snapshot)
-        if self.rows and row.time < self.rows[-1].time:  # it began again
+        if self.rows and row.time < self.rows[-1].time:  # the run was restarted
             self.rows.clear()
         self.rows.append(row)
         while self.rows[-1].time - self.rows[0].time > self.seconds:

@@ -16,7 +16,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
 
-_NODES = 5  # of each interpolation over stiffness and pre-stretch
+_NODES = 5  # nodes of each interpolation over stiffness and pre-stretch
 _FACTORS = 15
 # margins of the interpolation: a factor of the stiffness, an offset of the pre-stretch
 _MARGIN = 1.02

@@ -1,4 +1,4 @@
-"""Random objects of several kinds in one batch: a union of their geoms, of which a world has some.
+"""Random objects of several kinds in one batch, as a union of their geoms.
 
 MuJoCo Warp has one type of each geom in all worlds. The union has the largest number of geoms of
 each type that an object has. A mesh that a world's object does not have is absent, a geom of

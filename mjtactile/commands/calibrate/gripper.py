@@ -15,8 +15,8 @@ from mjtactile.commands.output import stdout_to_stderr
 
 Instrument = Callable[[str], float | None]
 """Instrument that returns a reading for a prompt; None: no further readings."""
-_OPENING_PARTS = (0.6, 0.9)  # of the gripper's range
-_FORCE_PARTS = (0.3, 0.5, 0.7, 0.85, 1.0)  # of the largest force
+_OPENING_PARTS = (0.6, 0.9)  # fractions of the gripper's range
+_FORCE_PARTS = (0.3, 0.5, 0.7, 0.85, 1.0)  # fractions of the largest force
 HELP = "jaw zero, scale, backlash and current to force, against a caliper and a load cell"
 DESCRIPTION = """\
 Openings: the jaws move to several openings, each from both sides. You measure the gap between

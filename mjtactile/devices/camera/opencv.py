@@ -168,7 +168,7 @@ class OpenCvCamera:
         self._set("width", cv2.CAP_PROP_FRAME_WIDTH, config.width)
         self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, config.height)
         self._set("rate", cv2.CAP_PROP_FPS, config.rate, tolerance=0.02 * config.rate)
-        # where it does not take, the thread empties the buffers anyway
+        # if it is ignored, the thread empties the buffers anyway
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if config.exposure is not None:
             # some drivers ignore "manual" unless the automatic was on before

@@ -213,7 +213,7 @@ class DynamixelBus:
             if result != COMM_SUCCESS:
                 raise self._failed(servo, result)
             if received[_ID] != servo or self._dirty and self._length(received) != reply:
-                continue  # another's, or a late answer to an earlier question
+                continue  # a reply of another servo, or a late reply to an earlier request
             answer = self._parse(servo, received, reply)
             self._dirty = False
             return answer

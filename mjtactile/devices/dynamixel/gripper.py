@@ -280,7 +280,7 @@ class DynamixelGripper:
             for servo_id, error in failures.items()
             if not self._reread(self._servos[servo_id], error)
         ]
-        # They measure after the question, so that a state is never thought younger than it is.
+        # Servos measure after the request, so that the reported age is an upper bound.
         self._state_time = self._state_time if lost or asked is None else asked
 
     def _reread(self, servo: Servo, error: BusError) -> bool:
@@ -303,7 +303,7 @@ class DynamixelGripper:
         """Query one servo per call, in turn, for values outside of the state block."""
         self._poll_index += 1
         servo = list(self._servos.values())[self._poll_index % len(self._servos)]
-        if not servo.failures:  # one that is silent has cost time enough
+        if not servo.failures:  # a silent servo has already delayed the cycle
             with contextlib.suppress(BusError):
                 servo.poll()
 

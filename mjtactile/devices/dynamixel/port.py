@@ -44,7 +44,7 @@ class Port(PortHandler):
     def readPort(self, length: int) -> Any:
         data = self.ser.read(length)
         if not data and length > 0:
-            # short, so that the time-out is still looked at
+            # short, so that the time-out is still checked
             select.select([self.ser.fileno()], [], [], 5e-4)
             data = self.ser.read(length)
         return data

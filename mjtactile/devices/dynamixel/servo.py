@@ -184,7 +184,7 @@ class Servo:
         self.goal_current_units = min(first_current(self), limit)
         self._stand_still(p_gain)
         self.set("Torque Enable", 1)
-        self._stand_still(p_gain)  # once more, should the torque have reset any of it
+        self._stand_still(p_gain)  # again, since switching the torque on may reset values
 
     def _stand_still(self, p_gain: int | None) -> None:
         if p_gain is not None:
@@ -270,7 +270,7 @@ class Servo:
                 if error.reason in ("refused", "lost"):
                     break
             except Exception as error:  # noqa: BLE001
-                # whatever it is, the next motor must still be switched off
+                # after any error, the next motor must still be switched off
                 reason = f"{type(error).__name__}: {error}"
         return reason
 

@@ -25,7 +25,7 @@ CURRENT_BASED_POSITION = 5  # "Operating Mode"
 EEPROM_END = 64  # registers below are kept without power and locked while torque is on
 
 WATCHDOG_TRIPPED = 0xFF  # "Bus Watchdog" reads -1
-_STARTUP = ("Startup Configuration", 60, 1)  # of the e-manual's tables; those of the SDK lack it
+_STARTUP = ("Startup Configuration", 60, 1)  # from the e-manual's tables; those of the SDK lack it
 _WATCHDOG_STOPS_NOTHING = {51}  # firmware of all 330 sizes: forum.robotis.com, topic 4814
 
 HARDWARE_ERRORS = {

@@ -31,7 +31,7 @@ _HANDSHAKE_TIME = 4.0
 # minimum timeout of a command's answer, s; USB adds 16 ms in each direction, a board's own loop up
 # to 50 ms
 _COMMAND_TIME = 0.15
-_COMMAND_FRACTION = 5  # of the rig file's reply time-out, where that is longer
+_COMMAND_FRACTION = 5  # factor on the rig file's reply time-out, where that is longer
 _ATTEMPTS = 2
 # time from a failed reading to the next attempt, s: longer than a burst of noise
 _RETRY_TIME = 0.008
@@ -129,7 +129,7 @@ class ValveBoard:
     def reading(self, channel: int) -> ValveReading:
         """Return the heartbeat's newest reading without waiting. Raises DeviceError."""
         now = scaled_clock.monotonic()
-        if now - self._last_call > _SILENCE:  # the heartbeat had been let die
+        if now - self._last_call > _SILENCE:  # the heartbeat was stopped
             return self.measure(channel)
         self._last_call = now
         reading = self._readings[channel]
@@ -302,7 +302,7 @@ class ValveBoard:
                 )
 
     def _read(self, channel: int, timeout: float | None = None) -> ValveReading:
-        # the board measures after this, so that a reading is never thought younger than it is
+        # the board measures after this, so that the reported age is an upper bound
         asked = scaled_clock.monotonic()
         reply = self._ask(f"state {channel}", timeout)
         match = re.fullmatch(
@@ -359,7 +359,7 @@ class ValveBoard:
                 self._command_echoed(f"vent {channel}")
                 return True
             except Exception:  # noqa: BLE001
-                # whatever it is, the next channel must still be vented
+                # after any error, the next channel must still be vented
                 _log.debug("vent failed", exc_info=True)
         return False
 

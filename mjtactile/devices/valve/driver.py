@@ -14,7 +14,7 @@ from mjtactile.rig.file import ValveConfig
 __all__ = ["BoardValve", "ValveBoard", "connect_valves"]
 _SETTLE_TIME = 1.5  # time for the chamber to reach the setpoint, s
 _SETTLE_POLL = 0.02  # polling interval of the pressure, s
-# of the pressure, Pa: how far off is a valve that does not move
+# pressure deviation of a stuck valve: as a fraction of the setpoint, and minimum, Pa
 _SETTLE_FRACTION = 0.25
 _SETTLE_FLOOR = 120.0
 
@@ -49,7 +49,7 @@ class BoardValve:
         if not 0 <= supply_gauge <= config.pressure_max:
             raise DeviceError(
                 f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to "
-                f"{config.pressure_max:g} Pa, the largest that the rig file allows"
+                f"{config.pressure_max:g} Pa, the maximum of the rig file"
             )
         if supply_gauge == 0:
             self.board.vent(config.channel)
@@ -104,7 +104,7 @@ class BoardValve:
 
     def _check_moves(self, reading: ValveReading) -> None:
         if self._has_moved(reading):
-            self._goal_time = scaled_clock.monotonic()  # from here on it may be late again
+            self._goal_time = scaled_clock.monotonic()  # the settling time starts again
         elif scaled_clock.monotonic() - self._goal_time >= _SETTLE_TIME:
             raise DeviceError(
                 f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} "

@@ -150,7 +150,7 @@ def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
     name = f"{'truth' if key in TRUE else 'recorded'}.{key}"
     column = episode.recording.columns[key]
     if key not in LISTS and not np.prod(column.shape[1:]):
-        return {}  # of valves, on a rig without
+        return {}  # default for a rig without valves
 
     def numbers(seen: Perceived) -> Array:
         return np.ravel(np.asarray(seen.row[key], float))

@@ -26,7 +26,7 @@ from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow
 # Width of a camera image; height and width of the scene image, px
 _CAMERA = 480
 _SCENE = (405, 270)
-_IMAGES_MAX = 96  # of cameras, in all: 20 kB each
+_IMAGES_MAX = 96  # maximum number of camera images: 20 kB each
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 70)
 _GREY = "#555555"
 
@@ -85,7 +85,7 @@ def page_data(
     unit = height_unit(low, high)
     times = recording.column("time")[:, 0]
     shown = -1 if snapshot is None else snapshot.time
-    # nearly all of it is in C, which lets go of the interpreter
+    # nearly all of it is in C, which releases the interpreter
     with ThreadPoolExecutor(2) as pool:
         shots = list(pool.map(lambda moment: _shot(moment[0], moment[1], unit), moments))
     phases = [

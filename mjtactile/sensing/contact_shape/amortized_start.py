@@ -156,7 +156,7 @@ def trained(
 
 _HUBER = 3.0  # error, in standard deviations of an output, from which it counts less
 _AREA_WEIGHT = 0.1
-_SAMPLES = 3  # of the marker noise
+_SAMPLES = 3  # samples of the marker noise
 
 
 def _targets(presses: Presses) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel, face_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _INTERVAL = (0.16, 0.84)
-_LIKELY = 1e-3  # probability, below which a family has no part in an interval
+_LIKELY = 1e-3  # minimum probability of a family that contributes to an interval
 FACES = ("disc", "block")
 _SLOPES = (0.02, 1.2)  # slope of the membrane at a rim: minimum, maximum
 _FACE_MIN = 0.5  # minimum fraction of an estimated face area that remains after the rim correction

@@ -22,8 +22,8 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _STEPS = 20  # enough for 49 of 50 converging solutions; those that never converge use all
-_TOLERANCE = 3e-6  # of the displacements, m: a fortieth of the marker noise
-_MORE = 0.02  # of the pressure, for its derivative
+_TOLERANCE = 3e-6  # tolerance of the displacements, m: a fortieth of the marker noise
+_MORE = 0.02  # relative step of the pressure for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
 """Membrane sums used in the fit: wrench (N, N m), pressure (Pa), area (m^2)."""
 SUM_AREA = 7

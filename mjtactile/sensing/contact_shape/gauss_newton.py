@@ -22,7 +22,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _DAMPING = (1e-2, 1e-8, 1e2)  # first, minimum, maximum
 _GOOD = 0.4  # fraction of the promised gain above which damping decreases
-_POLISHED = 1  # times, with exact slopes,
+_POLISHED = 1  # number of refinements with exact slopes
 _POLISHING = 2  # membrane solutions in each refinement
 _POLISH = 0.05
 # Thresholds of the cost relative to its noise: gain that does not separate two shapes; promised
@@ -31,7 +31,7 @@ _SETTLED = 0.25
 _FAR = 4.0
 _BEHIND = 16.0
 _PROMISED = 1.5  # ratio of the total gain of all following steps to the promised gain of one
-_ALIKE = 0.1  # of how much more is left than of the best: less does not matter
+_ALIKE = 0.1  # relative excess of the cost over the best fit that does not matter
 # Maximum steps: mm and rad, and fractions of a curvature (at least `_FLAT`, 1/m) and of a size
 _STRAIGHT = {
     "x": 1.5, "y": 1.5, "z": 0.5, "tilt": 0.1, "lean": 0.1, "direction": 0.35, "angle": 0.35,

@@ -20,7 +20,7 @@ from mjtactile.quasistatic.obstacles import unchecked_obstacle
 EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
 ROUNDING = 0.5  # rounding of the rims, in node spacings of the membrane
 _FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
-_RIM_SLOPE = 2.0  # of the flank beyond a rim
+_RIM_SLOPE = 2.0  # slope of the flank beyond a rim
 _RIM = 360  # number of points on an outline
 _RIM_OUT = 1.4  # outward offset of the rounded rim from the nominal rim, in rounding radii
 
@@ -106,7 +106,8 @@ def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
     c = math.cos(hint.angle)
     s = math.sin(hint.angle)
-    along = np.array([c * c, c * s, s * s])  # of the curvature along the patch's longer axis
+    # components of the curvature along the patch's longer axis
+    along = np.array([c * c, c * s, s * s])
     across = np.array([s * s, -c * s, c * c])
     return tuple(
         np.array([0, 0, 0, *(a * along + b * across)])

@@ -15,7 +15,7 @@ from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import place_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_IMAGES_MIN = 3  # images that a rate wants
+_IMAGES_MIN = 3  # minimum number of images for a rate
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,7 +87,7 @@ class ShapeFilter:
 
 
 _TAIL = 6.0  # degrees of freedom of the distribution of changes
-_UNSEEN = 1e-6  # of a family's own precision
+_UNSEEN = 1e-6  # as a fraction of a family's own precision
 _BY_NODE = 1.5  # relative model error of a curvature or size, times the number of touching nodes
 
 

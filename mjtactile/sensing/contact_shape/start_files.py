@@ -32,7 +32,7 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 _VERSION = 1
 _SHIPPED = "models/contact_shapes"
-_PRESSURES = (0.94, 1.0, 1.06)  # of the supply pressure
+_PRESSURES = (0.94, 1.0, 1.06)  # fractions of the supply pressure
 _PRESSES = 8000  # at each pressure
 _ROUNDS = 100
 _MARKER_SD = 19e-6  # m

@@ -29,11 +29,11 @@ _ZOOM = 6
 _SIZE = 7
 _LEVELS = 8
 _AROUND = 24  # points of a circle's outline
-_STEP = 1e-3  # of a mode's sd, for differences
+_STEP = 1e-3  # step of differences, as a fraction of a mode's sd
 _ROUNDS = 4
 _BELONGS = 0.5  # fraction of the outlier limit below which no fiducial counts as an outlier
-_AS_DARK = 0.03  # of levels as above: a load changes those of markers by 0.01
-_LEVELS_MIN = 0.01  # rms, of a level inside over that outside: noise has 0.005
+_AS_DARK = 0.03  # maximum change of such levels: a load changes those of markers by 0.01
+_LEVELS_MIN = 0.01  # rms change of the inner over the outer level: noise has 0.005
 _LINEAR_PX = 0.3  # image motion, px, above which one linear step is not enough
 
 

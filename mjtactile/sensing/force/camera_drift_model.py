@@ -22,9 +22,9 @@ MODES = 9
 """Number of drift modes: position x, y, z; rotation about x, y, z; and image scale. The last two
 are the circle size: one common to all, one that follows their levels."""
 _SIZE = 7
-_STEADY = 1e-6  # of a mode's sd: none
+_STEADY = 1e-6  # fraction of a mode's sd that counts as zero
 _TONE_ROUNDS = 5
-_TONE_STEP_LIMIT = 0.3  # of ln gamma in a round
+_TONE_STEP_LIMIT = 0.3  # maximum step of ln gamma in a round
 _TONE_MIN_CIRCLES = 3
 _UNCHANGED_LEVELS = 0.02  # maximum relative change of all levels for an unchanged curve
 _WHITE = 255.0

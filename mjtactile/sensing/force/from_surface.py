@@ -24,11 +24,11 @@ from mjtactile.core.signature_checks import FINITE, validated
 from mjtactile.core.types import Array
 from mjtactile.core.types.arrays import freeze
 
-_PRESSED = 0.35  # of the gas's pressure: more is contact
+_PRESSED = 0.35  # fraction of the gas pressure above which a point is in contact
 _AROUND = 1.5  # contact margin, in smoothing lengths: counts pressure smeared by smoothing
 _AWAY = 3.0  # distance from contact, in smoothing lengths, above which the membrane is free
 _ROUNDS = 3  # iterations of the free-surface search and of the outlier rejection
-_OUTLIER = 3.0  # sd, at which a point counts half
+_OUTLIER = 3.0  # residual, in sd, at which a point has half its weight
 _FEWEST = 40  # points
 _MIN_SEEN = 0.25  # minimum ratio of a cell's point count to the usual one: less is a hole
 _FREE_MIN = 0.2  # minimum free fraction of the surface for a tension estimate

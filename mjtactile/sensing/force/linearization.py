@@ -17,7 +17,7 @@ from mjtactile.sensing.force.spline_fem import Stiffness
 NEAR = 2e-4  # maximum change of the shape for which stiffness and gains are kept, m
 _SD_RATIO = 1.3  # maximum ratio of change in the standard deviation of the gas pressure
 _CAMERA_RATIO = 1.5  # the same for the camera drift uncertainty
-_DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
+_DARKER_NEAR = 0.03  # maximum change of darkness for which the camera's modes are kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,11 +19,11 @@ from mjtactile.sensing.force.rest_equilibrium import InverseRest
 from mjtactile.sensing.force.spline_fem import product
 from mjtactile.sensing.force.traction_grid import LoadedMembrane
 
-_STIFFNESS = 1e9  # of the plane, Pa/m: 5 um at 5 kPa
+_STIFFNESS = 1e9  # stiffness of the plane, Pa/m: 5 um at 5 kPa
 _NEWTON_STEPS = 30
 _STEP_MAX = 5e-4  # maximum change of a coefficient per Newton step, m
 _CONVERGED = 1e-7  # convergence tolerance of a Newton step, m
-_FITS = 6  # of the plane to the markers
+_FITS = 6  # fit iterations of the plane to the markers
 _FITTED = (2e-7, 2e-5, 2e-5)  # convergence tolerance of the plane: height, m, and slopes
 _HEIGHT_SD, _SLOPE_SD = 1e-3, 0.05  # prior standard deviations of the plane: m; rad
 _PRIOR = 1 / np.array([_HEIGHT_SD, _SLOPE_SD, _SLOPE_SD]) ** 2

@@ -20,7 +20,8 @@ from mjtactile.core.types import Array, Markers
 
 _DEGREE_MAX = 5
 _MARKERS_TO_A_TERM = 3
-_STILL = 1.5  # of the noise's mean square, which the polynomial may have taken out
+# maximum mean square of a still image over that of the noise, which the polynomial may reduce
+_STILL = 1.5
 _KEPT = 0.95  # memory factor per still image: 20 of them count
 _ENOUGH = 6.0  # minimum number of still images, by weight
 _SURE = 0.15  # minimum fraction: three standard deviations with 16 markers, ten with 81

@@ -41,7 +41,7 @@ class Gamma:
     def contradicts(self, assumed: float, s: GammaSettings) -> bool:
         """Return True if the image clearly has another gamma than `assumed`."""
         deviation = abs(np.log(self.value / assumed))
-        # never, where it is unknown
+        # never for an unknown value
         return bool(deviation > s.min_sds * self.sd / self.value and deviation > s.min_log_change)
 
     def size_uncertainty(self, assumed: float, s: GammaSettings) -> float:

@@ -30,14 +30,17 @@ _HARMONICS = np.concatenate([[np.cos(k * _ANGLE), np.sin(k * _ANGLE)] for k in r
 # Whole circles have at most 2.6 times the lower quartile of their photograph (compressed color
 # photographs, 2.6 to 15 px), and 0.001 of their radius without camera processing. Circles cut by
 # 10 % of the diameter have 0.014 of it, and a size error of 3 standard deviations.
-_MIN_PEERS = 5  # circles, for the amplitude that is usual in an image
+_MIN_PEERS = 5  # minimum number of circles for the typical amplitude of an image
 _PEER_QUANTILE = 0.25  # below the median: many circles may be cut
-_MAX_RATIO = 4.0  # of a whole circle's amplitude to the usual one
-_MIN_FRACTION = 0.01  # of the radius: less costs less than 3 standard deviations
-_MAX_FRACTION = 0.04  # of the radius; real circles have at most 0.031, of six in textures one more
+_MAX_RATIO = 4.0  # maximum ratio of a whole circle's amplitude to the typical one
+# minimum, as a fraction of the radius: less costs less than 3 standard deviations
+_MIN_FRACTION = 0.01
+# as a fraction of the radius; real circles have at most 0.031, one of six in textures more
+_MAX_FRACTION = 0.04
 # Real circles have at most 0.053 (compressed color photographs), printed corners and letters 0.08
 # and more, seven of ten blobs of a texture more than 0.07.
-_MAX_EXCESS = 0.07  # of the contrast: residual of the fit beyond the noise of the pixels
+# as a fraction of the contrast: residual of the fit beyond the noise of the pixels
+_MAX_EXCESS = 0.07
 _MIN_DEFORMATION = 0.015  # px; simulated circles have 0.004 to 0.01, photographs 0.026 and more
 # Blobs of smoothed noise: of ten that are alike, about one passes the limits above.
 _BLOB_RATE = 0.1

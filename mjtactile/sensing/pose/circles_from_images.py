@@ -30,7 +30,7 @@ Neighbours = Literal["auto", "always", "never"]
 # standard deviation of log gamma of a camera without known gamma: 1 to 2.2
 _UNKNOWN_LOG_GAMMA = 0.4
 _GREY = np.full((1, 3), 1 / 3)
-GAMMAS = (0.2, 5.0)  # that may be asked for
+GAMMAS = (0.2, 5.0)  # range of a requested gamma
 NOT_BEYOND_GLASS = "nearer than the glass"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 

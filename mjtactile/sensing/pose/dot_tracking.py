@@ -22,15 +22,15 @@ from mjtactile.sensing.image.markers import Polarity, grey_image
 from mjtactile.sensing.pose.circles_from_images import detect_circles, plain_grey
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
-NOBODY = -1  # of a circle that is not followed
+UNTRACKED = -1  # id of a circle that is not tracked
 CUT = "cut by image border"
 _GATE = 0.45  # maximum motion relative to the others, as a fraction of the circle distance
-_NEW = 0.7  # of it, from all that are followed: another circle
+_NEW = 0.7  # distance from all tracked circles, as a fraction of it: a new circle
 _SMALL = 0.6  # minimum size relative to the median: less is a speck
 _EDGE = 0.1  # fraction of circles without a partner from which a larger motion is considered
 _CLEARLY = 0.5  # fraction of them that a larger motion may leave without a partner
 _NEIGHBORS = 8  # of a circle
-_FEWEST = 2  # circles that are not cut by the border, to begin with
+_FEWEST = 2  # minimum number of complete circles at the start
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ def _followed(
 ) -> tuple[NDArray[np.int64], _Skin | None]:
     """Return the track index of each circle, and the updated tracks. `size_px` is the width and
     height of the image."""
-    ids = np.full(len(ellipses), NOBODY)
+    ids = np.full(len(ellipses), UNTRACKED)
     complete = np.flatnonzero(ellipses.status != CUT)
     size = skin.size if skin is not None else _middle(ellipses.semi_axes_px[complete, 1])
     complete = complete[ellipses.semi_axes_px[complete, 1] > _SMALL * size]
@@ -139,7 +139,7 @@ def _followed(
     expected = skin.positions + _motion(skin, centers, np.array(size_px))
     distance = np.linalg.norm(expected[:, None] - centers[None], axis=2)
     own = distance.argmin(axis=1)
-    # mutual: a circle is one of the followed, and one alone
+    # one-to-one: each circle matches one tracked circle
     mutual = distance.argmin(axis=0)[own] == np.arange(len(expected))
     mutual &= distance[np.arange(len(expected)), own] < _GATE * skin.pitch
     ids[complete[own[mutual]]] = np.flatnonzero(mutual)

@@ -23,7 +23,7 @@ from mjtactile.sensing.settings import DEFAULTS, ReferenceSettings
 _STEPS = 20
 
 
-_FEWEST_MARKERS = 3  # that give a camera's pose
+_FEWEST_MARKERS = 3  # minimum number for a camera's pose
 
 
 @dataclass(frozen=True, eq=False)

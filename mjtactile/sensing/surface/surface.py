@@ -46,9 +46,9 @@ GRID_STEP = 1e-3
 # cubics to 1e-6
 GAUSS = 4
 _MARGIN = 4  # intervals beyond an outline, on both sides together
-_RIM_SD = 20e-6  # in m; a smaller value bends the splines where the outline crosses their cells
-_RIM_POINTS = 4  # to an interval of the longer side
-_BEYOND = 1e-4  # of the fourth term's weight
+_RIM_SD = 20e-6  # sd of the rim's height, m; a smaller value bends the splines at the outline
+_RIM_POINTS = 4  # rim points per interval of the longer side
+_BEYOND = 1e-4  # weight beyond the outline, as a fraction of the fourth term's
 _BENT = (((2, 0), (0, 2)),)  # the Laplacian, squared by `_energy`
 
 

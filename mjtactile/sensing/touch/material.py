@@ -58,7 +58,7 @@ class _Curve:
         )
 
     def sd(self, force: float = 0.0) -> float:
-        """Standard deviation of the width under `force` N that the fit leaves, m."""
+        """Return the standard deviation of the fitted width under `force` N, m."""
         root = math.sqrt(1 + 4 * self.stiffening * force)
         by_stiffening = 2 * self.compliance * force / (1 + root) ** 2 * 2 * force / root
         gradient = np.array([1.0, -2 * force / (1 + root), by_stiffening])
@@ -72,8 +72,8 @@ def estimate_material(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material)
         np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
     )
     maximum = float(np.max(squeeze.force[seen], initial=0.0))
-    shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
-    if maximum < s.force_min and shrunk < s.shrunk_enough:
+    compression = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
+    if maximum < s.force_min and compression < s.shrunk_enough:
         return _unknown(
             StatusCode.INCOMPLETE_DATA,
             f"not enough contact yet: the maximum force is {maximum:.2f} N; at least "
@@ -159,18 +159,20 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
 
 
 def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> Material:
-    last = phases.hold[-max(s.samples_min, len(phases.hold) // 4) :]  # where it has come to rest
+    last = phases.hold[-max(s.samples_min, len(phases.hold) // 4) :]  # samples after settling
     force = float(np.mean(squeeze.force[last]))
     deformation = curve.free_width - float(np.mean(squeeze.width[last]))
     sd = math.hypot(curve.sd(), s.width_bias)
-    stayed, stayed_sd = _permanent_set(squeeze, phases, curve, s)
-    probability = _probabilities(deformation, sd, max(force, s.force_min), stayed, stayed_sd, s)
+    permanent, permanent_sd = _permanent_set(squeeze, phases, curve, s)
+    probability = _probabilities(
+        deformation, sd, max(force, s.force_min), permanent, permanent_sd, s
+    )
     kind = max(probability, key=lambda name: probability[name])
     # a flowing object has no stiffness; the modulus of a solid one is too high to measure
     unknown = (math.nan, math.nan, math.nan)
     stiffness = _ratio(force, deformation, sd) if kind != "amorphous" else unknown
     relaxation_time, at_rest = _relaxation(squeeze, phases, force, s)
-    if kind == "soft" and math.isfinite(at_rest):  # not all has relaxed by the end of the hold
+    if kind == "soft" and math.isfinite(at_rest):  # relaxation is incomplete at the end of the hold
         stiffness = (at_rest, min(at_rest, stiffness[1]), max(at_rest, stiffness[2]))
     area = float(np.median(squeeze.area[last]))
     if kind == "soft":
@@ -197,8 +199,8 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
         modulus[0],
         (modulus[1], modulus[2]),
         relaxation_time,
-        stayed,
-        stayed_sd,
+        permanent,
+        permanent_sd,
         _flow_speed(squeeze, phases.hold, s.early),
         status,
     )
@@ -208,8 +210,8 @@ def _probabilities(
     deformation: float,
     sd: float,
     force: float,
-    stayed: float,
-    stayed_sd: float,
+    permanent: float,
+    permanent_sd: float,
     s: MaterialSettings,
 ) -> dict[str, float]:
     """Return the probabilities of the material classes, with the error of each criterion.
@@ -217,8 +219,10 @@ def _probabilities(
     soft from amorphous."""
     solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
-    fraction_sd = math.hypot(s.set_fraction_sd, math.hypot(stayed_sd, s.set_fraction * sd) / scale)
-    amorphous = float(ndtr((stayed / scale - s.set_fraction) / fraction_sd))
+    fraction_sd = math.hypot(
+        s.set_fraction_sd, math.hypot(permanent_sd, s.set_fraction * sd) / scale
+    )
+    amorphous = float(ndtr((permanent / scale - s.set_fraction) / fraction_sd))
     return {
         "solid": solid,
         "soft": (1 - solid) * (1 - amorphous),
@@ -231,7 +235,7 @@ def _permanent_set(
 ) -> tuple[float, float]:
     """Return the decrease in width at the same small force after the squeeze, m, and its sd."""
     after = phases.second[squeeze.force[phases.second] > s.force_estimate]
-    if len(after) < 3:  # a paste yields before it pushes back so hard
+    if len(after) < 3:  # a paste yields before this force
         after = phases.second
     if len(after) < 3:  # the end of the release, where the force is small again
         small = max(

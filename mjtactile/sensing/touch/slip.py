@@ -36,11 +36,11 @@ from mjtactile.sensing.force.inverse_fem import InverseMembrane
 from mjtactile.sensing.force.linearization import Shape
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
-# of the peak: less is the contact's edge, where little pressure divides little shear
+# as a fraction of the peak: less is the contact's edge, with an undetermined ratio
 _PRESSED = 0.1
 _NODES = 6  # minimum effective number of equally loaded nodes
 _ROTATION_NODES = 4  # same for rotation: shear that is uniform along circles is rarer
-_ROTATION_FRACTION = 1.5  # of the force, as much torque over the radius of gyration
+_ROTATION_FRACTION = 1.5  # torque over the radius of gyration, as a fraction of the force
 _IMAGES = 3  # two of these must show slip: noise may make the shear of one image uniform
 _ROTATION_LIMIT = 0.85  # squared, over that of a force: of a torque over the radius of gyration
 _POINT = 1e-4  # minimum patch size, m; a patch of a single node has no extent
@@ -202,7 +202,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
         if time[-1] - time[b] > s.recent:
             continue
         a = int(np.searchsorted(time, time[b] - s.baseline))
-        # since then, beyond the mean of a while before
+        # since then, relative to the mean of a period before
         went = displacement[b:] - displacement[a:b].mean()
         was_dragged = dragged[b:] - dragged[a:b].mean()
         leant = ratio[b:] - ratio[a:b].mean()

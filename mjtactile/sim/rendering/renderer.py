@@ -36,7 +36,7 @@ BLUR_MIN_PX = 0.2
 # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _STEP_PER_BLUR = 1.25
 _OUTLINE = 360  # corners of the polygon in a round opening: 0.01 px of `round30`
-_NODES = 4  # in each panel of a straight side
+_NODES = 4  # quadrature points in each panel of a straight side
 # positions per pixel at which the edge functions are tabulated: random error of at most 1e-3 px
 _BINS = 512
 _TAIL = 5.0  # sd at which the Gaussian ends: 3e-7 of it are beyond

@@ -310,7 +310,7 @@ def _dofs_without(model: mujoco.MjModel, prefixes: Sequence[str]) -> Array:
 def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> None:
     """Raise the MuJoCo body `root` of the compiled `model`, a child of the world, by `by` m."""
     body = next(body for body in spec.bodies if body.id == root)
-    if body.frame is not None:  # whose axes may be turned: out of it, where it was
+    if body.frame is not None:  # in the parent's axes, which may be rotated: same position in W
         body.set_frame(spec.worldbody.add_frame())
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         body.quat = model.body_quat[root]

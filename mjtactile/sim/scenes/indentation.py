@@ -306,7 +306,7 @@ def _membrane_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarra
         for axis, coordinate in zip(axes, at, strict=True)
     )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
-    if frame.outline is not None:  # as far within as on rectangles
+    if frame.outline is not None:  # same margin as on rectangles
         return points[frame.inside(points[:, :2] / 0.98) > 0]
     inside = np.abs(points[:, :2] / (frame.length, frame.width))
     return points[inside.max(axis=1) < 0.49]

@@ -28,9 +28,9 @@ _CLEAR = 0.026
 # distance of a stand's edge inside the object's edge, m: membranes compress the object by 3 mm
 _ASIDE = 4.5e-3
 _FOOT = 0.45  # radius of an egg's flat foot, over its own
-_CORNERS = 48  # of a cone's mesh
+_CORNERS = 48  # vertices around a cone's mesh
 _ARC = 5  # vertices of a mesh along a quarter of a rounded edge
-_SEGMENTS = 8  # of a fruit's flesh
+_SEGMENTS = 8  # number of segments of a fruit's flesh
 _FRICTION = 'friction="0.3 0.005 0.0001"'
 
 

@@ -25,8 +25,8 @@ _GRID = np.stack(
     np.meshgrid(*[np.linspace(-HALF_WIDTH, HALF_WIDTH, 7)] * 2, indexing="ij"), axis=-1
 ).reshape(-1, 2)
 _AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-_ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
-# cells: where it is asked
+_ZOOMS = (0.1, 0.035, 0.012)  # spacings of the finer grids, in cells
+# sampled distances, in cells
 _BESIDE = 0.3 * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 # cells that a shape falls away by there, if it juts out: a ball of two spacings does by 0.03
 _JUTS = 0.04
@@ -34,7 +34,7 @@ _MISSED = 100.0  # gap in place of infinity, in cells
 # height penalty, in cells, per cell of lateral shift: among equally high points the nearest to the
 # vertex is chosen
 _CENTRED = 0.1
-_WIDER = 2.5  # than where else a shape juts: a pin that fits between vertices is as wide as a cell
+_WIDER = 2.5  # minimum distance ratio to other tips: a pin between vertices is as wide as a cell
 # where a shape is sampled around a contact, in cells
 _RINGS = (0.15, 0.373)
 _ANGLES = np.arange(8) * np.pi / 4

@@ -204,7 +204,7 @@ class ContactPoints:
             normal = self._upright[close].sum(axis=0)
             axes = contact_cells.axes_of(normal / np.linalg.norm(normal))
             cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
-            if geom in self._round:  # but for its ends
+            if geom in self._round:  # except for its ends
                 at_end = self._at_end(geom, cells)
                 close = close[at_end]
                 cells = cells.of(at_end)

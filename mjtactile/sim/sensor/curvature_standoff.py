@@ -22,7 +22,7 @@ from mjtactile.sim.sensor.contact_list import listed
 from mjtactile.sim.sensor.feature_size import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-SHARE = 0.25  # of the facets' mean sagitta
+SHARE = 0.25  # factor on the facets' mean sagitta
 # update period, and time constant of the stand-off, s
 _EVERY = 0.01
 _SETTLE = 0.02

@@ -84,7 +84,7 @@ SERVO_LAG = 0.02
 # MuJoCo `elastic2d`
 _STRETCH = 2
 _BOTH = 3
-_WEIGHTLESS = 1e-12  # kg; MuJoCo wants some mass, the inertia itself is kept as armature
+_WEIGHTLESS = 1e-12  # kg; MuJoCo requires a mass, the inertia is kept as armature
 
 
 def effects_named(

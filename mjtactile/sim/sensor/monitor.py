@@ -24,7 +24,7 @@ from mjtactile.sim.sensor.tunneling_check import CorePoints
 
 PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
-_FAST = 0.5  # of its own size in a step
+_FAST = 0.5  # maximum motion in a step, relative to the geom's size
 _FRAMED = 0.2  # force on frame or carrier over five checks, N
 _NEAR = 0.05  # distance from the membrane's center, m
 _MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it

@@ -50,7 +50,7 @@ def sticking_of(membrane: QuasistaticMembrane) -> Sticking:
 
 @lru_cache(maxsize=64)
 def bulge_stiffness(membrane: QuasistaticMembrane) -> float:
-    """dp/dV, Pa/m^3, of the bulge about its rest."""
+    """Return dp/dV, Pa/m^3, of the bulge about its rest."""
     step = 0.05 * membrane.gauge_pressure
     live = IncrementalMembrane(membrane, empty_rows(0), None)
     live.x[:] = membrane.rest.x

@@ -20,7 +20,7 @@ KINDS = tuple(
     )
 )
 """Geoms that have edges."""
-_MAX_FACES = 4000  # of the hull of something thin
+_MAX_FACES = 4000  # maximum number of hull faces of a thin geom
 _CORE_SPACING = 0.15  # spacing of interior points of a thin geom, in cells
 
 

@@ -26,7 +26,7 @@ from mjtactile.sim.sensor.contact_list import listed
 # fast; twice the value oscillates.
 _GIVE_FRACTION = 0.3
 _SHIFT_FRACTION = 0.2
-_KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
+_KEPT = 0.5  # fraction of a remaining shift that is corrected when the contact slides on
 # Friction target of a sliding contact beyond its cone, as a fraction of the limit. The solver's
 # cone is convex: an excess also lifts the vertex. Without it, friction is 2 % too small.
 _EXCESS = 0.1

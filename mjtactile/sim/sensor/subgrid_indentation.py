@@ -65,7 +65,7 @@ def depth_beyond_mesh(
     radii = np.maximum(radii, width)
     longest = radii.max(axis=1)
     shortest = radii.min(axis=1)
-    radius = (longest + shortest) / 2  # an ellipse's, as its potential sees it
+    radius = (longest + shortest) / 2  # equivalent radius of an ellipse's potential
     steep = slope.mean(axis=1)
     bent = curvature.mean(axis=1)
     compact = _deepening(steep + bent * radius / 4, steep + bent * radius / 2)

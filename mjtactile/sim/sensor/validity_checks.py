@@ -22,7 +22,7 @@ STRETCHED = 1.4
 WRINKLED = 0.01  # fraction of the membrane under compression
 SLACKEST = 0.95
 _BENDING = 0.05  # maximum ratio of bending stiffness to the bulge's stiffness
-_THICKEST = 0.1  # of the frame's shorter side
+_THICKEST = 0.1  # maximum thickness, as a fraction of the frame's shorter side
 _NARROW = 0.1  # relative force error; squares and discs are below, rods as thin as a cell are above
 
 

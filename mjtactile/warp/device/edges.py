@@ -12,7 +12,7 @@ from mjtactile.warp.device.relaxation import synchronize
 
 wp.set_module_options({"enable_backward": False})
 
-_HALVINGS = wp.constant(12)  # of a spacing, to find an edge
+_HALVINGS = wp.constant(12)  # halvings of a spacing in the search for an edge
 _NEAREST_EDGE = wp.constant(0.95)
 
 

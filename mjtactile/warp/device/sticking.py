@@ -14,7 +14,7 @@ from mjtactile.warp.device.relaxation import synchronize
 
 wp.set_module_options({"enable_backward": False})
 
-_STEPS = wp.constant(100)  # of the conjugate gradients
+_STEPS = wp.constant(100)  # maximum steps of the conjugate gradients
 _CLOSE = wp.constant(1.0e-6)  # squared residual of a stiffness, over that of the start
 _CHANGED = wp.constant(0.05)  # fraction of contact nodes that may change before it is stale
 

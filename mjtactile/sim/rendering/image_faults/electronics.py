@@ -78,7 +78,7 @@ _STUDIO = (16.0, 219.0)  # black, and levels from there to white, of YUYV
 _BROKEN_BYTES = 3
 _HEAD = 700  # number of header bytes of a JPEG
 _MAX_LINES = 12
-_QUALITY = 90  # of JPEGs that break where none is asked for
+_QUALITY = 90  # quality of broken JPEGs if none is specified
 
 
 def less_noisy(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:

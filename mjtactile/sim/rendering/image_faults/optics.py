@@ -58,7 +58,7 @@ _PRINT = 45.0
 _RIDGE = 9.0
 _GREASE_BLUR = 4.0
 _RIDGE_TAKES = 0.25  # of the light
-_BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
+_BANDS = 2.0  # periods of mains light from the first row to the last, at any rate
 
 
 def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
