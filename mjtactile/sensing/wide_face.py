@@ -58,7 +58,9 @@ class WideFaceTest:
         if start is None:
             return None
         if self._inverse.planes.lowest(start.plane) < -self._settings.face_sunk:
-            return replace(found, on_frame=True)
+            if self._camera_changed(state, found, fit, image):
+                return None
+            return replace(found, on_frame=True, state=replace(found.state, face=start))
         # tractions around a plane start from those around the last plane
         before = state.shape if state.face is not None else None
         kept = replace(state, shape=before)
@@ -67,12 +69,8 @@ class WideFaceTest:
         if plane is None:
             return None
         evidence = face.shape.log_evidence + plane.log_volume
-        # while a face is in contact, its load is not interpreted as a camera change
-        for other in () if state.face is not None else self._changed(state, found):
-            rival = fit(other)
-            likelier = rival.shape.log_evidence - s.face_change > evidence
-            if likelier and not self._gained_gas(state, rival, image.reading):
-                return None
+        if self._camera_changed(state, found, fit, image, evidence=evidence):
+            return None
         ahead = evidence - found.shape.log_evidence
         if self._gained_gas(state, found, image.reading):
             ahead = math.inf
@@ -128,6 +126,45 @@ class WideFaceTest:
             return None
         steady = CameraDriftFilter.unseen(self._settings, steady=True)
         return self._start(state, fit(state, camera=steady))
+
+    def _camera_changed(
+        self,
+        state: PipelineState,
+        found: Estimate,
+        fit: Callable[..., Estimate],
+        image: ImageContext,
+        evidence: float | None = None,
+    ) -> bool:
+        """Return True if a changed camera, or lost gas, explains the image better than a face.
+
+        While a face is in contact, its load is not interpreted as such a change. The evidence of a
+        plane on the frame is unknown, because its equilibrium is. It exceeds that of a compact
+        contact, but a camera and a load that change in the same image are unlikely.
+
+        Args:
+            state: State before the image.
+            found: Estimate for a compact contact.
+            fit: Function that estimates from a state.
+            image: Context of the image.
+            evidence: Log evidence of the face; None: its plane is on the frame.
+        """
+        if state.face is not None:
+            return False
+        lowest = found.shape.log_evidence if evidence is None else evidence
+        for other in self._changed(state, found):
+            rival = fit(other)
+            likelier = rival.shape.log_evidence - self._settings.face_change > lowest
+            if evidence is None:
+                likelier = likelier and self._load_change(state, rival) < self._settings.face_load
+            if likelier and not self._gained_gas(state, rival, image.reading):
+                return True
+        return False
+
+    def _load_change(self, state: PipelineState, found: Estimate) -> float:
+        """Return the magnitude of the change of force since the last image, N."""
+        force = self._inverse.force(found.shape)
+        before = np.zeros(3) if state.shape is None else self._inverse.force(state.shape)
+        return float(np.linalg.norm(force - before))
 
     def _steady(self, state: PipelineState) -> CameraDriftFilter | None:
         """Return the prior of an unchanged camera; None: earlier images show the camera. Without

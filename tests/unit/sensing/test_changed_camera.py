@@ -74,6 +74,22 @@ def test_a_change_after_the_references_is_no_force(clean, table, limit):
         assert abs(touch.force_normal - requested) < limit
 
 
+def test_a_shift_without_a_load_is_no_face_on_the_frame():
+    """A plane through the markers of a shifted camera lies below the frame. The first image was
+    reported as a face that rests on the frame, because no other explanation was compared."""
+    images = membrane_images.sequence("dense")
+    table = {"image_shift_px": [2.0, 2.0], "rotation_deg": 0.3, "scale_percent": 0.4, "gamma": 1.2}
+    shifted = FaultyImage(from_table(CameraFaults, table | {"jpeg_quality": 80}, "test"))
+    sensor = StatefulPipeline.of(load_sensor("dense"))
+    sensor.measure_flat_reference(images.flat)
+    sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
+    for k in range(6):
+        image = dataclasses.replace(images.rest[0], time=images.rest[0].time + (k + 1) / 15)
+        touch = sensor.perceive(image if k < 3 else shifted(image), image.time)
+        assert touch.status == "ok"
+        assert touch.force_normal == pytest.approx(0, abs=0.03)
+
+
 @pytest.mark.parametrize("table", BEFORE, ids=str)
 def test_a_change_that_ends_with_the_references_is_none_either(clean, table):
     for touch, requested in zip(touches(references=table), clean, strict=True):
