@@ -104,7 +104,8 @@ def run(options: argparse.Namespace) -> int:
         result = _write(options, episodes, out, progress, left_out.append)
     result |= {"format": options.format, "out": str(options.out)}
     result |= {"left_out": left_out, "problems": problems}
-    lines = [f"{result['episodes']} episodes, {result['frames']} frames"]
+    noun = "episode" if result["episodes"] == 1 else "episodes"
+    lines = [f"{result['episodes']} {noun}, {result['frames']} frames"]
     lines += [f"  left out  {reason}" for reason in left_out]
     lines += [f"  {folder}: {'; '.join(found)}" for folder, found in problems.items()]
     print_result(options, result, "\n".join([*lines, f"  written to {options.out}"]))

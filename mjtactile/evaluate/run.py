@@ -111,7 +111,7 @@ def write_report(
     chosen = worst_episodes.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         message = f"{line['controller']}, {line['object']}, seed {line['seed']}"
-        notify(f"image {k} of {len(chosen)}: {message}")
+        notify(f"report: running episode {k} of {len(chosen)} again for its image: {message}")
         name = name_of(line["controller"], line["episode"])
         episode = _episode(known, line, folder / store.MANIFEST)
         if only is not None and episode.scenario.controller not in only:
