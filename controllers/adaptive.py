@@ -43,7 +43,8 @@ RISK, LOW_RISK, TEST_RISK = 0.01, 0.25, 0.5
 KNOWN, TEST_TIME, FRICTION_MAX = 0.85, 2.0, 1.0
 LOOSENING = 1.0  # relative decrease of the grip while friction is tested, 1/s
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
-SLIP_WAIT, GRIP_WAIT = 0.3, 1.0  # waiting times of the lift after a slip and for the grip, s
+# a slip ends after SLIP_WAIT without a sign; the lift waits at most GRIP_WAIT for slip and grip, s
+SLIP_WAIT, GRIP_WAIT = 0.3, 1.0
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.12, 0.3
 GRAVITY = 9.81  # m/s^2
@@ -62,7 +63,7 @@ MEMORY_KEYS = {
     FrameLoadEstimator: "frames",
     FrictionFilter: "friction",
 }
-START = {f"{clock}_time": 0.0 for clock in ("pull", "behind", "test", "slip")} | {
+START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
     "low": WEIGH_HEIGHT,
     "target": MIN_FORCE,
     "due": MIN_FORCE,
@@ -165,16 +166,16 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
     target = command.memory["target"]
     grip = sum(forces) / len(forces)
     load = _stored(LoadEstimator, command)
-    behind = target - grip > min(FORCE_TOLERANCE, 0.1 * target)
+    waits = target - grip > min(FORCE_TOLERANCE, 0.1 * target)
     # faces that the fingers only drag along themselves slip without a load
-    slides = command.memory["slip_time"] < SLIP_WAIT and load.maximum > LOADED * grip
-    behind_time = command.memory["behind_time"] + observation.period if behind else 0.0
-    command = phases.remember(command, behind_time=behind_time)
+    waits |= command.memory["slip_time"] < SLIP_WAIT and load.maximum > LOADED * grip
+    wait_time = command.memory["wait_time"] + observation.period if waits else 0.0
+    command = phases.remember(command, wait_time=wait_time)
     is_low = command.lift_height < command.memory["low"]
     if not is_low and command.memory["risk"] != RISK:
         return _test_friction(observation, command)
-    if slides or 0.0 < behind_time < GRIP_WAIT:
-        return command  # grip first, within the jaws' limits
+    if 0.0 < wait_time < GRIP_WAIT:
+        return command  # grip first, within the jaws' limits; waiting longer would not help
     goal = observation.goal.lift_height
     if not load.down and not is_low:
         command = phases.remember(command, load=vars(load.hanging(observation.touch)))

@@ -106,8 +106,8 @@ ARGUMENTS = (
     ),
     arg.option(
         "--worst N",
-        "number of episodes shown with images in the report; they are run again at the end",
-        10,
+        "number of episodes shown with images in the report; they are run again at the end "
+        "(default: up to 10 that failed, and a tenth of the others)",
         type=arg.integer(0),
     ),
     arg.out("folder for the results (default: runs/<time>-evaluate)"),

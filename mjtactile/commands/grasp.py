@@ -306,7 +306,9 @@ def _contact_text(contact: dict[str, Any]) -> str:
         return f"unknown: {contact['status']}"
     low, high = contact["area_interval_mm2"]
     kind = f"{contact['kind']} ({100 * contact['probability']:.0f} %)"
-    if contact["probability"] < _CLEAR or contact["misfit"] > EXPLAINED:
+    if contact["misfit"] > EXPLAINED:
+        kind = f"kind unclear, explained by no model (nearest: {contact['kind']})"
+    elif contact["probability"] < _CLEAR:
         kind = f"kind unclear, likeliest {kind}"
     return f"{kind}, area {contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
 

@@ -95,7 +95,7 @@ def _recorded(episode: Episode, folder: Path) -> Episode:
 
 def write_report(
     folder: Path,
-    worst_count: int,
+    worst_count: int | None,
     notify: Notify = lambda _: None,
     *,
     only: Collection[str] | None = None,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import zip_longest
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,19 @@ from mjtactile.report.summary import write_plots
 from mjtactile.runtime.grasp import run_grasp
 
 _RANKS = dict.fromkeys(OUTCOMES, 2) | {"error": 1, "held": 0}
+_SHOWN_MAX = 10
 _SLIP = 5.0  # slip, mm, that is as bad as breaking
 
 
-def worst(lines: Sequence[Line], count: int) -> list[Line]:
+def worst(lines: Sequence[Line], count: int | None) -> list[Line]:
     """Return the `count` worst lines: failures, then errors, then episodes closest to a failure.
 
+    None: at most ten, of which a tenth of the held episodes: a repetition costs a whole episode.
     The kinds (controller, object, outcome) alternate, so that none hides the others.
     """
+    if count is None:
+        held = sum(_RANKS[line["outcome"]] == 0 for line in lines)
+        count = min(_SHOWN_MAX, len(lines) - held + ceil(held / _SHOWN_MAX))
     chosen: list[Line] = []
     for rank in (2, 1, 0):
         own = [line for line in lines if _RANKS[line["outcome"]] == rank]

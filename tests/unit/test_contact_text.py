@@ -10,7 +10,7 @@ from mjtactile.commands.grasp import _contact_text
     [
         (0.97, 1.0, "smooth (97 %)"),
         (0.53, 1.0, "kind unclear, likeliest smooth (53 %)"),
-        (1.0, 2.7, "kind unclear, likeliest smooth (100 %)"),
+        (1.0, 2.7, "kind unclear, explained by no model (nearest: smooth)"),
     ],
 )
 def test_a_kind_that_is_not_clear_is_printed_with_reserve(probability, misfit, text):

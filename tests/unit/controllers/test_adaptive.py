@@ -189,6 +189,20 @@ def test_what_is_not_known_stops_it():
     assert over.phase == "abort" and over.reason == "the contact force is unknown: too dark"
 
 
+def test_a_slip_that_does_not_end_delays_the_lift_only():
+    """Self-stress keeps one face of a domino at its friction limit: slip is reported all the time."""
+
+    def stressed(k, command):
+        normal = command.memory.get("target", 0.18)
+        carried = 0.05 * min(1.0, command.lift_height / 5e-4)
+        slipping = finger(carried, 0.7 * normal, normal, "slipping")
+        distance = replace(slipping.slip, distance=1e-4 * k)
+        return finger(carried, -0.4 * normal, normal), replace(slipping, slip=distance)
+
+    start = Command(0.04, 5.0, 0.0, "lift")
+    assert run(start, stressed, 450, TaskGoal(hold_time=60.0)).phase == "hold"
+
+
 def test_it_lifts_only_what_all_fingers_touch():
     """An egg in its cup resists one finger."""
     start = Command(0.04, 5.0, 0.0, "regulate")

@@ -138,6 +138,9 @@ def test_the_worst_are_of_every_kind():
     assert {("egg", "dropped"), ("vial", "dropped"), ("egg", "crushed")} <= set(kinds) and len(
         chosen
     ) == 6
+    # 12 dropped, one crushed, one error: at most ten; of held episodes only, a tenth
+    held = [line for line in table if line["outcome"] == "held"]
+    assert len(worst(table, None)) == 10 and len(worst(held, None)) == 3
     # errors, then near failures
     assert worst(table, 15)[13]["episode"] == 21 and worst(table, 15)[14]["episode"] == 30
 
