@@ -63,8 +63,8 @@ class SlipSample:
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
     """State carried to the next image. It holds the last `samples`, and the `weight` (J,) and
-    `position` (J, 3), m, of the nodes. It also holds the slip `distance`, m, the current estimate of
-    the coefficient of `friction`, and the sum `path`, m, of the motion along the shear."""
+    `position` (J, 3), m, of the nodes. It also holds the slip `distance`, m, the estimated
+    coefficient of `friction`, and the sum `path`, m, of the motion along the shear."""
 
     samples: tuple[SlipSample, ...]
     weight: Array
